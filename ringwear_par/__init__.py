@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ringwear_par.errors import ComputationError, InputError
     from ringwear_par.history.elastic.pairs import assemble
     from ringwear_par.identification.fit import fit
-    from ringwear_par.identification.outcome import FitResult
+    from ringwear_par.identification.fit_result import FitResult
     from ringwear_par.identification.test_design.design import DesignResult, design
     from ringwear_par.outcomes import save, summary, to_dict
     from ringwear_par.reports.report import report
@@ -49,7 +49,7 @@ _PUBLIC = {
     "ContactPair": "elasticity.bem.pair",
     "DesignResult": "identification.test_design.design",
     "FailedResult": "results.result",
-    "FitResult": "identification.outcome",
+    "FitResult": "identification.fit_result",
     "InputError": "errors",
     "LocalState": "wear.local_state",
     "Result": "results.result",

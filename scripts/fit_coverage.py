@@ -23,10 +23,10 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.estimation.intervals import estimates
-from ringwear_par.identification.estimation.least_squares import LeastSquares
 from ringwear_par.identification.estimation.minimise import minimise
+from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.model.histories import Histories
-from ringwear_par.identification.model.lockstep import Meet, side_by_side
+from ringwear_par.identification.model.lockstep import WaitFor, side_by_side
 from ringwear_par.identification.model.steps import STEPS
 from ringwear_par.options import start_petsc
 
@@ -105,26 +105,26 @@ def coverage(asked: Problem, repeats: int) -> tuple[FloatArray, FloatArray, Floa
     point = np.array(list(TRUTH.values()))
     truth = histories.responses(point[None], 10 * STEPS)[0][:, 0]
     posed = [
-        LeastSquares(repeated(asked, truth, np.random.default_rng(seed)), histories)
+        Misfit(repeated(asked, truth, np.random.default_rng(seed)), histories)
         for seed in range(repeats)
     ]
     known: dict[bytes, np.ndarray] = {}
-    for squares in posed:
-        squares.known = known  # the histories do not depend on the noise
+    for misfit in posed:
+        misfit.response_cache = known  # the histories do not depend on the noise
     begun, before = time.process_time(), histories.count
 
-    def fitted(squares: LeastSquares, meet: Meet) -> tuple[Any, Any]:
-        found = minimise(squares, squares.started(list(asked.start.values())), meet)
-        told, _ = estimates(squares, found.x, found.evaluation)
+    def fitted(misfit: Misfit, wait_for: WaitFor) -> tuple[Any, Any]:
+        found = minimise(misfit, misfit.with_best_nuisances(list(asked.start.values())), wait_for)
+        told, _ = estimates(misfit, found.x, found.evaluation)
         values = [[p.estimate for p in told], [p.sd for p in told]]
-        freedom = squares.n + len(squares.priors) - len(squares.names)
+        freedom = misfit.n + len(misfit.priors) - len(misfit.names)
         return values, [2 * found.evaluation.objective / freedom, found.converged]
 
-    rows = side_by_side([partial(fitted, squares) for squares in posed], posed[0].look_up)
+    rows = side_by_side([partial(fitted, misfit) for misfit in posed], posed[0].compute)
     seconds = time.process_time() - begun
     spent = histories.count - before
     values, quality = (np.array(part, dtype=float) for part in zip(*rows, strict=True))
-    x = posed[0].started(point.tolist())
+    x = posed[0].with_best_nuisances(point.tolist())
     told, _ = estimates(posed[0], x, posed[0].evaluate(x))
     return values, quality, np.array([p.sd for p in told]), spent, seconds
 

@@ -18,7 +18,7 @@ VAGUE = {
 VAGUE_DOCSTRING = re.compile(r"(?:Return|Tell|Give) (?:what|the same|that of|those)\b")
 #: folders, and modules of the root, that are not clean yet
 ROOMS_TO_DO = {
-    "identification", "studies",
+    "studies",
 }  # fmt: skip
 
 

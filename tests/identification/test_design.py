@@ -16,7 +16,7 @@ from mpi4py import MPI
 import ringwear_par as rw
 from ringwear_par.identification.definition.candidates import candidates
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.fit import fit, predicted
+from ringwear_par.identification.fit import expected_result, fit
 from ringwear_par.identification.test_design.design import run_design
 from ringwear_par.identification.test_design.design_summary import FILES
 from ringwear_par.identification.test_design.next_tests import next_tests
@@ -57,7 +57,9 @@ def test_information_is_that_of_a_fit(tables, comm):
     """With all nuisances eliminated from each test by itself, as the fit has them together."""
     source = tables()
     found = rw.design(source, comm)
-    assert found.planned.sd == pytest.approx(spreads(predicted(read_fit(source), comm)), rel=1e-6)
+    assert found.planned.sd == pytest.approx(
+        spreads(expected_result(read_fit(source), comm)), rel=1e-6
+    )
 
 
 def test_what_the_best_tests_tell_is_what_a_fit_of_them_tells(tables, comm):
@@ -66,10 +68,10 @@ def test_what_the_best_tests_tell_is_what_a_fit_of_them_tells(tables, comm):
     tests = [best.candidates[i] for i in best.designs[0].tests]
     for experiment, test in zip(source["experiment"], tests, strict=True):
         experiment["set"] |= test.changes()
-    told = predicted(read_fit(source), comm)
+    told = expected_result(read_fit(source), comm)
     assert best.designs[0].sd == pytest.approx(spreads(told), rel=1e-6)
     volumes = np.linalg.det(told.covariance[:2, :2])
-    assert volumes < np.linalg.det(predicted(read_fit(tables()), comm).covariance[:2, :2])
+    assert volumes < np.linalg.det(expected_result(read_fit(tables()), comm).covariance[:2, :2])
 
 
 @pytest.mark.serial
@@ -85,7 +87,7 @@ def test_exchange_finds_the_best_three(tables, comm):
         source = tables()
         source["experiment"] = source["experiment"][:1]
         source["experiment"][0]["set"] |= test.changes()
-        covariance = predicted(read_fit(source), comm).covariance[:2, :2]
+        covariance = expected_result(read_fit(source), comm).covariance[:2, :2]
         information.append(np.linalg.inv(covariance / np.outer(widths, widths)))
     threes = itertools.combinations_with_replacement(information, 3)
     wholes = np.array([sum(three) for three in threes])
@@ -131,7 +133,9 @@ def test_experiments_may_have_operators_of_their_own(tables, comm):
     source = tables()
     source["experiment"][1]["set"]["mesh.contact_elements"] = 16
     found = rw.design(source, comm)
-    assert found.planned.sd == pytest.approx(spreads(predicted(read_fit(source), comm)), rel=1e-6)
+    assert found.planned.sd == pytest.approx(
+        spreads(expected_result(read_fit(source), comm)), rel=1e-6
+    )
 
 
 def test_tests_that_cannot_be_computed_are_left_out(tables, comm):
@@ -208,7 +212,7 @@ def test_instants_of_profiles_vary(tables, comm):
             for key in ("file", "columns"):
                 del one[key]
             one |= {**radii, "unit": "um"}
-    told = predicted(read_fit(source, plans=True), comm)
+    told = expected_result(read_fit(source, plans=True), comm)
     # steps of the one history end at all instants
     assert best.sd == pytest.approx(spreads(told), rel=1e-3)
     assert "profiles at " in found.summary()
@@ -273,7 +277,7 @@ def test_candidates_keep_to_their_ranges(tables):
     }  # fmt: skip
     problem = read_fit(tables(vary, {"time.end": 90.0}))
     every = candidates(problem.design, problem.experiments[0])
-    assert len({json.dumps([test.told(), test.seconds]) for test in every}) == len(every)
+    assert len({json.dumps([test.to_dict(), test.seconds]) for test in every}) == len(every)
     for test in every:
         assert all(40.0 <= load <= 80.0 for load in test.loads)
         assert list(test.loads) == sorted(test.loads)
@@ -350,7 +354,7 @@ def test_the_folder_holds_what_to_do_next(tables, laboratory, tmp_path, comm, ca
     assert [test.name for test in problem.experiments] == ["test 1", "test 2", "next 1", "next 2"]
     for one in problem.experiments[2:]:
         assert all(series.planned for series in one.series)
-    alone = predicted(replace(problem, experiments=problem.experiments[2:]), comm)
+    alone = expected_result(replace(problem, experiments=problem.experiments[2:]), comm)
     expected = told["designs"][0]["sd"].values()
     assert spreads(alone) == pytest.approx(list(expected), rel=1e-6)
     assert (tmp_path / "next/design.png").stat().st_size > 10_000

@@ -9,7 +9,7 @@ from laboratory import FITTED, fit_tables, write_tests
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Series
 from ringwear_par.identification.figures import _series, label
-from ringwear_par.identification.fit import predicted
+from ringwear_par.identification.fit import expected_result
 from ringwear_par.pictures import fits
 
 pytestmark = pytest.mark.serial
@@ -26,7 +26,7 @@ def found(tmp_path_factory):
     experiments[0]["data"].append(mass)
     sought = {**FITTED, "wear.lower.p0": {"start": 25.0, "bounds": [0.0, 200.0]}}
     tables = fit_tables(folder, experiments, parameters=sought)
-    return predicted(read_fit(tables), MPI.COMM_WORLD)
+    return expected_result(read_fit(tables), MPI.COMM_WORLD)
 
 
 def profile_at(radii):
@@ -82,7 +82,7 @@ def test_residuals_are_data_less_model(found):
     panels = [axes for axes in chart.axes if axes.get_ylabel() == "(data - model) / sd"]
     assert len(panels) == 2
     for axes, (_, series), part in zip(
-        panels, found.squares.series, found.squares.parts, strict=False
+        panels, found.misfit.series, found.misfit.parts, strict=False
     ):
         expected = (series.value - found.evaluation.model[part]) / series.sd
         (drawn,) = (line.get_ydata() for line in axes.lines)
@@ -107,10 +107,10 @@ def test_single_readings_share_a_strip(found):
 
 
 def test_single_readings_alone_are_a_figure(found):
-    problem = found.squares.problem
+    problem = found.misfit.problem
     (test,) = problem.experiments
     one = replace(test, series=test.series[2:])
-    (axes,) = predicted(replace(problem, experiments=(one,)), found.comm).plot().axes
+    (axes,) = expected_result(replace(problem, experiments=(one,)), found.comm).plot().axes
     words = [text.get_text() for text in axes.get_legend().texts]
     assert sorted(words) == ["95 % of readings", "95 % of the model", "data", "model"]
 
@@ -136,13 +136,13 @@ def test_what_is_not_identified_has_neither_curve_nor_ellipse(found):
 
 def test_long_tests_are_drawn_in_hours(found):
     """As results are; the numbers are those of the file, in s."""
-    (test,) = found.squares.problem.experiments
+    (test,) = found.misfit.problem.experiments
     series = test.series[0]
     assert not series.profile
     long = replace(series, x=series.x * (2e4 / series.x.max()))
     for one, seconds, words in ((long, 3600.0, "time (h)"), (series, 1.0, "time (s)")):
-        x, axis = _series(found, test, one, found.squares.parts[0]).along()
+        x, axis = _series(found, test, one, found.misfit.parts[0]).along()
         assert x == pytest.approx(one.x / seconds)
         assert axis.label == words
-    _, axis = _series(found, test, test.series[1], found.squares.parts[1]).along()
+    _, axis = _series(found, test, test.series[1], found.misfit.parts[1]).along()
     assert axis.label == "radius (mm)"

@@ -26,8 +26,8 @@ from ringwear_par.errors import InputError
 from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation import starts as starts_room
-from ringwear_par.identification.estimation.starts import Started
-from ringwear_par.identification.fit import fit, fitted, predicted
+from ringwear_par.identification.estimation.starts import StartOutcome
+from ringwear_par.identification.fit import expected_result, fit, fit_problem
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 
@@ -60,7 +60,7 @@ def test_a_laboratory_found_the_law(comm):
     """Files of an independent model with noise, in the repository as a worked example."""
     problem = read_fit(SCRIPTS / "fit/fit.toml")
     quick = replace(problem.settings, starts=1, intervals=("linear",))
-    found = fitted(replace(problem, settings=quick), comm, compare=False)
+    found = fit_problem(replace(problem, settings=quick), comm, compare=False)
     assert near(found)
     assert not found.flagged
     assert [p.verdict for p in found.parameters] == ["identified"] * 2
@@ -105,11 +105,11 @@ def test_any_number_of_ranks_finds_the_same(tables, comm):
 def test_criteria_count_what_priors_object(tables, comm):
     """A prior that is far off costs what it costs the objective."""
     given = tables(starts=1)
-    known = predicted(read_fit(given), comm)
+    known = expected_result(read_fit(given), comm)
     key = known.parameters[0].key
     prior = {"normal": [known.parameters[0].estimate * 3, known.parameters[0].estimate]}
     given["fit"]["parameters"][key] = {**FITTED[key], "prior": prior}
-    doubted = predicted(read_fit(given), comm)
+    doubted = expected_result(read_fit(given), comm)
     assert doubted.aic - known.aic == pytest.approx(4.0, rel=1e-6)
     assert doubted.bic - known.bic == pytest.approx(4.0, rel=1e-6)
     growth = doubted.evaluation.objective - known.evaluation.objective
@@ -125,7 +125,7 @@ def test_noise_is_fitted(tables, comm):
     assert near(found)
     assert found.p_value is not None  # of the penetrations, whose noise is given
     assert found.p_value > 1e-3
-    squared, freedom = found.given
+    squared, freedom = found.tested_chi2
     assert squared == pytest.approx(
         sum(series["penetration"]["chi2"] for series in found.experiments.values())
         + found.total - found.chi2
@@ -191,7 +191,7 @@ def test_three_keys_are_one_number_without_torque(tables, comm):
         "contact.friction": {"start": 0.1, "bounds": [0.01, 1.0], "scale": "log"},
         "load.omega": {"start": 3.5, "bounds": [0.1, 100.0], "scale": "log"},
     }
-    by_key = {p.key: p for p in predicted(read_fit(given), comm).parameters}
+    by_key = {p.key: p for p in expected_result(read_fit(given), comm).parameters}
     for key in ("contact.friction", "wear.lower.k", "load.omega"):
         assert by_key[key].verdict == "not identified"
         assert by_key[key].direction == "only contact.friction x load.omega x wear.lower.k"
@@ -278,7 +278,7 @@ def test_what_is_one_with_an_unknown_is_unknown(tables, comm):
         "wear.lower.k": {"start": 1.3e-7, "bounds": [1.1e-7, 1.5e-7]},
         "wear.lower.p0": {"start": 25.0, "bounds": [0.0, 200.0]},
     }
-    found = predicted(read_fit(given), comm)
+    found = expected_result(read_fit(given), comm)
     (_, _, correlation), *_ = found.correlations()
     assert abs(correlation) > 0.999
     assert 4 * found.parameters[1].sd < 200.0
@@ -368,10 +368,10 @@ def test_a_law_that_fails_leaves_the_fit(tables, comm, monkeypatch):
         "good": {"set": {}, "parameters": sought},
     }
 
-    def failing(squares, number, start, meet):
-        if squares.problem.name.endswith("compare.bad"):
-            return Started(number, (), (), (), float("inf"), False, 0, 0, "it broke")
-        return solved(squares, number, start, meet)
+    def failing(misfit, number, start, wait_for):
+        if misfit.problem.name.endswith("compare.bad"):
+            return StartOutcome(number, (), (), (), float("inf"), False, 0, 0, "it broke")
+        return solved(misfit, number, start, wait_for)
 
     solved = starts_room._solved
     monkeypatch.setattr(starts_room, "_solved", failing)
@@ -389,7 +389,7 @@ def test_a_prediction_before_any_fit_is_the_later_interval(tables, comm):
     given = tables(starts=1)
     for key, value in TRUTH.items():
         given["fit"]["parameters"][key] = {**FITTED[key], "start": value}
-    expected, found = predicted(read_fit(given), comm), fit(given, comm)
+    expected, found = expected_result(read_fit(given), comm), fit(given, comm)
     for before, after in zip(expected.parameters, found.parameters, strict=True):
         assert before.sd == pytest.approx(after.sd, rel=0.1)
 
@@ -400,7 +400,7 @@ def test_names_of_laws_are_no_names_of_files(tables, comm, tmp_path):
     law = {"set": {}, "parameters": {"wear.lower.k": FITTED["wear.lower.k"]}}
     given["compare"] = {"fit": law, "../../evil": law}
     folder = tmp_path / "deep" / "out"
-    found = fitted(read_fit(given), comm, compare=True, folder=folder)
+    found = fit_problem(read_fit(given), comm, compare=True, folder=folder)
     assert [len(other.parameters) for other in found.alternatives.values()] == [1, 1]
     kept = sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*.json"))
     assert kept == [f"deep/out/progress/{law}-0.json" for law in range(3)]
@@ -501,7 +501,7 @@ def test_steps_resolve_how_a_layer_is_worn_through(tmp_path, comm):
     found = fit(tables, comm)
     assert near(found, truth)
     assert not found.flagged
-    assert all(abs(moved) < 0.2 for moved in found.moved.values())
+    assert all(abs(moved) < 0.2 for moved in found.discretisation_shift_sd.values())
 
 
 @pytest.mark.serial
@@ -533,7 +533,7 @@ def test_trials_that_a_law_does_not_allow_end_no_fit(tmp_path, comm):
     assert k.estimate <= k_start.estimate
     assert k.interval[1] is None or k.interval[1] > k.estimate
     assert not any(start.error for start in found.starts)
-    drawn = starts_room.points(found.squares, 16)
+    drawn = starts_room.case_points(found.misfit, 16)
     assert len(drawn) == 16
     assert (drawn[:, 0] <= drawn[:, 1]).all()
     sought = given["fit"]["parameters"]

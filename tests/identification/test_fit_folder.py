@@ -23,10 +23,11 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.folders import FIT
 from ringwear_par.identification import fit as fit_room
-from ringwear_par.identification import storing
+from ringwear_par.identification import fit_folder
+from ringwear_par.identification import fit_run as run_room
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation import starts as starts_room
-from ringwear_par.identification.fit import fit, fitted, run_fit
+from ringwear_par.identification.fit import fit, fit_problem, run_fit
 from ringwear_par.results.execution.stopping import StopSignals
 
 
@@ -144,7 +145,7 @@ def test_a_complete_fit_is_left_as_it_is(written, comm, monkeypatch):
     def never(*args, **kwargs):
         raise AssertionError("fitted again")
 
-    monkeypatch.setattr(fit_room, "fitted", never)
+    monkeypatch.setattr(fit_room, "fit_problem", never)
     run_fit(path, folder, comm, restart=True)
     assert (folder / "fit.json").read_text() == whole
     path.write_text(path.read_text() + "\n# another\n")
@@ -163,7 +164,7 @@ def test_a_dry_run_writes_nothing(written, comm, capsys):
 @pytest.mark.serial
 def test_a_fit_goes_on_with_the_starts_that_are_kept(written, comm, monkeypatch):
     path, folder = written
-    whole = fitted(read_fit(path), comm)
+    whole = fit_problem(read_fit(path), comm)
     calls = []
 
     def stopping(*args):
@@ -193,16 +194,16 @@ def test_a_fit_goes_on_with_the_starts_that_are_kept(written, comm, monkeypatch)
 def test_histories_of_a_fit_that_goes_on_are_all_counted(written, comm, monkeypatch):
     """Where all starts were kept."""
     path, folder = written
-    whole = fitted(read_fit(path), comm)
+    whole = fit_problem(read_fit(path), comm)
 
     def stopping(*args):
         raise ComputationError("the power failed")
 
     with monkeypatch.context() as patch:
-        patch.setattr(fit_room, "likelihood_profiles", stopping)
+        patch.setattr(run_room, "likelihood_profiles", stopping)
         with pytest.raises(ComputationError, match="the power failed"):
             run_fit(path, folder, comm)
-    again = fitted(read_fit(path), comm, folder=folder)
+    again = fit_problem(read_fit(path), comm, folder=folder)
     assert 0 <= again.histories - whole.histories <= 2
 
 
@@ -241,7 +242,7 @@ def test_outcomes_that_cannot_be_read_are_none(tmp_path, content):
             os.mkfifo(path)
         else:
             path.write_text(content)
-    assert not storing.complete(tmp_path, None, compare=False)
-    assert starts_room.Progress(tmp_path, "key").read(1) is None
+    assert not fit_folder.complete(tmp_path, None, compare=False)
+    assert starts_room.StoredStarts(tmp_path, "key").read(1) is None
     with pytest.raises(InputError, match=r"fit\.json: "):
         rw.report(tmp_path, tmp_path / "a.html")

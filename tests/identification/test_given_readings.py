@@ -9,9 +9,9 @@ from laboratory import PEN, PROF, changed, fit_tables, write_table, write_tests
 
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.estimation.least_squares import LeastSquares
-from ringwear_par.identification.estimation.plausible import refuse_reversed
-from ringwear_par.identification.fit import fit, predicted
+from ringwear_par.identification.estimation.misfit import Misfit
+from ringwear_par.identification.estimation.record_checks import refuse_reversed
+from ringwear_par.identification.fit import expected_result, fit
 from ringwear_par.identification.model.histories import Histories
 from ringwear_par.identification.summary import prediction
 
@@ -171,7 +171,7 @@ def test_what_is_taken_for_a_unit_is_told(good, tmp_path, comm):
     sentence = f"penetration (test 1): {said[0]}"
     assert sentence in found.to_dict()["warnings"]
     assert f"warning: {sentence}" in found.summary()
-    assert f"warning: {sentence}" in prediction(predicted(read_fit(tables), comm))
+    assert f"warning: {sentence}" in prediction(expected_result(read_fit(tables), comm))
     with pytest.raises(InputError, match=r"the column t / min of .* is in min by its name"):
         assumptions("t / min", "z / mm", time="s")
 
@@ -209,7 +209,7 @@ def test_a_key_to_which_nothing_responds(good, comm):
     tables["experiment"][0]["set"]["wear.lower.p0"] = 25.0
     start = {"start": 1e-11, "bounds": [1e-12, 1e-5], "scale": "log"}
     tables["fit"]["parameters"]["wear.lower.k"] = start
-    found = predicted(read_fit(tables), comm)  # hardly at the start, but elsewhere
+    found = expected_result(read_fit(tables), comm)  # hardly at the start, but elsewhere
     assert found.parameters[0].sd > 0
 
 
@@ -223,8 +223,8 @@ def test_a_drift_that_outweighs_the_wear_is_no_wrong_sign(good, tmp_path, comm):
     for known in (prior, {}):
         tables["experiment"][0]["data"][0]["nuisance"]["drift"] = known
         problem = read_fit(tables)
-        squares = LeastSquares(problem, Histories(problem, comm))
-        refuse_reversed(squares, squares.started(list(problem.start.values())))
+        misfit = Misfit(problem, Histories(problem, comm))
+        refuse_reversed(misfit, misfit.with_best_nuisances(list(problem.start.values())))
 
 
 def test_a_part_that_opposes_the_model_is_told(good, tmp_path, comm):
@@ -269,8 +269,8 @@ def test_a_torque_that_falls_is_no_wrong_sign(good, tmp_path, comm):
         }
     )
     problem = read_fit(tables)
-    squares = LeastSquares(problem, Histories(problem, comm))
-    refuse_reversed(squares, squares.started(list(problem.start.values())))
+    misfit = Misfit(problem, Histories(problem, comm))
+    refuse_reversed(misfit, misfit.with_best_nuisances(list(problem.start.values())))
 
 
 def test_a_quantity_that_does_not_respond(good, comm):

@@ -8,7 +8,7 @@ from laboratory import PEN, PROF, changed, fit_tables, write_tests
 
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.fit import predicted
+from ringwear_par.identification.fit import expected_result
 
 
 @pytest.fixture(scope="module")
@@ -151,10 +151,10 @@ def test_readings_may_be_planned(plan, good, comm):
         spreads = []
         for tables in (plan, good):
             own = changed(tables, ("fit", "parameters", "wear.lower.p0", "start"), start)
-            told = predicted(read_fit(own, plans=True), comm)
+            told = expected_result(read_fit(own, plans=True), comm)
             spreads.append([p.sd for p in told.parameters])
         assert spreads[0] == pytest.approx(spreads[1], rel=1e-5)
-    assert predicted(found, comm).chi2 < 1e-12
+    assert expected_result(found, comm).chi2 < 1e-12
 
 
 def test_a_weighing_may_be_planned(plan):

@@ -12,14 +12,11 @@ from scipy.stats import truncnorm
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Prior
-from ringwear_par.identification.estimation import chain
-from ringwear_par.identification.estimation.chain import Keeper
+from ringwear_par.identification.estimation import posterior
 from ringwear_par.identification.estimation.intervals import estimates
-from ringwear_par.identification.estimation.least_squares import LeastSquares
+from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.estimation.posterior import sample_posterior
-from ringwear_par.identification.fit import fit, fitted, predicted
-
-NOWHERE = Keeper(None, "")
+from ringwear_par.identification.fit import expected_result, fit, fit_problem
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +63,7 @@ def linear(laboratory):
     """A function that makes a linear problem, its optimum, covariance and samples."""
     known = {}
 
-    def made(comm, samples=4000, deaf=False, keeper=NOWHERE, **changes):
+    def made(comm, samples=4000, deaf=False, path=None, **changes):
         folder, written = laboratory
         tables = fit_tables(folder, written, intervals=["posterior"], samples=samples)
         problem = read_fit(tables)
@@ -74,8 +71,8 @@ def linear(laboratory):
             start = {"wear.lower.k": 1.3e-7, "wear.lower.p0": 25.0}
             at = replace(problem, parameters=tuple(
                 replace(p, start=start[p.key]) for p in problem.parameters))  # fmt: skip
-            found = predicted(at, comm)
-            bare = found.squares.bare(found.x)[:, None]
+            found = expected_result(at, comm)
+            bare = found.misfit.model_readings(found.x)[:, None]
             known["problem"] = at
             known["response"] = np.concatenate([bare, found.evaluation.sensitivity], axis=1)
         response = known["response"].copy()
@@ -87,15 +84,15 @@ def linear(laboratory):
         )
         problem = replace(problem, settings=settings, parameters=parameters)
         histories = LinearHistories(known["problem"], response)
-        squares = LeastSquares(problem, histories)
-        x = squares.started([p.start for p in parameters])
+        misfit = Misfit(problem, histories)
+        x = misfit.with_best_nuisances([p.start for p in parameters])
         for _ in range(3):  # all unknowns at once, until nothing changes
-            found = squares.evaluate(x)
+            found = misfit.evaluate(x)
             step = np.linalg.lstsq(found.jacobian, -found.residuals, rcond=None)[0]
-            x = np.clip(x + step, squares.lower, squares.upper)
-        found = squares.evaluate(x)
-        _, covariance = estimates(squares, x, found)
-        drawn = sample_posterior(squares, histories, x, covariance, keeper)
+            x = np.clip(x + step, misfit.lower, misfit.upper)
+        found = misfit.evaluate(x)
+        _, covariance = estimates(misfit, x, found)
+        drawn = sample_posterior(misfit, histories, x, covariance, path)
         unknowns = np.array(
             [[p.unknown(v) for p, v in zip(parameters, row, strict=True)] for row in drawn.samples]
         )
@@ -181,78 +178,85 @@ def test_samples_are_kept(laboratory, comm, tmp_path):
     assert "fitted noise" not in found.summary()
 
 
-class DyingKeeper(Keeper):
-    """Keeps the walk after every step, and fails after some."""
+@pytest.fixture
+def stop_after(monkeypatch):
+    """A function that has chains stored at every step, and the process fail after some of them."""
+    store, lengths = posterior._store_chain, []
 
-    def __init__(self, path, after=1000):
-        super().__init__(path, "problem")
-        self.after, self.lengths = after, []
+    def storing(after):
+        lengths.clear()
 
-    def write(self, walk):  # noqa: D102
-        super().write(walk)
-        self.lengths.append(len(walk.steps))
-        if len(self.lengths) == self.after:
-            raise ComputationError("the power failed")
+        def store_and_fail(path, key, backend, histories):
+            store(path, key, backend, histories)
+            lengths.append(backend.iteration)
+            if len(lengths) == after:
+                raise ComputationError("the power failed")
+
+        monkeypatch.setattr(posterior, "STORE_SECONDS", 0.0)
+        monkeypatch.setattr(posterior, "_store_chain", store_and_fail)
+        return lengths
+
+    return storing
 
 
 @pytest.mark.serial
-def test_a_stopped_walk_goes_on_to_the_same_samples(linear, tmp_path, comm, monkeypatch):
+def test_a_stopped_chain_continues_with_the_same_samples(linear, tmp_path, comm, stop_after):
     """In the steps that are thrown away, after them, and at the end; to the last bit."""
-    monkeypatch.setattr(chain, "KEEP_SECONDS", 0.0)
     *_, whole = linear(comm, samples=64)
     steps = 12 + len(whole.samples) // 16
     for after in (1, 9, steps - 1, steps):
         path = tmp_path / f"{after}.npz"
+        stop_after(after)
         with pytest.raises(ComputationError, match="the power failed"):
-            linear(comm, samples=64, keeper=DyingKeeper(path, after))
-        keeper = DyingKeeper(path)
-        *_, again = linear(comm, samples=64, keeper=keeper)
-        assert keeper.lengths == list(range(after + 1, steps + 1))
+            linear(comm, samples=64, path=path)
+        lengths = stop_after(None)
+        *_, again = linear(comm, samples=64, path=path)
+        assert lengths == list(range(after + 1, steps + 1))
         assert again.samples.tobytes() == whole.samples.tobytes()
         assert (again.acceptance, again.effective) == (whole.acceptance, whole.effective)
 
 
 @pytest.mark.serial
-def test_a_stopped_posterior_goes_on(laboratory, tmp_path, comm, monkeypatch):
+def test_a_stopped_posterior_goes_on(laboratory, tmp_path, comm, stop_after):
     tables = fit_tables(*laboratory, intervals=["posterior"], samples=64, starts=1)
-    monkeypatch.setattr(chain, "KEEP_SECONDS", 0.0)
-    write, lengths = Keeper.write, []
-
-    def dying(self, walk):
-        write(self, walk)
-        lengths.append(len(walk.steps))
-        if lengths == [1, 2]:
-            raise ComputationError("the power failed")
-
-    monkeypatch.setattr(Keeper, "write", dying)
+    stop_after(2)
     with pytest.raises(ComputationError, match="the power failed"):
-        fitted(read_fit(tables), comm, folder=tmp_path)
+        fit_problem(read_fit(tables), comm, folder=tmp_path)
     assert (tmp_path / "progress/posterior.npz").is_file()
-    found = fitted(read_fit(tables), comm, folder=tmp_path)
-    assert lengths[:3] == [1, 2, 3]
+    lengths = stop_after(None)
+    found = fit_problem(read_fit(tables), comm, folder=tmp_path)
+    assert lengths[0] == 3
     assert len(found.posterior.samples) == 64
-    monkeypatch.setattr(Keeper, "write", write)
-    assert 0 <= found.histories - fitted(read_fit(tables), comm).histories <= 2
+    assert 0 <= found.histories - fit_problem(read_fit(tables), comm).histories <= 2
 
 
-def test_a_walk_of_another_problem_is_not_gone_on_with(tmp_path):
-    state = np.random.RandomState(1).get_state()
-    walk = chain.Walk(np.zeros((3, 16, 2)), np.zeros(16), 7, 96, state)
-    Keeper(tmp_path / "a/walk.npz", "one").write(walk)
-    found = Keeper(tmp_path / "a/walk.npz", "one").read()
-    assert found.steps.shape == (3, 16, 2)
-    assert (found.accepted, found.histories) == (7, 96)
+def test_a_chain_of_another_problem_is_not_continued(tmp_path):
+    path, shape = tmp_path / "a/chain.npz", (16, 2)
+    chain, _ = posterior._stored_chain(None, "", shape)
+    chain.chain, chain.log_prob = np.ones((3, *shape)), np.zeros((3, 16))
+    chain.iteration, chain.accepted = 3, np.full(16, 2.0)
+    chain.random_state = np.random.RandomState(1).get_state()
+    posterior._store_chain(path, "one", chain, 96)
+    stored, histories = posterior._stored_chain(path, "one", shape)
+    assert stored.get_chain().tolist() == chain.chain.tolist()
+    assert (stored.accepted.sum(), histories) == (32.0, 96)
     drawn = []
-    for state in (walk.random_state, found.random_state):
+    for state in (chain.random_state, stored.random_state):
         random = np.random.RandomState()
         random.set_state(state)
         drawn.append(random.standard_normal(5).tolist())
     assert drawn[0] == drawn[1]
-    assert Keeper(tmp_path / "a/walk.npz", "two").read() is None
-    whole = (tmp_path / "a/walk.npz").read_bytes()
-    (tmp_path / "a/walk.npz").write_bytes(whole[: len(whole) // 2])
-    assert Keeper(tmp_path / "a/walk.npz", "one").read() is None
-    assert Keeper(tmp_path / "none.npz", "one").read() is None
+
+    def length(path, key, shape):
+        return posterior._stored_chain(path, key, shape)[0].iteration
+
+    assert length(path, "one", shape) == 3
+    assert length(path, "two", shape) == 0
+    assert length(path, "one", (16, 3)) == 0
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    assert length(path, "one", shape) == 0
+    assert length(tmp_path / "none.npz", "one", shape) == 0
 
 
 @pytest.mark.serial

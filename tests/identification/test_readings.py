@@ -13,7 +13,7 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Nuisance, Series
 from ringwear_par.identification.model.histories import Histories
 from ringwear_par.identification.model.readings import (
-    InSteps,
+    TimeInterpolation,
     log_volume,
     nuisance_columns,
     whitened,
@@ -33,7 +33,7 @@ def test_readings_between_steps_do_not_round_a_kink():
         return np.where(t <= 40.0, 1 - np.exp(-t / 5), 3 - np.exp(-8.0) - np.exp(-(t - 40) / 5))
 
     at = np.setdiff1d(np.linspace(0.1, 100.0, 400), [40.0005])
-    read = InSteps(time, at, breaks)(exact(time)[:, None])[:, 0]
+    read = TimeInterpolation(time, at, breaks)(exact(time)[:, None])[:, 0]
     assert np.abs(read - exact(at)).max() < 1e-4
 
 

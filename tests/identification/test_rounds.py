@@ -13,11 +13,11 @@ import pytest
 from laboratory import FITTED, TRUTH, fit_tables, write_tests
 
 from ringwear_par.errors import ComputationError, RingwearError
-from ringwear_par.identification import fit as fit_room
+from ringwear_par.identification import fit_run as run_room
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation import profile as profile_room
 from ringwear_par.identification.estimation.minimise import minimise
-from ringwear_par.identification.fit import fit, fitted
+from ringwear_par.identification.fit import fit, fit_problem
 from ringwear_par.identification.model import histories as histories_room
 from ringwear_par.identification.model import lockstep
 from ringwear_par.identification.model.histories import Histories
@@ -83,7 +83,7 @@ def test_an_error_of_the_first_rank_ends_all(tables, comm, monkeypatch):
     def failing(*_):
         raise RingwearError("no starts")
 
-    monkeypatch.setattr(fit_room, "solve_starts", failing)
+    monkeypatch.setattr(run_room, "solve_starts", failing)
     with pytest.raises(RingwearError, match="no starts"):
         fit(tables(), comm)
 
@@ -133,7 +133,7 @@ def test_what_fails_in_a_round_ends_all_jobs():
         raise RingwearError("no room")
 
     with pytest.raises(RingwearError, match="no room"):
-        side_by_side([lambda meet: meet(np.zeros(1))] * 3, compute)
+        side_by_side([lambda wait_for: wait_for(np.zeros(1))] * 3, compute)
     assert threading.active_count() == before
 
 
@@ -143,16 +143,16 @@ def test_a_profile_that_finds_a_better_optimum_is_followed(tables, comm, monkeyp
     expected = fit(tables(starts=1, intervals=["profile"]), comm)
     calls = []
 
-    def stuck(squares, x, *args, **kwargs):
-        found = minimise(squares, x, *args, **kwargs)
+    def stuck(misfit, x, *args, **kwargs):
+        found = minimise(misfit, x, *args, **kwargs)
         calls.append(found)
         if len(calls) > 1:
             return found
         away = found.x.copy()
         away[1] += 0.5 * expected.parameters[1].sd
-        return replace(found, x=away, evaluation=squares.evaluate(away))
+        return replace(found, x=away, evaluation=misfit.evaluate(away))
 
-    monkeypatch.setattr(fit_room, "minimise", stuck)
+    monkeypatch.setattr(run_room, "minimise", stuck)
     found = fit(tables(starts=1, intervals=["profile"]), comm)
     assert len(calls) == 2
     assert len(found.starts) == 2
@@ -166,7 +166,7 @@ def test_a_profile_that_finds_a_better_optimum_is_followed(tables, comm, monkeyp
 def test_a_limit_that_is_not_found_is_told(tables, comm, monkeypatch):
     monkeypatch.setattr(profile_room, "_CLOSE", -1.0)
     found = fit(tables(starts=1, intervals=["profile"]), comm)
-    assert set(found.unsure) == set(TRUTH)
+    assert set(found.inexact_limits) == set(TRUTH)
     assert any("likelihood profile" in sentence for sentence in found.warnings)
 
 
@@ -175,8 +175,8 @@ def test_starts_are_where_all_parameters_are_felt(tables, comm):
     """Of thresholds that mostly are above all pressures, from which nothing leads away."""
     given = tables(starts=8)
     given["fit"]["parameters"] = {**FITTED, "wear.lower.p0": {"start": 0.0, "bounds": [0.0, 1000]}}
-    found = fitted(read_fit(given), comm)
-    assert found.at_best == 8
+    found = fit_problem(read_fit(given), comm)
+    assert found.n_at_best == 8
     assert all(start.converged for start in found.starts)
 
 
@@ -184,4 +184,4 @@ def test_threads_need_an_mpi_that_allows_them(monkeypatch):
     funneled = SimpleNamespace(Query_thread=lambda: 1, THREAD_SERIALIZED=2)
     monkeypatch.setattr(lockstep, "MPI", funneled)
     with pytest.raises(ComputationError, match="MPI_THREAD_SERIALIZED or more is needed"):
-        lockstep.side_by_side([lambda meet: None], lambda points: None)
+        lockstep.side_by_side([lambda wait_for: None], lambda points: None)

@@ -11,7 +11,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.identification.definition import schema
-from ringwear_par.identification.definition.problem import Experiment, Series, Space
+from ringwear_par.identification.definition.problem import DesignSpace, Experiment, Series
 
 #: keys of the load, of which one may vary, and of all that may
 LOADS = ("load.pressure", "load.force")
@@ -67,8 +67,8 @@ class Candidate:
         speed = self.keys.get("load.omega", 0.0)
         return self.loads or (float(speed), self.seconds, *self.profiles)  # type: ignore[arg-type]
 
-    def told(self) -> dict[str, Any]:
-        """Return what design.json says of it."""
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of design.json."""
         entry: dict[str, Any] = {
             key: list(value) if isinstance(value, tuple) else value
             for key, value in self.keys.items()
@@ -82,8 +82,8 @@ class Candidate:
         return _changes(self.keys, self.seconds)
 
 
-def read_space(said: str, table: Any, faults: list[str]) -> Space:
-    """Return what ``[design]`` asks, and add what is wrong with it to the faults."""
+def read_space(said: str, table: Any, faults: list[str]) -> DesignSpace:
+    """Return the space of ``[design]``; add what is wrong with it to the faults."""
     reader = TableReader(said, table, faults, schema.DESIGN)
     criterion = reader.read("criterion")
     vary, budget = (reader.raw(key, {}) for key in ("vary", "budget"))
@@ -99,20 +99,20 @@ def read_space(said: str, table: Any, faults: list[str]) -> Space:
     limits = TableReader(f"{said}.budget", budget, faults, schema.BUDGET)
     seconds, count = limits.read("time.end"), limits.read("experiments")
     limits.finish()
-    return Space(criterion, ranges, seconds, count)
+    return DesignSpace(criterion, ranges, seconds, count)
 
 
-def count_of(space: Space) -> int:
+def count_of(space: DesignSpace) -> int:
     """Return how many tests a space has."""
     load = next((key for key in LOADS if key in space.ranges), None)
-    found = len(_sequences(space, load, _counts(space, _STEPS, 1)))
-    found *= len(_instants(space))
-    for key, count in (("time.end", _DURATIONS), ("load.omega", _SPEEDS)):
-        found *= max(len(_levels(space, key, count)), 1)
-    return found
+    count = len(_sequences(space, load, _counts(space, _STEPS, 1)))
+    count *= len(_instants(space))
+    for key, levels in (("time.end", _DURATIONS), ("load.omega", _SPEEDS)):
+        count *= max(len(_levels(space, key, levels)), 1)
+    return count
 
 
-def candidates(space: Space, template: Experiment) -> list[Candidate]:
+def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
     """Return the tests of a space, measured as ``template`` is.
 
     Raises
@@ -126,7 +126,7 @@ def candidates(space: Space, template: Experiment) -> list[Candidate]:
         instants = _instants(space)
     instants_vary = len(instants) > 1
     ends = _levels(space, "time.end", _DURATIONS) or [template.case.time.end]
-    found: list[Candidate] = []
+    tests: list[Candidate] = []
     for omega in _levels(space, "load.omega", _SPEEDS) or [None]:
         for sequence in _sequences(space, load, steps):
             for end in ends:
@@ -143,12 +143,12 @@ def candidates(space: Space, template: Experiment) -> list[Candidate]:
                 series = _Measured(template, case)
                 for parts in instants:
                     at = tuple(end * part for part in parts)
-                    experiment = Experiment(f"candidate {len(found) + 1}", case, series.at(at))
-                    found.append(Candidate(keys, at, experiment, instants_vary))
-    return found
+                    experiment = Experiment(f"candidate {len(tests) + 1}", case, series.at(at))
+                    tests.append(Candidate(keys, at, experiment, instants_vary))
+    return tests
 
 
-def _instants(space: Space) -> list[tuple[float, ...]]:
+def _instants(space: DesignSpace) -> list[tuple[float, ...]]:
     """Return when profiles are measured, parts of the test.
 
     Unless that may vary, at equal intervals, the last one at the end.
@@ -156,34 +156,36 @@ def _instants(space: Space) -> list[tuple[float, ...]]:
     counts = _counts(space, _PROFILES, 1)
     if _AT not in space.ranges:
         return [tuple(i / count for i in range(1, count + 1)) for count in counts]
-    found: list[tuple[float, ...]] = []
+    instants: list[tuple[float, ...]] = []
     for count in counts:
         levels = _levels(space, _AT, _INSTANTS if count == 1 else _FEW_INSTANTS)
-        found += itertools.combinations(levels, count)
-    return found
+        instants += itertools.combinations(levels, count)
+    return instants
 
 
-def _levels(space: Space, key: str, count: int) -> list[Any]:
+def _levels(space: DesignSpace, key: str, count: int) -> list[Any]:
     if key not in space.ranges:
         return []
     low, high = space.ranges[key]
     return [low] if low == high else np.linspace(low, high, count).tolist()
 
 
-def _counts(space: Space, key: str, usual: int) -> list[int]:
+def _counts(space: DesignSpace, key: str, usual: int) -> list[int]:
     low, high = space.ranges.get(key, (usual, usual))
     return list(range(int(low), int(high) + 1))
 
 
-def _sequences(space: Space, load: str | None, steps: Sequence[int]) -> list[tuple[float, ...]]:
+def _sequences(
+    space: DesignSpace, load: str | None, steps: Sequence[int]
+) -> list[tuple[float, ...]]:
     """Return the loads of tests: several of one grow."""
     if load is None:
         return [()]
-    found: list[tuple[float, ...]] = []
+    sequences: list[tuple[float, ...]] = []
     for count in steps:
         levels = _levels(space, load, _LEVELS if count == 1 else _STEP_LEVELS)
-        found += itertools.combinations(levels, count)
-    return found
+        sequences += itertools.combinations(levels, count)
+    return sequences
 
 
 def _changes(keys: Mapping[str, Any], end: float) -> dict[str, Any]:
@@ -200,7 +202,7 @@ def _changes(keys: Mapping[str, Any], end: float) -> dict[str, Any]:
 
 
 class _Measured:
-    """What would be read of a case: records at their rate, all else at its part of the test.
+    """Readings of a candidate: records at their rate, all else at its part of the test.
 
     Noise is that of the template, of records its median. Of profiles of one body at several times
     the last one serves.
@@ -216,13 +218,13 @@ class _Measured:
 
     def at(self, instants: Sequence[float]) -> tuple[Series, ...]:
         """Return it with profiles at some instants, s."""
-        found: list[Series] = []
-        for series in self._series:
-            if not series.profile:
-                found.append(series)
-            elif series is self._last[series.quantity]:
-                found += [self._profile(series, at) for at in instants]
-        return tuple(found)
+        series: list[Series] = []
+        for entry in self._series:
+            if not entry.profile:
+                series.append(entry)
+            elif entry is self._last[entry.quantity]:
+                series += [self._profile(entry, at) for at in instants]
+        return tuple(series)
 
     def _profile(self, series: Series, at: float) -> Series:
         name = f"{series.quantity} at {at:.6g} s"
@@ -234,16 +236,16 @@ class _Measured:
 
 def last_profiles(every: Sequence[Series]) -> dict[str, Series]:
     """Return of all profiles of one body the last one, by quantity."""
-    found: dict[str, Series] = {}
+    last: dict[str, Series] = {}
     for series in every:
-        known = found.get(series.quantity)
-        if series.profile and (known is None or _at(series) > _at(known)):
-            found[series.quantity] = series
-    return found
+        before = last.get(series.quantity)
+        if series.profile and (before is None or _at(series) > _at(before)):
+            last[series.quantity] = series
+    return last
 
 
 def _scaled(series: Series, longer: float) -> Series:
-    """Return what is read over time in a longer test."""
+    """Return the readings over time of a longer test."""
     if series.n < _RECORD:
         return replace(series, x=series.x * longer)
     span = series.x[-1] - series.x[0]

@@ -27,7 +27,11 @@ from ringwear_par.files.text import parse_toml, read_text, refuse_depth
 from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.identification.definition import schema
 from ringwear_par.identification.definition.candidates import read_space
-from ringwear_par.identification.definition.fitted import read_parameters, refuse_both, refuse_fixed
+from ringwear_par.identification.definition.fitted_parameters import (
+    read_parameters,
+    refuse_both,
+    refuse_fixed,
+)
 from ringwear_par.identification.definition.problem import (
     Experiment,
     FittedParameter,
@@ -68,8 +72,8 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
         name, folder, written = str(path), path.parent, read_text(path)
         tables = parse_toml(written, name)
     if "experiment" not in tables and (kind := kinds(tables)) & {"case", "study"}:
-        told = "a case" if "case" in kind and "case" not in tables else "a study"
-        raise InputError(f"{name}: is {told}, not a fit file; [[experiment]] is missing")
+        kind_of_file = "a case" if "case" in kind and "case" not in tables else "a study"
+        raise InputError(f"{name}: is {kind_of_file}, not a fit file; [[experiment]] is missing")
     faults: list[str] = []
     for key in tables.keys() - set(_TABLES):
         near = difflib.get_close_matches(key.lower(), _TABLES, n=1)
@@ -80,20 +84,21 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
     settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), faults)
     files = FileStore(folder)
-    read = _Experiments(name, folder, base, files, plans)
-    experiments = read.all(tables.get("experiment"), parameters, faults)
+    reader = _Experiments(name, folder, base, files, plans)
+    experiments = reader.all(tables.get("experiment"), parameters, faults)
     design = read_space(f"{name}: design", tables.get("design", {}), faults)
-    others = _read_alternatives(f"{name}: compare", tables.get("compare", {}), faults)
+    laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), faults)
     if faults:
         raise InputError(*faults)
     _check_counts(name, parameters, experiments, faults)
     alternatives = {}
-    for other, (changes, own) in others.items():
-        alternatives[other] = Problem(
-            f"{name}: compare.{other}", written, settings, own,
-            read.changed(other, experiments, changes, own, faults), {}, files.hashes, design,
+    for law, (changes, law_parameters) in laws.items():
+        alternatives[law] = Problem(
+            f"{name}: compare.{law}", written, settings, law_parameters,
+            reader.changed(law, experiments, changes, law_parameters, faults), {}, files.hashes,
+            design,
         )  # fmt: skip
-        _check_counts(f"{name}: compare.{other}", own, experiments, faults)
+        _check_counts(f"{name}: compare.{law}", law_parameters, experiments, faults)
     if faults:
         raise InputError(*faults)
     return Problem(
@@ -146,25 +151,25 @@ class _Experiments:
         self._plans = plans
         self._keys: dict[str, dict[str, Any]] = {}
         #: what was wrong with cases; of fitted keys the same need not be said of every experiment
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
 
     def all(
         self, tables: Any, parameters: tuple[FittedParameter, ...], faults: list[str]
     ) -> tuple[Experiment, ...]:
         """Return all experiments, and add what is wrong with them to the faults."""
         if not isinstance(tables, list) or not tables:
-            told = "is missing" if tables is None else f"= {shortened(tables)}"
-            faults.append(f"{self._name}: experiment {told}: must be tables, [[experiment]]")
+            state = "is missing" if tables is None else f"= {shortened(tables)}"
+            faults.append(f"{self._name}: experiment {state}: must be tables, [[experiment]]")
             return ()
-        found: list[Experiment] = []
+        experiments: list[Experiment] = []
         for i, table in enumerate(tables, start=1):
             experiment = self._experiment(i, table, parameters, faults)
             if experiment is None:
                 continue
-            for other in found:
+            for other in experiments:
                 self._refuse_twin(experiment, other, faults)
-            found.append(experiment)
-        return tuple(found)
+            experiments.append(experiment)
+        return tuple(experiments)
 
     def _experiment(
         self, i: int, table: Any, parameters: tuple[FittedParameter, ...], faults: list[str]
@@ -188,25 +193,26 @@ class _Experiments:
             return None
         series: list[Series] = []
         for number_, entry in enumerate(data, start=1):
-            found = read_series(
+            readings = read_series(
                 f"{said}: data {number_}", entry, case, self._files, faults, plans=self._plans
             )
-            if found is None:
+            if readings is None:
                 continue
-            if any(_same_readings(found, other) for other in series):
+            if any(_same_readings(readings, other) for other in series):
                 reader.fault(
-                    f"data {number_} ({found.quantity}): {found.file} is there twice; must be once"
+                    f"data {number_} ({readings.quantity}): {readings.file} is there twice; must "
+                    "be once"
                 )
-            series.append(found)
+            series.append(readings)
         return None if case is None else Experiment(name, case, _named(series))
 
     def _changes(self, reader: TableReader, faults: list[str]) -> dict[str, Any]:
-        given = reader.raw("set", {})
-        if not isinstance(given, Mapping):
+        table = reader.raw("set", {})
+        if not isinstance(table, Mapping):
             reader.wrong("set", "must be a table of case keys")
             return {}
         try:
-            return in_full(flatten(given, f"{reader.place}: set"), self._folder)
+            return in_full(flatten(table, f"{reader.place}: set"), self._folder)
         except InputError as error:
             faults += error.faults
             return {}
@@ -228,10 +234,10 @@ class _Experiments:
         except InputError as error:
             tables = {parameter.key.rpartition(".")[0] for parameter in parameters}
             for fault in error.faults:
-                what = fault.replace(said, "")
-                if what not in self._told or not any(table in what for table in tables):
+                sentence = fault.replace(said, "")
+                if sentence not in self._reported or not any(table in sentence for table in tables):
                     faults.append(fault)
-                self._told.add(what)
+                self._reported.add(sentence)
             return None
         if case.mesh.geometry == "updated":
             faults.append(f'{said}: mesh.geometry = "updated": must be "fixed" in a fit')
@@ -261,26 +267,26 @@ class _Experiments:
         faults: list[str],
     ) -> tuple[Experiment, ...]:
         """Return the experiments under another law."""
-        found = []
+        changed = []
         for experiment in experiments:
             said = f'{self._name}: compare.{legible(name)}: experiment "{legible(experiment.name)}"'
             refuse_both(said, parameters, changes, faults)
-            own = in_full(changes, self._folder)
-            keys = override(self._keys[experiment.name], own)
+            full_changes = in_full(changes, self._folder)
+            keys = override(self._keys[experiment.name], full_changes)
             case = self._case(said, keys, changes, parameters, faults)
             if case is None:
                 break  # the others have the same fault
-            found.append(Experiment(experiment.name, case, experiment.series))
-        return tuple(found)
+            changed.append(Experiment(experiment.name, case, experiment.series))
+        return tuple(changed)
 
 
 def _same_readings(one: Series, other: Series) -> bool:
     """Tell whether two series share lines of a file, with the same readings."""
     if one.lines is None or other.lines is None or one.file != other.file:
         return False
-    _, here, there = np.intersect1d(one.lines, other.lines, return_indices=True)
-    same = len(here) and one.quantity == other.quantity
-    return bool(same and np.array_equal(one.value[here], other.value[there]))
+    _, first, second = np.intersect1d(one.lines, other.lines, return_indices=True)
+    same = len(first) and one.quantity == other.quantity
+    return bool(same and np.array_equal(one.value[first], other.value[second]))
 
 
 def _named(series: list[Series]) -> tuple[Series, ...]:
@@ -299,22 +305,24 @@ def _named(series: list[Series]) -> tuple[Series, ...]:
 def _read_alternatives(
     said: str, table: Any, faults: list[str]
 ) -> dict[str, tuple[dict[str, Any], tuple[FittedParameter, ...]]]:
-    found = {}
+    laws = {}
     if not isinstance(table, Mapping):
         faults.append(f"{said} = {shortened(table)}: must be a table")
         return {}
     for name, entry in table.items():
         reader = TableReader(f"{said}.{legible(name)}", entry, faults)
-        given = reader.raw("set", {})
+        changed = reader.raw("set", {})
         parameters = read_parameters(f"{reader.place}.parameters", reader.raw("parameters"), faults)
         reader.finish()
         try:
-            changes = flatten(given if isinstance(given, Mapping) else {"": given}, reader.place)
+            changes = flatten(
+                changed if isinstance(changed, Mapping) else {"": changed}, reader.place
+            )
         except InputError as error:
             faults += error.faults
             continue
-        found[name] = changes, parameters
-    return found
+        laws[name] = changes, parameters
+    return laws
 
 
 def _check_counts(

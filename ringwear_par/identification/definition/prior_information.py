@@ -25,13 +25,13 @@ from ringwear_par.identification.definition.problem import (
 _DRAWS, _SEED = 8, 0
 #: information over the widths of bounds: below the one nothing is known of a direction, below the
 #: other it is not drawn along; most standard deviations that are, over these widths
-_NOTHING, _HARDLY, _WIDEST = 1e-6, 1.0, 0.25
+_UNINFORMED, _WEAK, _WIDEST = 1e-6, 1.0, 0.25
 _ALLOWED = "must be the folder of a fit of the same keys that is done (ringwear fit -o)"
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
-    """What is known of the keys.
+class PriorInformation:
+    """Values of the keys before tests are made, and how well they are known.
 
     Parameters
     ----------
@@ -57,8 +57,8 @@ def widths(parameters: tuple[FittedParameter, ...]) -> FloatArray:
     return np.array([p.unknown(p.bounds[1]) - p.unknown(p.bounds[0]) for p in parameters])
 
 
-def belief(problem: Problem, after: str | Path | None) -> Belief:
-    """Return what priors or an earlier fit tell.
+def prior_information(problem: Problem, after: str | Path | None) -> PriorInformation:
+    """Return the information of priors or of an earlier fit.
 
     Raises
     ------
@@ -73,47 +73,47 @@ def belief(problem: Problem, after: str | Path | None) -> Belief:
         information = np.diag(np.square(by))
     else:
         nominal, information, noise = _earlier(problem, Path(after))
-    wide = widths(parameters)
-    values, vectors = np.linalg.eigh(information * np.outer(wide, wide))
-    told = values > _HARDLY
-    spread = np.minimum(1.0 / np.sqrt(values[told]), _WIDEST)
+    width = widths(parameters)
+    values, vectors = np.linalg.eigh(information * np.outer(width, width))
+    informed = values > _WEAK
+    spread = np.minimum(1.0 / np.sqrt(values[informed]), _WIDEST)
     unknowns = np.array([p.unknown(v) for p, v in zip(parameters, nominal, strict=True)])
     drawn = unknowns[None]
-    if told.any():
-        sampler = qmc.Sobol(int(told.sum()), scramble=True, seed=_SEED)
+    if informed.any():
+        sampler = qmc.Sobol(int(informed.sum()), scramble=True, seed=_SEED)
         normal = norm.ppf(sampler.random(_DRAWS))[1:]
-        shifts = wide * ((normal * spread) @ vectors[:, told].T)
+        shifts = width * ((normal * spread) @ vectors[:, informed].T)
         drawn = np.concatenate([drawn, unknowns + shifts])
     low, high = np.array([[p.unknown(b) for b in p.bounds] for p in parameters]).T
     drawn = reflected(drawn, low, high)
     values_of = [[p.value(float(u)) for p, u in zip(parameters, row, strict=True)] for row in drawn]
     values_of[0] = nominal.tolist()
-    return Belief(
+    return PriorInformation(
         nominal, information, np.array(values_of), str(after or ""),
-        bool((values > _NOTHING).all()), noise,
+        bool((values > _UNINFORMED).all()), noise,
     )  # fmt: skip
 
 
-def with_noise(problem: Problem, told: Belief) -> Problem:
+def with_noise(problem: Problem, prior: PriorInformation) -> Problem:
     """Return a problem with the noise that an earlier fit has found, where it is to be fitted.
 
     It is that of the same series of the same experiment; else of the same one of the first
     experiment that had it.
     """
 
-    def found(experiment: Experiment, series: Series) -> Series:
-        same = [own for (_, name), own in told.noise.items() if name == series.name]
-        own = told.noise.get((experiment.name, series.name), same[0] if same else None)
-        if not series.sd_fitted or own is None:
+    def renoised(experiment: Experiment, series: Series) -> Series:
+        of_series = [noise for (_, name), noise in prior.noise.items() if name == series.name]
+        noise = prior.noise.get((experiment.name, series.name), of_series[0] if of_series else None)
+        if not series.sd_fitted or noise is None:
             return series
         try:
-            scale = factor(own[1], series.unit)
+            scale = factor(noise[1], series.unit)
         except RejectedError:
             return series
-        return replace(series, sd=np.full(series.n, own[0] * scale * series.factor))
+        return replace(series, sd=np.full(series.n, noise[0] * scale * series.factor))
 
     experiments = tuple(
-        replace(one, series=tuple(found(one, series) for series in one.series))
+        replace(one, series=tuple(renoised(one, series) for series in one.series))
         for one in problem.experiments
     )
     return replace(problem, experiments=experiments)
@@ -137,23 +137,26 @@ def _earlier(
     except InputError as error:
         raise InputError(f"--after {error}; {_ALLOWED}") from error
     try:
-        told = parse_json(text)
-        there, own, logs = told["keys"], told["parameters"], told["log"]
-        nominal = np.array([own[key]["estimate"] for key in there], dtype=float)
-        information = np.array(told["information"], dtype=float).reshape(len(there), len(there))
+        outcome = parse_json(text)
+        earlier_keys, estimates, logs = outcome["keys"], outcome["parameters"], outcome["log"]
+        nominal = np.array([estimates[key]["estimate"] for key in earlier_keys], dtype=float)
+        information = np.array(outcome["information"], dtype=float).reshape(
+            len(earlier_keys), len(earlier_keys)
+        )
         noise = {
             (experiment, name): (float(entry["sd"]), str(entry["unit"]))
-            for experiment, series in told["experiments"].items()
+            for experiment, series in outcome["experiments"].items()
             for name, entry in series.items()
             if "sd" in entry
         }
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"--after {path}: is no outcome of ringwear fit; {_ALLOWED}") from error
-    if sorted(there) != sorted(keys):
+    if sorted(earlier_keys) != sorted(keys):
         raise InputError(
-            f"{path}: keys = {shortened(there)}: must be those of {problem.name}, {', '.join(keys)}"
+            f"{path}: keys = {shortened(earlier_keys)}: must be those of {problem.name}, "
+            f"{', '.join(keys)}"
         )
-    order = [there.index(key) for key in keys]
+    order = [earlier_keys.index(key) for key in keys]
     nominal, information = nominal[order], information[np.ix_(order, order)]
     # a scale may be logarithmic in the one and linear in the other
     changes = []

@@ -186,7 +186,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Space:
+class DesignSpace:
     """What ``[design]`` asks.
 
     Parameters
@@ -225,7 +225,7 @@ class Problem:
     experiments: tuple[Experiment, ...]
     alternatives: "Mapping[str, Problem]"
     hashes: Mapping[str, str]
-    design: Space
+    design: DesignSpace
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -237,11 +237,11 @@ class Problem:
         """What tells it, its cases with users' laws, its data and this version from others."""
         cases = [experiment.case for experiment in self.experiments]
         laws = [law for case in cases for law in (case.wear_lower, case.wear_upper)]
-        told = [
+        content = [
             self.text, [case.text for case in cases], [getattr(law, "source", "") for law in laws],
             sorted(self.hashes.items()), __version__,
         ]  # fmt: skip
-        return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
     @property
     def start(self) -> dict[str, float]:

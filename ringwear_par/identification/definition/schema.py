@@ -25,12 +25,12 @@ from ringwear_par.cases.values import (
 )
 from ringwear_par.identification.definition.problem import (
     Criterion,
+    DesignSpace,
     Loss,
     Method,
     Prior,
     Quantity,
     Settings,
-    Space,
 )
 
 QUANTITIES = get_args(Quantity)
@@ -95,7 +95,7 @@ def _prior() -> Values:
 _COLUMNS = anything('texts for "time" and "value"; of a profile for "r" and "value"')
 _CASE_KEYS = anything("a table of case keys and their values")
 _BOUNDS = pair(-math.inf)
-_USUAL, _SPACE = Settings(), Space()
+_USUAL, _SPACE = Settings(), DesignSpace()
 #: unit and meaning of nuisances
 _ERRORS = {
     "offset": ("data's", "constant error of all readings"),

@@ -25,9 +25,12 @@ from ringwear_par.cases.units import (
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, and_more, read_measurements
-from ringwear_par.identification.definition.densities import density_of
 from ringwear_par.identification.definition.problem import BASE, Nuisance, Quantity, Series
-from ringwear_par.identification.definition.ranges import check_profile, check_times
+from ringwear_par.identification.definition.reading_limits import (
+    check_profile,
+    check_times,
+    density_of,
+)
 from ringwear_par.identification.definition.schema import DATA, NUISANCE, NUISANCES, SD
 
 #: what messages say of units
@@ -73,10 +76,10 @@ class FileStore:
                 self._read[name] = read_measurements(self._folder / name)
             except InputError as error:
                 self._read[name] = error
-        found = self._read[name]
-        if isinstance(found, InputError):
-            raise found
-        return found
+        table = self._read[name]
+        if isinstance(table, InputError):
+            raise table
+        return table
 
     @property
     def hashes(self) -> dict[str, str]:
@@ -117,27 +120,29 @@ def read_series(
     if at is not None and timed and kind != "profile":
         reader.wrong("at", f"must be absent beside {timed}, whose readings have their times")
     where, once = ("r", ()) if kind == "profile" else ("times", ("value",))
-    there = next((key for key in ("file", *once) if key in reader), "")
-    if there and where in reader:
+    single_key = next((key for key in ("file", *once) if key in reader), "")
+    if single_key and where in reader:
         reader.raw(where)
-        reader.wrong(where, f"must be absent beside {there}; it is for readings that are planned")
+        reader.wrong(
+            where, f"must be absent beside {single_key}; it is for readings that are planned"
+        )
     if "file" in reader:
-        found = _from_file(reader, kind, files)
+        readings = _from_file(reader, kind, files)
     elif "value" in reader and kind != "profile":
-        found = _single(reader, kind, end if at is None else at)
+        readings = _single(reader, kind, end if at is None else at)
     else:
-        found = _planned(reader, kind, at, end, plans)
-    if found is None:
+        readings = _planned(reader, kind, at, end, plans)
+    if readings is None:
         return None
-    x, value, unit, scale = found.x, found.value, found.unit, found.factor
-    lines = found.lines
+    x, value, unit, scale = readings.x, readings.value, readings.unit, readings.factor
+    lines = readings.lines
     # the last time may be rounded, and the last one alone
     if kind != "profile" and len(x) and end < x[-1] <= end * (1.0 + _ROUNDED):
         x = np.append(x[:-1], end)
     keep = np.ones(len(x), dtype=bool)
     for low, high in _intervals(reader, "mm" if kind == "profile" else "s"):
         keep &= (x < low) | (x > high)
-    sd, fitted = _sd(reader, found, keep)
+    sd, fitted = _sd(reader, readings, keep)
     nuisances = _nuisances(reader, kind, case)
     correlation = reader.read("correlation_time")
     if correlation > 0 and kind == "profile":
@@ -154,19 +159,19 @@ def read_series(
     series = Series(
         quantity, cast(Quantity, quantity), x[keep], value[keep], sd[keep], fitted, unit, scale,
         (end if at is None else at) if kind == "profile" else None, density, nuisances,
-        correlation, found.where, None if lines is None else lines[keep], found.assumptions,
-        found.planned,
+        correlation, readings.where, None if lines is None else lines[keep], readings.assumptions,
+        readings.planned,
     )  # fmt: skip
-    own = [nuisance.kind for nuisance in nuisances if nuisance.free]
+    free = [nuisance.kind for nuisance in nuisances if nuisance.free]
     if not series.n:
         reader.fault("has no readings; must have one at least that is neither empty nor excluded")
         return None
     if case is not None:
         (check_profile if series.profile else check_times)(reader, series, case)
-    if series.n <= len(own):
+    if series.n <= len(free):
         reader.fault(
             f"has {series.n} reading{'s' if series.n > 1 else ''}; must have more than nuisances "
-            f"without prior or bounds, {', '.join(own)}, which take all that they tell"
+            f"without prior or bounds, {', '.join(free)}, which take all that they tell"
         )
     return series if len(faults) == before else None
 
@@ -210,18 +215,18 @@ def _planned(
 ) -> _Readings | None:
     """Return readings that are to be taken, or why there are none in words."""
     where = "r" if kind == "profile" else "times"
-    given = {"columns", "units"} & reader.keys()
+    file_keys = {"columns", "units"} & reader.keys()
     once = kind in ("mass", "volume") or (at is not None and kind != "profile")
     usual = "value" if once else "file"
     must = {
         "mass": "must be a finite number", "volume": "must be a finite number",
         "profile": "must be the name of a table of depths over radii",
     }.get(kind, "must be the name of a table")  # fmt: skip
-    if given or not (once or where in reader):
-        for key in given:
+    if file_keys or not (once or where in reader):
+        for key in file_keys:
             reader.raw(key)
         reader.wrong(
-            "file" if given else usual,
+            "file" if file_keys else usual,
             f"{must}; or {where} of planned readings, for --dry-run and design",
         )
         return None
@@ -248,8 +253,8 @@ def _from_file(reader: TableReader, kind: str, files: Files) -> _Readings | None
             reader.raw(key)
             reader.wrong(key, "must be absent beside file")
     roles = ("r" if kind == "profile" else "time", "value")
-    given, units = reader.raw("columns", {}), reader.raw("units", {})
-    for key, table in (("columns", given), ("units", units)):
+    columns, units = reader.raw("columns", {}), reader.raw("units", {})
+    for key, table in (("columns", columns), ("units", units)):
         wrong = not isinstance(table, Mapping) or set(table) - set(roles)
         if wrong or not all(isinstance(entry, str) for entry in table.values()):
             reader.wrong(key, f"must be a table of texts, for {' and '.join(roles)}")
@@ -262,10 +267,10 @@ def _from_file(reader: TableReader, kind: str, files: Files) -> _Readings | None
         for fault in error.faults:
             reader.fault(fault)
         return None
-    names, found, factors = {}, {}, {}
+    column_names, units_by_role, factors = {}, {}, {}
     assumed: list[str] = []  # roles
     for role in roles:
-        column = given.get(role, role)
+        column = columns.get(role, role)
         if column not in data.columns:
             reader.fault(
                 f"{data.name}: has no column {legible(column)} for {role}; must be one of "
@@ -292,18 +297,18 @@ def _from_file(reader: TableReader, kind: str, files: Files) -> _Readings | None
                 f"units.{role} = {shortened(unit)}: the column {legible(column)} of {data.name} is "
                 f"in {named} by its name; must be the same unit"
             )
-        names[role], found[role], factors[role] = column, unit, scale
-    if len(names) < len(roles):
+        column_names[role], units_by_role[role], factors[role] = column, unit, scale
+    if len(column_names) < len(roles):
         return None
-    rows = data.filled(*names.values())
+    rows = data.filled(*column_names.values())
     hour = factor("h", "s") / factors["time"] if "time" in roles else None
-    x = factors[roles[0]] * _column(reader, data, names[roles[0]], rows, hour)
-    value = factors["value"] * _column(reader, data, names["value"], rows)
-    if "time" in assumed and data.names_seconds(names["time"], rows):
+    x = factors[roles[0]] * _column(reader, data, column_names[roles[0]], rows, hour)
+    value = factors["value"] * _column(reader, data, column_names["value"], rows)
+    if "time" in assumed and data.names_seconds(column_names["time"], rows):
         assumed.remove("time")
     return _Readings(
-        x, value, found["value"], factors["value"],
-        tuple(assumption(names[role], found[role]) for role in assumed), data, rows,
+        x, value, units_by_role["value"], factors["value"],
+        tuple(assumption(column_names[role], units_by_role[role]) for role in assumed), data, rows,
         data.lines[rows], data.name,
     )  # fmt: skip
 
@@ -329,13 +334,13 @@ def _factor(reader: TableReader, key: str, unit: str, base: str) -> float | None
     try:
         return factor(unit, base)
     except RejectedError:
-        told = f"= {shortened(unit)}" if unit else "is missing"
-        reader.fault(f"{key} {told}: must be the unit of {_UNITS[base]}")
+        state = f"= {shortened(unit)}" if unit else "is missing"
+        reader.fault(f"{key} {state}: must be the unit of {_UNITS[base]}")
         return None
 
 
 def _intervals(reader: TableReader, unit: str) -> list[tuple[float, float]]:
-    """Return what is to be left out, in a unit."""
+    """Return the intervals of ``exclude``, in a unit."""
     value = in_unit_where_right(reader.raw("exclude", []), unit)
     good = isinstance(value, list | tuple) and all(
         isinstance(entry, list | tuple)
@@ -350,33 +355,33 @@ def _intervals(reader: TableReader, unit: str) -> list[tuple[float, float]]:
     return [(float(low), float(high)) for low, high in value]
 
 
-def _sd(reader: TableReader, found: _Readings, keep: BoolArray) -> tuple[FloatArray, bool]:
+def _sd(reader: TableReader, readings: _Readings, keep: BoolArray) -> tuple[FloatArray, bool]:
     """Return the standard deviation of each reading, and whether it is to be fitted.
 
     Parameters
     ----------
     keep : (n,) which readings are not left out.
     """
-    given, value, data = reader.raw("sd"), found.value, found.data
+    entry, value, data = reader.raw("sd"), readings.value, readings.data
     unknown = np.full(len(value), np.nan)
-    named = isinstance(given, str) and not has_unit(given)
-    if found.planned and (named or isinstance(given, Mapping)):
+    named = isinstance(entry, str) and not has_unit(entry)
+    if readings.planned and (named or isinstance(entry, Mapping)):
         reader.wrong("sd", "must be a number > 0, in unit, of readings that are planned")
         return unknown, False
-    if named and given != "fit":
+    if named and entry != "fit":
         if data is None:
             reader.wrong("sd", "must be a number > 0 or { relative = x }")
             return unknown, False
-        return _sd_column(reader, given, found), False
-    if given == "fit":
+        return _sd_column(reader, entry, readings), False
+    if entry == "fit":
         if keep.sum() < _SMOOTH:
             more = "" if keep.all() else " that are not excluded"
             reader.wrong("sd", f'must be a number: "fit" needs {_SMOOTH} readings at least{more}')
         return np.full(len(value), _scatter(value[keep])), True
-    if isinstance(given, Mapping):
-        share = TableReader(f"{reader.place}: sd", given, [], SD)
+    if isinstance(entry, Mapping):
+        share = TableReader(f"{reader.place}: sd", entry, [], SD)
         relative = share.read("relative")
-        if relative is None or set(given) != {"relative"}:
+        if relative is None or set(entry) != {"relative"}:
             reader.wrong("sd", "must be { relative = x }, a number > 0")
             return unknown, False
         if not len(value):  # which is told of all readings
@@ -385,47 +390,48 @@ def _sd(reader: TableReader, found: _Readings, keep: BoolArray) -> tuple[FloatAr
         small = smooth <= _NEAR_ZERO * smooth.max(initial=0.0)
         if small.any():
             line = ""
-            if found.lines is not None:
-                line = f"{found.where}: line {found.lines[np.flatnonzero(small)[0]]}: "
+            if readings.lines is not None:
+                line = f"{readings.where}: line {readings.lines[np.flatnonzero(small)[0]]}: "
             reader.wrong(
                 "sd", f"{line}must be in the data's unit where readings are near zero, as here"
             )
             return unknown, False
         return relative * smooth, False
-    single = reader.read("sd", unit=found.unit)
-    return np.full(len(value), math.nan if single is None else found.factor * single), False
+    single = reader.read("sd", unit=readings.unit)
+    return np.full(len(value), math.nan if single is None else readings.factor * single), False
 
 
-def _sd_column(reader: TableReader, column: str, found: _Readings) -> FloatArray:
+def _sd_column(reader: TableReader, column: str, readings: _Readings) -> FloatArray:
     """Return the standard deviations in a column of a table."""
-    data, rows, lines = found.data, found.rows, found.lines
+    data, rows, lines = readings.data, readings.rows, readings.lines
     assert data is not None
     assert rows is not None
     assert lines is not None
-    unknown = np.full(len(found.value), np.nan)
+    unknown = np.full(len(readings.value), np.nan)
     if column not in data.columns:
         reader.wrong(
             "sd", f'must be a number, "fit", {{ relative = x }} or a column of {data.name}'
         )
         return unknown
-    named = _other_unit(column, found.unit)
-    if not named and unit_of_column(column, found.unit) is None:
+    named = _other_unit(column, readings.unit)
+    if not named and unit_of_column(column, readings.unit) is None:
         named = legible(unit_of_anything(column) or "")
     if named:
         reader.wrong(
-            "sd", f"the column is in {named} by its name; must be in {found.unit}, as the readings"
+            "sd",
+            f"the column is in {named} by its name; must be in {readings.unit}, as the readings",
         )
         return unknown
     filled = data.filled(column)[rows]
     if not filled.all():
         reader.fault(
-            f"{found.where}: line {lines[~filled][0]}: {column} is empty; must be a number > 0"
+            f"{readings.where}: line {lines[~filled][0]}: {column} is empty; must be a number > 0"
         )
         return unknown
-    sd = found.factor * _column(reader, data, column, rows)
+    sd = readings.factor * _column(reader, data, column, rows)
     if (wrong := np.flatnonzero(sd <= 0)).size:
-        told = f"{column} = {sd[wrong[0]] / found.factor:g}{and_more(wrong.size, 'line')}"
-        reader.fault(f"{found.where}: line {lines[wrong[0]]}: {told}: must be a number > 0")
+        values = f"{column} = {sd[wrong[0]] / readings.factor:g}{and_more(wrong.size, 'line')}"
+        reader.fault(f"{readings.where}: line {lines[wrong[0]]}: {values}: must be a number > 0")
     return sd
 
 
@@ -441,15 +447,17 @@ def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisa
     if not isinstance(table, Mapping):
         reader.wrong("nuisance", f"must be a table of {', '.join(NUISANCES[kind])}")
         return ()
-    found = []
+    nuisances = []
     for name, entry in table.items():
         if name not in NUISANCES[kind]:
             reader.fault(f"nuisance.{legible(name)}: must be one of {', '.join(NUISANCES[kind])}")
             continue
-        own = TableReader(f"{reader.place}: nuisance.{name}", entry, reader.faults, NUISANCE)
-        bounds, prior = own.read("bounds"), own.read("prior")
-        found.append(Nuisance(name, prior, bounds))
-        own.finish()
+        entry_reader = TableReader(
+            f"{reader.place}: nuisance.{name}", entry, reader.faults, NUISANCE
+        )
+        bounds, prior = entry_reader.read("bounds"), entry_reader.read("prior")
+        nuisances.append(Nuisance(name, prior, bounds))
+        entry_reader.finish()
         if name == "compliance" and case is not None and case.load.force is None:
-            own.fault('needs load.control = "force"')
-    return tuple(found)
+            entry_reader.fault('needs load.control = "force"')
+    return tuple(nuisances)

@@ -1,4 +1,4 @@
-"""What the readings tell of each parameter: covariance, one-sided limits, and what they do not."""
+"""Linear intervals: covariance, one-sided limits at bounds, keys that are not identified."""
 
 import math
 from collections.abc import Sequence
@@ -10,20 +10,20 @@ from scipy.stats import chi2, norm
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.problem import Loss
-from ringwear_par.identification.estimation.least_squares import NU, Evaluation, LeastSquares
+from ringwear_par.identification.estimation.misfit import NU, Evaluation, Misfit
 
 Verdict = Literal["identified", "at bound", "not identified"]
 
 #: of the information matrix with a unit diagonal: below it nothing is known of a direction
-_NOTHING = 1e-10
+_UNINFORMED = 1e-10
 #: of such a direction: others up to it are as weak
 _AS_WEAK = 10.0
 #: components of a direction that are told
-_TOLD = 0.15
+_MENTIONED = 0.15
 #: largest half interval of a logarithm
 _WIDEST_LOG = 1.5
 #: correlation with keys of which nothing is known at which nothing is known of another
-_ONE = 0.999
+_FULLY_CORRELATED = 0.999
 #: of a prior's sd: more is but the prior
 _MERE_PRIOR = 0.95
 
@@ -48,25 +48,35 @@ class ParameterEstimate:
     direction: str = ""
 
 
-def share_of_loss(loss: Loss) -> float:
-    """Return what readings tell under a loss, of what they would with Gaussian noise."""
+def information_share(loss: Loss) -> float:
+    """Return the Fisher information of a reading under a loss, over that of Gaussian noise."""
     return (NU + 1.0) / (NU + 3.0) if loss == "student" else 1.0
 
 
-def information(squares: LeastSquares, found: Evaluation, priors: bool = True) -> FloatArray:
+def information(misfit: Misfit, evaluation: Evaluation, priors: bool = True) -> FloatArray:
     """Return the Fisher information (u, u) of the unknowns.
 
     Parameters
     ----------
     priors : whether those of the fitted keys count; those of nuisances always do.
     """
-    share = share_of_loss(squares.problem.settings.loss)
-    matrix: FloatArray = share * found.noise_jacobian.T @ found.noise_jacobian
-    m = len(squares.problem.parameters)
-    for row, (j, _) in enumerate(squares.priors, start=squares.n):
+    share = information_share(misfit.problem.settings.loss)
+    matrix: FloatArray = share * evaluation.noise_jacobian.T @ evaluation.noise_jacobian
+    m = len(misfit.problem.parameters)
+    for row, (j, _) in enumerate(misfit.priors, start=misfit.n):
         if priors or j >= m:
-            matrix[j, j] += found.jacobian[row, j] ** 2
+            matrix[j, j] += evaluation.jacobian[row, j] ** 2
     return matrix
+
+
+def without_nuisances(matrix: FloatArray, m: int) -> FloatArray:
+    """Return the information (m, m) of the first m unknowns alone, of that of all (u, u)."""
+    size = np.sqrt(np.diag(matrix))
+    size = np.where(size > 0.0, size, 1.0)
+    scaled = matrix / np.outer(size, size)
+    rest = scaled[:m, m:] @ np.linalg.pinv(scaled[m:, m:], rcond=_UNINFORMED, hermitian=True)
+    alone: FloatArray = scaled[:m, :m] - rest @ scaled[m:, :m]
+    return 0.5 * (alone + alone.T) * np.outer(size[:m], size[:m])
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +104,7 @@ class Spectrum:
     @property
     def covariance(self) -> FloatArray:
         """(u, u) inverse; infinite variances of what nothing is known of."""
-        known = self.values > _NOTHING
+        known = self.values > _UNINFORMED
         part = self.vectors[:, known] / np.sqrt(self.values[known]) / self.size[:, None]
         covariance: FloatArray = part @ part.T
         lost = (np.abs(self.vectors[:, ~known]) > 1e-3).any(axis=1)
@@ -103,77 +113,79 @@ class Spectrum:
 
     def weakest(self, unknown: int) -> FloatArray:
         """Return the projector (u, u) on directions as weak as an unknown's weakest."""
-        share = self.vectors[unknown] ** 2 / np.maximum(self.values, _NOTHING)
-        value = max(float(self.values[int(np.argmax(share))]), _NOTHING)
+        share = self.vectors[unknown] ** 2 / np.maximum(self.values, _UNINFORMED)
+        value = max(float(self.values[int(np.argmax(share))]), _UNINFORMED)
         part = self.vectors[:, self.values <= _AS_WEAK * value]
         projector: FloatArray = part @ part.T
         return projector
 
 
 def estimates(
-    squares: LeastSquares, x: FloatArray, found: Evaluation
+    misfit: Misfit, x: FloatArray, evaluation: Evaluation
 ) -> tuple[tuple[ParameterEstimate, ...], FloatArray]:
-    """Return what is known of each fitted key, and the covariance (u, u) of the unknowns."""
-    whole = Spectrum.of(information(squares, found))
+    """Return the estimate of each fitted key, and the covariance (u, u) of the unknowns."""
+    whole = Spectrum.of(information(misfit, evaluation))
     covariance = whole.covariance
-    alone = Spectrum.of(information(squares, found, priors=False))
+    alone = Spectrum.of(information(misfit, evaluation, priors=False))
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
-    free = x - finite @ found.jacobian.T @ found.residuals  # where no bound is in the way
-    values = squares.values(x)
+    free = x - finite @ evaluation.jacobian.T @ evaluation.residuals  # where no bound is in the way
+    values = misfit.values(x)
     sds = np.sqrt(np.diag(covariance))
-    judged = [_judged(squares, j, x[j], free[j], float(sds[j])) for j in range(len(values))]
+    verdicts = [_judged(misfit, j, x[j], free[j], float(sds[j])) for j in range(len(values))]
     vague = [
-        j for j, sd in enumerate(sds[: len(values)]) if np.isfinite(sd) and _vague(squares, j, sd)
+        j for j, sd in enumerate(sds[: len(values)]) if np.isfinite(sd) and _vague(misfit, j, sd)
     ]
-    told = []
-    for j, (verdict, limits, sd) in enumerate(judged):
+    estimated = []
+    for j, (verdict, limits, sd) in enumerate(verdicts):
         if vague and _follows(finite, j, vague):
             verdict, limits = "not identified", (None, None)
-        parameter = squares.problem.parameters[j]
+        parameter = misfit.problem.parameters[j]
         natural = None if sd is None else sd * parameter.slope(values[j])
         low, high = (
             None if limit is None or not math.isfinite(limit) else parameter.value(limit)
             for limit in limits
         )
         unclear = verdict == "not identified"
-        told.append(
+        estimated.append(
             ParameterEstimate(
                 parameter.key, float(values[j]), natural, (low, high), verdict,
-                direction(squares, alone, j) if unclear else "",
+                direction(misfit, alone, j) if unclear else "",
             )
         )  # fmt: skip
-    return tuple(told), covariance
+    return tuple(estimated), covariance
 
 
-def _follows(covariance: FloatArray, j: int, others: Sequence[int]) -> bool:
+def _follows(covariance: FloatArray, j: int, vague: Sequence[int]) -> bool:
     """Tell whether an unknown would be known if all of some others were."""
-    part = covariance[np.ix_([j, *others], [j, *others])]
+    part = covariance[np.ix_([j, *vague], [j, *vague])]
     sds = np.sqrt(np.diag(part))
     part = part / np.outer(*[np.where(sds > 0.0, sds, 1.0)] * 2)
-    told = part[0, 1:] @ np.linalg.pinv(part[1:, 1:], rcond=_NOTHING, hermitian=True) @ part[1:, 0]
-    return bool(told > _ONE**2)
+    explained = (
+        part[0, 1:] @ np.linalg.pinv(part[1:, 1:], rcond=_UNINFORMED, hermitian=True) @ part[1:, 0]
+    )
+    return bool(explained > _FULLY_CORRELATED**2)
 
 
-def _vague(squares: LeastSquares, j: int, sd: float) -> bool:
+def _vague(misfit: Misfit, j: int, sd: float) -> bool:
     """Tell whether the interval of an unknown is wider than its bounds, or than one may be."""
-    level = squares.problem.settings.level
+    level = misfit.problem.settings.level
     half = float(norm.ppf(0.5 + 0.5 * level)) * sd
-    widest = 0.5 * (squares.upper[j] - squares.lower[j])
-    if squares.problem.parameters[j].log:
+    widest = 0.5 * (misfit.upper[j] - misfit.lower[j])
+    if misfit.problem.parameters[j].log:
         widest = min(widest, _WIDEST_LOG)
     return not half <= widest
 
 
 def _judged(
-    squares: LeastSquares, j: int, x: float, free: float, sd: float
+    misfit: Misfit, j: int, x: float, free: float, sd: float
 ) -> tuple[Verdict, tuple[float | None, float | None], float | None]:
     """Return the verdict on an unknown, its limits, and its sd."""
-    parameter, level = squares.problem.parameters[j], squares.problem.settings.level
-    low, high = squares.lower[j], squares.upper[j]
+    parameter, level = misfit.problem.parameters[j], misfit.problem.settings.level
+    low, high = misfit.lower[j], misfit.upper[j]
     half = float(norm.ppf(0.5 + 0.5 * level)) * sd
     prior = parameter.prior
     mere = prior is not None and sd * parameter.slope(parameter.value(x)) > _MERE_PRIOR * prior.sd
-    if _vague(squares, j, sd) or mere:
+    if _vague(misfit, j, sd) or mere:
         return "not identified", (None, None), sd if math.isfinite(sd) else None
     near = 1e-3 * sd
     if x - low <= near or high - x <= near:
@@ -187,16 +199,16 @@ def _judged(
     return "identified", (below if below > low else None, above if above < high else None), sd
 
 
-def direction(squares: LeastSquares, spectrum: Spectrum, j: int) -> str:
+def direction(misfit: Misfit, spectrum: Spectrum, j: int) -> str:
     """Return in words what the readings tell instead of an unknown.
 
     Parameters
     ----------
     spectrum : of the information of the readings.
     """
-    names, parameters = squares.names, squares.problem.parameters
+    names, parameters = misfit.names, misfit.problem.parameters
     weak = spectrum.weakest(j)
-    taking = np.flatnonzero(np.abs(weak[j]) > _TOLD * np.abs(weak[j]).max()).tolist()
+    taking = np.flatnonzero(np.abs(weak[j]) > _MENTIONED * np.abs(weak[j]).max()).tolist()
     keys = [i for i in taking if i < len(parameters)]
     if taking == [j]:
         return f"the readings hardly respond to {names[j]}"
@@ -204,16 +216,16 @@ def direction(squares: LeastSquares, spectrum: Spectrum, j: int) -> str:
         values, vectors = np.linalg.eigh(weak[np.ix_(keys, keys)])
         strong = vectors[:, values < 0.5]
         if strong.shape[1] == 1:
-            return f"only {_product(squares, keys, strong[:, 0] * spectrum.size[keys])}"
+            return f"only {_product(misfit, keys, strong[:, 0] * spectrum.size[keys])}"
         return f"only products of {', '.join(sorted(str(names[i]) for i in keys))}"
     mine = str(names[j])
-    rest = [told(names[i]) for i in taking if i != j]
+    rest = [name_of(names[i]) for i in taking if i != j]
     return f"{mine} against {' and '.join([', '.join(rest[:-1]), rest[-1]] if rest[1:] else rest)}"
 
 
-def _product(squares: LeastSquares, keys: Sequence[int], powers: FloatArray) -> str:
+def _product(misfit: Misfit, keys: Sequence[int], powers: FloatArray) -> str:
     """Return the product of powers of keys, that of the first by name being 1."""
-    named = sorted((str(squares.names[i]), float(p)) for i, p in zip(keys, powers, strict=True))
+    named = sorted((str(misfit.names[i]), float(p)) for i, p in zip(keys, powers, strict=True))
     words = [named[0][0]]
     for name, power in named[1:]:
         power /= named[0][1]
@@ -222,8 +234,8 @@ def _product(squares: LeastSquares, keys: Sequence[int], powers: FloatArray) -> 
     return " ".join(words)
 
 
-def told(name: str | tuple[str, str, str]) -> str:
-    """Return what messages call an unknown."""
+def name_of(name: str | tuple[str, str, str]) -> str:
+    """Return the name of an unknown in messages."""
     if isinstance(name, str):
         return name
     experiment, series, kind = name

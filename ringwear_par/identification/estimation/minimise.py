@@ -8,8 +8,8 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.contact.tao import Guard
 from ringwear_par.errors import ComputationError, LawError
-from ringwear_par.identification.estimation.least_squares import Evaluation, LeastSquares
-from ringwear_par.identification.model.lockstep import Meet, StoppedError
+from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
+from ringwear_par.identification.model.lockstep import StoppedError, WaitFor
 from ringwear_par.identification.model.steps import bends_within
 from ringwear_par.options import FIT_PREFIX, set_from_options
 from ringwear_par.petsc import PETSc
@@ -56,7 +56,10 @@ class Optimum:
 
 
 def minimise(
-    squares: LeastSquares, start: FloatArray, meet: Meet | None = None, held: int | None = None
+    misfit: Misfit,
+    start: FloatArray,
+    wait_for: WaitFor | None = None,
+    fixed: int | None = None,
 ) -> Optimum:
     """Return the least squares near a start, within bounds. Not collective.
 
@@ -66,74 +69,74 @@ def minimise(
     Parameters
     ----------
     start : (u,) within the bounds.
-    meet : has the histories at a point computed, and others' with them.
-    held : a fitted key that stays where it is.
+    wait_for : has the histories at a point computed, with those of other searches.
+    fixed : a fitted key that stays where it is.
 
     Raises
     ------
     ComputationError : a history.
     """
-    asked: list[FloatArray] = []
+    new_points: list[FloatArray] = []
 
     def evaluate(x: FloatArray) -> Evaluation:
-        if not squares.knows(x):
-            asked.append(x)
-            if meet is not None:
-                meet(x)
-        return squares.evaluate(x)
+        if not misfit.is_computed(x):
+            new_points.append(x)
+            if wait_for is not None:
+                wait_for(x)
+        return misfit.evaluate(x)
 
-    bounds, free = (squares.lower, squares.upper), ~squares.idle
-    if held is not None:
-        free[held] = False
-    sought, projected = free & ~squares.linear, free & squares.linear
-    bent = any(bends_within(experiment) for experiment in squares.problem.experiments)
+    bounds, free = (misfit.lower, misfit.upper), ~misfit.idle
+    if fixed is not None:
+        free[fixed] = False
+    nonlinear, linear = free & ~misfit.linear, free & misfit.linear
+    bent = any(bends_within(experiment) for experiment in misfit.problem.experiments)
     x, iterations, still = start, 0, False
-    solve = _brgn if squares.problem.settings.method == "brgn" else _scipy
+    solve = _brgn if misfit.problem.settings.method == "brgn" else _scipy
     for _ in range(_SCALES):
-        problem = _Reduced(evaluate, x, bounds, sought, projected)
-        if not sought.any():
-            x = problem.whole(x[sought])
+        problem = _Reduced(evaluate, x, bounds, nonlinear, linear)
+        if not nonlinear.any():
+            x = problem.whole(x[nonlinear])
             break
         before = problem.residuals(problem.start)
         problem.patience = _STILL if bent else None
         try:
             part, more = solve(problem)
-        except _StillError:
+        except _NoProgressError:
             x, still = problem.best, True
             break
         x, iterations = problem.whole(part), iterations + more
         gain = 0.5 * float(before @ before) - evaluate(x).objective
         if more < _ITERATIONS or not gain > _NO_GAIN:
             break
-    found = evaluate(x)
-    squares.forget(asked, x)
-    good = still or _gradient(found, x, bounds, free) <= _GOOD_GRADIENT
-    return Optimum(x, found, good, iterations, len(asked))
+    evaluation = evaluate(x)
+    misfit.forget(new_points, x)
+    good = still or _gradient(evaluation, x, bounds, free) <= _GOOD_GRADIENT
+    return Optimum(x, evaluation, good, iterations, len(new_points))
 
 
 def _gradient(
-    found: Evaluation, x: FloatArray, bounds: tuple[FloatArray, FloatArray], free: BoolArray
+    evaluation: Evaluation, x: FloatArray, bounds: tuple[FloatArray, FloatArray], free: BoolArray
 ) -> float:
     """Return the norm of the gradient, without what bounds hold, by each unknown's own sd."""
-    size = np.linalg.norm(found.jacobian, axis=0)
-    slope = found.jacobian.T @ found.residuals / np.where(size > 0, size, 1.0)
+    size = np.linalg.norm(evaluation.jacobian, axis=0)
+    slope = evaluation.jacobian.T @ evaluation.residuals / np.where(size > 0, size, 1.0)
     out = ((x <= bounds[0]) & (slope > 0)) | ((x >= bounds[1]) & (slope < 0)) | ~free
     return float(np.linalg.norm(np.where(out, 0.0, slope)))
 
 
-class _StillError(Exception):
+class _NoProgressError(Exception):
     """No trial of late was better by as much as counts."""
 
 
 class _Reduced:
-    """A problem over the unknowns sought, in units of their scale where it starts.
+    """A problem over the nonlinear unknowns, in units of their scale where it starts.
 
     Remembers its last point, as minimisers ask for residuals and Jacobian one after the other.
 
     Parameters
     ----------
     x : (u,) where it starts.
-    sought, projected : (u,) bool.
+    nonlinear, linear : (u,) bool; at each trial linear ones are the best for the others.
 
     Attributes
     ----------
@@ -146,21 +149,21 @@ class _Reduced:
         evaluate: Residuals,
         x: FloatArray,
         bounds: tuple[FloatArray, FloatArray],
-        sought: BoolArray,
-        projected: BoolArray,
+        nonlinear: BoolArray,
+        linear: BoolArray,
     ) -> None:
-        self._evaluate, self._x, self._sought, self._projected = evaluate, x, sought, projected
-        self._low, self._high = (bound[sought] for bound in bounds)
-        self._scale = np.ones(int(sought.sum()))
+        self._evaluate, self._x, self._nonlinear, self._linear = evaluate, x, nonlinear, linear
+        self._low, self._high = (bound[nonlinear] for bound in bounds)
+        self._scale = np.ones(int(nonlinear.sum()))
         self.patience: int | None = None
         self.best, self._least, self._vain = x, np.inf, 0
         self._last: tuple[bytes, FloatArray, FloatArray, FloatArray] | None = None
-        sizes = np.linalg.norm(self._at(x[sought])[2], axis=0)
+        sizes = np.linalg.norm(self._at(x[nonlinear])[2], axis=0)
         widths = np.where(np.isfinite(self._high - self._low), self._high - self._low, 1.0)
         self._scale = np.where(sizes > 0, 1.0 / np.where(sizes > 0, sizes, 1.0), widths)
         #: where it starts, and the bounds
         self.start, self.low, self.high = (
-            value / self._scale for value in (x[sought], self._low, self._high)
+            value / self._scale for value in (x[nonlinear], self._low, self._high)
         )
         self._last = None
         self._at(self.start)
@@ -169,9 +172,9 @@ class _Reduced:
         """Return residuals, Jacobian and unknowns."""
         if self._last is None or self._last[0] != y.tobytes():
             x = self._x.copy()
-            x[self._sought] = np.clip(y * self._scale, self._low, self._high)
+            x[self._nonlinear] = np.clip(y * self._scale, self._low, self._high)
             try:
-                found = self._evaluate(x)
+                evaluation = self._evaluate(x)
             except (StoppedError, LawError):
                 raise
             except ComputationError:  # a trial too far: a ring worn through, say
@@ -180,15 +183,18 @@ class _Reduced:
                 far = np.full_like(self._last[1], _FAR * (1.0 + np.abs(self._last[1]).max()))
                 self._last = y.tobytes(), far, np.zeros_like(self._last[2]), x
                 return self._last
-            residuals, jacobian = found.residuals, found.jacobian[:, self._sought] * self._scale
-            if self._projected.any():
-                columns = found.jacobian[:, self._projected]
+            residuals, jacobian = (
+                evaluation.residuals,
+                evaluation.jacobian[:, self._nonlinear] * self._scale,
+            )
+            if self._linear.any():
+                columns = evaluation.jacobian[:, self._linear]
                 size = np.linalg.norm(columns, axis=0)
                 left, values, right = np.linalg.svd(columns / size, full_matrices=False)
                 left = left[:, values > _DEPENDENT * values[0]]
                 part = left.T @ residuals
-                own = right[: len(part)].T @ (part / values[: len(part)])
-                x[self._projected] -= own / size
+                solution = right[: len(part)].T @ (part / values[: len(part)])
+                x[self._linear] -= solution / size
                 residuals = residuals - left @ part
                 jacobian = jacobian - left @ (left.T @ jacobian)
             self._last = y.tobytes(), residuals, jacobian, x
@@ -204,10 +210,10 @@ class _Reduced:
         if objective < self._least:
             self.best, self._least = x, objective
         if self.patience is not None and self._vain >= self.patience:
-            raise _StillError
+            raise _NoProgressError
 
     def residuals(self, y: FloatArray) -> FloatArray:
-        """Return the residuals with the best of what is projected."""
+        """Return the residuals at the best linear unknowns."""
         return self._at(y)[1]
 
     def jacobian(self, y: FloatArray) -> FloatArray:
@@ -254,8 +260,8 @@ def _brgn(problem: _Reduced) -> tuple[FloatArray, int]:
         guard.solve(tao, "brgn")
         return x.getArray(readonly=True).copy(), tao.getIterationNumber()
     finally:
-        for each in (tao, matrix, f, x, low, high):
-            each.destroy()
+        for petsc_object in (tao, matrix, f, x, low, high):
+            petsc_object.destroy()
 
 
 def _scipy(problem: _Reduced) -> tuple[FloatArray, int]:
@@ -263,8 +269,8 @@ def _scipy(problem: _Reduced) -> tuple[FloatArray, int]:
     from scipy.optimize import least_squares
 
     inside = np.clip(problem.start, problem.low, problem.high)
-    found = least_squares(
+    outcome = least_squares(
         problem.residuals, inside, problem.jacobian, (problem.low, problem.high), x_scale="jac",
         xtol=1e-10, ftol=1e-12, gtol=_GRADIENT, max_nfev=_ITERATIONS,
     )  # fmt: skip
-    return found.x, found.nfev
+    return outcome.x, outcome.nfev

@@ -1,4 +1,4 @@
-"""What the fitted keys may be, given all readings: samples of their posterior distribution.
+"""Samples of the posterior distribution of the fitted keys.
 
 Drawn by an ensemble of walkers (emcee: Foreman-Mackey et al., Publ. Astron. Soc. Pac. 125 (2013)
 306-312; moves of differential evolution), whose histories step side by side. Before any reading a
@@ -9,19 +9,27 @@ bounds. Noise that is fitted stays what it is at the optimum: that it is not kno
 nothing to the spread of the samples.
 """
 
+import logging
+import time
+import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.files.ordinary import open_ordinary
+from ringwear_par.files.writing import atomic_write
 from ringwear_par.identification.definition.problem import reflected
-from ringwear_par.identification.estimation.chain import Keeper, Walk
-from ringwear_par.identification.estimation.least_squares import LeastSquares
-from ringwear_par.identification.estimation.marginal import Marginal
+from ringwear_par.identification.estimation.likelihood import MarginalLikelihood
+from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.model.lockstep import StoppedError
 from ringwear_par.identification.model.rounds import Rounds
+
+log = logging.getLogger(__name__)
 
 #: most walkers, steps that they make at least, and the seed of all
 _WALKERS, _STEPS, _SEED = 128, 16, 0
@@ -30,6 +38,8 @@ _WALKERS, _STEPS, _SEED = 128, 16, 0
 _BURN = 12
 #: how often the way to the optimum is halved where a walker's start is no case
 _NEARER = 40
+#: s between two times that the chain is stored
+STORE_SECONDS = 10.0
 #: effective samples below which quantiles mean little
 FEW = 200.0
 
@@ -55,102 +65,139 @@ class Posterior:
         return ends
 
 
-def missing_for(intervals: Sequence[str]) -> str:
-    """Return what intervals of a fit need that is not installed, "" for nothing; import nothing."""
+def missing_package(intervals: Sequence[str]) -> str:
+    """Return a sentence about a package that intervals need and that is missing, else ""."""
     if "posterior" not in intervals or find_spec("emcee") is not None:
         return ""
     return 'fit.intervals: "posterior" needs emcee: pip install emcee, or leave it out'
 
 
 def sample_posterior(
-    squares: LeastSquares,
+    misfit: Misfit,
     histories: Rounds,
     x: FloatArray,
     covariance: FloatArray,
-    keeper: Keeper,
+    path: Path | None,
 ) -> Posterior:
     """Return samples of the fitted keys. Not collective.
 
     Parameters
     ----------
     x, covariance : (u,) and (u, u) of the unknowns at the optimum.
-    keeper : of the walk, which goes on where it was stopped.
+    path : file of the chain, which continues where it was stopped; None: it is not stored.
 
     Raises
     ------
-    StoppedError : a signal; the walk is kept.
+    StoppedError : a signal; the chain is stored.
     """
     import emcee
 
-    settings, m = squares.problem.settings, len(squares.problem.parameters)
-    low, high = squares.lower[:m], squares.upper[:m]
-    marginal = Marginal(squares)
+    settings, m = misfit.problem.settings, len(misfit.problem.parameters)
+    low, high = misfit.lower[:m], misfit.upper[:m]
+    marginal = MarginalLikelihood(misfit)
 
     def log_probability(points: FloatArray) -> FloatArray:
         """Return (w,) of unknowns (w, m)."""
         scores = np.full(len(points), -np.inf)
         inside = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
-        values = np.array([squares.values(point) for point in points[inside]]).reshape(-1, m)
-        found = histories.responses(values, squares.steps, derivatives=False)
-        for i, value, readings in zip(inside, values, found, strict=True):
+        values = np.array([misfit.values(point) for point in points[inside]]).reshape(-1, m)
+        responses = histories.responses(values, misfit.steps, derivatives=False)
+        for i, value, readings in zip(inside, values, responses, strict=True):
             if not isinstance(readings, Exception):
                 scores[i] = marginal(value, readings[:, 0])
         return scores
 
-    random = np.random.default_rng(_SEED)
-    spread = np.sqrt(np.minimum(np.diag(covariance)[:m], ((high - low) / 4.0) ** 2))
-    known = np.isfinite(covariance[:m, :m]).all()
-    root = np.linalg.cholesky(covariance[:m, :m] + 1e-12 * np.diag(spread**2)) if known else None
     walkers = max(min(_WALKERS, 2 * (settings.samples // (2 * _STEPS))), 16, 4 * m)
-    drawn = random.standard_normal((walkers, m))
-    moved = drawn * spread if root is None else drawn @ root.T
-    wide = np.abs(moved) > high - low
-    start = reflected(x[:m] + np.where(wide, drawn * spread, moved), low, high)
-    for _ in range(_NEARER):  # towards the optimum, which is a case by all rules of the laws
-        out = ~squares.allowed(start)
-        start[out] = 0.5 * (start[out] + x[:m])
-    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
-    sampler = emcee.EnsembleSampler(walkers, m, log_probability, moves=moves, vectorize=True)
-    sampler.log_prob_fn = log_probability  # what emcee wraps it in prints all of its errors
-    sampler.random_state = np.random.RandomState(_SEED).get_state()
     steps = _BURN + -(-settings.samples // walkers)
-    walk = keeper.read()
-    if walk is not None and walk.steps.shape[1:] == start.shape and len(walk.steps) <= steps:
-        start = emcee.State(
-            walk.steps[-1], log_prob=walk.log_prob, random_state=walk.random_state, copy=True
-        )
+    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
+    key = misfit.problem.key
+    backend, stored_histories = _stored_chain(path, key, (walkers, m))
+    sampler = emcee.EnsembleSampler(
+        walkers, m, log_probability, moves=moves, vectorize=True, backend=backend
+    )
+    sampler.log_prob_fn = log_probability  # what emcee wraps it in prints all of its errors
+    count_before = histories.count
+    histories.count += stored_histories
+    before = sampler.iteration
+    if before:
+        start = sampler.get_last_sample()
     else:
-        walk = Walk(np.zeros((0, walkers, m)), np.zeros(walkers), 0, 0, ())
-    histories.count += walk.histories
-    others = histories.count - walk.histories
-
-    def walked() -> Walk:
-        """Return the whole walk."""
-        parts = np.concatenate([walk.steps, sampler.get_chain()])
-        last, so_far = sampler.get_last_sample(), int(sampler.backend.accepted.sum())
-        return Walk(
-            parts, last.log_prob, walk.accepted + so_far, histories.count - others,
-            last.random_state,
-        )  # fmt: skip
-
-    before = len(walk.steps)
+        sampler.random_state = np.random.RandomState(_SEED).get_state()
+        start = _start(misfit, x, covariance, walkers)
+    stored_at = time.perf_counter()
+    walk = sampler.sample(start, iterations=steps - before, skip_initial_state_check=True)
     try:
-        for step, _ in enumerate(
-            sampler.sample(start, iterations=steps - before, skip_initial_state_check=True), before
-        ):
-            if keeper.due:
-                keeper.write(walked())
-            histories.tell(f"posterior: {step + 1} of {steps} steps of {walkers} walkers")
+        for step, _ in enumerate(walk, before + 1):
+            histories.tell(f"posterior: {step} of {steps} steps of {walkers} walkers")
+            if time.perf_counter() - stored_at > STORE_SECONDS:
+                _store_chain(path, key, backend, histories.count - count_before)
+                stored_at = time.perf_counter()
     except StoppedError:
-        if sampler.iteration > 0:
-            keeper.write(walked())
+        _store_chain(path, key, backend, histories.count - count_before)
         raise
-    whole_walk = walked() if before < steps else walk
-    chain = whole_walk.steps[_BURN:]
+    chain = sampler.get_chain(discard=_BURN)
     # means over walkers scatter by the correlation time of their steps
     scatter, whole = chain.mean(axis=0).var(axis=0, ddof=1), chain.reshape(-1, m).var(axis=0)
     times = np.maximum(len(chain) * scatter / np.where(whole > 0.0, whole, 1.0), 1.0)
-    values = np.array([squares.values(row) for row in chain.reshape(-1, m)])
-    return Posterior(
-        values, whole_walk.accepted / (steps * walkers), float(len(values) / np.max(times))
-    )
+    values = np.array([misfit.values(row) for row in chain.reshape(-1, m)])
+    accepted = int(sampler.backend.accepted.sum())
+    return Posterior(values, accepted / (steps * walkers), float(len(values) / np.max(times)))
+
+
+def _start(misfit: Misfit, x: FloatArray, covariance: FloatArray, walkers: int) -> FloatArray:
+    """Return unknowns (walkers, m) around the optimum, all of them cases by the laws' rules."""
+    m = len(misfit.problem.parameters)
+    low, high = misfit.lower[:m], misfit.upper[:m]
+    spread = np.sqrt(np.minimum(np.diag(covariance)[:m], ((high - low) / 4.0) ** 2))
+    known = np.isfinite(covariance[:m, :m]).all()
+    root = np.linalg.cholesky(covariance[:m, :m] + 1e-12 * np.diag(spread**2)) if known else None
+    drawn = np.random.default_rng(_SEED).standard_normal((walkers, m))
+    shifts = drawn * spread if root is None else drawn @ root.T
+    wide = np.abs(shifts) > high - low
+    start = reflected(x[:m] + np.where(wide, drawn * spread, shifts), low, high)
+    for _ in range(_NEARER):  # towards the optimum, which is a case
+        out = ~misfit.allowed(start)
+        start[out] = 0.5 * (start[out] + x[:m])
+    return start
+
+
+def _stored_chain(path: Path | None, key: str, shape: tuple[int, int]) -> tuple[Any, int]:
+    """Return emcee's store, with the chain in a file if that is of this problem, and histories."""
+    import emcee
+
+    backend = emcee.backends.Backend()
+    backend.reset(*shape)
+    if path is None:
+        return backend, 0
+    try:
+        with open_ordinary(path) as opened, np.load(opened) as file:
+            chain = file["chain"]
+            if str(file["key"]) != key or chain.shape[1:] != shape or not len(chain):
+                return backend, 0
+            state = ("MT19937", file["random"], *file["place"].tolist(), float(file["gauss"]))
+            np.random.RandomState().set_state(state)  # refuses a damaged one
+            stored = {name: file[name] for name in ("log_prob", "accepted")}
+            histories = int(file["histories"])
+    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile):
+        return backend, 0
+    backend.chain, backend.random_state, backend.iteration = chain, state, len(chain)
+    backend.log_prob, backend.accepted = stored["log_prob"], stored["accepted"]
+    return backend, histories
+
+
+def _store_chain(path: Path | None, key: str, backend: Any, histories: int) -> None:
+    """Store a chain; a full disk only costs the restart."""
+    if path is None or not backend.iteration:
+        return
+    done = slice(backend.iteration)
+    _, random, place, has_gauss, gauss = backend.random_state
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path) as temporary, temporary.open("wb") as file:
+            np.savez(
+                file, key=key, chain=backend.chain[done], log_prob=backend.log_prob[done],
+                accepted=backend.accepted, histories=histories, random=random,
+                place=[place, has_gauss], gauss=gauss,
+            )  # fmt: skip
+    except OSError as error:
+        log.warning("%s: cannot be written: %s", path, error.strerror or error)

@@ -16,9 +16,9 @@ from scipy.stats import chi2
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, LawError
 from ringwear_par.identification.estimation.intervals import ParameterEstimate
-from ringwear_par.identification.estimation.least_squares import LeastSquares
 from ringwear_par.identification.estimation.minimise import Optimum, minimise
-from ringwear_par.identification.model.lockstep import Meet, StoppedError, side_by_side
+from ringwear_par.identification.estimation.misfit import Misfit
+from ringwear_par.identification.model.lockstep import StoppedError, WaitFor, side_by_side
 
 #: of the root of the growth of the sum of squares, at which a limit is found
 _CLOSE = 0.01
@@ -29,20 +29,20 @@ _BETTER = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Profiles:
-    """What likelihood profiles tell.
+    """Likelihood profiles and their limits.
 
     Parameters
     ----------
     estimates : with their limits.
     tables : for each key (2, points): values of the parameter, increasing, and what twice the
         objective grows by.
-    unsure : keys of which a limit is not known as closely as it should be.
+    inexact_limits : keys of which a limit is not as close as it should be.
     better : (u,) unknowns on the way that are better than the optimum; None: there are none.
     """
 
     estimates: tuple[ParameterEstimate, ...]
     tables: Mapping[str, FloatArray]
-    unsure: tuple[str, ...] = ()
+    inexact_limits: tuple[str, ...] = ()
     better: FloatArray | None = None
 
 
@@ -55,69 +55,69 @@ class _Limit(NamedTuple):
 
 
 def likelihood_profiles(
-    squares: LeastSquares,
+    misfit: Misfit,
     optimum: Optimum,
     estimates: Sequence[ParameterEstimate],
     covariance: FloatArray,
 ) -> Profiles:
-    """Return what profiles tell, or the estimates as they are where none are asked for.
+    """Return likelihood profiles, or the linear estimates where the settings ask for none.
 
-    All limits are sought side by side. Not collective.
+    All limits are searched side by side. Not collective.
 
     Parameters
     ----------
     estimates : with linear limits.
     covariance : (u, u) of the unknowns.
     """
-    if "profile" not in squares.problem.settings.intervals:
+    if "profile" not in misfit.problem.settings.intervals:
         return Profiles(tuple(estimates), {})
-    level = squares.problem.settings.level
+    level = misfit.problem.settings.level
     tables: dict[int, dict[float, float]] = {}
-    sought = []
+    searched = []
     for j, estimate in enumerate(estimates):
         if estimate.verdict == "not identified":
             continue
         tables[j] = {float(optimum.x[j]): 0.0}
         one_sided = estimate.verdict == "at bound"
         root = math.sqrt(float(chi2.ppf(2.0 * level - 1.0 if one_sided else level, 1)))
-        sought += [
+        searched += [
             (j, side, root)
             for side in (0, 1)
             if not one_sided or estimate.interval[side] is not None
         ]
     searches = [
-        partial(_limit, squares, optimum, covariance, j, (-1.0, 1.0)[side], root, tables[j])
-        for j, side, root in sought
+        partial(_limit, misfit, optimum, covariance, j, (-1.0, 1.0)[side], root, tables[j])
+        for j, side, root in searched
     ]
-    outcomes = side_by_side(searches, squares.look_up)
-    better = [one.better for one in outcomes if one.better is not None]
+    limits = side_by_side(searches, misfit.compute)
+    better = [one.better for one in limits if one.better is not None]
     if better:
         best = min(better, key=lambda one: one.evaluation.objective)
         return Profiles(tuple(estimates), {}, better=best.x)
-    limits = {(j, side): one.at for (j, side, _), one in zip(sought, outcomes, strict=True)}
-    unsure = {j for (j, _, _), one in zip(sought, outcomes, strict=True) if not one.close}
-    found, profiles = list(estimates), {}
+    ends_by_key = {(j, side): one.at for (j, side, _), one in zip(searched, limits, strict=True)}
+    inexact_limits = {j for (j, _, _), one in zip(searched, limits, strict=True) if not one.close}
+    limited, profiles = list(estimates), {}
     for j, points in tables.items():
-        parameter = squares.problem.parameters[j]
-        ends = (limits.get((j, side)) for side in (0, 1))
+        parameter = misfit.problem.parameters[j]
+        ends = (ends_by_key.get((j, side)) for side in (0, 1))
         low, high = (None if end is None else parameter.value(end) for end in ends)
-        found[j] = replace(estimates[j], interval=(low, high))
+        limited[j] = replace(estimates[j], interval=(low, high))
         table = np.array(sorted(points.items())).T
         table[0] = [parameter.value(u) for u in table[0]]
         profiles[parameter.key] = table
-    keys = squares.problem.keys
-    return Profiles(tuple(found), profiles, tuple(keys[j] for j in sorted(unsure)))
+    keys = misfit.problem.keys
+    return Profiles(tuple(limited), profiles, tuple(keys[j] for j in sorted(inexact_limits)))
 
 
 def _limit(
-    squares: LeastSquares,
+    misfit: Misfit,
     optimum: Optimum,
     covariance: FloatArray,
     j: int,
     side: float,
     wanted: float,
     points: dict[float, float],
-    meet: Meet,
+    wait_for: WaitFor,
 ) -> _Limit:
     """Return the unknown at which the root of the growth is ``wanted``.
 
@@ -128,7 +128,7 @@ def _limit(
     side : -1 below the optimum, 1 above.
     points : of the profile, to which those on the way are added.
     """
-    bounds = squares.lower, squares.upper
+    bounds = misfit.lower, misfit.upper
     sd = math.sqrt(covariance[j, j])
     centre, end = float(optimum.x[j]), float(bounds[0][j] if side < 0 else bounds[1][j])
     # how the others follow where the model is linear
@@ -143,7 +143,7 @@ def _limit(
         start = x + follow * (at - before)
         start[j] = at
         try:
-            best = minimise(squares, np.clip(start, *bounds), meet, held=j)
+            best = minimise(misfit, np.clip(start, *bounds), wait_for, fixed=j)
         except (StoppedError, LawError):
             raise
         except ComputationError:  # too far: no case by the rules of a law, or worn through

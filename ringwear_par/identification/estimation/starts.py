@@ -1,4 +1,4 @@
-"""Several starts: where from, each to its optimum, and what was found kept for a restart."""
+"""Several starts, each to its optimum; outcomes are stored for a restart."""
 
 import json
 import logging
@@ -12,12 +12,11 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError, RingwearError, reason_of
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.files.writing import atomic_write
-from ringwear_par.identification.estimation.chain import Keeper
-from ringwear_par.identification.estimation.least_squares import LeastSquares
-from ringwear_par.identification.estimation.marginal import Marginal
+from ringwear_par.identification.estimation.likelihood import MarginalLikelihood
 from ringwear_par.identification.estimation.minimise import minimise
+from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.model.histories import Histories
-from ringwear_par.identification.model.lockstep import Meet, StoppedError, side_by_side
+from ringwear_par.identification.model.lockstep import StoppedError, WaitFor, side_by_side
 from ringwear_par.identification.model.rounds import Rounds
 
 log = logging.getLogger(__name__)
@@ -36,8 +35,8 @@ _MOST_TOGETHER = 64
 
 
 @dataclass(frozen=True)
-class Started:
-    """What came of one start.
+class StartOutcome:
+    """The outcome of one start.
 
     Parameters
     ----------
@@ -60,13 +59,13 @@ class Started:
     error: str = ""
 
 
-class Progress:
-    """Where optima of starts are kept until the fit is done.
+class StoredStarts:
+    """The folder with the outcomes of starts until the fit is done.
 
     Parameters
     ----------
-    folder : of the results; None: nothing is kept.
-    key : of the problem; what another problem has left is not used.
+    folder : of the results; None: nothing is stored.
+    key : of the problem; outcomes of another problem are not used.
     law : number of the law among those that are compared, 0 the first.
     """
 
@@ -74,47 +73,46 @@ class Progress:
         self._folder, self._key, self._law = folder, key, law
 
     @property
-    def kept(self) -> bool:
-        """Whether anything is kept."""
+    def is_stored(self) -> bool:
+        """Whether outcomes are stored."""
         return self._folder is not None
 
     @property
-    def walk(self) -> Keeper:
-        """Where the walk of a posterior is kept."""
-        path = None if self._folder is None else self._folder / PROGRESS / "posterior.npz"
-        return Keeper(path, self._key)
+    def chain(self) -> Path | None:
+        """The file of the posterior's chain, if outcomes are stored."""
+        return None if self._folder is None else self._folder / PROGRESS / "posterior.npz"
 
     def _path(self, number: int) -> Path | None:
         if self._folder is None:
             return None
         return self._folder / PROGRESS / f"{self._law}-{number}.json"
 
-    def read(self, number: int) -> Started | None:
-        """Return what is kept of a start; None if nothing is. Not collective."""
+    def read(self, number: int) -> StartOutcome | None:
+        """Return the stored outcome of a start, if there is one. Not collective."""
         path = self._path(number)
         try:
-            kept = parse_json(read_text(path)) if path is not None else None
-            if not isinstance(kept, dict) or kept.pop("key") != self._key:
+            content = parse_json(read_text(path)) if path is not None else None
+            if not isinstance(content, dict) or content.pop("key") != self._key:
                 return None
-            lists = {k: tuple(v) for k, v in kept.items() if isinstance(v, list)}
-            return Started(**{**kept, **lists})
+            lists = {k: tuple(v) for k, v in content.items() if isinstance(v, list)}
+            return StartOutcome(**{**content, **lists})
         except (InputError, ValueError, TypeError, KeyError):
             return None
 
-    def write(self, found: Started) -> None:
-        """Keep what came of a start; a full disk only costs the restart. Not collective."""
-        path = self._path(found.number)
+    def write(self, outcome: StartOutcome) -> None:
+        """Store the outcome of a start; a full disk only costs the restart. Not collective."""
+        path = self._path(outcome.number)
         if path is None:
             return
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with atomic_write(path) as temporary:
-                temporary.write_text(json.dumps({"key": self._key, **asdict(found)}))
+                temporary.write_text(json.dumps({"key": self._key, **asdict(outcome)}))
         except OSError as error:
             log.warning("%s: cannot be written: %s", path, error.strerror or error)
 
-    def forget(self) -> None:
-        """Remove what was kept. On one rank.
+    def remove(self) -> None:
+        """Remove all stored outcomes. On one rank.
 
         Raises
         ------
@@ -127,7 +125,7 @@ class Progress:
         (self._folder / PROGRESS).rmdir()
 
 
-def points(squares: LeastSquares, count: int) -> FloatArray:
+def case_points(misfit: Misfit, count: int) -> FloatArray:
     """Return Sobol' points (count, m) within the bounds of the fitted keys' unknowns.
 
     Those that are no case, for a law has rules for its numbers together, are left out. Not
@@ -139,14 +137,14 @@ def points(squares: LeastSquares, count: int) -> FloatArray:
     """
     from scipy.stats import qmc  # slow to import
 
-    problem, m = squares.problem, len(squares.problem.parameters)
-    low, high = squares.lower[:m], squares.upper[:m]
+    problem, m = misfit.problem, len(misfit.problem.parameters)
+    low, high = misfit.lower[:m], misfit.upper[:m]
     sampler = qmc.Sobol(m, scramble=True, seed=_SEED)
     more = 1 << max(count - 1, 0).bit_length()
     good: list[FloatArray] = []
     for _ in range(_DOUBLINGS):
         drawn = low + (high - low) * sampler.random(more)
-        good += list(drawn[squares.allowed(drawn)])
+        good += list(drawn[misfit.allowed(drawn)])
         if len(good) >= count:
             return np.array(good[:count])
         more = sampler.num_generated
@@ -157,27 +155,27 @@ def points(squares: LeastSquares, count: int) -> FloatArray:
     )
 
 
-def screened(squares: LeastSquares, histories: Histories) -> FloatArray:
+def start_points(misfit: Misfit, histories: Histories) -> FloatArray:
     """Return unknowns (starts, m): the parameters' own starts, then the best points of some lots.
 
     Each lot is spread over all bounds, so that starts stay apart. Where a threshold is above all
     pressures, nothing wears and no derivative says where to go: a lot of such points is replaced by
     the best one left of the others. Not collective.
     """
-    problem = squares.problem
+    problem = misfit.problem
     first = np.array([[p.unknown(p.start) for p in problem.parameters]])
     lots, m = problem.settings.starts - 1, first.shape[1]
     if not lots:
         return first
-    drawn = points(squares, _LOT * lots)
-    values = np.array([squares.values(x) for x in drawn])
-    marginal = Marginal(squares)
+    drawn = case_points(misfit, _LOT * lots)
+    values = np.array([misfit.values(x) for x in drawn])
+    marginal = MarginalLikelihood(misfit)
     moves, improbable = np.zeros((len(drawn), m)), np.full(len(drawn), np.inf)
-    for i, found in enumerate(histories.responses(values, _COARSE)):
-        if not isinstance(found, ComputationError):
-            slopes = squares.whitened(found[:, 1:] * squares.slopes(values[i]))
+    for i, response in enumerate(histories.responses(values, _COARSE)):
+        if not isinstance(response, ComputationError):
+            slopes = misfit.whitened(response[:, 1:] * misfit.slopes(values[i]))
             moves[i] = np.linalg.norm(slopes, axis=0)
-            improbable[i] = -marginal(values[i], found[:, 0])
+            improbable[i] = -marginal(values[i], response[:, 0])
     still = (moves <= _STILL * moves.max(axis=0)).sum(axis=1)  # parameters that move nothing there
     marks = list(zip(still.tolist(), improbable.tolist(), strict=True))
     order = sorted(range(len(drawn)), key=marks.__getitem__)
@@ -191,88 +189,88 @@ def screened(squares: LeastSquares, histories: Histories) -> FloatArray:
 
 
 def solve_starts(
-    squares: LeastSquares, histories: Rounds, name: str, progress: Progress
-) -> list[Started]:
-    """Return what comes of all starts, which advance side by side. Not collective.
+    misfit: Misfit, histories: Rounds, name: str, progress: StoredStarts
+) -> list[StartOutcome]:
+    """Return the outcomes of all starts, which advance side by side. Not collective.
 
     Parameters
     ----------
-    name : of the law, as progress is told; "" of the first.
+    name : of the law in progress messages; "" of the first.
     """
-    numbers = range(squares.problem.settings.starts)
-    kept = [progress.read(number) for number in numbers]
-    found = [one for one in kept if one is not None]
-    left = [number for number in numbers if kept[number] is None]
+    numbers = range(misfit.problem.settings.starts)
+    stored = [progress.read(number) for number in numbers]
+    outcomes = [one for one in stored if one is not None]
+    left = [number for number in numbers if stored[number] is None]
     # of the search as a whole, whenever it was stopped
-    histories.count += sum(one.histories for one in found)
-    histories.tell(_state(name, len(numbers), found))
+    histories.count += sum(one.histories for one in outcomes)
+    histories.tell(_state(name, len(numbers), outcomes))
     if left:
-        unknowns = screened(squares, histories)
+        unknowns = start_points(misfit, histories)
     else:
-        histories.count += _LOT * (len(numbers) - 1) * len(squares.problem.experiments)
+        histories.count += _LOT * (len(numbers) - 1) * len(misfit.problem.experiments)
 
-    def solved(number: int, meet: Meet) -> None:
-        found.append(_solved(squares, number, unknowns[number], meet))
-        progress.write(found[-1])
+    def solved(number: int, wait_for: WaitFor) -> None:
+        outcomes.append(_solved(misfit, number, unknowns[number], wait_for))
+        progress.write(outcomes[-1])
 
     def compute(points: list[FloatArray]) -> None:
-        squares.look_up(points)
-        histories.tell(_state(name, len(numbers), found))
+        misfit.compute(points)
+        histories.tell(_state(name, len(numbers), outcomes))
 
     for first in range(0, len(left), _MOST_TOGETHER):
         part = left[first : first + _MOST_TOGETHER]
         side_by_side([partial(solved, number) for number in part], compute)
-    return sorted(found, key=lambda one: one.number)
+    return sorted(outcomes, key=lambda one: one.number)
 
 
-def solve_from(squares: LeastSquares, number: int, x: FloatArray) -> Started:
-    """Return what comes of one more start, from unknowns (u,). Not collective."""
-    start = x[: len(squares.problem.parameters)]
-    (found,) = side_by_side([partial(_solved, squares, number, start)], squares.look_up)
-    return found
+def solve_from(misfit: Misfit, number: int, x: FloatArray) -> StartOutcome:
+    """Return the outcome of one more start, from unknowns (u,). Not collective."""
+    start = x[: len(misfit.problem.parameters)]
+    (outcome,) = side_by_side([partial(_solved, misfit, number, start)], misfit.compute)
+    return outcome
 
 
-def _state(name: str, total: int, found: list[Started]) -> str:
+def _state(name: str, total: int, outcomes: list[StartOutcome]) -> str:
     """Return how many starts have ended, and how well."""
-    best = min((2.0 * one.objective for one in found if not one.error), default=None)
+    best = min((2.0 * one.objective for one in outcomes if not one.error), default=None)
     law = f"{name}: " if name else ""
     smallest = "" if best is None else f", smallest chi2 (with priors) {best:.6g}"
-    return f"{law}{len(found)} of {total} starts have ended{smallest}"
+    return f"{law}{len(outcomes)} of {total} starts have ended{smallest}"
 
 
-def _solved(squares: LeastSquares, number: int, unknowns: FloatArray, meet: Meet) -> Started:
-    values = tuple(squares.values(unknowns).tolist())
-    first = np.concatenate([unknowns, np.zeros(len(squares.names) - len(unknowns))])
-    asked = 0
+def _solved(misfit: Misfit, number: int, unknowns: FloatArray, wait_for: WaitFor) -> StartOutcome:
+    values = tuple(misfit.values(unknowns).tolist())
+    first = np.concatenate([unknowns, np.zeros(len(misfit.names) - len(unknowns))])
+    histories = 0
 
-    def counted(x: FloatArray) -> None:
-        nonlocal asked
-        asked += len(squares.problem.experiments)
-        meet(x)
+    def count_and_wait(x: FloatArray) -> None:
+        nonlocal histories
+        histories += len(misfit.problem.experiments)
+        wait_for(x)
 
     try:
-        if not squares.knows(first):
-            counted(first)
-        optimum = minimise(squares, squares.started(values), counted)
-        squares.forget([first], optimum.x)
+        if not misfit.is_computed(first):
+            count_and_wait(first)
+        optimum = minimise(misfit, misfit.with_best_nuisances(values), count_and_wait)
+        misfit.forget([first], optimum.x)
     except StoppedError:
         raise
     except RingwearError as error:
         failed = reason_of(error)
-        return Started(number, values, (), (), float("inf"), False, 0, asked, failed)
-    return Started(
+        return StartOutcome(number, values, (), (), float("inf"), False, 0, histories, failed)
+    return StartOutcome(
         number,
         values,
-        tuple(squares.values(optimum.x).tolist()),
+        tuple(misfit.values(optimum.x).tolist()),
         tuple(optimum.x.tolist()),
         optimum.evaluation.objective,
         optimum.converged,
         optimum.iterations,
-        asked,
+        histories,
     )
 
 
-def fill_planned(squares: LeastSquares) -> None:
+def fill_planned(misfit: Misfit) -> None:
     """Let planned readings be what the model has at the start, nuisances as their priors have them.
 
     Not collective.
@@ -283,17 +281,17 @@ def fill_planned(squares: LeastSquares) -> None:
     """
     plans = [
         (part, series)
-        for (_, series), part in zip(squares.series, squares.parts, strict=True)
+        for (_, series), part in zip(misfit.series, misfit.parts, strict=True)
         if series.planned
     ]
     if not plans:
         return
-    m = len(squares.problem.parameters)
-    start = [p.unknown(p.start) for p in squares.problem.parameters]
-    x = np.concatenate([start, np.zeros(len(squares.names) - m)])
-    for j, prior in squares.priors:
+    m = len(misfit.problem.parameters)
+    start = [p.unknown(p.start) for p in misfit.problem.parameters]
+    x = np.concatenate([start, np.zeros(len(misfit.names) - m)])
+    for j, prior in misfit.priors:
         if j >= m:
             x[j] = prior.mean
-    expected = squares.bare(x) + squares.nuisance_columns @ x[m:]
+    expected = misfit.model_readings(x) + misfit.nuisance_columns @ x[m:]
     for part, _ in plans:
-        squares.data[part] = expected[part]
+        misfit.data[part] = expected[part]

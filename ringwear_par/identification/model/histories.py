@@ -16,9 +16,8 @@ from ringwear_par.history.derivatives.elastic_numbers import is_elastic
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.identification.definition.problem import Problem
-from ringwear_par.identification.model.readings import Reader
+from ringwear_par.identification.model.readings import Reader, Trajectory, lost_mass
 from ringwear_par.identification.model.steps import STEPS, step_times
-from ringwear_par.identification.model.trajectory import Trajectory, lost_mass
 from ringwear_par.results.result import Result
 from ringwear_par.studies.definition.variations import split_key
 from ringwear_par.studies.execution.batches import computed
@@ -30,7 +29,7 @@ Pair = tuple[int, int]
 
 
 class Histories:
-    """What the experiments of a problem would read, at any values of the fitted keys.
+    """Model readings of the experiments of a problem, at any values of the fitted keys.
 
     Making one is collective on comm; all else is done by each rank for itself.
 
@@ -83,18 +82,18 @@ class Histories:
         every = range(len(self._experiments))
         pairs = [(i, e) for i in range(len(points)) for e in every]
         parts = dict(zip(pairs, self._read(points, pairs, steps, derivatives), strict=True))
-        found: list[FloatArray | ComputationError] = []
+        responses: list[FloatArray | ComputationError] = []
         for i in range(len(points)):
-            own = [parts[i, e] for e in every]
-            failed = [part for part in own if isinstance(part, ComputationError)]
-            arrays = [part for part in own if not isinstance(part, ComputationError)]
-            found.append(failed[0] if failed else np.concatenate(arrays))
-        return found
+            parts_of_point = [parts[i, e] for e in every]
+            failed = [part for part in parts_of_point if isinstance(part, ComputationError)]
+            arrays = [part for part in parts_of_point if not isinstance(part, ComputationError)]
+            responses.append(failed[0] if failed else np.concatenate(arrays))
+        return responses
 
-    def of(
+    def responses_of(
         self, experiments: Sequence[int], values: FloatArray
     ) -> list[FloatArray | ComputationError]:
-        """Return the same of some experiments, each by itself, at values (m,). Not collective."""
+        """Return the responses of some experiments, one each, at values (m,). Not collective."""
         return self._read(values[None], [(0, e) for e in experiments], STEPS, True)
 
     def allowed(self, points: FloatArray) -> BoolArray:
@@ -137,13 +136,17 @@ class Histories:
         grids = {e: step_times(self._experiments[e], steps).tolist() for _, e in pairs}
         groups: dict[Hashable, list[int]] = defaultdict(list)
         wanted: dict[int, Case] = {}
-        found: dict[int, FloatArray | ComputationError] = {}
+        readings: dict[int, FloatArray | ComputationError] = {}
         for experiment in grids:
-            own = [number for number, (_, e) in enumerate(pairs) if e == experiment]
-            cases = self._cases(experiment, points[[pairs[number][0] for number in own]])
-            for number, case in zip(own, cases, strict=True):
+            numbers_of_experiment = [
+                number for number, (_, e) in enumerate(pairs) if e == experiment
+            ]
+            cases = self._cases(
+                experiment, points[[pairs[number][0] for number in numbers_of_experiment]]
+            )
+            for number, case in zip(numbers_of_experiment, cases, strict=True):
                 if isinstance(case, ComputationError):
-                    found[number] = case
+                    readings[number] = case
                 else:
                     wanted[number] = case
         for number in sorted(wanted):
@@ -155,7 +158,7 @@ class Histories:
             try:
                 pair = self._pair(key, wanted[numbers[0]])
             except ComputationError as error:
-                found |= dict.fromkeys(numbers, error)
+                readings |= dict.fromkeys(numbers, error)
                 continue
             keys = self._keys if derivatives else ()
             parts = computed(
@@ -166,12 +169,12 @@ class Histories:
                 for place, result in zip(part.numbers, part.results(), strict=True):
                     number = numbers[place]
                     if isinstance(result, Exception):
-                        found[number] = ComputationError(reason_of(result))
+                        readings[number] = ComputationError(reason_of(result))
                     else:
                         reader = self._readers[pairs[number][1]]
-                        found[number] = reader.read(_trajectory(result, wanted[number], keys))
+                        readings[number] = reader.read(_trajectory(result, wanted[number], keys))
         self.count += len(pairs)
-        return [found[number] for number in range(len(pairs))]
+        return [readings[number] for number in range(len(pairs))]
 
     def _pair(self, key: Hashable, case: Case) -> ContactPair:
         """Return the pair of a case, assembled by this rank alone where there is none yet."""

@@ -14,8 +14,8 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError
 
 T = TypeVar("T")
-#: tells that somebody is about to need what belongs to a point
-Meet = Callable[[FloatArray], None]
+#: pauses a job until the histories at a point are computed
+WaitFor = Callable[[FloatArray], None]
 
 
 class StoppedError(ComputationError):
@@ -23,9 +23,9 @@ class StoppedError(ComputationError):
 
 
 def side_by_side(
-    jobs: Sequence[Callable[[Meet], T]], compute: Callable[[list[FloatArray]], Any]
+    jobs: Sequence[Callable[[WaitFor], T]], compute: Callable[[list[FloatArray]], Any]
 ) -> list[T]:
-    """Return what jobs return. Not collective.
+    """Return the results of jobs. Not collective.
 
     Parameters
     ----------
@@ -45,9 +45,9 @@ def side_by_side(
     workers = [_Worker(job) for job in jobs]
     for worker in workers:
         worker.go()
-    while waiting := [worker for worker in workers if worker.asked is not None]:
+    while waiting := [worker for worker in workers if worker.point is not None]:
         try:
-            compute([worker.asked for worker in waiting if worker.asked is not None])
+            compute([worker.point for worker in waiting if worker.point is not None])
         except BaseException:
             for worker in waiting:
                 worker.go(stopped=True)
@@ -60,42 +60,42 @@ def side_by_side(
 class _Worker(Generic[T]):
     """A job in its thread, which runs between ``go`` and the return of ``go``."""
 
-    def __init__(self, job: Callable[[Meet], T]) -> None:
+    def __init__(self, job: Callable[[WaitFor], T]) -> None:
         self._job = job
-        self._mine, self._theirs = threading.Semaphore(0), threading.Semaphore(0)
+        self._may_run, self._has_paused = threading.Semaphore(0), threading.Semaphore(0)
         self._stopped = False
         #: the point that it waits for; None: it does not, or has ended
-        self.asked: FloatArray | None = None
+        self.point: FloatArray | None = None
         self._outcome: T | BaseException = StoppedError("not begun")
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def go(self, stopped: bool = False) -> None:
         """Let it run to its next point, or to its end."""
-        self._stopped, self.asked = stopped, None
-        self._mine.release()
-        self._theirs.acquire()
-        if self.asked is None:
+        self._stopped, self.point = stopped, None
+        self._may_run.release()
+        self._has_paused.acquire()
+        if self.point is None:
             self._thread.join()
 
     def result(self) -> T:
-        """Return what it has returned, or raise what it has raised."""
+        """Return its result, or raise its error."""
         if isinstance(self._outcome, BaseException):
             raise self._outcome
         return self._outcome
 
     def _run(self) -> None:
-        self._mine.acquire()
+        self._may_run.acquire()
         try:
-            self._outcome = self._job(self._meet)
+            self._outcome = self._job(self._wait_for)
         except BaseException as error:
             self._outcome = error
         finally:
-            self._theirs.release()
+            self._has_paused.release()
 
-    def _meet(self, point: FloatArray) -> None:
-        self.asked = point
-        self._theirs.release()
-        self._mine.acquire()
+    def _wait_for(self, point: FloatArray) -> None:
+        self.point = point
+        self._has_paused.release()
+        self._may_run.acquire()
         if self._stopped:
             raise StoppedError("stopped")

@@ -6,14 +6,15 @@ no contact solution. Where a schedule bends, one spline ends and another begins.
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.identification.definition.problem import Experiment, Series
-from ringwear_par.identification.model.trajectory import Trajectory
 from ringwear_par.schedules import in_time
 
 #: of a segment's length: within it steps are equal, beyond it their logarithms
@@ -24,7 +25,32 @@ _GRIDS = 4
 _CLOSE = 1e-9
 
 
-class InSteps:
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """What is read of a history, at its steps, the start included.
+
+    The last axis of all but ``time`` holds the value and, where there are any, its derivatives.
+
+    Parameters
+    ----------
+    time : (s,) s.
+    approach : (s, q) mm.
+    torque : (s, q) N mm.
+    volume : (2, s, q) mm^3, worn off lower and upper.
+    wear : (2, s, n, q) mm.
+    mass : (2, s, q) g, lost by lower and upper by the densities of their layers; NaN where these
+        are not known.
+    """
+
+    time: FloatArray
+    approach: FloatArray
+    torque: FloatArray
+    volume: FloatArray
+    wear: FloatArray
+    mass: FloatArray
+
+
+class TimeInterpolation:
     """What values at other times are of those at the ends of steps.
 
     Parameters
@@ -40,19 +66,21 @@ class InSteps:
         for low, high in itertools.pairwise(breaks):
             close = _CLOSE * breaks[-1]
             steps = np.flatnonzero((time >= low - close) & (time <= high + close))
-            wanted = np.flatnonzero((at >= low) & (at <= high + close))
-            if not len(wanted):
+            rows = np.flatnonzero((at >= low) & (at <= high + close))
+            if not len(rows):
                 continue
-            own, there = (
+            step_coordinates, coordinates = (
                 np.log1p(np.clip(t - low, 0.0, high - low) / (_EARLY * (high - low)))
-                for t in (time[steps], at[wanted])
+                for t in (time[steps], at[rows])
             )
             units = np.eye(len(steps))
             if len(steps) > 3:
-                weights = CubicSpline(own, units)(there)
+                weights = CubicSpline(step_coordinates, units)(coordinates)
             else:
-                weights = np.stack([np.interp(there, own, unit) for unit in units], axis=1)
-            self._parts.append((wanted, steps, weights))
+                weights = np.stack(
+                    [np.interp(coordinates, step_coordinates, unit) for unit in units], axis=1
+                )
+            self._parts.append((rows, steps, weights))
 
     def __call__(self, values: FloatArray) -> FloatArray:
         """Return values (s, ...) at the other times, (t, ...)."""
@@ -76,7 +104,7 @@ class Reader:
         self._breaks = (0.0, *case.breakpoints, case.time.end)
         self._radial = {s.name: _radial(s, case) for s in self._series if s.profile}
         # histories share their steps
-        self._steps: dict[bytes, dict[str, InSteps]] = {}
+        self._steps: dict[bytes, dict[str, TimeInterpolation]] = {}
 
     def read(self, trajectory: Trajectory) -> FloatArray:
         """Return the readings of all series, one after another, (n, q), without nuisances."""
@@ -86,25 +114,31 @@ class Reader:
             at = {s.name: np.array([s.at]) if s.profile else s.x for s in self._series}
             if len(self._steps) == _GRIDS:
                 self._steps.clear()
-            self._steps[key] = {name: InSteps(time, t, self._breaks) for name, t in at.items()}
-        own = self._steps[key]
-        return np.concatenate([self._of(s, trajectory, own[s.name]) for s in self._series])
+            self._steps[key] = {
+                name: TimeInterpolation(time, t, self._breaks) for name, t in at.items()
+            }
+        interpolations = self._steps[key]
+        return np.concatenate(
+            [self._of(s, trajectory, interpolations[s.name]) for s in self._series]
+        )
 
-    def _of(self, series: Series, found: Trajectory, in_steps: InSteps) -> FloatArray:
+    def _of(
+        self, series: Series, trajectory: Trajectory, in_steps: TimeInterpolation
+    ) -> FloatArray:
         body = ("lower", "upper").index(series.body)
         if series.profile:
-            profile: FloatArray = self._radial[series.name] @ in_steps(found.wear[body])[0]
+            profile: FloatArray = self._radial[series.name] @ in_steps(trajectory.wear[body])[0]
             return profile
         if series.quantity in ("penetration", "approach"):
-            values = found.approach
+            values = trajectory.approach
             if series.quantity == "penetration":
                 values = values - values[0]
         elif series.quantity == "torque":
-            values = found.torque
+            values = trajectory.torque
         elif series.density is None:
-            values = found.mass[body]
+            values = trajectory.mass[body]
         else:
-            values = series.density * found.volume[body]
+            values = series.density * trajectory.volume[body]
         return in_steps(values)
 
 
@@ -165,3 +199,29 @@ def log_volume(series: Series) -> float:
         return 0.0
     steps = np.diff(series.x) / series.correlation_time
     return float(0.5 * np.log(-np.expm1(-2.0 * steps)).sum())
+
+
+def lost_mass(case: Case, body: int, wear: FloatArray, keys: Sequence[str] = ()) -> FloatArray:
+    """Return the mass (g) that layers and body of lower (0) or upper (1) have lost, (s, q).
+
+    NaN where a density is not known, and of a body without layers, whose volume tells it.
+
+    Parameters
+    ----------
+    wear : (s, n, q) mm, along the axis, and its derivatives.
+    keys : of the q - 1 derivatives, of which thicknesses of layers move where these end.
+    """
+    ring = case.rings[body]
+    if not ring.layers or None in ring.densities:
+        return np.full((len(wear), wear.shape[-1]), np.nan)
+    densities = np.array(ring.densities, dtype=float)
+    depth = densities[-1] * wear  # of mass
+    names = [f"{BODIES[body]}.layers[{i}].thickness" for i in range(len(ring.layers))]
+    for i, (end, more) in enumerate(
+        zip(case.layer_ends(body), densities[:-1] - densities[1:], strict=True)
+    ):
+        ends = np.zeros((len(end), wear.shape[-1]))
+        ends[:, 0] = end
+        ends[:, 1:] = [float(key in names[: i + 1]) for key in keys]
+        depth = depth + more * np.where(wear[..., :1] < end[:, None], wear, ends)
+    return np.einsum("e,seq->sq", case.line.area, depth)

@@ -48,7 +48,7 @@ class Rounds(Histories):
         self._order = [owners.index(owner) for owner in self._owners]
 
     def lead(self, job: Callable[[], T]) -> T:
-        """Return what a job of the first rank returns. Collective.
+        """Return the result of a job of the first rank. Collective.
 
         Raises
         ------
@@ -67,12 +67,12 @@ class Rounds(Histories):
                     self._leads, self._progress = False, None
                     comm.bcast(None)
             else:
-                while (asked := comm.bcast(None)) is not None:
-                    self._share(*asked)
-        told: T = comm.bcast(result)
+                while (request := comm.bcast(None)) is not None:
+                    self._share(*request)
+        answer: T = comm.bcast(result)
         if received := comm.allreduce(self._signals.received, MPI.MAX):
             raise self._stopped(received)
-        return told
+        return answer
 
     def tell(self, state: str) -> None:
         """Tell the user, now and then, what the job of the first rank is at. Not collective."""
@@ -86,36 +86,36 @@ class Rounds(Histories):
         if not self._leads:
             return super()._read(points, pairs, steps, derivatives)
         count = self.count + len(pairs)
-        asked = points, sorted(pairs, key=lambda p: (self._order[p[1]], p[1])), steps, derivatives
-        found = dict(self._share(*self._comm.bcast(asked)))
+        request = points, sorted(pairs, key=lambda p: (self._order[p[1]], p[1])), steps, derivatives
+        responses = dict(self._share(*self._comm.bcast(request)))
         self.count = count
         if self._progress is not None:
             self._progress(count)
-        return [found[pair] for pair in pairs]
+        return [responses[pair] for pair in pairs]
 
     def _share(
         self, points: FloatArray, pairs: Sequence[Pair], steps: int, derivatives: bool
     ) -> list[tuple[Pair, FloatArray | ComputationError]]:
         """Compute this rank's share of what the first one asks, which is told all. Collective."""
         rank, size = self._comm.rank, self._comm.size
-        own = pairs[rank * len(pairs) // size : (rank + 1) * len(pairs) // size]
-        found: list[FloatArray | ComputationError] = []
+        share = pairs[rank * len(pairs) // size : (rank + 1) * len(pairs) // size]
+        responses: list[FloatArray | ComputationError] = []
         error: Exception | None = None
         try:
-            if own and not self._signals.received:
-                found = super()._read(points, own, steps, derivatives)
+            if share and not self._signals.received:
+                responses = super()._read(points, share, steps, derivatives)
         except Exception as failure:
             error = failure if self._comm.size == 1 else as_ours(failure)
-        parts = list(zip(own, found, strict=False))
-        told = self._comm.gather((parts, self._signals.received, error))
-        if told is None:
+        parts = list(zip(share, responses, strict=False))
+        gathered = self._comm.gather((parts, self._signals.received, error))
+        if gathered is None:
             return []
-        if received := max(number for _, number, _ in told):
+        if received := max(number for _, number, _ in gathered):
             raise self._stopped(received)
-        for _, _, failed in told:
+        for _, _, failed in gathered:
             if failed is not None:
                 raise failed
-        return [one for part, _, _ in told for one in part]
+        return [entry for part, _, _ in gathered for entry in part]
 
     def _stopped(self, received: int) -> StoppedError:
         return StoppedError(f"stopped by {name_of(received)}{self._hint}{remark(received)}")

@@ -12,7 +12,7 @@ from ringwear_par.wear.layered import LayeredLaw
 #: of a test with constant conditions
 STEPS = 40
 #: sd, by which steps half as long may move what a fit seeks
-ENOUGH = 0.2
+MOST_SHIFT_SD = 0.2
 #: by which there are more, equal ones where layers may be worn through
 _EQUAL = 4
 #: of them, fewest of a piece between two bends of schedules; fewest of any piece
@@ -44,8 +44,8 @@ def step_times(experiment: Experiment, steps: int = STEPS) -> FloatArray:
     for low, high in cuts:
         length = high - low
         if length > _SHORT * end:
-            own = round(steps * (0.4 / math.sqrt(long) + 0.6 * length / end))
-            count = max(_FEWEST, round(_SHARE * steps), own)
+            proportional = round(steps * (0.4 / math.sqrt(long) + 0.6 * length / end))
+            count = max(_FEWEST, round(_SHARE * steps), proportional)
             first = min((_FIRST if long == 1 else 2.0 * _FIRST) * end, length / count)
             grown = np.geomspace(first, length, count)
             pieces.append(low + (_limited(grown, _EQUAL * count) if layered else grown))

@@ -27,11 +27,15 @@ from ringwear_par.identification.definition.candidates import (
     count_of,
 )
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.definition.prior_information import Belief, belief, with_noise
+from ringwear_par.identification.definition.prior_information import (
+    PriorInformation,
+    prior_information,
+    with_noise,
+)
 from ringwear_par.identification.definition.problem import Criterion, Problem
-from ringwear_par.identification.estimation.information import informations
-from ringwear_par.identification.estimation.search import Design, Search
-from ringwear_par.identification.storing import check
+from ringwear_par.identification.fit_folder import check
+from ringwear_par.identification.test_design.information import information_of_tests
+from ringwear_par.identification.test_design.search import Design, Search
 from ringwear_par.info import versions
 from ringwear_par.parallel import on_first_rank
 
@@ -43,7 +47,7 @@ Source = Path | str | Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class DesignResult:
-    """What ``design`` found, with a fixed set of names in ``to_dict``.
+    """The result of ``design``, with a fixed set of names in ``to_dict``.
 
     Parameters
     ----------
@@ -85,11 +89,11 @@ class DesignResult:
     comm: Any
 
     def __repr__(self) -> str:
-        tests = " + ".join(str(self.candidates[i].told()) for i in self.designs[0].tests)
+        tests = " + ".join(str(self.candidates[i].to_dict()) for i in self.designs[0].tests)
         return f"<DesignResult: {tests}>"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what design.json holds."""
+        """Return the contents of design.json."""
         keys = self.problem.keys
         return {
             "criterion": self.criterion,
@@ -98,19 +102,19 @@ class DesignResult:
             "draws": self.draws,
             "candidates": len(self.candidates),
             "failed": [
-                {"experiment": test.told(), "error": why} for test, why in self.failed.items()
+                {"experiment": test.to_dict(), "error": why} for test, why in self.failed.items()
             ],
             "histories": self.histories,
             "measured_as": self.problem.experiments[0].name,
-            "designs": [self._told(each) for each in self.designs],
+            "designs": [self._design_entry(entry) for entry in self.designs],
             "fit_file": self._predicted(self.planned),
             "versions": dict(self.versions),
         }
 
-    def _told(self, one: Design) -> dict[str, Any]:
+    def _design_entry(self, one: Design) -> dict[str, Any]:
         tests = [self.candidates[i] for i in one.tests]
         return {
-            "experiments": [test.told() for test in tests],
+            "experiments": [test.to_dict() for test in tests],
             "seconds": sum(test.seconds for test in tests),
             **self._predicted(one),
         }
@@ -179,24 +183,24 @@ def design(
     """
     comm = MPI.COMM_WORLD if comm is None else comm
 
-    def read() -> tuple[Problem, Belief, tuple[Candidate, ...]]:
+    def read() -> tuple[Problem, PriorInformation, tuple[Candidate, ...]]:
         problem = read_fit(source, plans=True)
         if criterion is not None:
             problem = replace(problem, design=replace(problem.design, criterion=criterion))
-        told = belief(problem, after)
-        problem = with_noise(problem, told)
-        _check(problem, told)
-        return problem, told, tuple(candidates(problem.design, problem.experiments[0]))
+        prior = prior_information(problem, after)
+        problem = with_noise(problem, prior)
+        _check(problem, prior)
+        return problem, prior, tuple(candidates(problem.design, problem.experiments[0]))
 
-    problem, told, tests = on_first_rank(comm, read)
-    planned, failures, more = informations(problem, problem.experiments, told.draws, comm)
+    problem, prior, tests = on_first_rank(comm, read)
+    of_file, failures, more = information_of_tests(problem, problem.experiments, prior.draws, comm)
     if failures:
         number, why = min(failures.items())
         raise ComputationError(
             f'{problem.name}: experiment "{problem.experiments[number].name}": {why}'
         )
     experiments = [test.experiment for test in tests]
-    information, failures, histories = informations(problem, experiments, told.draws, comm)
+    information, failures, histories = information_of_tests(problem, experiments, prior.draws, comm)
     left = [number for number in range(len(tests)) if number not in failures]
     shortest = min((tests[number].seconds for number in left), default=np.inf)
     space = problem.design
@@ -207,22 +211,22 @@ def design(
             f"{problem.name}: design: {len(failures)} of {len(tests)} tests cannot be computed, "
             f"which leaves too few: {why}"
         )
-    search = Search(problem, told, information[:, left], [tests[number] for number in left])
+    search = Search(problem, prior, information[:, left], [tests[number] for number in left])
     best = search.best(space.experiments)
     pairs, scores = search.pairs() if space.experiments == 2 else (np.zeros((0, 0, 0)),) * 2
     single, single_scores = search.singles()
     failed = {tests[number]: why for number, why in failures.items()}
     return DesignResult(
         problem, space.criterion, tuple(tests[number] for number in left), single, single_scores,
-        tuple(best), search.planned(planned), told.nominal, told.information, len(told.draws),
-        told.after, pairs, scores, failed, histories + more, versions(), comm,
+        tuple(best), search.design_of_file(of_file), prior.nominal, prior.information,
+        len(prior.draws), prior.after, pairs, scores, failed, histories + more, versions(), comm,
     )  # fmt: skip
 
 
-def _check(problem: Problem, told: Belief) -> None:
+def _check(problem: Problem, prior: PriorInformation) -> None:
     """Refuse designs that cannot be. Raises InputError."""
     space, name = problem.design, f"{problem.name}: design"
-    if space.criterion == "eig" and not told.whole:
+    if space.criterion == "eig" and not prior.whole:
         raise InputError(
             f'{name}: criterion = "eig": needs something that is known before, a prior of every '
             "parameter or an earlier fit (--after)"
@@ -266,7 +270,7 @@ def run_design(
 ) -> None:
     """Find the next tests and write them to a folder. Collective on comm."""
     on_first_rank(comm, lambda: check(folder, (DESIGN, NEXT, MAP)))
-    found = design(source, comm, after=after, criterion=criterion)
-    found.save(folder)
+    result = design(source, comm, after=after, criterion=criterion)
+    result.save(folder)
     if comm.rank == 0:
-        print(found.summary())
+        print(result.summary())

@@ -18,31 +18,31 @@ from ringwear_par.pictures.style import COLOURS, NotebookFigure
 _MAP = "viridis_r"
 
 
-def figure(found: DesignResult) -> Figure:
+def figure(design: DesignResult) -> Figure:
     """Return a map for each key: of two tests over their loads, of one over load and duration.
 
     Of two tests a cell has the durations of the best score within the budget.
 
     Where neither varies, bars of the best designs. Of several tests the map is that of one.
     """
-    parameters = found.problem.parameters
+    parameters = design.problem.parameters
     m = len(parameters)
-    lines = sum(len(one.tests) for one in found.designs)
+    lines = sum(len(one.tests) for one in design.designs)
     chart = NotebookFigure(figsize=(4.6 * m, max(4.2, 0.2 * lines)), layout="constrained")
     panels = chart.subplots(1, m, squeeze=False)[0]
     plain = np.array(
-        [i for i, test in enumerate(found.candidates) if _is_plain(test)], dtype=np.int64
+        [i for i, test in enumerate(design.candidates) if _is_plain(test)], dtype=np.int64
     )
     for j, (axes, parameter) in enumerate(zip(panels, parameters, strict=True)):
-        scale = 100.0 / found.nominal[j] if parameter.log else 1.0
-        unit = "%" if parameter.log else in_signs(unit_of(found.problem, parameter.key).strip())
+        scale = 100.0 / design.nominal[j] if parameter.log else 1.0
+        unit = "%" if parameter.log else in_signs(unit_of(design.problem, parameter.key).strip())
         label = f"predicted sd of {parameter.key}" + (f" ({unit})" if unit else "")
-        if len(plain) and len(found.pairs):
-            _map_of_pairs(axes, found, plain, scale * found.pairs[..., j], label, first=j == 0)
-        elif len({found.candidates[i].seconds for i in plain}) > 1:
-            _map_of_tests(axes, found, plain, scale * found.single[:, j], label)
+        if len(plain) and len(design.pairs):
+            _map_of_pairs(axes, design, plain, scale * design.pairs[..., j], label, first=j == 0)
+        elif len({design.candidates[i].seconds for i in plain}) > 1:
+            _map_of_tests(axes, design, plain, scale * design.single[:, j], label)
         else:
-            _bars(axes, found, j, scale, label)
+            _bars(axes, design, j, scale, label)
     return chart
 
 
@@ -50,56 +50,56 @@ def _is_plain(test: Candidate) -> bool:
     return len(test.loads) == 1 and len(test.profiles) <= 1 and "load.omega" not in test.keys
 
 
-def _axis_of(found: DesignResult, plain: IntArray) -> tuple[str, list[float]]:
-    first = found.candidates[plain[0]]
+def _axis_of(design: DesignResult, plain: IntArray) -> tuple[str, list[float]]:
+    first = design.candidates[plain[0]]
     unit = "MPa" if "load.pressure" in first.keys else "N"
-    what = "mean pressure" if unit == "MPa" else "force"
-    return f"{what} ({unit})", sorted({found.candidates[i].loads[0] for i in plain})
+    quantity = "mean pressure" if unit == "MPa" else "force"
+    return f"{quantity} ({unit})", sorted({design.candidates[i].loads[0] for i in plain})
 
 
 def _map_of_pairs(
     axes: Any,
-    found: DesignResult,
+    design: DesignResult,
     plain: IntArray,
     values: FloatArray,
     label: str,
     first: bool,
 ) -> None:
     """Draw the sd that two tests of these loads give, their durations being the best by score."""
-    name, loads = _axis_of(found, plain)
+    name, loads = _axis_of(design, plain)
     place = {load: k for k, load in enumerate(loads)}
-    own = np.array([place[found.candidates[i].loads[0]] for i in plain])
+    cells = np.array([place[design.candidates[i].loads[0]] for i in plain])
     best = np.full((len(loads), len(loads)), -np.inf)
     table = np.full_like(best, np.nan)
     part = np.ix_(plain, plain)
-    for row, column in np.argwhere(np.isfinite(found.pair_scores[part])).tolist():
-        cell = own[row], own[column]
-        score = found.pair_scores[plain[row], plain[column]]
+    for row, column in np.argwhere(np.isfinite(design.pair_scores[part])).tolist():
+        cell = cells[row], cells[column]
+        score = design.pair_scores[plain[row], plain[column]]
         if score > best[cell]:
             best[cell], table[cell] = score, values[plain[row], plain[column]]
     _draw(axes, loads, loads, np.where(np.isfinite(table), table, np.nan), label)
     axes.set_xlabel(f"{name} of one test")
     axes.set_ylabel(f"{name} of the other")
-    tests = [found.candidates[i] for i in found.designs[0].tests]
+    tests = [design.candidates[i] for i in design.designs[0].tests]
     if all(map(_is_plain, tests)):
         (x,), (y,) = (test.loads for test in tests)
         _mark(axes, [x, y], [y, x], " + ".join(map(name_of, tests)) if first else "")
 
 
 def _map_of_tests(
-    axes: Any, found: DesignResult, plain: IntArray, values: FloatArray, label: str
+    axes: Any, design: DesignResult, plain: IntArray, values: FloatArray, label: str
 ) -> None:
     """Draw the sd of one test over its load and duration, a profile being at its best instant."""
-    name, loads = _axis_of(found, plain)
-    seconds = sorted({found.candidates[i].seconds for i in plain})
+    name, loads = _axis_of(design, plain)
+    seconds = sorted({design.candidates[i].seconds for i in plain})
     table = np.full((len(seconds), len(loads)), np.nan)
-    for i in plain[np.argsort(found.single_scores[plain], kind="stable")]:  # the best one the last
-        test = found.candidates[i]
+    for i in plain[np.argsort(design.single_scores[plain], kind="stable")]:  # the best one the last
+        test = design.candidates[i]
         table[seconds.index(test.seconds), loads.index(test.loads[0])] = values[i]
     _draw(axes, loads, seconds, np.where(np.isfinite(table), table, np.nan), label)
     axes.set_xlabel(f"{name} of one test")
     axes.set_ylabel("duration (s)")
-    best = [found.candidates[i] for i in found.designs[0].tests]
+    best = [design.candidates[i] for i in design.designs[0].tests]
     if all(map(_is_plain, best)):
         _mark(
             axes, [test.loads[0] for test in best], [test.seconds for test in best],
@@ -121,15 +121,17 @@ def _draw(axes: Any, x: list[float], y: list[float], table: FloatArray, label: s
     bar.set_label(label)
 
 
-def _mark(axes: Any, x: list[float], y: list[float], told: str) -> None:
-    axes.plot(x, y, "o", mfc="none", mec=COLOURS[1], mew=2, ms=10, label=f"best: {told}")
-    if told:
+def _mark(axes: Any, x: list[float], y: list[float], name: str) -> None:
+    axes.plot(x, y, "o", mfc="none", mec=COLOURS[1], mew=2, ms=10, label=f"best: {name}")
+    if name:
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8, frameon=False)
 
 
-def _bars(axes: Any, found: DesignResult, j: int, scale: float, label: str) -> None:
-    names = ["\n+ ".join(name_of(found.candidates[i]) for i in one.tests) for one in found.designs]
-    values = [scale * one.sd[j] for one in found.designs]
+def _bars(axes: Any, design: DesignResult, j: int, scale: float, label: str) -> None:
+    names = [
+        "\n+ ".join(name_of(design.candidates[i]) for i in one.tests) for one in design.designs
+    ]
+    values = [scale * one.sd[j] for one in design.designs]
     axes.barh(range(len(values)), np.where(np.isfinite(values), values, 0.0), color=COLOURS[0])
     axes.set_yticks(range(len(values)), names if j == 0 else [], fontsize=7)
     axes.invert_yaxis()

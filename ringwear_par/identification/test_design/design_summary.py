@@ -10,11 +10,11 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.files.folders import DESIGN, MAP, NEXT
 from ringwear_par.files.writing import atomic_write, unwritable
 from ringwear_par.identification.definition.candidates import Candidate
-from ringwear_par.identification.estimation.search import Design
-from ringwear_par.identification.storing import check
+from ringwear_par.identification.fit_folder import check
 from ringwear_par.identification.summary import unit_of
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.next_tests import next_tests
+from ringwear_par.identification.test_design.search import Design
 
 FILES = (DESIGN, NEXT, MAP)
 
@@ -24,43 +24,45 @@ _CRITERIA = {
     "eig": "largest expected gain of information (eig)",
 }
 #: designs that a summary shows
-_SHOWN = 5
+_LISTED = 5
 
 
-def summary(found: DesignResult) -> str:
+def summary(design: DesignResult) -> str:
     """Return the outcome in a few lines."""
-    problem, count = found.problem, len(found.designs[0].tests)
+    problem, count = design.problem, len(design.designs[0].tests)
     lines = [
-        f"{problem.name}: {count} of {len(found.candidates)} tests, {_CRITERIA[found.criterion]}; "
-        f"measured as in {problem.experiments[0].name}; {found.histories} histories"
+        f"{problem.name}: {count} of {len(design.candidates)} tests, "
+        f"{_CRITERIA[design.criterion]}; measured as in {problem.experiments[0].name}; "
+        f"{design.histories} histories"
     ]
     about = ", ".join(
         f"{p.key} = {v:.4g}{unit_of(problem, p.key)}"
-        for p, v in zip(problem.parameters, found.nominal.tolist(), strict=True)
+        for p, v in zip(problem.parameters, design.nominal.tolist(), strict=True)
     )
-    where = f"after {found.after}" if found.after else "at the start"
+    where = f"after {design.after}" if design.after else "at the start"
     spread = (
-        f", and {found.draws - 1} draws around it" if found.draws > 1
+        f", and {design.draws - 1} draws around it" if design.draws > 1
         else "; without priors or an earlier fit (--after) it holds there only"
     )  # fmt: skip
     lines.append(f"{where}: {about}{spread}")
-    names = [_tests(found, one) for one in found.designs[:_SHOWN]]
+    names = [_tests(design, one) for one in design.designs[:_LISTED]]
     width = max(map(len, names))
-    for name, one in zip(names, found.designs, strict=False):
-        lines.append(f"  {name.ljust(width)}  {_spreads(found, one)}")
+    for name, one in zip(names, design.designs, strict=False):
+        lines.append(f"  {name.ljust(width)}  {_spreads(design, one)}")
     seconds = sum(experiment.case.time.end for experiment in problem.experiments)
-    planned = f"the fit file's{' again' if found.after else ''}, {seconds:g} s"
-    lines.append(f"  {planned.ljust(width)}  {_spreads(found, found.planned)}")
-    if found.failed:
-        test, why = next(iter(found.failed.items()))
+    planned = f"the fit file's{' again' if design.after else ''}, {seconds:g} s"
+    lines.append(f"  {planned.ljust(width)}  {_spreads(design, design.planned)}")
+    if design.failed:
+        test, why = next(iter(design.failed.items()))
         lines.append(
-            f"{len(found.failed)} tests cannot be computed and are left out: {name_of(test)}: {why}"
+            f"{len(design.failed)} tests cannot be computed and are left out: {name_of(test)}: "
+            f"{why}"
         )
     return "\n".join(lines)
 
 
-def _tests(found: DesignResult, one: Design) -> str:
-    return " + ".join(name_of(found.candidates[i]) for i in one.tests)
+def _tests(design: DesignResult, one: Design) -> str:
+    return " + ".join(name_of(design.candidates[i]) for i in one.tests)
 
 
 def name_of(test: Candidate) -> str:
@@ -78,24 +80,24 @@ def name_of(test: Candidate) -> str:
     return ", ".join(words)
 
 
-def _spreads(found: DesignResult, one: Design) -> str:
-    told = []
-    pairs = zip(found.problem.parameters, found.nominal, one.sd, strict=True)
+def _spreads(design: DesignResult, one: Design) -> str:
+    spreads = []
+    pairs = zip(design.problem.parameters, design.nominal, one.sd, strict=True)
     for place, (parameter, value, sd) in enumerate(pairs):
         low, high = one.range[:, place]
         if not np.isfinite(sd):
-            told.append(f"{parameter.key} not told")
+            spreads.append(f"{parameter.key} not told")
         elif parameter.log:
-            told.append(f"{parameter.key} +- {100.0 * sd / value:.2g} %")
+            spreads.append(f"{parameter.key} +- {100.0 * sd / value:.2g} %")
         else:
-            told.append(f"{parameter.key} +- {sd:.2g}{unit_of(found.problem, parameter.key)}")
+            spreads.append(f"{parameter.key} +- {sd:.2g}{unit_of(design.problem, parameter.key)}")
         if np.isfinite(sd) and high > 1.5 * low:
             worst = f"{high / sd:.2g} times" if np.isfinite(high) else "not told"
-            told[-1] += f" (at worst {worst})"
-    return "; ".join(told)
+            spreads[-1] += f" (at worst {worst})"
+    return "; ".join(spreads)
 
 
-def save(found: DesignResult, folder: Path) -> None:
+def save(design: DesignResult, folder: Path) -> None:
     """Write all three files; design.json, which says that it is whole, the last. On one rank.
 
     Raises
@@ -108,15 +110,15 @@ def save(found: DesignResult, folder: Path) -> None:
     except OSError as error:
         raise unwritable(folder, error) from error
     picture = io.BytesIO()  # drawing takes long: who is killed meanwhile leaves no file
-    found.plot().savefig(picture, format="png", dpi=130)
+    design.plot().savefig(picture, format="png", dpi=130)
     try:
         with atomic_write(folder / MAP) as path:
             path.write_bytes(picture.getbuffer())
         with atomic_write(folder / NEXT) as path:
-            told = _spreads(found, found.designs[0])
-            path.write_text(next_tests(found, told), encoding="utf-8")
+            spreads = _spreads(design, design.designs[0])
+            path.write_text(next_tests(design, spreads), encoding="utf-8")
         with atomic_write(folder / DESIGN) as path:
-            path.write_text(json.dumps(found.to_dict(), indent=1, allow_nan=False) + "\n")
+            path.write_text(json.dumps(design.to_dict(), indent=1, allow_nan=False) + "\n")
     except OSError as error:
         name = error.filename or folder
         raise ComputationError(f"{name}: {error.strerror or error}") from error

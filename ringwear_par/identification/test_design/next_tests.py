@@ -21,20 +21,20 @@ from ringwear_par.identification.test_design.design import DesignResult
 _EQUAL = 1e-6
 
 
-def next_tests(found: DesignResult, told: str) -> str:
+def next_tests(design: DesignResult, spreads: str) -> str:
     """Return the best design as tables that may follow those of its fit file.
 
     Parameters
     ----------
-    told : what it tells of the keys, in words.
+    spreads : the predicted standard deviations, in words.
     """
-    problem, best = found.problem, found.designs[0]
-    measured = _measured_as(found)
+    problem, best = design.problem, design.designs[0]
+    measured = _measured_as(design)
     tables = _tables(problem.experiments[0].series, measured["data"])
     taken = {experiment.name for experiment in problem.experiments}
     names = (name for i in itertools.count(1) if (name := f"next {i}") not in taken)
     lines = [
-        f"# The best of {len(found.candidates)} candidates: {told}.",
+        f"# The best of {len(design.candidates)} candidates: {spreads}.",
         f"# Tables for {legible(problem.name)}, measured as {legible(measured['name'])} there. "
         "Readings are planned:",
         "# ringwear fit --dry-run tells what they would. When a test has been made, what it has "
@@ -43,21 +43,21 @@ def next_tests(found: DesignResult, told: str) -> str:
         "(value).",
     ]
     for place, name in zip(best.tests, names, strict=False):
-        test = found.candidates[place]
+        test = design.candidates[place]
         changes = _set_of(measured, test)
         lines += [
             "", "[[experiment]]", f"name = {toml_value(name)}",
             "set = " + toml_value(changes),
         ]  # fmt: skip
         for series in test.experiment.series:
-            planned = _planned(series, tables[_kept_name(series)])
+            planned = _planned(series, tables[_common_name(series)])
             lines += ["  [[experiment.data]]", *(f"  {line}" for line in planned)]
     return "\n".join(lines) + "\n"
 
 
-def _measured_as(found: DesignResult) -> dict[str, Any]:
+def _measured_as(design: DesignResult) -> dict[str, Any]:
     """Return the table of the experiment as which tests are measured."""
-    problem = found.problem
+    problem = design.problem
     first: dict[str, Any] = parse_toml(problem.text, problem.name)["experiment"][0]
     return first
 
@@ -66,22 +66,22 @@ def _tables(every: Sequence[Series], data: Sequence[dict[str, Any]]) -> dict[str
     """Return the tables of the fit file as which readings of candidates are measured."""
     last = last_profiles(every)
     return {
-        _kept_name(series): table
+        _common_name(series): table
         for series, table in zip(every, data, strict=True)
         if not series.profile or series is last[series.quantity]
     }
 
 
-def _kept_name(series: Series) -> str:
-    """Return what a series and those of candidates that are measured like it have in common."""
+def _common_name(series: Series) -> str:
+    """Return the name that a series shares with those of candidates measured like it."""
     return series.quantity if series.profile else series.name
 
 
 def _set_of(measured: Mapping[str, Any], test: Candidate) -> dict[str, Any]:
     """Return all case keys that an experiment of a fit file sets for a test."""
-    own, changes = flatten(measured.get("set", {}), "set"), test.changes()
+    settings, changes = flatten(measured.get("set", {}), "set"), test.changes()
     loads = {*LOADS, "load.displacement"} if set(LOADS) & changes.keys() else set()
-    return {key: value for key, value in own.items() if key not in loads} | changes
+    return {key: value for key, value in settings.items() if key not in loads} | changes
 
 
 def _planned(series: Series, table: Mapping[str, Any]) -> list[str]:

@@ -1,4 +1,4 @@
-"""What a fit found: estimates with intervals, how well the model fits, and what was left open."""
+"""The result of a fit: estimates with intervals, goodness of fit, what remains open."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -11,13 +11,17 @@ from scipy.stats import chi2
 
 from ringwear_par import outcomes
 from ringwear_par.arrays import FloatArray
-from ringwear_par.identification.definition.fitted import units_of
-from ringwear_par.identification.estimation.doubts import Doubt, doubts
-from ringwear_par.identification.estimation.information import without_nuisances
-from ringwear_par.identification.estimation.intervals import ParameterEstimate, information, told
-from ringwear_par.identification.estimation.least_squares import Evaluation, LeastSquares
+from ringwear_par.identification.definition.fitted_parameters import units_of
+from ringwear_par.identification.estimation.intervals import (
+    ParameterEstimate,
+    information,
+    name_of,
+    without_nuisances,
+)
+from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.estimation.posterior import Posterior
-from ringwear_par.identification.estimation.starts import Started
+from ringwear_par.identification.estimation.record_checks import FitWarning, record_warnings
+from ringwear_par.identification.estimation.starts import StartOutcome
 from ringwear_par.parallel import on_first_rank
 
 if TYPE_CHECKING:
@@ -37,7 +41,7 @@ class FitResult:
 
     Parameters
     ----------
-    squares : the least squares problem, with its noise.
+    misfit : the least squares problem, with its noise.
     x : (u,) unknowns at the optimum.
     evaluation : residuals there.
     parameters : estimates of the fitted keys.
@@ -51,16 +55,16 @@ class FitResult:
     posterior : samples of the fitted keys, where they were asked for.
     failed : why there is no outcome under some other laws, by name.
     histories_of_profiles : how many of them were for likelihood profiles.
-    unsure : keys of which a profile's limit is not known as closely as it should be.
-    moved : sd by which steps half as long would move what is sought, by key.
+    inexact_limits : keys of which a profile's limit is not as close as it should be.
+    discretisation_shift_sd : sd by which steps half as long would move a key, by key.
     """
 
-    squares: LeastSquares
+    misfit: Misfit
     x: FloatArray
     evaluation: Evaluation
     parameters: tuple[ParameterEstimate, ...]
     covariance: FloatArray
-    starts: tuple[Started, ...]
+    starts: tuple[StartOutcome, ...]
     histories: int
     alternatives: "Mapping[str, FitResult]"
     profiles: Mapping[str, FloatArray]
@@ -69,17 +73,17 @@ class FitResult:
     posterior: Posterior | None = None
     failed: Mapping[str, str] = field(default_factory=dict)
     histories_of_profiles: int = 0
-    unsure: tuple[str, ...] = ()
-    moved: Mapping[str, float] = field(default_factory=dict)
+    inexact_limits: tuple[str, ...] = ()
+    discretisation_shift_sd: Mapping[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        found = ", ".join(f"{p.key} = {p.estimate:.4g} ({p.verdict})" for p in self.parameters)
-        return f"<FitResult: {found}; chi2 = {self.chi2:.4g} of {self.n} readings>"
+        estimates = ", ".join(f"{p.key} = {p.estimate:.4g} ({p.verdict})" for p in self.parameters)
+        return f"<FitResult: {estimates}; chi2 = {self.chi2:.4g} of {self.n} readings>"
 
     @property
     def n(self) -> int:
         """Number of readings."""
-        return self.squares.n
+        return self.misfit.n
 
     @property
     def chi2(self) -> float:
@@ -89,18 +93,18 @@ class FitResult:
     @property
     def noise_fitted(self) -> bool:
         """Whether the noise of some series was fitted."""
-        return any(series.sd_fitted for _, series in self.squares.series)
+        return any(series.sd_fitted for _, series in self.misfit.series)
 
     @property
-    def sought(self) -> int:
-        """Number of what was fitted: keys, nuisances that do something, and noises."""
-        fitted_noise = sum(series.sd_fitted for _, series in self.squares.series)
-        return len(self.x) - int(self.squares.idle.sum()) + fitted_noise
+    def n_fitted(self) -> int:
+        """Number of fitted numbers: keys, nuisances that do something, and noises."""
+        fitted_noise = sum(series.sd_fitted for _, series in self.misfit.series)
+        return len(self.x) - int(self.misfit.idle.sum()) + fitted_noise
 
     @property
     def freedom(self) -> int:
         """Degrees of freedom of ``chi2``: readings and priors, less what was fitted."""
-        return self.n + len(self.squares.priors) - self.sought
+        return self.n + len(self.misfit.priors) - self.n_fitted
 
     @property
     def total(self) -> float:
@@ -116,19 +120,19 @@ class FitResult:
     @property
     def _deviance(self) -> float:
         """-2 log L of the readings, and the squares of the priors' residuals."""
-        return self._priors - 2.0 * self.squares.log_likelihood(self.evaluation)
+        return self._priors - 2.0 * self.misfit.log_likelihood(self.evaluation)
 
     @property
-    def given(self) -> tuple[float, float]:
+    def tested_chi2(self) -> tuple[float, float]:
         """Sum of squares and degrees of freedom of readings whose noise is given, and of priors.
 
         What was fitted takes its share of both, by the leverage of each reading.
         """
-        squares = self.squares
+        misfit = self.misfit
         if not self.noise_fitted:
             return self.total, self.freedom
         rows = np.ones(len(self.evaluation.residuals), dtype=bool)
-        for (_, series), part in zip(squares.series, squares.parts, strict=True):
+        for (_, series), part in zip(misfit.series, misfit.parts, strict=True):
             rows[part] = not series.sd_fitted
         size = np.linalg.norm(self.evaluation.jacobian, axis=0)
         columns = self.evaluation.jacobian / np.where(size > 0.0, size, 1.0)
@@ -138,12 +142,12 @@ class FitResult:
 
     @property
     def p_value(self) -> float | None:
-        """How probable so large a sum of squares is by chance, where noise is ``given``.
+        """How probable so large a sum of squares is by chance, for ``tested_chi2``.
 
         None where all noise was fitted, and under the loss "student", whose noise has long tails.
         """
-        squared, freedom = self.given
-        if self.squares.problem.settings.loss == "student" or freedom < 1.0:
+        squared, freedom = self.tested_chi2
+        if self.misfit.problem.settings.loss == "student" or freedom < 1.0:
             return None
         return float(chi2.sf(squared, freedom))
 
@@ -156,14 +160,14 @@ class FitResult:
     def aic(self) -> float:
         """Akaike's information criterion, where priors count as readings.
 
-        -2 log L and the squares of the priors' residuals, and 2 for each that was ``sought``.
+        -2 log L and the squares of the priors' residuals, and 2 for each of ``n_fitted``.
         """
-        return 2.0 * self.sought + self._deviance
+        return 2.0 * self.n_fitted + self._deviance
 
     @property
     def bic(self) -> float:
-        """The Bayesian one: log ``n`` for each that was ``sought``."""
-        return float(np.log(self.n)) * self.sought + self._deviance
+        """The Bayesian one: log ``n`` for each of ``n_fitted``."""
+        return float(np.log(self.n)) * self.n_fitted + self._deviance
 
     @property
     def standard_deviations(self) -> FloatArray:
@@ -174,31 +178,31 @@ class FitResult:
     def natural_covariance(self) -> FloatArray:
         """(m, m) of the fitted keys' values."""
         m = len(self.parameters)
-        slopes = self.squares.slopes(self.squares.values(self.x))
+        slopes = self.misfit.slopes(self.misfit.values(self.x))
         return self.covariance[:m, :m] * np.outer(slopes, slopes)
 
     @property
     def information(self) -> FloatArray:
         """(m, m) Fisher information of the fitted keys' unknowns, nuisances eliminated."""
-        return without_nuisances(information(self.squares, self.evaluation), len(self.parameters))
+        return without_nuisances(information(self.misfit, self.evaluation), len(self.parameters))
 
     @property
     def band(self) -> FloatArray:
         """(n,) sd of the model's readings, with nuisances; nothing of what nobody knows."""
-        rows = self.squares.columns(self.x)
+        rows = self.misfit.columns(self.x)
         finite = np.where(np.isfinite(self.covariance), self.covariance, 0.0)
         return np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, finite, rows), 0.0))
 
     @property
-    def at_best(self) -> int:
+    def n_at_best(self) -> int:
         """How many starts ended at the best optimum."""
         best = min(one.objective for one in self.starts)
         return sum(one.objective <= best * (1.0 + _SAME) for one in self.starts)
 
     @cached_property
-    def doubts(self) -> tuple[Doubt, ...]:
+    def doubts(self) -> tuple[FitWarning, ...]:
         """What records say against the model or the intervals; ``warnings`` has their texts."""
-        return doubts(self.squares, self.x, self.evaluation)
+        return record_warnings(self.misfit, self.x, self.evaluation)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -210,8 +214,8 @@ class FitResult:
         return outcomes.summary(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what fit.json holds."""
-        problem = self.squares.problem
+        """Return the contents of fit.json."""
+        problem = self.misfit.problem
         return {
             "parameters": self._parameters(),
             "keys": [p.key for p in self.parameters],
@@ -230,8 +234,8 @@ class FitResult:
             "nuisance": self.nuisances,
             "histories": self.histories,
             "histories_of_profiles": self.histories_of_profiles,
-            "steps": self.squares.steps,
-            "moved_by_shorter_steps": dict(self.moved),
+            "steps": self.misfit.steps,
+            "moved_by_shorter_steps": dict(self.discretisation_shift_sd),
             "warnings": list(self.warnings),
             "doubts": [asdict(doubt) for doubt in self.doubts],
             "starts": [_started(one, problem.keys) for one in self.starts],
@@ -253,8 +257,8 @@ class FitResult:
         }
 
     def _parameters(self) -> dict[str, Any]:
-        units = units_of(self.squares.problem)
-        told = {
+        units = units_of(self.misfit.problem)
+        entries = {
             p.key: {
                 **_parameter(p),
                 "interval_of": "likelihood profile" if p.key in self.profiles else "linear model",
@@ -264,43 +268,43 @@ class FitResult:
         }
         if self.posterior is not None:
             samples = self.posterior.samples
-            ends = self.posterior.interval(self.squares.problem.settings.level)
-            for j, entry in enumerate(told.values()):
+            ends = self.posterior.interval(self.misfit.problem.settings.level)
+            for j, entry in enumerate(entries.values()):
                 entry["posterior"] = {
                     "median": float(np.median(samples[:, j])),
                     "sd": float(samples[:, j].std(ddof=1)),
                     "interval": ends[:, j].tolist(),
                     "effective_samples": self.posterior.effective,
                 }
-        return told
+        return entries
 
     @property
     def experiments(self) -> dict[str, dict[str, Any]]:
         """Sum of squares and number of readings of each series, by experiment."""
-        found: dict[str, dict[str, Any]] = {}
-        scales = self.squares.noise_scale.tolist()
-        parts = zip(self.squares.series, self.squares.parts, scales, strict=True)
+        experiments: dict[str, dict[str, Any]] = {}
+        scales = self.misfit.noise_scale.tolist()
+        parts = zip(self.misfit.series, self.misfit.parts, scales, strict=True)
         for (experiment, series), part, scale in parts:
             noise = self.evaluation.noise[part]
             entry = {"chi2": float(noise @ noise), "n": series.n, "unit": series.unit}
             if series.sd_fitted:
                 entry["sd"] = scale * float(series.sd[0]) / series.factor
-            found.setdefault(experiment.name, {})[series.name] = entry
-        return found
+            experiments.setdefault(experiment.name, {})[series.name] = entry
+        return experiments
 
     @property
     def nuisances(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Estimate and sd of each nuisance, by experiment and series, in the data's unit."""
-        found: dict[str, Any] = {}
-        idle, sds = self.squares.idle, self.standard_deviations
-        for i, name in enumerate(self.squares.names):
+        nuisances: dict[str, Any] = {}
+        idle, sds = self.misfit.idle, self.standard_deviations
+        for i, name in enumerate(self.misfit.names):
             if isinstance(name, str):
                 continue
             experiment, series, kind = name
             known = not idle[i] and np.isfinite(sds[i])
             entry = {"estimate": float(self.x[i]), "sd": float(sds[i]) if known else None}
-            found.setdefault(experiment, {}).setdefault(series, {})[kind] = entry
-        return found
+            nuisances.setdefault(experiment, {}).setdefault(series, {})[kind] = entry
+        return nuisances
 
     def plot(self) -> "Figure":
         """Return the figure of data, model and residuals."""
@@ -324,10 +328,10 @@ class FitResult:
 
     def correlations(self) -> list[tuple[str, str, float]]:
         """Return pairs of fitted keys and nuisances and their correlation, the strongest first."""
-        sds, names = self.standard_deviations, self.squares.names
+        sds, names = self.standard_deviations, self.misfit.names
         known = [i for i in range(len(names)) if 0 < sds[i] < np.inf]
         pairs = [
-            (told(names[i]), told(names[j]), float(self.covariance[i, j] / (sds[i] * sds[j])))
+            (name_of(names[i]), name_of(names[j]), float(self.covariance[i, j] / (sds[i] * sds[j])))
             for i in known
             for j in known
             if i < j and i < len(self.parameters)
@@ -335,21 +339,21 @@ class FitResult:
         return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
 
-def _parameter(found: ParameterEstimate) -> dict[str, Any]:
-    entry = asdict(found)
+def _parameter(estimate: ParameterEstimate) -> dict[str, Any]:
+    entry = asdict(estimate)
     del entry["key"]
-    entry["interval"] = list(found.interval)
-    if not found.direction:
+    entry["interval"] = list(estimate.interval)
+    if not estimate.direction:
         del entry["direction"]
     return entry
 
 
-def _started(found: Started, keys: tuple[str, ...]) -> dict[str, Any]:
-    entry = asdict(found)
+def _started(outcome: StartOutcome, keys: tuple[str, ...]) -> dict[str, Any]:
+    entry = asdict(outcome)
     del entry["unknowns"], entry["number"]
     for name in ("start", "optimum"):
         entry[name] = dict(zip(keys, entry[name], strict=False))
-    entry["objective"] = found.objective if np.isfinite(found.objective) else None
+    entry["objective"] = outcome.objective if np.isfinite(outcome.objective) else None
     return entry
 
 

@@ -43,8 +43,10 @@ def read_parameters(said: str, table: Any, faults: list[str]) -> tuple[FittedPar
     if not isinstance(table, Mapping) or not table:
         faults.append(f"{said}: is missing or empty; must name one case key at least")
         return ()
-    found = (_parameter(f'{said}."{legible(k)}"', k, v, faults) for k, v in unnested(table).items())
-    return tuple(parameter for parameter in found if parameter is not None)
+    parameters = (
+        _parameter(f'{said}."{legible(k)}"', k, v, faults) for k, v in unnested(table).items()
+    )
+    return tuple(parameter for parameter in parameters if parameter is not None)
 
 
 def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedParameter | None:
@@ -64,15 +66,15 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
         return None
     before = len(faults)
     if isinstance(table, Mapping):
-        unit, made = unit_of(key), dict[str, Any]()
+        unit, converted = unit_of(key), dict[str, Any]()
         for name, value in table.items():
             try:
-                made[name] = in_unit(value, unit)
+                converted[name] = in_unit(value, unit)
             except RejectedError as reason:
                 faults.append(f"{said}: {name} = {shortened(value)}: must be in {unit} ({reason})")
-        if len(made) < len(table):
+        if len(converted) < len(table):
             return None
-        table = made
+        table = converted
     reader = TableReader(said, table, faults, PARAMETER)
     start, bounds = reader.read("start"), reader.read("bounds")
     log, prior = reader.read("scale") == "log", reader.read("prior")
@@ -81,10 +83,10 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
         if log and bounds[0] <= 0:
             reader.wrong("bounds", 'must be two increasing numbers > 0 where scale = "log"')
         if not allowed.holds(np.array(bounds)).all():
-            told = f"{'>=' if allowed.ends else '>'} {allowed.low:g}"
+            allowed_range = f"{'>=' if allowed.ends else '>'} {allowed.low:g}"
             if allowed.high < math.inf:
-                told += f" and {'<=' if allowed.ends else '<'} {allowed.high:g}"
-            reader.wrong("bounds", f"must be values that {path} may have, {told}")
+                allowed_range += f" and {'<=' if allowed.ends else '<'} {allowed.high:g}"
+            reader.wrong("bounds", f"must be values that {path} may have, {allowed_range}")
         if start is not None and not bounds[0] <= start <= bounds[1]:
             reader.wrong("start", f"must be within its bounds, {bounds[0]:g} to {bounds[1]:g}")
     if len(faults) > before or start is None or bounds is None:

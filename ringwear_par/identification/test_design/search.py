@@ -1,4 +1,4 @@
-"""The best tests to make together: information adds, so that single tests tell of all together."""
+"""The best tests to make together, from the information of single tests, which adds."""
 
 import itertools
 from collections.abc import Hashable, Sequence
@@ -8,15 +8,15 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.identification.definition.candidates import Candidate
-from ringwear_par.identification.definition.prior_information import Belief, widths
+from ringwear_par.identification.definition.prior_information import PriorInformation, widths
 from ringwear_par.identification.definition.problem import Problem
 
 #: information, over the widths of bounds, that is none; and beside the largest
-_NOTHING, _ROUND_OFF = 1e-9, 1e-13
+_UNINFORMED, _ROUND_OFF = 1e-9, 1e-13
 #: pairs of candidates that are looked at together
 _AT_ONCE = 20_000
 #: designs that are told, and rounds of exchange in their search
-_TOLD, _ROUNDS = 10, 20
+_LISTED, _ROUNDS = 10, 20
 #: best exchanges of two tests that are looked at as designs of their own
 _NEAR = 200
 
@@ -46,7 +46,7 @@ class Search:
 
     Parameters
     ----------
-    told : what is known before.
+    prior : the information before the tests.
     information : (d, c, m, m) of each candidate, at each draw.
     tests : the candidates.
     """
@@ -54,67 +54,69 @@ class Search:
     def __init__(
         self,
         problem: Problem,
-        told: Belief,
+        prior: PriorInformation,
         information: FloatArray,
         tests: Sequence[Candidate],
     ) -> None:
         self._parameters, self._space = problem.parameters, problem.design
-        self._nominal = told.nominal
+        self._nominal = prior.nominal
         self._seconds = np.array([test.seconds for test in tests])
         self._kinds = [test.kind for test in tests]
         self._widths = widths(self._parameters)
         scale = np.outer(self._widths, self._widths)
         # over the widths of bounds, and never singular
-        self._before = told.information * scale
-        self._floor = _NOTHING * np.eye(len(self._widths))
+        self._before = prior.information * scale
+        self._floor = _UNINFORMED * np.eye(len(self._widths))
         self._information = information * scale
 
     def best(self, count: int) -> list[Design]:
         """Return the best designs of so many tests."""
         c = len(self._seconds)
-        nothing = np.zeros_like(self._information[:, 0])
+        without_others = np.zeros_like(self._information[:, 0])
         limit = np.inf if self._space.seconds is None else self._space.seconds * (1.0 + 1e-9)
         if count == 1:
             numbers = np.flatnonzero(self._seconds <= limit)
-            return self._told(numbers[:, None])
+            return self._best_designs(numbers[:, None])
         pairs = np.stack(np.triu_indices(c), axis=1)
         spent = self._seconds[pairs].sum(axis=1)
         shortest = float(self._seconds.min())
         left = limit - shortest * (count - 2)
         if count == 2:
-            return self._told(pairs[spent <= limit])
+            return self._best_designs(pairs[spent <= limit])
         # from the best pair with the shortest others on, two are exchanged at a time; what the last
         # exchanges could have been is told as well
-        there = pairs[spent <= left]
-        start = there[int(self._scores(there, nothing).argmax())]
+        admissible = pairs[spent <= left]
+        start = admissible[int(self._scores(admissible, without_others).argmax())]
         tests = np.append(start, [int(self._seconds.argmin())] * (count - 2))
         score = self._score(self._information[:, tests].sum(axis=1)[:, None])[0]
         for _ in range(_ROUNDS):
             before, near = score, []
             for i, j in itertools.combinations(range(count), 2):
-                others = np.delete(tests, [i, j])
-                rest = self._information[:, others].sum(axis=1)
-                room = limit - self._seconds[others].sum()
-                there = pairs[spent <= room]
-                scores = self._scores(there, rest)
-                first = there[np.argsort(-scores, kind="stable")[:_NEAR]]
-                near.append(np.column_stack([np.tile(others, (len(first), 1)), first]))
-                changed = np.append(others, first[0])
+                remaining = np.delete(tests, [i, j])
+                rest = self._information[:, remaining].sum(axis=1)
+                room = limit - self._seconds[remaining].sum()
+                admissible = pairs[spent <= room]
+                scores = self._scores(admissible, rest)
+                first = admissible[np.argsort(-scores, kind="stable")[:_NEAR]]
+                near.append(np.column_stack([np.tile(remaining, (len(first), 1)), first]))
+                changed = np.append(remaining, first[0])
                 new = self._score(self._information[:, changed].sum(axis=1)[:, None])[0]
                 if new > score:
                     tests, score = changed, new
             if score <= before:
                 break
-        return self._told(np.unique(np.sort([tests, *np.concatenate(near)], axis=1), axis=0))
+        return self._best_designs(
+            np.unique(np.sort([tests, *np.concatenate(near)], axis=1), axis=0)
+        )
 
     def _scores(self, tests: IntArray, rest: FloatArray | None = None) -> FloatArray:
         """Return the score of each row of tests, (rows, count)."""
-        found = []
+        scores = []
         for first in range(0, len(tests), _AT_ONCE):
             part = tests[first : first + _AT_ONCE]
             whole = np.sum([self._information[:, column] for column in part.T], axis=0)
-            found.append(self._score(whole if rest is None else whole + rest[:, None]))
-        return np.concatenate(found)
+            scores.append(self._score(whole if rest is None else whole + rest[:, None]))
+        return np.concatenate(scores)
 
     def _score(self, information: FloatArray) -> FloatArray:
         """Return the mean over draws of the criterion of information (d, rows, m, m)."""
@@ -128,29 +130,29 @@ class Search:
         mean: FloatArray = scores.mean(axis=0)
         return mean
 
-    def _told(self, tests: IntArray) -> list[Design]:
+    def _best_designs(self, tests: IntArray) -> list[Design]:
         scores = self._scores(tests)
-        found: dict[Hashable, Design] = {}
+        designs: dict[Hashable, Design] = {}
         for i in np.argsort(-scores, kind="stable").tolist():
             # of the same loads the best durations and instants are told
             kind = tuple(sorted(self._kinds[test] for test in tests[i]))
-            if kind not in found:
-                found[kind] = self._design(tests[i], float(scores[i]))
-            if len(found) == _TOLD:
+            if kind not in designs:
+                designs[kind] = self._design(tests[i], float(scores[i]))
+            if len(designs) == _LISTED:
                 break
-        return list(found.values())
+        return list(designs.values())
 
     def _design(self, tests: IntArray, score: float) -> Design:
-        return self._predicted(
+        return self._design_of(
             tuple(tests.tolist()), self._information[:, tests].sum(axis=1), score
         )
 
-    def planned(self, information: FloatArray) -> Design:
-        """Return what tests of information (d, tests, m, m) tell together."""
+    def design_of_file(self, information: FloatArray) -> Design:
+        """Return the design of tests of information (d, tests, m, m) together."""
         whole = information.sum(axis=1) * np.outer(self._widths, self._widths)
-        return self._predicted((), whole, float(self._score(whole[:, None])[0]))
+        return self._design_of((), whole, float(self._score(whole[:, None])[0]))
 
-    def _predicted(self, tests: tuple[int, ...], whole: FloatArray, score: float) -> Design:
+    def _design_of(self, tests: tuple[int, ...], whole: FloatArray, score: float) -> Design:
         covariance = _inverse(whole + self._before + self._floor)
         spread = self._natural(covariance)
         nominal = covariance[0]
@@ -173,7 +175,7 @@ class Search:
         return self._natural(alone), self._score(self._information)
 
     def pairs(self) -> tuple[FloatArray, FloatArray]:
-        """Return those after two candidates, (c, c, m), and their scores (c, c).
+        """Return predicted sd (c, c, m) after two candidates, and their scores (c, c).
 
         Scores are -inf beyond the budget.
         """
@@ -193,6 +195,6 @@ class Search:
 def _inverse(information: FloatArray) -> FloatArray:
     """Return the inverse (..., m, m), lost directions as large as round-off has it."""
     values, vectors = np.linalg.eigh(information)
-    values = np.maximum(values, np.maximum(_NOTHING, _ROUND_OFF * values[..., -1:]))
+    values = np.maximum(values, np.maximum(_UNINFORMED, _ROUND_OFF * values[..., -1:]))
     inverse: FloatArray = (vectors / values[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     return inverse

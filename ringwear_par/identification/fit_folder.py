@@ -15,10 +15,10 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.folders import CURVES, ESTIMATES, FIT, READINGS
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.files.writing import atomic_write, check_writable
-from ringwear_par.identification.definition.fitted import units_of
+from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.estimation.starts import PROGRESS
-from ringwear_par.identification.outcome import FitResult
+from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, Variable
 
@@ -41,8 +41,8 @@ def check(folder: Path, files: Sequence[str] = FILES) -> None:
             check_writable(folder / name)
     else:  # made with its parents; the first of them that is missing tells
         missing = [folder, *folder.parents]
-        there = next((i for i, path in enumerate(missing) if path.exists()), len(missing))
-        check_writable(missing[max(there - 1, 0)])
+        existing = next((i for i, path in enumerate(missing) if path.exists()), len(missing))
+        check_writable(missing[max(existing - 1, 0)])
 
 
 def refuse_interrupted(folder: Path) -> None:
@@ -63,14 +63,14 @@ def refuse_interrupted(folder: Path) -> None:
 def complete(folder: Path, problem: Problem, *, compare: bool) -> bool:
     """Tell whether a folder holds the outcome of a problem, of its other laws too where asked."""
     try:
-        told = parse_json(read_text(folder / FIT))
-        others = problem.alternatives.keys() if compare else set()
-        return bool(told["key"] == problem.key and others <= told["alternatives"].keys())
+        stored = parse_json(read_text(folder / FIT))
+        laws = problem.alternatives.keys() if compare else set()
+        return bool(stored["key"] == problem.key and laws <= stored["alternatives"].keys())
     except (InputError, ValueError, TypeError, KeyError, AttributeError):
         return False
 
 
-def save(found: FitResult, folder: Path) -> None:
+def save(fit: FitResult, folder: Path) -> None:
     """Write all files; fit.json, which says that it is whole, the last. On one rank.
 
     A picture that cannot be drawn is left out, with a warning.
@@ -83,8 +83,8 @@ def save(found: FitResult, folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with atomic_hdf5(folder / READINGS) as (file, _):
-            _write(file, found)
-        for figure, draw in ((CURVES, found.plot), (ESTIMATES, found.plot_parameters)):
+            _write(file, fit)
+        for figure, draw in ((CURVES, fit.plot), (ESTIMATES, fit.plot_parameters)):
             picture = io.BytesIO()
             try:
                 draw().savefig(picture, format="png", dpi=130)
@@ -95,30 +95,30 @@ def save(found: FitResult, folder: Path) -> None:
             with atomic_write(folder / figure) as path:
                 path.write_bytes(picture.getbuffer())
         with atomic_write(folder / FIT) as path:
-            path.write_text(json.dumps(found.to_dict(), indent=1, allow_nan=False) + "\n")
+            path.write_text(json.dumps(fit.to_dict(), indent=1, allow_nan=False) + "\n")
     except OSError as error:
         name = error.filename or folder
         raise ComputationError(f"{name}: {error.strerror or error}") from error
 
 
-def _write(file: h5py.File, found: FitResult) -> None:
-    squares = found.squares
-    keys = [p.key for p in found.parameters]
-    sd, band, units = squares.sd, found.band, units_of(squares.problem)
+def _write(file: h5py.File, fit: FitResult) -> None:
+    misfit = fit.misfit
+    keys = [p.key for p in fit.parameters]
+    sd, band, units = misfit.sd, fit.band, units_of(misfit.problem)
     file.attrs.update(
-        {"software": SOFTWARE, "fit": squares.problem.text, "keys": keys, **found.versions}
+        {"software": SOFTWARE, "fit": misfit.problem.text, "keys": keys, **fit.versions}
     )
-    if found.posterior is not None:
+    if fit.posterior is not None:
         group = file.create_group("posterior")
-        samples = found.posterior.samples
+        samples = fit.posterior.samples
         axis = Variable("sample", ("sample",), "1", "number of the sample", integer=True)
         write_variable(group, axis, np.arange(len(samples)))
-        for j, one in enumerate(found.parameters):
+        for j, one in enumerate(fit.parameters):
             unit = units[one.key]
             variable = Variable(one.key, ("sample",), unit, "sample of the posterior")
             write_variable(group, variable, samples[:, j])
     for number, ((experiment, series), part) in enumerate(
-        zip(squares.series, squares.parts, strict=True), start=1
+        zip(misfit.series, misfit.parts, strict=True), start=1
     ):
         group = file.create_group(f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', series.name)}")
         group.attrs.update(
@@ -141,11 +141,11 @@ def _write(file: h5py.File, found: FitResult) -> None:
             put("time", series.x, "s", "time")
         put("data", series.value, base, "what was read")
         put("sd", sd[part], base, "noise of the data")
-        put("model", found.evaluation.model[part], base, "the model's reading, with nuisances")
+        put("model", fit.evaluation.model[part], base, "the model's reading, with nuisances")
         put("band", band[part], base, "sd of the model's reading")
-        put("residual", -found.evaluation.noise[part], "1", "data less model over its noise, white")
+        put("residual", -fit.evaluation.noise[part], "1", "data less model over its noise, white")
         put(
-            "sensitivity", found.evaluation.sensitivity[part], f"{base}/{PARAMETER_UNIT.name}",
+            "sensitivity", fit.evaluation.sensitivity[part], f"{base}/{PARAMETER_UNIT.name}",
             "derivative of the model's reading with respect to each fitted key", "parameter",
         )  # fmt: skip
 

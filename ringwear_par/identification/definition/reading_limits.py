@@ -1,12 +1,74 @@
-"""Readings that no test could give: outside its time, off the body, deeper than it is high."""
+"""Readings that no test could give, and densities that no material has.
+
+Times outside the test, radii off the body, depths beyond its height.
+"""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from ringwear_par.arrays import IntArray
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.files.measurements import and_more
 from ringwear_par.identification.definition.problem import Series
+from ringwear_par.identification.definition.schema import DENSITIES
+
+#: units of densities, in g/mm3
+_OTHER_UNITS = {"g/cm3": 1e-3, "kg/m3": 1e-6, "kg/mm3": 1e3, "t/mm3": 1e6}
+
+
+def density_of(reader: TableReader, quantity: str, case: Case | None) -> float | None:
+    """Return the density of all that is lost, g/mm3; None where each layer has its own.
+
+    Refuse one that is not known, or that nothing has, as that in another unit.
+
+    Parameters
+    ----------
+    quantity : "mass.lower" or "mass.upper".
+    case : of the experiment; None where that has faults itself.
+    """
+    body = quantity.partition(".")[2]
+    densities = (
+        (None,) if case is None else (case.lower if body == "lower" else case.upper).densities
+    )
+    case_density = densities[0] if len(set(densities)) == 1 else None
+    if reader.raw("density") is None and len(densities) > 1:
+        _check_densities(reader, body, densities)
+        return case_density
+    default = ... if case_density is None else case_density
+    density: float | None = reader.read("density", default)
+    if density is not None and (rule := _density_rule(density)):
+        reader.wrong("density", rule)
+    return density
+
+
+def _check_densities(reader: TableReader, body: str, known: Sequence[float | None]) -> None:
+    """Refuse a mass of a body some of whose layers have no density, or one that nothing has."""
+    keys = density_keys(body, len(known) - 1)
+    if missing := ", ".join(key for key, density in zip(keys, known, strict=True) if not density):
+        reader.wrong(
+            "density", f"must be that of all that is lost, or the case must have {missing} (g/mm3)"
+        )
+    for key, density in zip(keys, known, strict=True):
+        if density and (rule := _density_rule(density)):
+            reader.fault(f"{key} = {density:g}: {rule}")
+
+
+def _density_rule(density: float) -> str:
+    """Return the rule that a density (g/mm3) breaks, "" if it is one of a material."""
+    low, high = DENSITIES
+    if low <= density <= high:
+        return ""
+    hint = next(
+        (
+            f"; {density:g} {unit} would be {density * share:.6g}"
+            for unit, share in _OTHER_UNITS.items()
+            if low <= density * share <= high
+        ),
+        "",
+    )
+    return f"must be from {low:g} to {high:g} g/mm3, as of foams and metals{hint}"
 
 
 def check_times(reader: TableReader, series: Series, case: Case) -> None:

@@ -1,4 +1,4 @@
-"""What tests would tell of the unknowns, nuisances of each test being eliminated."""
+"""The information of tests on the unknowns, nuisances of each test being eliminated."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,7 +9,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.identification.definition.problem import Experiment, Problem, Series
-from ringwear_par.identification.estimation.intervals import share_of_loss
+from ringwear_par.identification.estimation.intervals import information_share
 from ringwear_par.identification.model.readings import nuisance_columns, whitened
 from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.results.execution.stopping import StopSignals
@@ -18,10 +18,10 @@ from ringwear_par.results.execution.stopping import StopSignals
 _ROUND_OFF = 1e-10
 
 
-def informations(
+def information_of_tests(
     problem: Problem, tests: Sequence[Experiment], draws: FloatArray, comm: MPI.Intracomm
 ) -> tuple[FloatArray, dict[int, str], int]:
-    """Return what each test tells. Collective on comm, whose ranks compute each draw together.
+    """Return the information of each test. Collective on comm; its ranks share each draw.
 
     Tests of one case, the same object, share its histories; series that they share are read once.
 
@@ -38,39 +38,43 @@ def informations(
     for number, test in enumerate(tests):
         groups.setdefault(id(test.case), []).append(number)
     numbers = list(groups.values())
-    whole = [_together([tests[number] for number in group]) for group in numbers]
-    posed = replace(problem, experiments=tuple(whole), alternatives={})
+    whole = [_with_all_series([tests[number] for number in group]) for group in numbers]
+    union_problem = replace(problem, experiments=tuple(whole), alternatives={})
     # signals are not waited for: there is nothing to keep
-    rounds = Rounds(posed, comm, StopSignals())
+    rounds = Rounds(union_problem, comm, StopSignals())
 
-    def told() -> tuple[FloatArray, dict[int, str], int]:
+    def compute() -> tuple[FloatArray, dict[int, str], int]:
         m = len(problem.parameters)
-        found = np.full((len(draws), len(tests), m, m), np.nan)
+        matrices = np.full((len(draws), len(tests), m, m), np.nan)
         failures: dict[int, str] = {}
         for d, values in enumerate(draws):
             pairs = zip(problem.parameters, values.tolist(), strict=True)
             slopes = np.array([parameter.slope(value) for parameter, value in pairs])
-            responses = rounds.of(range(len(whole)), values)
+            responses = rounds.responses_of(range(len(whole)), values)
             for group, test, response in zip(numbers, whole, responses, strict=True):
                 if isinstance(response, Exception):
                     failures |= {n: str(response) for n in group if n not in failures}
                     continue
-                each = _each(problem, test, response[:, 1:] * slopes)
+                by_series = _series_information(problem, test, response[:, 1:] * slopes)
                 for number in group:
-                    found[d, number] = sum(each[id(series)] for series in tests[number].series)
-        return found, failures, rounds.count
+                    matrices[d, number] = sum(
+                        by_series[id(series)] for series in tests[number].series
+                    )
+        return matrices, failures, rounds.count
 
-    return rounds.lead(told)
+    return rounds.lead(compute)
 
 
-def _together(tests: Sequence[Experiment]) -> Experiment:
+def _with_all_series(tests: Sequence[Experiment]) -> Experiment:
     """Return the test that has all series of some tests of one case."""
     series = {id(one): one for test in tests for one in test.series}
     return replace(tests[0], series=tuple(series.values()))
 
 
-def _each(problem: Problem, test: Experiment, columns: FloatArray) -> dict[int, FloatArray]:
-    """Return what each series of a test tells (m, m)."""
+def _series_information(
+    problem: Problem, test: Experiment, columns: FloatArray
+) -> dict[int, FloatArray]:
+    """Return the information (m, m) of each series of a test."""
     ends = np.cumsum([series.n for series in test.series])
     return {
         id(series): information(problem, test.case, series, columns[end - series.n : end])
@@ -79,7 +83,7 @@ def _each(problem: Problem, test: Experiment, columns: FloatArray) -> dict[int, 
 
 
 def information(problem: Problem, case: Case, series: Series, columns: FloatArray) -> FloatArray:
-    """Return what a series tells of the unknowns (m, m), its nuisances eliminated.
+    """Return the information (m, m) of a series, its nuisances eliminated.
 
     As nuisances are of one series, what several tell adds.
 
@@ -88,25 +92,15 @@ def information(problem: Problem, case: Case, series: Series, columns: FloatArra
     columns : (n, m) derivatives of its readings.
     """
     m = columns.shape[1]
-    own = np.concatenate([columns, nuisance_columns(series, case)], axis=1)
-    told = np.sqrt(share_of_loss(problem.settings.loss)) * whitened(
-        series, own / series.sd[:, None]
+    columns_and_nuisances = np.concatenate([columns, nuisance_columns(series, case)], axis=1)
+    weighted = np.sqrt(information_share(problem.settings.loss)) * whitened(
+        series, columns_and_nuisances / series.sd[:, None]
     )
     priors = [0.0 if n.prior is None else 1.0 / n.prior.sd for n in series.nuisances]
-    stacked = np.concatenate([told, np.diag([*[0.0] * m, *priors])])
+    stacked = np.concatenate([weighted, np.diag([*[0.0] * m, *priors])])
     size = np.linalg.norm(stacked, axis=0)
     stacked[:, m:] /= np.where(size > 0.0, size, 1.0)[m:]
     basis, values, _ = np.linalg.svd(stacked[:, m:], full_matrices=False)
     basis = basis[:, values > _ROUND_OFF]
-    left: FloatArray = stacked[:, :m] - basis @ (basis.T @ stacked[:, :m])
-    return left.T @ left
-
-
-def without_nuisances(matrix: FloatArray, m: int) -> FloatArray:
-    """Return what information (u, u) tells of the first m unknowns alone, (m, m)."""
-    size = np.sqrt(np.diag(matrix))
-    size = np.where(size > 0.0, size, 1.0)
-    scaled = matrix / np.outer(size, size)
-    rest = scaled[:m, m:] @ np.linalg.pinv(scaled[m:, m:], rcond=_ROUND_OFF, hermitian=True)
-    alone: FloatArray = scaled[:m, :m] - rest @ scaled[m:, :m]
-    return 0.5 * (alone + alone.T) * np.outer(size[:m], size[:m])
+    reduced: FloatArray = stacked[:, :m] - basis @ (basis.T @ stacked[:, :m])
+    return reduced.T @ reduced

@@ -1,4 +1,4 @@
-"""How probable readings are at values of the fitted keys, with the nuisances that suit them best.
+"""The likelihood of all readings at values of the fitted keys, at the best nuisances.
 
 As nuisances are linear, that is the same as integrating over them where noise is Gaussian and they
 have no bounds.
@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.identification.estimation.least_squares import NU, LeastSquares
+from ringwear_par.identification.estimation.misfit import NU, Misfit
 
 #: rounds of reweighting where the loss is not Gaussian
 _REWEIGHTED = 20
@@ -16,42 +16,45 @@ _REWEIGHTED = 20
 _SAME = 1e-4
 
 
-class Marginal:
+class MarginalLikelihood:
     """The logarithm of the probability of readings, but for a constant.
 
     Parameters
     ----------
-    squares : the least squares problem, with its noise.
+    misfit : the least squares problem, with its noise.
     """
 
-    def __init__(self, squares: LeastSquares) -> None:
-        self._squares = squares
-        problem, m = squares.problem, len(squares.problem.parameters)
+    def __init__(self, misfit: Misfit) -> None:
+        self._squares = misfit
+        problem, m = misfit.problem, len(misfit.problem.parameters)
         self._student = problem.settings.loss == "student"
-        self._low, self._high = squares.lower[m:], squares.upper[m:]
+        self._low, self._high = misfit.lower[m:], misfit.upper[m:]
         self._free = not np.isfinite([self._low, self._high]).any()
         count = len(self._low)
-        own = [(j - m, prior) for j, prior in squares.priors if j >= m]
-        self._prior_rows, self._prior_values = np.zeros((len(own), count)), np.zeros(len(own))
-        for row, (j, prior) in enumerate(own):
+        nuisance_priors = [(j - m, prior) for j, prior in misfit.priors if j >= m]
+        self._prior_rows, self._prior_values = (
+            np.zeros((len(nuisance_priors), count)),
+            np.zeros(len(nuisance_priors)),
+        )
+        for row, (j, prior) in enumerate(nuisance_priors):
             self._prior_rows[row, j] = 1.0 / prior.sd
             self._prior_values[row] = prior.mean / prior.sd
-        self._priors = [(j, prior) for j, prior in squares.priors if j < m]
-        self._columns = squares.whitened(squares.nuisance_columns)
+        self._priors = [(j, prior) for j, prior in misfit.priors if j < m]
+        self._columns = misfit.whitened(misfit.nuisance_columns)
         # without weights that change it is the same for all samples
-        ones = np.ones(squares.n)
-        self._inverse = None if self._student or not self._free else self._inverted(ones)
+        ones = np.ones(misfit.n)
+        self._inverse = None if self._student or not self._free else self._inverse_of(ones)
 
     def __call__(self, values: FloatArray, readings: FloatArray) -> float:
         """Return it for values (m,) of the keys and the model's readings (n,)."""
-        bare = self._squares.whitened(readings - self._squares.data)
-        weights = np.ones(len(bare))
-        noise, rest = bare, -self._prior_values
+        unadjusted = self._squares.whitened(readings - self._squares.data)
+        weights = np.ones(len(unadjusted))
+        noise, rest = unadjusted, -self._prior_values
         for _ in range(_REWEIGHTED if self._student else 1):
             if not len(self._low):
                 break
-            nuisances, before = self._nuisances(bare, np.sqrt(weights)), noise
-            noise = bare + self._columns @ nuisances
+            nuisances, before = self._nuisances(unadjusted, np.sqrt(weights)), noise
+            noise = unadjusted + self._columns @ nuisances
             rest = self._prior_rows @ nuisances - self._prior_values
             if np.abs(noise - before).max() < _SAME:
                 break
@@ -65,18 +68,18 @@ class Marginal:
         slopes = self._squares.slopes(values)
         return float(sum(np.log(slopes[j]) for j, _ in self._priors) - 0.5 * square)
 
-    def _nuisances(self, bare: FloatArray, roots: FloatArray) -> FloatArray:
-        right = np.concatenate([-roots * bare, self._prior_values])
+    def _nuisances(self, unadjusted: FloatArray, roots: FloatArray) -> FloatArray:
+        right = np.concatenate([-roots * unadjusted, self._prior_values])
         if self._free:
-            inverse = self._inverted(roots) if self._inverse is None else self._inverse
+            inverse = self._inverse_of(roots) if self._inverse is None else self._inverse
             return inverse @ right
         columns, size = self._scaled(roots)
         limits = (self._low * size, self._high * size)
         nuisances: FloatArray = lsq_linear(columns, right, limits).x / size
         return nuisances
 
-    def _inverted(self, roots: FloatArray) -> FloatArray:
-        """Return what gives the best nuisances, none of those that do nothing."""
+    def _inverse_of(self, roots: FloatArray) -> FloatArray:
+        """Return the matrix (nuisances, rows) of the best nuisances; idle ones stay 0."""
         columns, size = self._scaled(roots)
         inverse: FloatArray = np.linalg.pinv(columns, rcond=1e-12) / size[:, None]
         return inverse

@@ -51,7 +51,7 @@ class Evaluation:
         return float(0.5 * self.residuals @ self.residuals)
 
 
-class LeastSquares:
+class Misfit:
     """Residuals of a problem over its unknowns.
 
     Parameters
@@ -67,7 +67,7 @@ class LeastSquares:
     lower, upper : (u,) bounds.
     noise_scale : of each series, by which its sd is multiplied.
     steps : about how many a history makes.
-    known : what histories gave, or failed with, by the bytes of the fitted keys' values.
+    response_cache : responses of histories, or their errors, by the bytes of the keys' values.
     """
 
     def __init__(self, problem: Problem, histories: Histories) -> None:
@@ -80,10 +80,10 @@ class LeastSquares:
         self.data = np.concatenate([series.value for _, series in self.series])
         self.noise_scale = np.ones(len(self.series))
         self.steps = STEPS
-        self.known: dict[bytes, FloatArray | Exception] = {}
-        self._pose()
+        self.response_cache: dict[bytes, FloatArray | Exception] = {}
+        self._lay_out_unknowns()
 
-    def _pose(self) -> None:
+    def _lay_out_unknowns(self) -> None:
         """Lay the unknowns out."""
         self.names: list[str | tuple[str, str, str]] = list(self.problem.keys)
         limits = [[p.unknown(b) for b in p.bounds] for p in self.problem.parameters]
@@ -92,8 +92,8 @@ class LeastSquares:
         ]
         columns = []
         for (experiment, series), part in zip(self.series, self.parts, strict=True):
-            own = nuisance_columns(series, experiment.case)
-            for nuisance, values in zip(series.nuisances, own.T, strict=True):
+            series_columns = nuisance_columns(series, experiment.case)
+            for nuisance, values in zip(series.nuisances, series_columns.T, strict=True):
                 column = np.zeros(self.n)
                 column[part] = values
                 columns.append(column)
@@ -124,36 +124,38 @@ class LeastSquares:
         """Return at which unknowns (p, m) of the fitted keys all rules of the laws hold, (p,)."""
         return self._histories.allowed(np.array([self.values(x) for x in points]))
 
-    def knows(self, x: FloatArray) -> bool:
-        """Tell whether the histories at unknowns are there."""
-        return self.values(x).tobytes() in self.known
+    def is_computed(self, x: FloatArray) -> bool:
+        """Tell whether the histories at unknowns were computed."""
+        return self.values(x).tobytes() in self.response_cache
 
     def forget(self, points: Sequence[FloatArray], but: FloatArray) -> None:
         """Forget the histories at unknowns, but for those at some."""
-        kept = self.values(but).tobytes()
-        for key in {self.values(x).tobytes() for x in points} - {kept}:
-            self.known.pop(key, None)
+        remaining = self.values(but).tobytes()
+        for key in {self.values(x).tobytes() for x in points} - {remaining}:
+            self.response_cache.pop(key, None)
 
-    def keep(self, x: FloatArray) -> None:
+    def keep_only(self, x: FloatArray) -> None:
         """Forget all histories but those at unknowns. Not collective."""
-        self.look_up([x])
+        self.compute([x])
         key = self.values(x).tobytes()
-        self.known = {key: self.known[key]}
+        self.response_cache = {key: self.response_cache[key]}
 
-    def look_up(self, points: Sequence[FloatArray]) -> None:
+    def compute(self, points: Sequence[FloatArray]) -> None:
         """Have the histories at unknowns computed together, and keep them. Not collective."""
         values = [self.values(x) for x in points]
-        new = {v.tobytes(): v for v in values if v.tobytes() not in self.known}
+        new = {v.tobytes(): v for v in values if v.tobytes() not in self.response_cache}
         if new:
-            found = self._histories.responses(np.array(list(new.values())), self.steps)
-            self.known.update(zip(new, found, strict=True))
+            responses = self._histories.responses(np.array(list(new.values())), self.steps)
+            self.response_cache.update(zip(new, responses, strict=True))
 
     def refine(self) -> None:
         """Have histories make twice as many steps from now on."""
         self.steps *= 2
-        self.known = {}
+        self.response_cache = {}
 
-    def moved(self, x: FloatArray, found: Evaluation, covariance: FloatArray) -> FloatArray | None:
+    def discretisation_shift(
+        self, x: FloatArray, evaluation: Evaluation, covariance: FloatArray
+    ) -> FloatArray | None:
         """Return by how many sd (m,) steps half as long would move the fitted keys' unknowns.
 
         To the first order, and 0 of those of which nothing is known; None, and a warning, where no
@@ -161,28 +163,30 @@ class LeastSquares:
 
         Parameters
         ----------
-        x, found, covariance : the optimum, the residuals there, (u, u) of the unknowns.
+        x, evaluation, covariance : the optimum, the residuals there, (u, u) of the unknowns.
         """
         values = self.values(x)
-        (finer,) = self._histories.responses(values[None], 2 * self.steps, derivatives=False)
-        if isinstance(finer, Exception):
-            log.warning("what shorter steps would change is not known: %s", finer)
+        (finer_response,) = self._histories.responses(
+            values[None], 2 * self.steps, derivatives=False
+        )
+        if isinstance(finer_response, Exception):
+            log.warning("what shorter steps would change is not known: %s", finer_response)
             return None
-        change = self.whitened(finer[:, 0] - self.bare(x))
-        growth = self._loss(found.noise + change)[0] - found.residuals[: self.n]
-        known = np.where(np.isfinite(covariance), covariance, 0.0)[: self._m]
-        sd = np.sqrt(np.diag(known))
-        shift = known @ (found.jacobian[: self.n].T @ growth)
+        change = self.whitened(finer_response[:, 0] - self.model_readings(x))
+        growth = self._loss(evaluation.noise + change)[0] - evaluation.residuals[: self.n]
+        finite = np.where(np.isfinite(covariance), covariance, 0.0)[: self._m]
+        sd = np.sqrt(np.diag(finite))
+        shift = finite @ (evaluation.jacobian[: self.n].T @ growth)
         return np.divide(-shift, sd, out=np.zeros(self._m), where=sd > 0.0)
 
     def _response(self, x: FloatArray) -> FloatArray:
-        self.look_up([x])
-        found = self.known[self.values(x).tobytes()]
-        if isinstance(found, Exception):
-            raise found
-        return found
+        self.compute([x])
+        response = self.response_cache[self.values(x).tobytes()]
+        if isinstance(response, Exception):
+            raise response
+        return response
 
-    def bare(self, x: FloatArray) -> FloatArray:
+    def model_readings(self, x: FloatArray) -> FloatArray:
         """Return the readings (n,) as the model has them without nuisances. Not collective.
 
         Raises
@@ -198,8 +202,8 @@ class LeastSquares:
         ------
         ComputationError : a history.
         """
-        own = self._response(x)[:, 1:] * self.slopes(self.values(x))
-        return np.concatenate([own, self.nuisance_columns], axis=1)
+        key_columns = self._response(x)[:, 1:] * self.slopes(self.values(x))
+        return np.concatenate([key_columns, self.nuisance_columns], axis=1)
 
     def evaluate(self, x: FloatArray) -> Evaluation:
         """Return the residuals at unknowns (u,). Not collective.
@@ -231,7 +235,7 @@ class LeastSquares:
         return np.concatenate([whitened(series, rows[part]) for (_, series), part in parts])
 
     def _loss(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what is squared in place of residuals (n,), and its derivative.
+        """Return the square roots (n,) of the loss of residuals, and their derivative.
 
         Of the loss "student" the sum of squares is twice the negative logarithm of the likelihood,
         but for a constant.
@@ -261,26 +265,26 @@ class LeastSquares:
             constant = 0.5 * np.log(NU * np.pi) + gammaln(NU / 2.0) - gammaln((NU + 1.0) / 2.0)
         return float(-0.5 * loss @ loss - scatter - self.n * constant)
 
-    def started(self, values: Sequence[float]) -> FloatArray:
+    def with_best_nuisances(self, values: Sequence[float]) -> FloatArray:
         """Return unknowns (u,) at values of the fitted keys, with the best nuisances for them.
 
         Raises
         ------
         ComputationError : a history.
         """
-        own = [p.unknown(v) for p, v in zip(self.problem.parameters, values, strict=True)]
+        unknowns = [p.unknown(v) for p, v in zip(self.problem.parameters, values, strict=True)]
         x = np.concatenate(
-            [own, np.clip(np.zeros(len(self.names) - self._m), *self._nuisance_limits)]
+            [unknowns, np.clip(np.zeros(len(self.names) - self._m), *self._nuisance_limits)]
         )
         if len(x) == self._m:
             return x
-        found = self.evaluate(x)
+        evaluation = self.evaluate(x)
         rows = np.array([True] * self.n + [j >= self._m for j, _ in self.priors])
-        columns = found.jacobian[rows, self._m :]
+        columns = evaluation.jacobian[rows, self._m :]
         size = np.linalg.norm(columns, axis=0)
         size[size == 0] = 1.0  # one that does nothing
         low, high = ((limit - x[self._m :]) * size for limit in self._nuisance_limits)
-        step = lsq_linear(columns / size, -found.residuals[rows], (low, high)).x
+        step = lsq_linear(columns / size, -evaluation.residuals[rows], (low, high)).x
         x[self._m :] = np.clip(x[self._m :] + step / size, *self._nuisance_limits)
         return x
 
@@ -298,8 +302,8 @@ class LeastSquares:
     @property
     def idle(self) -> BoolArray:
         """(u,) bool, which nuisances do nothing to any reading and have no prior."""
-        known = {j for j, _ in self.priors}
-        does = np.append(
+        with_prior = {j for j, _ in self.priors}
+        acts = np.append(
             np.ones(self._m, dtype=bool), np.abs(self.nuisance_columns).sum(axis=0) > 0
         )
-        return ~does & ~np.isin(np.arange(len(does)), list(known))
+        return ~acts & ~np.isin(np.arange(len(acts)), list(with_prior))

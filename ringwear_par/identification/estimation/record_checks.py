@@ -1,0 +1,293 @@
+"""Doubts of a fit: what its readings say against the model or the intervals, record by record."""
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.errors import ComputationError, InputError, legible
+from ringwear_par.identification.definition.problem import Experiment, Series
+from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
+from ringwear_par.identification.estimation.starts import case_points
+from ringwear_par.identification.model.readings import nuisance_columns
+
+#: blocks of a record, and readings less nuisances that it needs
+_BLOCKS, _ENOUGH = 10, 30
+#: probability of noise whose blocks differ as much, below which it is none
+_NO_NOISE = 1e-4
+#: of the noise of all its readings: less is no response, over the whole of all bounds
+_NO_RESPONSE = 1e-6
+#: of the noise of all readings: a key by which they change less is not felt, over a factor of e
+#: where its logarithm is sought, else over ten times the whole of its bounds
+_NOT_FELT, _WIDTHS = 0.5, 10.0
+#: points that are asked at least
+_POINTS = 8
+#: correlation of readings with the model below which they have the wrong sign, and at how many sd
+_OPPOSITE, _SURE = -0.5, 5.0
+#: nuisances that leave the sign of a record as it is
+_HARMLESS = ("offset", "level", "tilt")
+#: parts of a record that are looked at for what opposes the model, each larger by a share of it
+_PARTS = 40
+
+
+@dataclass(frozen=True)
+class FitWarning:
+    """Something that speaks against taking the numbers of a fit as they are.
+
+    Parameters
+    ----------
+    code : the same for doubts of a kind.
+    text : a sentence.
+    experiments, keys : which it is of; none where it is of all.
+    values : numbers of the sentence, by name.
+    """
+
+    code: str
+    text: str
+    experiments: tuple[str, ...]
+    keys: tuple[str, ...] = ()
+    values: dict[str, Any] = field(default_factory=dict)
+
+
+def record_warnings(
+    misfit: Misfit, x: FloatArray, evaluation: Evaluation
+) -> tuple[FitWarning, ...]:
+    """Return the doubts of a fit, whose unknowns are x at the optimum."""
+    return (*_oppositions(misfit, x), *_trends(misfit, evaluation))
+
+
+def _oppositions(misfit: Misfit, x: FloatArray) -> list[FitWarning]:
+    """Return doubts of records that fall where the model's rise."""
+    warnings = []
+    for experiment, series, exclude in opposing_records(misfit, x):
+        kinds = " and ".join(n.kind for n in series.nuisances)
+        beside = f"beside its {kinds}, " if kinds else ""
+        said = f"{series.name} ({experiment.name}): {beside}readings fall where the model's rise"
+        values: dict[str, Any] = {"series": series.name, "exclude": None}
+        if exclude is None:
+            said += "; look at their sign and at the test"
+        else:
+            first, last = exclude
+            said += (
+                f", because of those from {first:.10g} to {last:.10g} s; if these show something "
+                f"else than wear, leave them out: exclude = [[{first:.10g}, {last:.10g}]]"
+            )
+            values["exclude"] = [first, last]
+        warnings.append(FitWarning("readings-oppose", said, (experiment.name,), values=values))
+    return warnings
+
+
+def _trends(misfit: Misfit, evaluation: Evaluation) -> list[FitWarning]:
+    """Return doubts of records whose residuals are no noise."""
+    warnings = []
+    for (experiment, series), part in zip(misfit.series, misfit.parts, strict=True):
+        probability = trend(series, -evaluation.noise[part])
+        if probability < _NO_NOISE:
+            warnings.append(_of_trend(experiment, series, probability))
+    return warnings
+
+
+def _of_trend(experiment: Experiment, series: Series, probability: float) -> FitWarning:
+    said = (
+        f"readings of {experiment.name}, {series.name}, trend away from the model "
+        f"(p = {probability:.1g}): "
+    )
+    if series.sd_fitted:
+        said += "their sd is not noise; intervals are too narrow"
+    else:
+        said += "what they differ by is not noise of their sd; intervals are too narrow"
+    values = {"series": series.name, "p": probability}
+    return FitWarning("residuals-trend", said, (experiment.name,), values=values)
+
+
+def trend(series: Series, residuals: FloatArray) -> float:
+    """Return how probable residuals in time are if they are noise, 1 for too few to tell.
+
+    Sums of blocks are compared with differences of neighbours, which trends hardly change. Noise
+    that is given is no smaller than that.
+
+    Parameters
+    ----------
+    residuals : (n,) over their noise, uncorrelated.
+    """
+    n, n_nuisances = len(residuals), len(series.nuisances)
+    if series.profile or n - n_nuisances < _ENOUGH:
+        return 1.0
+    noise = 0.5 * float(np.mean(np.diff(residuals) ** 2))
+    if not series.sd_fitted:
+        noise = max(noise, 1.0)
+    blocks = np.array_split(residuals, _BLOCKS)
+    between = sum(float(block.sum()) ** 2 / len(block) for block in blocks)
+    freedom = max(_BLOCKS - n_nuisances, 1)
+    # degrees of freedom of the mean square of successive differences of white noise
+    of_noise = 2.0 * (n - 1) ** 2 / (3 * n - 4)
+    return float(f_distribution.sf(between / (freedom * noise), freedom, of_noise))
+
+
+def refuse_idle(misfit: Misfit, start: FloatArray) -> None:
+    """Refuse quantities that respond to no parameter, and parameters without response.
+
+    Not collective.
+
+    Raises
+    ------
+    InputError : one sentence a series and a parameter.
+    """
+    m = len(misfit.problem.parameters)
+    columns = misfit.evaluate(start).noise_jacobian[:, :m] * (misfit.upper - misfit.lower)[:m]
+    faults = [
+        f'{misfit.problem.name}: experiment "{legible(experiment.name)}": {series.name}: does not '
+        f"respond to any parameter at its start ({_start_values(misfit)}); must respond to one at "
+        "least"
+        for (experiment, series), part in zip(misfit.series, misfit.parts, strict=True)
+        if np.linalg.norm(columns[part]) < _NO_RESPONSE
+    ]
+    faults += [
+        f"{misfit.problem.name}: nothing that was read responds to {parameter.key}, at the start "
+        f"({_start_values(misfit)}) and anywhere within its bounds; must respond: is a threshold "
+        "(p0) above all pressures?"
+        for parameter, responding in zip(
+            misfit.problem.parameters, _responding(misfit, start), strict=True
+        )
+        if not responding and parameter.prior is None
+    ]
+    if faults:
+        raise InputError(*faults)
+
+
+def _responding(misfit: Misfit, start: FloatArray) -> BoolArray:
+    """Return which parameters (m,) some readings respond to at any start, beside their nuisances.
+
+    At the edges of a contact pressures exceed all thresholds, so that something always responds.
+    """
+    problem, m = misfit.problem, len(misfit.problem.parameters)
+    widths = (misfit.upper - misfit.lower)[:m]
+    reach = np.where([parameter.log for parameter in problem.parameters], 1.0, _WIDTHS * widths)
+
+    def at(x: FloatArray) -> BoolArray:
+        try:
+            evaluation = misfit.evaluate(x)
+        except ComputationError:
+            return np.ones(m, dtype=bool)
+        rows = np.concatenate([evaluation.noise_jacobian, evaluation.jacobian[misfit.n :]])
+        columns, nuisances = rows[:, :m], rows[:, m:]
+        columns = columns - nuisances @ np.linalg.lstsq(nuisances, columns, rcond=None)[0]
+        responding: BoolArray = np.linalg.norm(columns[: misfit.n], axis=0) * reach > _NOT_FELT
+        return responding
+
+    responding = at(start)
+    if responding.all():
+        return responding
+    most = max(_POINTS, problem.settings.starts)
+    points = [np.concatenate([row, start[m:]]) for row in case_points(misfit, most)]
+    misfit.compute(points)
+    responding = np.logical_or.reduce([responding, *map(at, points)])
+    misfit.forget(points, start)
+    return responding
+
+
+def _start_values(misfit: Misfit) -> str:
+    return ", ".join(f"{key} = {value:g}" for key, value in misfit.problem.start.items())
+
+
+def refuse_reversed(misfit: Misfit, start: FloatArray) -> None:
+    """Refuse depths and masses that go against the model, but for their nuisances. Not collective.
+
+    Those that do so only beside a drift or a compliance may be right, with a part that is not:
+    ``opposing`` tells of it at the optimum.
+
+    Raises
+    ------
+    InputError : one sentence a series.
+    """
+    model = misfit.model_readings(start)
+    faults = []
+    for (experiment, series), part in zip(misfit.series, misfit.parts, strict=True):
+        record = _Record(experiment, series, misfit.sd[part], model[part])
+        if series.quantity != "torque" and record.opposes() and record.opposes(harmless=True):
+            faults.append(
+                f'{misfit.problem.name}: experiment "{legible(experiment.name)}": {series.name}: '
+                "has the wrong sign: readings fall where the model's rise; must be positive where "
+                "material is lost"
+            )
+    if faults:
+        raise InputError(*faults)
+
+
+class Opposition(NamedTuple):
+    """A record that falls where the model's rises, beside its nuisances.
+
+    Parameters
+    ----------
+    exclude : s, from when to when the readings are without which it does not; None: no part
+        shorter than half of the record.
+    """
+
+    experiment: Experiment
+    series: Series
+    exclude: tuple[float, float] | None
+
+
+def opposing_records(misfit: Misfit, x: FloatArray) -> list[Opposition]:
+    """Return records that go against the model at an optimum, for a part of them. Not collective.
+
+    Parameters
+    ----------
+    x : (u,) unknowns.
+    """
+    model, records = misfit.model_readings(x), []
+    for (experiment, series), part in zip(misfit.series, misfit.parts, strict=True):
+        record = _Record(experiment, series, misfit.sd[part], model[part])
+        if series.quantity != "torque" and not series.profile and record.opposes():
+            records.append(Opposition(experiment, series, record.exclude))
+    return records
+
+
+class _Record:
+    """Readings of a series and the model's, over their noise.
+
+    Parameters
+    ----------
+    sd, model : (n,) noise, and the model's readings without nuisances.
+    """
+
+    def __init__(
+        self, experiment: Experiment, series: Series, sd: FloatArray, model: FloatArray
+    ) -> None:
+        self._series = series
+        self._columns = nuisance_columns(series, experiment.case) / sd[:, None]
+        self._both = np.stack([series.value, model], axis=1) / sd[:, None]
+
+    def opposes(self, rows: slice = slice(None), *, harmless: bool = False) -> bool:
+        """Tell whether readings fall where the model's rise.
+
+        Parameters
+        ----------
+        rows : of the readings that count.
+        harmless : whether only nuisances count that leave the sign as it is.
+        """
+        of = [
+            i for i, n in enumerate(self._series.nuisances) if not harmless or n.kind in _HARMLESS
+        ]
+        columns, both = self._columns[rows, of], self._both[rows]
+        for column, i in enumerate(of):  # priors are one reading more, of the nuisance itself
+            prior = self._series.nuisances[i].prior
+            if prior is not None:
+                columns = np.vstack([columns, np.eye(len(of))[column] / prior.sd])
+                both = np.vstack([both, [prior.mean / prior.sd, 0.0]])
+        both = both - columns @ np.linalg.lstsq(columns, both, rcond=None)[0]
+        (data, wear), sizes = both.T, np.linalg.norm(both, axis=0)
+        return bool(data @ wear < _OPPOSITE * sizes.prod() and -data @ wear > _SURE * sizes[1])
+
+    @property
+    def exclude(self) -> tuple[float, float] | None:
+        """The shortest early or late part, s, without which readings do not oppose the model."""
+        x, n = self._series.x, self._series.n
+        for count in np.unique(np.arange(1, _PARTS // 2 + 1) * n // _PARTS).tolist():
+            if count and not self.opposes(slice(count, None)):
+                return 0.0, float(x[count - 1])
+            if count and not self.opposes(slice(0, n - count)):
+                return float(x[n - count]), float(x[-1])
+        return None
