@@ -347,6 +347,7 @@ class BatchSolver:
         blocks = self._hessians
         if wear is None:
             blocks.slope[:] = 0.0
+        blocks.through_layers = wear is not None and wear.layered
         coupled, n = wear is not None and not wear.local, len(self._area)
         if coupled != bool(len(blocks.coupling)):
             blocks.coupling = np.zeros((len(self._every) if coupled else 0, n, n))
@@ -382,16 +383,14 @@ class BatchSolver:
         self._callbacks.guard.solve(self._tao, "python")
 
     def response(self, gap: FloatArray) -> FloatArray:
-        """Return the change of the last pressures, MPa, with a small growth (B, n) mm of gaps.
+        """Return the changes of the last pressures, MPa, with small growths (..., B, n) mm of gaps.
 
         Linear, elements in contact and forces or approaches, whichever were given, staying so; the
         wear of the step included.
         """
-        right = self._weights * gap
-        if len(self._newton.forces):
-            step, _ = self._hessians.steps(self._every, right, np.zeros(len(gap)), SOLVED)
-            return step / self._scale
-        return self._hessians.solve(self._every, right) / -self._scale
+        missing = np.zeros(gap.shape[:-1]) if len(self._newton.forces) else None
+        steps, _ = self._hessians.steps(self._every, self._weights * gap, missing, SOLVED)
+        return steps / self._scale
 
     def tangents(
         self,

@@ -12,7 +12,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
 from ringwear_par.contact.approach import FORCE_TOLERANCE
-from ringwear_par.contact.hessians import Hessians
+from ringwear_par.contact.hessians import NEAR, Hessians
 from ringwear_par.contact.newton import PLAIN_ITERATIONS, ROUND_OFF, stop_if_told
 from ringwear_par.contact.problem import GRADIENT_TOLERANCE
 from ringwear_par.contact.tao import Method
@@ -67,12 +67,11 @@ class BatchNewton(Method):
             tao.computeHessian(self._x, self._hessian)
             stop_if_told(tao)
             hessians.refresh(histories, free)
+            missing = None
             if len(self.forces):
                 missing = self.forces[rows] - inner(weights[rows], q[rows])
-                steps, changes = hessians.steps(histories, g[rows], missing)
-                self.approaches[rows] += changes
-            else:
-                steps = -hessians.solve(histories, g[rows])
+            steps, changes = hessians.steps(histories, g[rows], missing, NEAR)
+            self.approaches[rows] += changes
             before = None if self.bend is None else q.copy()
             q[rows] += steps
             if self.bend is not None and before is not None:

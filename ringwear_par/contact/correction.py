@@ -246,5 +246,5 @@ class CorrectedContacts:
         return taken
 
     def response(self, gap: FloatArray) -> FloatArray:
-        """Return the change of the last pressures, MPa, with a small growth (B, n) mm of gaps."""
+        """Return changes of the last pressures, MPa, with small growths (..., B, n) mm of gaps."""
         return self.solver.response(gap)

@@ -1,8 +1,8 @@
 """The Hessians of B contact problems, A of each history and what its wear adds, and their inverses.
 
 They are diagonal in bases that histories share (see ``bases``). Where the slope of wear over
-pressure has another shape, such a basis preconditions conjugate gradients. Non-local wear and large
-systems have Cholesky factors of their own.
+pressure has another shape, such a basis preconditions conjugate gradients. Wear that gets through
+layers, non-local wear and large systems have Cholesky factors of their own.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ _ROUND_OFF = 1e-12
 _FACTOR, _BROKEN = -1, -2
 #: residuals, relative to the first, at which conjugate gradients end: within Newton's method, whose
 #: next step corrects what this one left, and of solutions
-_NEAR, SOLVED = 1e-6, 1e-13
+NEAR, SOLVED = 1e-6, 1e-13
 _MOST_ITERATIONS = 200
 
 
@@ -53,6 +53,9 @@ class Hessians:
         self.slope = np.zeros((count, n))
         #: (B, n, n) what non-local wear adds, its diagonal included in it; (0, n, n): wear is local
         self.coupling = np.zeros((0, n, n))
+        #: whether wear gets through layers: slopes then are of several laws, far apart, and a
+        #: factor takes less time than conjugate gradients
+        self.through_layers = False
         # what the inverses are of
         self._slope, self._free = np.zeros((count, n)), np.zeros((count, n), dtype=bool)
         self._valid = np.zeros(count, dtype=bool)
@@ -66,6 +69,8 @@ class Hessians:
         self._number = np.full(count, _BROKEN)
         #: (B, n) inverses in the bases, exact where the slope has the shape, else preconditioners
         self._inverse, self._regular = np.ones((count, n)), np.ones(count, dtype=bool)
+        #: (B, n) inverses times the force in the bases, and (B,) the force that these carry
+        self._border, self._stiffness = np.zeros((count, n)), np.zeros(count)
         self._factors: dict[int, FloatArray] = {}
         self._rows: tuple[IntArray, _Rows] | None = None
 
@@ -110,6 +115,14 @@ class Hessians:
         most = rate.max(axis=1)
         least = np.where(wearing, rate, np.inf).min(axis=1)
         regular = ~(most - least > _ROUND_OFF * most)
+        if self.through_layers and not regular.all():
+            self._factorise(histories[~regular])
+            histories, touching, wearing, most = (
+                values[regular] for values in (histories, touching, wearing, most)
+            )
+            regular = regular[regular]
+            if not len(histories):
+                return
         self._regular[histories] = regular
         if not regular.all():
             places = np.flatnonzero(~regular)
@@ -123,7 +136,9 @@ class Hessians:
         if numbers.min() < 0:
             valid = numbers >= 0
             histories, most, numbers = histories[valid], most[valid], numbers[valid]
-        self._inverse[histories] = 1.0 / (1.0 + most[:, None] * self._mu[numbers])
+        inverse, force = 1.0 / (1.0 + most[:, None] * self._mu[numbers]), self._force[numbers]
+        self._inverse[histories], border = inverse, inverse * force
+        self._border[histories], self._stiffness[histories] = border, inner(force, border)
 
     def _choose_bases(self, histories: IntArray, free: BoolArray, wearing: BoolArray) -> None:
         """Take the bases of the sets of histories, (h, n)."""
@@ -189,26 +204,15 @@ class Hessians:
             whole = len(modal) == len(every)
             numbers = every if whole else every[modal]
             places = slice(None) if whole else modal
-            self._rows = histories, _Rows(places, numbers, self._force[numbers])
+            ours: IntArray | slice = histories[places]
+            if len(numbers) == len(self._number):
+                ours = slice(None)
+            self._rows = histories, _Rows(places, ours, numbers, self._force[numbers])
         return self._rows[1]
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
         """Return H^-1 right, (..., h, n), of some histories; 0 off their sets."""
-        rows, out = self._rows_of(histories), np.zeros_like(right)
-        if len(rows.numbers):
-            ours = histories[rows.places]
-            modal = rows.groups.products(right[..., rows.places, :], self._psi)
-            irregular = np.flatnonzero(~self._regular[ours])
-            solved = modal * self._inverse[ours]
-            if len(irregular):
-                sides = modal[..., irregular, :]
-                many = np.tile(ours[irregular], sides[..., 0].size // len(irregular))
-                x, _ = self._iterate(many, sides.reshape(len(many), -1), None, SOLVED)
-                solved[..., irregular, :] = x.reshape(sides.shape)
-            out[..., rows.places, :] = rows.groups.products(solved, self._psi_t)
-        if len(rows.numbers) < len(histories):
-            self._solve_factored(histories, right, out)
-        return out
+        return -self.steps(histories, right, None, SOLVED)[0]
 
     @property
     def _psi_t(self) -> FloatArray:
@@ -229,46 +233,82 @@ class Hessians:
         self,
         histories: IntArray,
         gradient: FloatArray,
-        missing: FloatArray,
-        tolerance: float = _NEAR,
+        missing: FloatArray | None,
+        tolerance: float,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the steps (h, n) against gradients, and of the approaches, (h,).
+        """Return the steps (..., h, n) against gradients, and of the approaches, (..., h).
 
         The approach follows so that the steps carry the force that is missing.
 
         Parameters
         ----------
-        gradient : (h, n) float.
-        missing : (h,) float, N.
+        gradient : (..., h, n) float.
+        missing : (..., h) float, N; None: approaches stay.
         tolerance : of the residual, relative to the first, where steps are iterated for.
         """
-        rows = self._rows_of(histories)
-        steps, approach = np.zeros_like(gradient), np.zeros(len(gradient))
+        rows, products = self._rows_of(histories), self._rows_of(histories).groups.products
+        if len(rows.numbers) == len(histories):
+            modal = products(gradient, self._psi)
+            solved, approach = self._modal_steps(rows, modal, missing, tolerance)
+            return products(solved, self._psi_t), approach
+        steps, approach = np.zeros_like(gradient), np.zeros(gradient.shape[:-1])
         if len(rows.numbers):
-            ours, places = histories[rows.places], rows.places
-            inverse = self._inverse[ours]
-            modal = rows.groups.products(gradient[places], self._psi)
-            solved, border = modal * inverse, inverse * rows.force
-            carried, stiffness = inner(rows.force, solved), inner(rows.force, border)
-            change = _divided(missing[places] + carried, stiffness)
-            solved = change[:, None] * border - solved
-            irregular = np.flatnonzero(~self._regular[ours])
-            if len(irregular):
-                solved[irregular], change[irregular] = self._iterate(
-                    ours[irregular], -modal[irregular], missing[places][irregular], tolerance
-                )
-            steps[places] = rows.groups.products(solved, self._psi_t)
-            approach[places] = change
-        if len(rows.numbers) < len(histories):
-            factored = np.flatnonzero(self._number[histories] < 0)
-            weights = self._weights[histories[factored]]
-            right = np.array([gradient[factored], weights])
-            both = np.zeros_like(right)
-            self._solve_factored(histories[factored], right, both)
-            carried, stiffness = (inner(weights, sides) for sides in both)
-            change = _divided(missing[factored] + carried, stiffness)
-            steps[factored], approach[factored] = change[:, None] * both[1] - both[0], change
+            places = rows.places
+            modal = products(gradient[..., places, :], self._psi)
+            solved, approach[..., places] = self._modal_steps(
+                rows, modal, None if missing is None else missing[..., places], tolerance
+            )
+            steps[..., places, :] = products(solved, self._psi_t)
+        self._set_factored(histories, gradient, missing, (steps, approach))
         return steps, approach
+
+    def _modal_steps(
+        self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None, tolerance: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return steps in the bases, (..., h, n), and of approaches, (..., h)."""
+        solved = modal * self._inverse[rows.ours]
+        if missing is None:
+            change = np.zeros(modal.shape[:-1])
+            np.negative(solved, out=solved)
+        else:
+            change = _divided(missing + inner(rows.force, solved), self._stiffness[rows.ours])
+            solved = change[..., None] * self._border[rows.ours] - solved
+        irregular = np.flatnonzero(~self._regular[rows.ours])
+        if len(irregular):
+            sides = modal[..., irregular, :]
+            many = np.broadcast_to(
+                np.arange(len(self._number))[rows.ours][irregular], sides.shape[:-1]
+            )
+            x, more = self._iterate(
+                many.ravel(),
+                -sides.reshape(many.size, -1),
+                None if missing is None else missing[..., irregular].ravel(),
+                tolerance,
+            )
+            solved[..., irregular, :] = x.reshape(sides.shape)
+            change[..., irregular] = more.reshape(many.shape)
+        return solved, change
+
+    def _set_factored(
+        self,
+        histories: IntArray,
+        gradient: FloatArray,
+        missing: FloatArray | None,
+        out: tuple[FloatArray, FloatArray],
+    ) -> None:
+        """Set steps and changes of approaches of histories that have factors of their own."""
+        places = np.flatnonzero(self._number[histories] < 0)
+        weights, sides = self._weights[histories[places]], gradient[..., places, :]
+        right = np.concatenate([sides.reshape(-1, *weights.shape), weights[None]])
+        solved = np.zeros_like(right)
+        self._solve_factored(histories[places], right, solved)
+        by_gradient, border = solved[:-1].reshape(sides.shape), solved[-1]
+        change = np.zeros(sides.shape[:-1])
+        if missing is not None:
+            carried, stiffness = inner(weights, by_gradient), inner(weights, border)
+            change = _divided(missing[..., places] + carried, stiffness)
+        out[0][..., places, :] = change[..., None] * border - by_gradient
+        out[1][..., places] = change
 
     def _iterate(
         self,
@@ -285,11 +325,10 @@ class Hessians:
         """
         numbers, count = self._number[histories], len(histories)
         slope, inverse = self._slope[histories], self._inverse[histories]
-        force = self._force[numbers]
+        force, border = self._force[numbers], self._border[histories]
         groups, psi, psi_t = RowGroups(numbers), self._psi, self._psi_t
         solutions, multipliers = np.zeros_like(right), np.zeros(count)
-        border = inverse * force
-        stiffness, multiplier = inner(force, border), np.zeros(count)
+        stiffness, multiplier = self._stiffness[histories], np.zeros(count)
 
         def apply(x: FloatArray) -> FloatArray:
             return x + groups.products(slope * groups.products(x, psi_t), psi)
@@ -337,13 +376,16 @@ class _Rows:
 
     Parameters
     ----------
-    places : of these rows.
+    places : of these rows among those asked for.
+    ours : their histories.
     numbers : (h,) int, of their bases.
     force : (h, n) float, see ``Basis``.
     """
 
-    def __init__(self, places: IntArray | slice, numbers: IntArray, force: FloatArray) -> None:
-        self.places, self.numbers, self.force = places, numbers, force
+    def __init__(
+        self, places: IntArray | slice, ours: IntArray | slice, numbers: IntArray, force: FloatArray
+    ) -> None:
+        self.places, self.ours, self.numbers, self.force = places, ours, numbers, force
         self.groups = RowGroups(numbers)
 
 

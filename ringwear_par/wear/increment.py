@@ -469,11 +469,18 @@ class WearIncrement:
                 total += (average * slope[..., None, :]) @ average
         return total if self.obliquity is None else self.obliquity[:, None] * total
 
-    def linear(self, p: FloatArray, change: FloatArray) -> FloatArray:
-        """Return the depth change for a small pressure change, (..., n) mm."""
-        if self.local:
-            return self.d_depth_dp(p) * change
-        return averaged(self.jacobian(p), change)
+    def slope(self, p: FloatArray) -> FloatArray:
+        """Return the derivative of the depth with respect to pressure, mm/MPa.
+
+        (..., n) where laws are local, otherwise (..., n, n).
+        """
+        if not self.bodies:
+            return np.zeros_like(p)
+        return self.d_depth_dp(p) if self.local else self.jacobian(p)
+
+    def depth_change(self, slope: FloatArray, change: FloatArray) -> FloatArray:
+        """Return the depth changes, mm, for small pressure changes, (P, ..., n) MPa."""
+        return slope * change if self.local else averaged(slope, change)
 
     def memory(self, p: FloatArray, worn: FloatArray) -> FloatArray | float:
         """Return the change of depth at the end over that at the start, pressure staying, (..., n).

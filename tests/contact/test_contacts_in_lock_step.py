@@ -176,7 +176,7 @@ def test_who_cannot_be_solved_is_named(solver):
 
 def test_what_a_law_raises_comes_out_as_it_is(solver):
     class Failing:
-        local, nearly_discontinuous = True, False
+        local, layered, nearly_discontinuous = True, False, False
 
         def depth(self, p):
             raise ZeroDivisionError("of a law")

@@ -214,7 +214,7 @@ def test_potential_depth_and_jacobian_of_a_step_go_together(cones, laws):
     found = (step.depth(p + h * direction) - step.depth(p - h * direction)) / (2.0 * h)
     along = jacobian @ direction
     assert found == pytest.approx(along, rel=1e-5, abs=1e-7 * np.abs(along).max())
-    assert step.linear(p, direction) == pytest.approx(along, rel=1e-12, abs=1e-25)
+    assert step.depth_change(step.slope(p), direction) == pytest.approx(along, rel=1e-12, abs=1e-25)
     assert step.d_depth_dp(p) == pytest.approx(np.diag(jacobian), rel=1e-12)
     weighted = area[:, None] * jacobian
     assert np.abs(weighted - weighted.T).max() < 1e-11 * weighted.max()

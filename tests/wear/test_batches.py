@@ -102,8 +102,9 @@ def test_a_history_has_the_same_numbers_alone_and_among_others(laws):
                 of_all, of_one = getattr(together, name)(p)[i], getattr(increment, name)(p[i])
                 assert np.array_equal(of_all, of_one), name
             change = np.cos(p)
-            linear = together.linear(p, change)[i]
-            assert np.array_equal(linear, increment.linear(p[i], change[i]))
+            depth = together.depth_change(together.slope(p), change)[i]
+            alone = increment.depth_change(increment.slope(p[i]), change[i])
+            assert np.array_equal(depth, alone)
 
 
 @pytest.mark.parametrize("laws", LAWS.values(), ids=LAWS)

@@ -137,21 +137,23 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
             physics, state, after, closing, last, stage.pressure, defect,
             (standard - worn_first).sum(axis=0), worn_last,
         )  # fmt: skip
-    off = entry_error(physics, closing, state, after, worn_last)
-    if defect.any():
-        # the wear that the defect undoes by the pressure that it takes away
-        relief = contacts.response(defect)
-        off = np.maximum(off, np.abs(relief))
-        defect = defect + last.linear(contact.pressure, relief)
-    feedback = _Feedback(contacts, last, contact.pressure, last.memory(contact.pressure, worn_last))
     rise = (standard / GAMMA - columns(length) * state.rates).sum(axis=0)
     if closing is not None:
         rise = np.where(closing.mask, 0.0, rise)
-    lacking = _LACKING / GAMMA * feedback(np.where(crossing, 0.0, rise))
-    defect = defect + lacking + feedback(lacking)
+    feedback = _Feedback(
+        last, last.slope(contact.pressure), last.memory(contact.pressure, worn_last)
+    )
+    errors = np.stack([np.where(crossing, 0.0, rise), state.error])
+    # the wear that the defect undoes by the pressure that it takes away
+    reliefs = contacts.response(np.concatenate([defect[None], feedback.memory * errors]))
+    off = np.maximum(entry_error(physics, closing, state, after, worn_last), np.abs(reliefs[0]))
+    defect = defect + last.depth_change(feedback.slope, reliefs[0])
+    lacking, carried = feedback.after_relief(errors, reliefs[1:])
     # (1 + (1 - 2 gamma) z) / (1 - gamma z)^2 of the error before, z being h J
-    carried = state.error + feedback(state.error) / GAMMA * (1.0 - GAMMA)
-    carried = carried + feedback(carried)
+    errors = np.stack([_LACKING / GAMMA * lacking, state.error + carried / GAMMA * (1.0 - GAMMA)])
+    changes = feedback.after_relief(errors, contacts.response(feedback.memory * errors))
+    defect = defect + errors[0] + changes[0]
+    carried = errors[1] + changes[1]
     after = replace(after, error=carried + defect)
     if last.layered:
         usual = _mean_pressure(physics, contact)
@@ -174,24 +176,24 @@ class _Feedback:
 
     Parameters
     ----------
-    contacts : the last one is that of the last stage.
-    last : its increment.
-    pressure : (..., n) MPa, of it.
+    last : the increment of the last stage.
+    slope : of its depth over pressure.
     memory : see ``WearIncrement.memory``.
     """
 
-    contacts: CorrectedContacts
     last: WearIncrement
-    pressure: FloatArray
+    slope: FloatArray
     memory: FloatArray | float
 
-    def __call__(self, depth: FloatArray) -> FloatArray:
-        """Return the wear that (..., n) mm more of depth at the start bring about, (..., n) mm."""
-        if not depth.any():
-            return depth
-        grown = self.memory * depth
-        relief = self.contacts.response(grown)
-        return grown - depth + self.last.linear(self.pressure, relief)
+    def after_relief(self, depths: FloatArray, reliefs: FloatArray) -> FloatArray:
+        """Return the wear that more of depth at the start brings about, (P, ..., n) mm.
+
+        Parameters
+        ----------
+        depths : (P, ..., n) mm.
+        reliefs : (P, ..., n) MPa, responses of the contacts to ``memory * depths``.
+        """
+        return self.memory * depths - depths + self.last.depth_change(self.slope, reliefs)
 
 
 def _largest(values: FloatArray) -> FloatArray:
