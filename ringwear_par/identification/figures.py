@@ -13,10 +13,10 @@ from scipy.stats import chi2, norm
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import in_signs
+from ringwear_par.identification.definition.fitted_parameters import unit_of_key
 from ringwear_par.identification.definition.problem import Experiment, Problem, Series
 from ringwear_par.identification.estimation.intervals import ParameterEstimate
 from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.identification.summary import unit_of
 from ringwear_par.pictures import fits
 from ringwear_par.pictures.matplotlib import draw
 from ringwear_par.pictures.panels import GREY
@@ -189,7 +189,7 @@ def _label_axis(axis: Any, one: ParameterEstimate, problem: Problem) -> str:
     if -3 <= power < 4:
         power = 0
     axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.6g}")
-    parts = [f"$10^{{{power}}}$" if power else "", in_signs(unit_of(problem, one.key).strip())]
+    parts = [f"$10^{{{power}}}$" if power else "", in_signs(unit_of_key(problem, one.key).strip())]
     unit = " ".join(part for part in parts if part)
     return f"{one.key} ({unit})" if unit else one.key
 

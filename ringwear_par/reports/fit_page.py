@@ -14,6 +14,7 @@ from ringwear_par.files import folders
 from ringwear_par.files.ordinary import read_bytes
 from ringwear_par.files.text import parse_json
 from ringwear_par.files.text import read_text as read_file
+from ringwear_par.identification.fit_numbers import counted, goodness, law_rows, series_rows
 from ringwear_par.pictures import fits
 from ringwear_par.pictures.style import in_words
 from ringwear_par.reports.blocks import (
@@ -113,35 +114,27 @@ def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:
 
 def _summary(outcome: Mapping[str, Any]) -> list[Block]:
     parameters, level = outcome["parameters"], float(outcome["level"])
-    doubts = list(outcome["warnings"])
-    p_value = outcome["p_value"]
-    probable = "no p-value" if p_value is None else f"p = {p_value:.2g}"
+    warnings = list(outcome["warnings"])
     lines = [
-        f"{_counted(outcome['n_data'], 'reading')}, {_counted(len(parameters), 'parameter')}, "
+        f"{counted(outcome['n_data'], 'reading')}, {counted(len(parameters), 'parameter')}, "
         f"{outcome['histories']} histories by {outcome['method']}, loss {outcome['loss']}",
-        f"chi2 = {outcome['chi2']:.5g}, "
-        f"{_counted(outcome['degrees_of_freedom'], 'degree')} of freedom ({probable}); "
-        f"AIC {outcome['aic']:.5g}, BIC {outcome['bic']:.5g}",
+        goodness(outcome),
     ]
-    blocks: list[Block] = [Lines([*map(with_signs, doubts)], warning=True)] if doubts else []
+    blocks: list[Block] = [Lines([*map(with_signs, warnings)], warning=True)] if warnings else []
     blocks += [Lines(lines), _estimates("Estimates", parameters, level)]
     unidentified = [
         f"{key}: {one['direction']}" for key, one in parameters.items() if one.get("direction")
     ]
-    everything = ["All fitted keys are identified: the readings tell each of them."]
+    everything = ["All fitted keys are identified: the readings determine each of them."]
     if unidentified:
         blocks.append(
-            Lines([f"What the readings do not tell \N{EN DASH} {line}" for line in unidentified])
+            Lines([f"Not determined by the readings \N{EN DASH} {line}" for line in unidentified])
         )
     elif all(one["verdict"] == "identified" for one in parameters.values()):
         blocks.append(Lines(everything))
     if len(parameters) > 1:
         blocks.append(_correlations(outcome))
     return blocks
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def _estimates(caption: str, parameters: Mapping[str, Any], level: float) -> Table:
@@ -168,13 +161,6 @@ def _number(value: float | None, digits: int) -> str:
     return _DASH if value is None else f"{value:.{digits}g}"
 
 
-def _estimate(one: Mapping[str, Any]) -> str:
-    """Return an estimate with its standard deviation, if it has one, and its unit."""
-    spread = "" if one["sd"] is None else f" \N{PLUS-MINUS SIGN} {one['sd']:.2g}"
-    unit = "" if one["unit"] in ("1", "-") else f" {in_signs(str(one['unit']))}"
-    return f"{one['estimate']:.4g}{spread}{unit}"
-
-
 def _correlations(outcome: Mapping[str, Any]) -> Table:
     keys, covariance = outcome["keys"], outcome["covariance"]
     rows = []
@@ -189,20 +175,17 @@ def _correlations(outcome: Mapping[str, Any]) -> Table:
 
 
 def _series_table(outcome: Mapping[str, Any]) -> Table:
-    rows = []
-    for experiment, series in outcome["experiments"].items():
-        for name, one in series.items():
-            fitted = outcome["nuisance"].get(experiment, {}).get(name, {})
-            nuisances = ", ".join(
-                f"{kind} {v['estimate']:.3g}"
-                + ("" if v["sd"] is None else f" \u00b1 {v['sd']:.2g}")
-                for kind, v in fitted.items()
-            )
-            noise = _number(one.get("sd"), 3)
-            rows.append((f"{experiment}, {name}", str(one["n"]), f"{one['chi2']:.4g}",
-                         in_signs(str(one["unit"])), noise, nuisances))  # fmt: skip
+    rows = [
+        (f"{row.experiment}, {row.name}", str(row.n), f"{row.chi2:.4g}", in_signs(row.unit),
+         _number(row.noise, 3), _in_signs(row.nuisances))
+        for row in series_rows(outcome)
+    ]  # fmt: skip
     header = ("series", "readings", "chi2", "unit", "fitted noise", "nuisances")
     return Table("Series", header, rows)
+
+
+def _in_signs(text: str) -> str:
+    return with_signs(text.replace("+-", "\N{PLUS-MINUS SIGN}"))
 
 
 def _series(path: Path, level: float) -> tuple[list[Chart], list[list[str]], str]:
@@ -254,19 +237,11 @@ def _groups(file: h5py.File) -> Iterator[h5py.Group]:
 
 
 def _alternatives(outcome: Mapping[str, Any]) -> Table:
-    laws = {"this law": outcome, **outcome["alternatives"]}
-    best = min(one["aic"] for one in laws.values() if "aic" in one)
     rows = []
-    for name, one in laws.items():
-        if "error" in one:
-            rows.append([name, _DASH, _DASH, _DASH, "", f"failed: {one['error']}"])
-            continue
-        keys = ", ".join(f"{key} = {_estimate(p)}" for key, p in one["parameters"].items())
-        verdict = "does not fit" if one["flagged"] else "fits"
-        if one["p_value"] is None:
-            verdict = "not tested: noise was fitted, or has long tails"
-        row = [name, f"{one['aic'] - best:+.1f}", f"{one['bic']:.5g}", f"{one['chi2']:.5g}"]
-        rows.append([*row, keys, verdict])
+    for row in law_rows(outcome):
+        difference = _DASH if row.aic_difference is None else f"{row.aic_difference:+.1f}"
+        numbers = [difference, _number(row.bic, 5), _number(row.chi2, 5)]
+        rows.append([row.name, *numbers, _in_signs(row.parameters), row.verdict])
     header = ("law", "AIC over the smallest", "BIC", "chi2", "parameters", "verdict")
     return Table("Laws compared", header, rows)
 

@@ -336,7 +336,7 @@ def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
     assert page.rows("95 % from")["wear.lower.p0"][1:] == [
         dash, "MPa", dash, dash, "not identified"
     ]  # fmt: skip
-    assert f"What the readings do not tell {dash} wear.lower.p0: as k" in page.text
+    assert f"Not determined by the readings {dash} wear.lower.p0: as k" in page.text
     assert ("p", {"class": "warning"}) in page.elements
     assert page.rows("AIC over the smallest")["power"][-1] == "failed: no history"
     words = "load.pressure = 30, time.end = 100 + load.pressure = 90"

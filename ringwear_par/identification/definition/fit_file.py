@@ -129,15 +129,7 @@ def _read_settings(
 
 
 class _Experiments:
-    """Reads the experiments, of a base case and of others made from them.
-
-    Parameters
-    ----------
-    name : what messages call the fit file.
-    folder : from which names of files count.
-    base : dotted keys of the base case; None where it has faults.
-    plans : whether readings may be planned ones.
-    """
+    """Reads the experiments, of the base case (None where it has faults) and under other laws."""
 
     def __init__(
         self,

@@ -101,6 +101,12 @@ def units_of(problem: Problem) -> dict[str, str]:
     return {key: known[key] for key in problem.keys}
 
 
+def unit_of_key(problem: Problem, key: str) -> str:
+    """Return the unit of a fitted key, with a blank before it; "" for none."""
+    unit = units_of(problem)[key]
+    return "" if unit in ("1", "-") else f" {unit}"
+
+
 def refuse_fixed(
     said: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
 ) -> None:

@@ -365,12 +365,7 @@ def _intervals(reader: TableReader, unit: str) -> list[tuple[float, float]]:
 
 
 def _sd(reader: TableReader, readings: _Readings, keep: BoolArray) -> tuple[FloatArray, bool]:
-    """Return the standard deviation of each reading, and whether it is to be fitted.
-
-    Parameters
-    ----------
-    keep : (n,) which readings are not left out.
-    """
+    """Return the standard deviation of each reading, and whether it is to be fitted."""
     entry, value, data = reader.raw("sd"), readings.value, readings.data
     unknown = np.full(len(value), np.nan)
     named = isinstance(entry, str) and not has_unit(entry)

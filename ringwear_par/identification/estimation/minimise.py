@@ -140,7 +140,7 @@ class _Reduced:
 
     Attributes
     ----------
-    patience : trials in vain after which it raises ``_StillError``; None: it never does.
+    patience : trials in vain after which it raises ``_NoProgressError``; None: it never does.
     best : (u,) the unknowns of the best trial since then.
     """
 

@@ -119,15 +119,8 @@ def _limit(
     points: dict[float, float],
     wait_for: WaitFor,
 ) -> _Limit:
-    """Return the unknown at which the root of the growth is ``wanted``.
-
-    The root grows nearly linearly, so that secants find it.
-
-    Parameters
-    ----------
-    side : -1 below the optimum, 1 above.
-    points : of the profile, to which those on the way are added.
-    """
+    """Return the unknown below (side -1) or above (1) at which the root of the growth is wanted."""
+    # the root grows nearly linearly, so that secants find it
     bounds = misfit.lower, misfit.upper
     sd = math.sqrt(covariance[j, j])
     centre, end = float(optimum.x[j]), float(bounds[0][j] if side < 0 else bounds[1][j])

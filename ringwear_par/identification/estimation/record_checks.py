@@ -1,4 +1,4 @@
-"""Doubts of a fit: what its readings say against the model or the intervals, record by record."""
+"""Checks of single records: readings that cannot be what they are called, or oppose the model."""
 
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -55,12 +55,12 @@ class FitWarning:
 def record_warnings(
     misfit: Misfit, x: FloatArray, evaluation: Evaluation
 ) -> tuple[FitWarning, ...]:
-    """Return the doubts of a fit, whose unknowns are x at the optimum."""
+    """Return warnings about single records of a fit, whose unknowns are x at the optimum."""
     return (*_oppositions(misfit, x), *_trends(misfit, evaluation))
 
 
 def _oppositions(misfit: Misfit, x: FloatArray) -> list[FitWarning]:
-    """Return doubts of records that fall where the model's rise."""
+    """Return warnings about records that fall where the model's rise."""
     warnings = []
     for experiment, series, exclude in opposing_records(misfit, x):
         kinds = " and ".join(n.kind for n in series.nuisances)
@@ -81,7 +81,7 @@ def _oppositions(misfit: Misfit, x: FloatArray) -> list[FitWarning]:
 
 
 def _trends(misfit: Misfit, evaluation: Evaluation) -> list[FitWarning]:
-    """Return doubts of records whose residuals are no noise."""
+    """Return warnings about records whose residuals are no noise."""
     warnings = []
     for (experiment, series), part in zip(misfit.series, misfit.parts, strict=True):
         probability = trend(series, -evaluation.noise[part])
@@ -247,12 +247,7 @@ def opposing_records(misfit: Misfit, x: FloatArray) -> list[Opposition]:
 
 
 class _Record:
-    """Readings of a series and the model's, over their noise.
-
-    Parameters
-    ----------
-    sd, model : (n,) noise, and the model's readings without nuisances.
-    """
+    """Readings (n,) of a series and the model's without nuisances, over their noise."""
 
     def __init__(
         self, experiment: Experiment, series: Series, sd: FloatArray, model: FloatArray
@@ -262,13 +257,7 @@ class _Record:
         self._both = np.stack([series.value, model], axis=1) / sd[:, None]
 
     def opposes(self, rows: slice = slice(None), *, harmless: bool = False) -> bool:
-        """Tell whether readings fall where the model's rise.
-
-        Parameters
-        ----------
-        rows : of the readings that count.
-        harmless : whether only nuisances count that leave the sign as it is.
-        """
+        """Tell whether readings fall where the model's rise, beside (harmless) nuisances."""
         of = [
             i for i, n in enumerate(self._series.nuisances) if not harmless or n.kind in _HARMLESS
         ]

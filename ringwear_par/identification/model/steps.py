@@ -69,12 +69,7 @@ def bends_within(experiment: Experiment) -> bool:
 
 
 def _limited(grown: FloatArray, count: int) -> FloatArray:
-    """Return growing steps' ends up to where they are as long as equal ones, then those of these.
-
-    Parameters
-    ----------
-    count : of the equal ones, from 0 to the last end.
-    """
+    """Return ends of growing steps until they are as long as ``count`` equal ones, then these."""
     equal = np.linspace(0.0, grown[-1], 1 + count)[1:]
     early = grown[np.diff(grown, prepend=0.0) < equal[0]]
     return np.concatenate([early, equal[equal > early.max(initial=0.0)]])

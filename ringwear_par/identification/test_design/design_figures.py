@@ -10,7 +10,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.identification.definition.candidates import Candidate
-from ringwear_par.identification.summary import unit_of
+from ringwear_par.identification.definition.fitted_parameters import unit_of_key
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.design_summary import name_of
 from ringwear_par.pictures.style import COLOURS, NotebookFigure
@@ -35,7 +35,9 @@ def figure(design: DesignResult) -> Figure:
     )
     for j, (axes, parameter) in enumerate(zip(panels, parameters, strict=True)):
         scale = 100.0 / design.nominal[j] if parameter.log else 1.0
-        unit = "%" if parameter.log else in_signs(unit_of(design.problem, parameter.key).strip())
+        unit = (
+            "%" if parameter.log else in_signs(unit_of_key(design.problem, parameter.key).strip())
+        )
         label = f"predicted sd of {parameter.key}" + (f" ({unit})" if unit else "")
         if len(plain) and len(design.pairs):
             _map_of_pairs(axes, design, plain, scale * design.pairs[..., j], label, first=j == 0)

@@ -10,8 +10,8 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.files.folders import DESIGN, MAP, NEXT
 from ringwear_par.files.writing import atomic_write, unwritable
 from ringwear_par.identification.definition.candidates import Candidate
+from ringwear_par.identification.definition.fitted_parameters import unit_of_key
 from ringwear_par.identification.fit_folder import check
-from ringwear_par.identification.summary import unit_of
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.next_tests import next_tests
 from ringwear_par.identification.test_design.search import Design
@@ -36,7 +36,7 @@ def summary(design: DesignResult) -> str:
         f"{design.histories} histories"
     ]
     about = ", ".join(
-        f"{p.key} = {v:.4g}{unit_of(problem, p.key)}"
+        f"{p.key} = {v:.4g}{unit_of_key(problem, p.key)}"
         for p, v in zip(problem.parameters, design.nominal.tolist(), strict=True)
     )
     where = f"after {design.after}" if design.after else "at the start"
@@ -86,13 +86,15 @@ def _spreads(design: DesignResult, one: Design) -> str:
     for place, (parameter, value, sd) in enumerate(pairs):
         low, high = one.range[:, place]
         if not np.isfinite(sd):
-            spreads.append(f"{parameter.key} not told")
+            spreads.append(f"{parameter.key} not identified")
         elif parameter.log:
             spreads.append(f"{parameter.key} +- {100.0 * sd / value:.2g} %")
         else:
-            spreads.append(f"{parameter.key} +- {sd:.2g}{unit_of(design.problem, parameter.key)}")
+            spreads.append(
+                f"{parameter.key} +- {sd:.2g}{unit_of_key(design.problem, parameter.key)}"
+            )
         if np.isfinite(sd) and high > 1.5 * low:
-            worst = f"{high / sd:.2g} times" if np.isfinite(high) else "not told"
+            worst = f"{high / sd:.2g} times" if np.isfinite(high) else "not identified"
             spreads[-1] += f" (at worst {worst})"
     return "; ".join(spreads)
 

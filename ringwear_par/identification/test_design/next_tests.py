@@ -85,12 +85,7 @@ def _set_of(measured: Mapping[str, Any], test: Candidate) -> dict[str, Any]:
 
 
 def _planned(series: Series, table: Mapping[str, Any]) -> list[str]:
-    """Return the keys of readings that are planned, a line each.
-
-    Parameters
-    ----------
-    table : of the fit file, of the readings as which these are measured.
-    """
+    """Return the keys of planned readings, measured like those of a table, a line each."""
     keys: dict[str, Any] = {"quantity": series.quantity}
     if series.profile:
         excluded = in_unit(table.get("exclude", []), "mm")
