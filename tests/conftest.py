@@ -1,9 +1,9 @@
 """Serial and parallel runs of the same tests; a rank that fails does not leave the others waiting.
 
 Run as ``pytest`` or as ``mpirun -n 2 python -m pytest --with-mpi``. On several ranks run the tests
-that take the communicator ``comm``, directly or by a fixture, but for those marked ``serial``, where
-each rank would but repeat what one does, as a rule with their whole file. The mark ``ranks`` brings
-back a test of such a file.
+that take the communicator ``comm``, directly or by a fixture, but for those marked ``serial``, as a
+rule with their whole file, where each rank would but repeat what one does. The mark ``ranks``
+brings back a test of such a file.
 """
 
 import os
