@@ -5,7 +5,6 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 source scripts/setup.sh
 ruff check .
 ruff format --check .
-mypy
 # the programs that tests start are many: each would compile the whole package again
 unset PYTHONDONTWRITEBYTECODE
 # once, before many processes want it at the same time
@@ -14,20 +13,26 @@ from mpi4py import MPI
 from ringwear_par.elasticity.bem.assembly import load_kernels
 load_kernels(MPI.COMM_SELF)
 COMPILE
-# the site, with warnings as errors: every page, formula, link and script of the gallery
-bash scripts/docs.sh
+logs="$(mktemp -d)"
+# types and the site, with warnings as errors, beside the tests, which wait for programs now and then
+bash scripts/docs.sh --install
+{ mypy && bash scripts/docs.sh; } > "$logs/site" 2>&1 &
+site=$!
+trap 'kill "$site" 2>/dev/null || true' EXIT
 # limits are for hangs, not for load; files are shared out, as most tests wait for programs, and taken
 # in order, the slow ones first
-timeout -k 5 2400 python -m pytest -q -rs -n 4 --dist loadfile --no-loadscope-reorder
+in_browser=tests/repository/test_site_in_browser.py
+timeout -k 5 2400 python -m pytest -q -rs -n 4 --dist loadfile --no-loadscope-reorder --ignore "$in_browser"
+wait "$site" || { cat "$logs/site"; exit 1; }
+python -m pytest -q -rs "$in_browser"
 for ranks in 2 3; do
     echo "on $ranks ranks"
     # every rank reports; one report is enough where all went well
-    log="$(mktemp)"
-    if timeout -k 5 1800 mpirun -n "$ranks" python -m pytest -q --color=no --with-mpi > "$log" 2>&1; then
-        grep -a -m 1 passed "$log"
-        rm "$log"
+    if timeout -k 5 1800 mpirun -n "$ranks" python -m pytest -q --color=no --with-mpi > "$logs/ranks" 2>&1; then
+        grep -a -m 1 passed "$logs/ranks"
     else
-        cat "$log"
+        cat "$logs/ranks"
         exit 1
     fi
 done
+rm -r "$logs"

@@ -1,6 +1,9 @@
 """Serial and parallel runs of the same tests; a rank that fails does not leave the others waiting.
 
-Run as ``pytest`` or as ``mpirun -n 2 python -m pytest --with-mpi``.
+Run as ``pytest`` or as ``mpirun -n 2 python -m pytest --with-mpi``. On several ranks run the tests
+that take the communicator ``comm``, directly or by a fixture, but for those marked ``serial``, as a
+rule with their whole file, where each rank would but repeat what one does. The mark ``ranks``
+brings back a test of such a file.
 """
 
 import os
@@ -21,8 +24,8 @@ GRACE = 180.0
 
 def pytest_configure(config):
     config._failures, config._sync = [], None
-    config.addinivalue_line("markers", "serial: starts programs, or has no use of ranks")
-    config.addinivalue_line("markers", "most_ranks(n): more than n ranks would but repeat it")
+    config.addinivalue_line("markers", "serial: ranks would but repeat it, or it starts programs")
+    config.addinivalue_line("markers", "ranks: runs on several ranks, in a file that is serial")
     config.addinivalue_line("markers", "slow: of files that take a minute or so, which go first")
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
         return  # workers run the tests, and would inherit what MPI puts into the environment
@@ -43,17 +46,18 @@ def pytest_unconfigure(config):
         config._own.cleanup()
 
 
+def _runs_on_ranks(item):
+    marks = [mark.name for mark in item.iter_markers() if mark.name in ("serial", "ranks")]
+    return "comm" in item.fixturenames and marks[:1] != ["serial"]  # the closest comes first
+
+
 def pytest_collection_modifyitems(config, items):
     if config._sync is None:
         items.sort(key=lambda item: item.get_closest_marker("slow") is None)
         return
-    for item in items:
-        most = item.get_closest_marker("most_ranks")
-        if item.get_closest_marker("serial") or "comm" not in item.fixturenames:
-            item.add_marker(pytest.mark.skip(reason="starts programs, or has no use of ranks"))
-        elif most is not None and config._sync.size > most.args[0]:
-            reason = f"{most.args[0]} ranks show as much"
-            item.add_marker(pytest.mark.skip(reason=reason))
+    alone = [item for item in items if not _runs_on_ranks(item)]
+    config.hook.pytest_deselected(items=alone)
+    items[:] = [item for item in items if item not in set(alone)]
 
 
 @pytest.hookimpl(hookwrapper=True)

@@ -24,7 +24,6 @@ def test_every_law_scheme_and_shape_has_a_case():
     assert any(isinstance(t["load"]["omega"], list) for t in texts)
 
 
-@pytest.mark.most_ranks(2)
 @pytest.mark.parametrize("path", RUNS, ids=[path.stem for path in RUNS])
 def test_a_case_runs_and_keeps_its_balances(path, shared_path, comm):
     output = shared_path / "run.h5"

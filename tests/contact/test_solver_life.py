@@ -16,6 +16,8 @@ from ringwear_par.contact import tao
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.errors import ComputationError, LawError
 
+pytestmark = pytest.mark.serial
+
 N = 8
 COMPLIANCE = np.eye(N) + 0.1
 AREA = np.ones(N)
@@ -243,7 +245,6 @@ def _run(command, ranks):
     )  # fmt: skip
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("ranks", RANKS)
 @pytest.mark.parametrize(
     ("how", "status"),
@@ -321,7 +322,6 @@ if how == "not caught":
 """
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("ranks", RANKS)
 @pytest.mark.parametrize(
     ("how", "kind", "status"),
@@ -337,7 +337,6 @@ def test_a_law_that_fails_in_the_midst_leaves_the_status_alone(tmp_path, ranks, 
     _said_nothing_odd(done.stdout + done.stderr)
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("ranks", RANKS)
 @pytest.mark.parametrize("command", ["run", "sweep"])
 def test_a_command_whose_law_fails_in_the_midst_ends_with_1(tmp_path, ranks, command):

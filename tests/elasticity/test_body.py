@@ -21,6 +21,8 @@ from ringwear_par.verification.elasticity import (
     torsion_error,
 )
 
+pytestmark = pytest.mark.serial
+
 LOWER = Section((20.0, 40.0), 20.0)
 UPPER = Section((28.5, 31.5), 20.0)
 CHAMFERED = Section((28.5, 31.5), 20.0, ((28.5, -0.1), (28.6, 0.0), (31.4, 0.0), (31.5, -0.1)))
@@ -32,6 +34,7 @@ def condensed(section, mesh, comm, grip="clamped"):
     return compliance(Body(section, 1.0, 0.3, grip), line, mesh, comm)
 
 
+@pytest.mark.ranks
 def test_parts_of_elements_that_run_out_are_an_error_on_all_ranks(comm, monkeypatch):
     """Not integrals over parts that are too long, whose error nobody would see."""
     monkeypatch.setattr(rows, "MAX_PARTS", 2)
@@ -47,6 +50,7 @@ def test_rigid_modes_close():
     assert closure_error() < 1e-12
 
 
+@pytest.mark.ranks
 def test_linear_fields_are_exact_but_for_quadrature(comm):
     assert bar_error(16, comm) < 1e-6
     assert lame_error(64, comm) < 1e-6
@@ -104,6 +108,7 @@ def test_clamped_is_stiffer_than_platen(comm):
     assert mean[0] < mean[1] < 1.05 * mean[0]
 
 
+@pytest.mark.ranks
 def test_same_compliance_on_any_number_of_ranks(comm):
     """To the last bit, whoever solved which of the systems."""
     body = condensed(LOWER, Mesh(32), comm)
@@ -113,6 +118,7 @@ def test_same_compliance_on_any_number_of_ranks(comm):
     assert body.response.kernel_evaluations == other.response.kernel_evaluations
 
 
+@pytest.mark.ranks
 @pytest.mark.mpi(min_size=2)
 def test_redundant_and_distributed_factorisations_agree_with_whole_ones(comm, monkeypatch):
     if not has_scalapack():
@@ -139,6 +145,7 @@ def test_who_solves_which_system():
     assert solve.owners([100, 200], 5) == [1, 0]
 
 
+@pytest.mark.ranks
 def test_a_singular_system_fails_on_all_ranks(comm):
     share = [rank * 9 // comm.size for rank in range(comm.size + 1)][comm.rank :][:2]
     local = share[1] - share[0]
@@ -150,6 +157,7 @@ def test_a_singular_system_fails_on_all_ranks(comm):
         solve.solve_systems([sound, singular], comm)
 
 
+@pytest.mark.ranks
 def test_no_rank_holds_a_whole_matrix(comm):
     from ringwear_par.elasticity.bem.assembly import assemble
     from ringwear_par.elasticity.bem.body import boundary_conditions
@@ -172,6 +180,7 @@ def resident_megabytes():
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
+@pytest.mark.ranks
 def test_memory_stays_flat(comm):
     """Over 100 solves and contact solvers; a TAO that is not freed is 160 to 280 kB."""
     from ringwear_par.contact.solver import ContactSolver
@@ -191,6 +200,7 @@ def test_memory_stays_flat(comm):
     assert resident_megabytes() - before < 4.0
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("section", [LOWER, UPPER])
 def test_the_whole_boundary_in_both_frames(section, comm):
     mesh = Mesh(24)

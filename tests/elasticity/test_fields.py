@@ -13,6 +13,8 @@ from ringwear_par.history.elastic.pairs import assemble, boundary_recovery, upda
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage.result_files import open_result
 
+pytestmark = pytest.mark.serial
+
 FIELDS = CASES / "fields.toml"
 SMALL = ["mesh.contact_elements=16", "time.steps=20", "output.boundary=all"]
 #: elements that follow the wear often
@@ -35,6 +37,7 @@ def weights(fields):
     return np.pi * (ra + rb) * length, 2 * np.pi / 3 * length * (ra**2 + ra * rb + rb**2)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("case", "overrides"),
     [
@@ -136,6 +139,7 @@ def test_responses_follow_the_shape(comm):
     assert fixed.displacement == pytest.approx(unworn.displacement, abs=1e-12)
 
 
+@pytest.mark.ranks
 def test_opens_in_xarray(shared_path, comm):
     path = shared_path / "run.h5"
     run_case(FIELDS, path, ["mesh.contact_elements=16"], comm=comm)
@@ -161,6 +165,7 @@ def test_opens_in_xarray(shared_path, comm):
         assert dict(data.sizes) == {"step": 5, "element": 16}
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("overrides", "times"),
     [
@@ -184,7 +189,6 @@ def test_which_states_are_stored(overrides, times, shared_path, comm):
         assert [state.time for state in open_result(path).boundary] == times
 
 
-@pytest.mark.most_ranks(2)
 @pytest.mark.parametrize("stop", [2, 5])
 @pytest.mark.parametrize(
     "overrides",
@@ -208,6 +212,7 @@ def test_restart_equals_an_uninterrupted_run(shared_path, comm, restarted, overr
         assert "boundary/upper/displacement_z" in assert_same(whole, parts)
 
 
+@pytest.mark.ranks
 def test_a_longer_history_has_another_last_state(shared_path, comm):
     path = shared_path / "run.h5"
     words = ["mesh.contact_elements=16", "output.boundary=last", "output.every=6"]
@@ -217,6 +222,7 @@ def test_a_longer_history_has_another_last_state(shared_path, comm):
         assert [state.step for state in open_result(path).boundary] == [10]
 
 
+@pytest.mark.ranks
 def test_the_same_on_any_number_of_ranks(shared_path, comm):
     from mpi4py import MPI
 

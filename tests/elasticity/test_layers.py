@@ -23,6 +23,8 @@ from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Material, Section
 from ringwear_par.elasticity.geometry.slopes import pair_slope
 
+pytestmark = pytest.mark.serial
+
 CONTACT = (28.5, 31.5)
 HARD, SOFT = Material(1e5, 0.25), Material(2e3, 0.4)
 LOWER = Body(Section((20.0, 40.0), 20.0), 1e4, 0.3, "clamped")
@@ -78,6 +80,7 @@ def test_as_many_equations_as_unknowns(body, contact):
         assert (own.sign < 0.0).nonzero()[0].tolist() == sorted(zone.boundary.below)
 
 
+@pytest.mark.ranks
 def test_equations_of_layers_are_shared_out_over_the_ranks(comm):
     mesh = Mesh(16)
     zones = body_zones(COATED, contact_line(CONTACT, mesh), mesh)
@@ -89,6 +92,7 @@ def test_equations_of_layers_are_shared_out_over_the_ranks(comm):
         assert system.start == sum(comm.allgather(local)[: comm.rank])
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(("body", "contact"), [BODIES[0], BODIES[3]])
 def test_same_compliance_on_any_number_of_ranks(body, contact, comm):
     found = condensed(body, Mesh(24), comm, contact)
@@ -113,6 +117,7 @@ def test_defects_vanish_with_the_mesh(body, coarse, comm):
     assert max(force[2], torque[2]) < 5e-5
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(("body", "contact"), BODIES)
 def test_zones_share_their_interfaces_and_balance(body, contact, comm):
     """Displacements are the same, tractions opposite; each zone hands the whole load on."""
@@ -219,6 +224,7 @@ def profiles(line, depths):
     return np.stack([depths[0] * (0.6 + 0.4 * np.cos(5.0 * x)), depths[1] * (0.2 + 0.8 * x**2)])
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("depths", [(0.02, 0.1), (0.2, 0.1), (0.02, 0.45), (0.8, 0.6)])
 def test_an_update_is_a_fresh_assembly(depths, comm):
     """Within layers, through one of them, and through all."""
@@ -239,6 +245,7 @@ def test_an_update_is_a_fresh_assembly(depths, comm):
         assert np.array_equal(geometry.update(again).normal, was.normal)
 
 
+@pytest.mark.ranks
 def test_an_update_of_layers_saves_most_of_the_work(comm):
     both = layered(LOWER, (0.05, HARD)), UPPER
     line, geometry = moving(both, (True, False), Mesh(24), comm)

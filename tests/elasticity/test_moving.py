@@ -19,6 +19,8 @@ from ringwear_par.verification.fine import SORTS, ring_case
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
+pytestmark = pytest.mark.serial
+
 
 def agree(one, other, tolerance=1e-12):
     for name in ("normal", "twist", "force_reaction", "torque_reaction"):
@@ -45,6 +47,7 @@ def cases():
     return both, chamfered, sphere, overlap, replace(cones, mesh=Mesh(32, geometry="updated"))
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("which", range(5))
 def test_an_update_is_a_fresh_assembly(cases, which, comm):
     case = cases[which]
@@ -73,6 +76,7 @@ def test_an_update_is_a_fresh_assembly(cases, which, comm):
     agree(moving.update(worn), pair, 0.0)
 
 
+@pytest.mark.ranks
 def test_updates_cost_less_than_assemblies(cases, comm):
     case = replace(cases[0], wear_upper=None)
     full = assemble(case, comm).cost.kernel_evaluations
@@ -129,6 +133,7 @@ def test_what_moves(cases):
         assert parts.elements.sum() <= 32 + beside
 
 
+@pytest.mark.ranks
 def test_wear_through_half_a_body_is_an_error(comm):
     case = replace(paper_case(Mesh(16)), wear_lower=ThresholdLaw(1e-7))
     moving = updated_geometry(case, comm)

@@ -11,6 +11,8 @@ from ringwear_par.elasticity.bem.systems import BoundaryConditions, Zone, number
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Material, Section
 
+pytestmark = pytest.mark.serial
+
 
 @pytest.mark.parametrize("power", range(5))
 def test_singular_rule_for_polynomials_and_logarithms(power):
@@ -69,6 +71,7 @@ def test_bars_with_small_bores_stay_exact(bore, comm):
         assert np.abs(body.normal.sum(axis=1) / 20.0 - 1).max() < 10 * tolerance
 
 
+@pytest.mark.ranks
 def test_assembled_rows_follow_the_tolerance(comm):
     exact = rows(1e-13, comm)
     defects, counts = [], []

@@ -13,6 +13,8 @@ from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Section
 from ringwear_par.errors import ComputationError
 
+pytestmark = pytest.mark.serial
+
 CONTACT, FORCE = (28.5, 31.5), 28274.334
 WIDE, NARROW = Section((20.0, 40.0), 20.0), Section(CONTACT, 20.0)
 #: lower and upper, and the radii of their contact
@@ -50,6 +52,7 @@ def compliances(comm):
     return found
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", BODIES)
 def test_it_is_symmetric_to_the_last_bit_and_positive_definite(compliances, name):
     for n in SIZES:
@@ -162,6 +165,7 @@ def test_excess_is_what_the_collocated_compliance_lacks(compliances):
     assert np.abs(m[:, None] * compliance.excess).max() > 1e-4 * np.abs(compliance.matrix).max()
 
 
+@pytest.mark.ranks
 def test_what_is_not_positive_definite_is_told(comm):
     """Where the two faces say nothing of it, as well."""
     lower, upper = Body(WIDE, 1.0, 0.3, "clamped"), Body(NARROW, 1.0, 0.3, "clamped")

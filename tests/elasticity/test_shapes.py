@@ -18,6 +18,8 @@ from ringwear_par.history.start import first_contact
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.verification.reference import contact_modulus
 
+pytestmark = pytest.mark.serial
+
 CHAMFERED = ((28.5, -0.1), (28.6, 0.0), (31.4, 0.0), (31.5, -0.1))
 
 
@@ -88,6 +90,7 @@ def test_chamfers_come_into_contact_as_wear_proceeds(comm):
     assert np.abs(gap[states[-1].contact.pressure > 0]).max() < 1e-9
 
 
+@pytest.mark.ranks
 def test_partly_overlapping_rings(comm):
     case = read_case(CASES / "overlap.toml")
     assert case.contact == (38.0, 40.0)

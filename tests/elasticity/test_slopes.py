@@ -21,6 +21,8 @@ from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.start import first_contact
 from ringwear_par.verification.fine import SORTS, Rings, ring_case
 
+pytestmark = pytest.mark.serial
+
 CONTACT = (28.5, 31.5)
 TAN = math.tan(math.radians(10.0))
 
@@ -114,6 +116,7 @@ def cones(comm):
     return [(case, assemble(case, comm)) for case in cases]
 
 
+@pytest.mark.ranks
 def test_a_pair_upside_down_is_the_same_pair(comm):
     """Unlike bodies on unlike cones, exchanged, as if the whole rig had been turned over."""
     mesh = Mesh(16)
@@ -184,6 +187,7 @@ def test_cones_are_reciprocal(cones, comm):
     assert min(axial) > 0.01
 
 
+@pytest.mark.ranks
 def test_reactions_of_cones_are_those_of_equilibrium(cones):
     """Projected area for the force, true area for the torque."""
     errors = []

@@ -17,6 +17,8 @@ from ringwear_par.elasticity.stress.surface import faces
 from ringwear_par.elasticity.stress.zone import ZoneStress, locate
 from ringwear_par.errors import ComputationError
 
+pytestmark = pytest.mark.serial
+
 NU = 0.3
 RING = Section((20.0, 40.0), 20.0)
 DISC = Section((0.0, 10.0), 8.0)
@@ -211,6 +213,7 @@ def test_the_papers_rings(n, tolerance, comm):
     assert lower.surface[:, 5] == pytest.approx(-0.1 * lower.surface[:, 2], rel=1e-9)
 
 
+@pytest.mark.ranks
 def test_both_sides_of_the_contact_agree(comm):
     """What pressure and friction say is the same on both surfaces: zz, rz and tz."""
     lower, upper = paper_stresses(32, comm, ([[30.0, 20.0]], [[30.0, 20.0]]))

@@ -27,6 +27,8 @@ from ringwear_par.history.start import initial_state
 from ringwear_par.schedules import in_time
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
+pytestmark = pytest.mark.serial
+
 CHAMFER = CASES / "chamfer.toml"
 #: of scripts/random_cases.py with seed 1: contact that does not reach the edges, or has a corner
 NUMBERS = (12, 100, 120, 144)
@@ -250,6 +252,7 @@ def test_histories_together_are_corrected_as_if_alone(cases, comm):
     assert len(counts) > 1
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("time", [
     '{scheme="explicit", step=0.1, steps=12}', '{scheme="implicit", step=4.0, steps=12}',
 ])  # fmt: skip
@@ -260,6 +263,7 @@ def test_a_restart_goes_on_to_the_last_bit(time, comm, restarted):
         assert_same(whole, parts)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("number", NUMBERS)
 def test_ranks_find_the_same(cases, number, comm):
     """Assembled and solved together as by one rank alone; each rank corrects by itself."""
@@ -275,6 +279,7 @@ def test_ranks_find_the_same(cases, number, comm):
     assert together.last.wear == pytest.approx(alone.last.wear, rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.ranks
 def test_a_contact_that_corrections_do_not_settle_is_refused(cases, comm, monkeypatch):
     """Alone with its error; among others it leaves."""
     case, pair = cases[12]

@@ -21,6 +21,8 @@ from ringwear_par.verification.histories import round_face
 from ringwear_par.verification.paper import paper_case
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
+pytestmark = pytest.mark.serial
+
 UPDATED = Mesh(24, geometry="updated", geometry_tolerance=0.003)
 
 
@@ -29,6 +31,7 @@ def states(case, comm):
     return history, history.states
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("scheme", [Stepping("implicit", 4.0, 50), Stepping("adaptive", until=200)])
 def test_following_changes_little_and_keeps_the_balances(comm, scheme):
     case = paper_case(UPDATED, p0=(0.0, 0.0), k=(1e-7, 2e-8), stepping=scheme)
@@ -55,7 +58,6 @@ def test_following_changes_little_and_keeps_the_balances(comm, scheme):
         )
 
 
-@pytest.mark.most_ranks(2)
 def test_tolerance_tends_to_zero(comm):
     case = paper_case(UPDATED, p0=(0.0, None), stepping=Stepping("implicit", 5.0, 40))
     approach = {}
@@ -66,6 +68,7 @@ def test_tolerance_tends_to_zero(comm):
     assert errors[1] < 0.75 * errors[0]
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("scheme", ["implicit", "adaptive"])
 def test_restart_equals_an_uninterrupted_run(comm, restarted, scheme):
     keys = ["mesh.contact_elements=16", "time.step=4", "time.steps=20", f"time.scheme={scheme}",
@@ -78,7 +81,6 @@ def test_restart_equals_an_uninterrupted_run(comm, restarted, scheme):
                 assert np.array_equal(one[name][:], two[name][:]), name
 
 
-@pytest.mark.most_ranks(2)
 @pytest.mark.parametrize("geometry", ["fixed", "updated"])
 @pytest.mark.parametrize("shape", ["sphere", "torus"])
 def test_volume_balance_while_the_contact_grows(comm, shape, geometry):

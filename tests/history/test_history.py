@@ -14,6 +14,8 @@ from ringwear_par.history.physics import Physics
 from ringwear_par.history.validity.stable_steps import stable_steps
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
+pytestmark = pytest.mark.serial
+
 
 @pytest.fixture
 def stepped(paper_pair, comm):
@@ -31,6 +33,7 @@ def steps(scheme, step, number):
     return Stepping(scheme, step, number)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("scheme", ["implicit", "explicit"])
 def test_balances_at_every_step(stepped, scheme):
     step = 1.0 if scheme == "implicit" else 0.1
@@ -108,7 +111,6 @@ def test_fixed_approach_unloads(stepped):
     assert states[-1].contact.pressure.max() == pytest.approx(40.0, rel=1e-3)
 
 
-@pytest.mark.most_ranks(2)
 def test_both_schemes_are_of_first_order_and_meet(stepped):
     """Against a fine run, at 20 s on a coarse mesh, where explicit steps are stable."""
     from ringwear_par.elasticity.geometry.mesh import Mesh
@@ -135,7 +137,6 @@ def test_both_schemes_are_of_first_order_and_meet(stepped):
         assert orders == pytest.approx([1, 1], abs=0.15)
 
 
-@pytest.mark.most_ranks(2)
 def test_explicit_limit_separates_smooth_from_oscillating(stepped, paper_pair, comm):
     physics = Physics.of([paper_pair[0]], paper_pair[1])
     with physics.contacts() as contacts:
@@ -168,6 +169,7 @@ def test_no_wear_without_law_or_sliding(stepped, paper_pair):
         assert states[-1].contact.approach == pytest.approx(states[0].contact.approach, rel=1e-12)
 
 
+@pytest.mark.ranks
 def test_same_history_on_any_number_of_ranks(stepped, comm):
     """Twice: bitwise on the same ranks."""
     _, states = stepped(time=steps("implicit", 1.0, 10))

@@ -19,7 +19,7 @@ from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 #: no rank of a batch knows of others
-pytestmark = pytest.mark.most_ranks(2)
+pytestmark = pytest.mark.serial
 #: s, ends of two steps of each of three histories
 ENDS = np.array([[0.5, 1.0, 2.0], [1.5, 3.0, 9.0]])
 SCHEMES = {"explicit": euler.forward, "implicit": euler.backward, "adaptive": sdirk2.step}

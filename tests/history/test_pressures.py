@@ -19,6 +19,8 @@ from ringwear_par.wear import LocalState
 from ringwear_par.wear.increment import Closing, WearIncrement
 from ringwear_par.wear.laws.archard import ArchardLaw
 
+pytestmark = pytest.mark.serial
+
 SPHERE = {"time": None, "time.scheme": "adaptive", "time.end": 200.0}
 
 
@@ -42,7 +44,6 @@ def pressure_errors(pairs):
     )
 
 
-@pytest.mark.most_ranks(2)
 def test_the_crown_has_no_peaks_where_contact_grows(comm):
     case = read_case(CASES / "crown.toml", {"mesh.contact_elements": 64, "time.end": 300.0})
     history, pairs = compared(case, comm, 1e-8)

@@ -34,6 +34,8 @@ from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
+pytestmark = pytest.mark.serial
+
 CHAMFER, PAPER = CASES / "chamfer.toml", PAPER
 DEGREES = 10.0
 COS = math.cos(math.radians(DEGREES))
@@ -51,6 +53,7 @@ def cones(comm):
 # -- true areas ------------------------------------------------------------------------------------
 
 
+@pytest.mark.ranks
 def test_torque_and_energy_are_those_of_the_true_area(cones, comm):
     case, pair = cones
     line = pair.line
@@ -277,6 +280,7 @@ def test_pressure_on_a_conforming_chamfer_is_that_beside_it_times_the_cosine(cut
     assert cutting.balances.torque < 1e-3
 
 
+@pytest.mark.ranks
 def test_a_body_that_does_not_wear_is_solved_again_when_the_slope_turns(cutting, comm):
     """And not otherwise; what it gives way is that of a fresh assembly with that slope."""
     case = cutting.physics.case

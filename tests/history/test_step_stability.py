@@ -7,7 +7,7 @@ import pytest
 import step_stability as script
 from mpi4py import MPI
 
-pytestmark = pytest.mark.most_ranks(2)
+pytestmark = pytest.mark.serial
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,6 @@ def test_limit_measured_by_stepping_is_that_of_the_eigenvalue_and_of_the_formula
     assert ratios == pytest.approx([1.0255, 1.0100, 1.0000, 0.9940], abs=3e-3)
 
 
-@pytest.mark.most_ranks(1)
 def test_explicit_steps_are_stable_below_the_limit_and_not_above(worn):
     limit = script.formula(script.paper(script.N))
     assert 0.75 * limit < script.SHORT < limit < script.LONG < 1.5 * limit
@@ -92,7 +91,6 @@ def test_nodal_gaps_spoil_the_unworn_pressure(comm):
     assert errors[1] < 0.5 * errors[0] < 0.3
 
 
-@pytest.mark.most_ranks(1)
 def test_profiles_ripple_for_either_cause_and_not_without(worn):
     def ripple(gaps, scheme, step):
         return worn(gaps, scheme, step).ripples[-1]
@@ -107,7 +105,6 @@ def test_profiles_ripple_for_either_cause_and_not_without(worn):
     assert ripple("nodal", "explicit", 0.04) < 1.5 * smooth
 
 
-@pytest.mark.most_ranks(1)
 def test_threshold_makes_ripples_dig_too_deep(worn):
     """With p0 > 0 what alternates wears more on average; without only the profile suffers."""
     for gaps, step, too_deep in (("mid-point", script.LONG, 1.05), ("nodal", script.SHORT, 1.3)):
@@ -120,7 +117,6 @@ def test_threshold_makes_ripples_dig_too_deep(worn):
         assert ratio[40.0] > too_deep
 
 
-@pytest.mark.most_ranks(1)
 def test_picture_is_drawn(both, limits, worn, comm, shared_path):
     run = worn("mid-point", "implicit", 50.0)
     runs = {(*key, p0): run for key in script.RUNS for p0 in (0.0, 40.0)}

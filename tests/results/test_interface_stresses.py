@@ -13,6 +13,8 @@ from ringwear_par.elasticity.stress.measures import SIDES, mises
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage.export import export
 
+pytestmark = pytest.mark.serial
+
 HARD = {"thickness": 0.05, "young": 1e5, "poisson": 0.3}
 SOFT = {"thickness": 0.2, "young": 2e3, "poisson": 0.4}
 ALIKE = {"thickness": 0.3, "young": 1e4, "poisson": 0.3}
@@ -44,6 +46,7 @@ def areas(interface, inner):
     return np.pi * np.diff(np.square(ends))
 
 
+@pytest.mark.ranks
 def test_force_and_torque_go_through_every_interface(result):
     """Layers are free at their sides: what the contact bears must go on, however often."""
     last = result.stress.states[-1]
@@ -142,6 +145,7 @@ def test_an_interface_within_one_material_is_like_the_inside(comm):
     np.testing.assert_allclose(below[near], inside, atol=0.01 * scale)
 
 
+@pytest.mark.ranks
 def test_file_and_dataset(result, tmp_path, comm):
     path = tmp_path / "run.h5"
     result.save(path)
@@ -172,6 +176,7 @@ def comm_self():
     return MPI.COMM_SELF
 
 
+@pytest.mark.ranks
 def test_the_same_on_all_ranks(result):
     alone = rw.simulate(both_bodies(stress__times="all"), comm_self())
     for one, other in zip(alone.stress.states, result.stress.states, strict=True):
@@ -240,7 +245,6 @@ def test_points_have_no_stress_in_layers_that_are_worn_through(through):
         np.testing.assert_array_equal(on_grid[1:-1, 1], ~gone[under][1:-1])
 
 
-@pytest.mark.serial
 def test_stresses_that_are_left_out_are_in_files_tables_and_maps(through, tmp_path):
     through.save(tmp_path / "run.h5")
     data = rw.open_result(tmp_path / "run.h5").to_xarray()
@@ -269,6 +273,7 @@ def test_stresses_that_are_left_out_are_in_files_tables_and_maps(through, tmp_pa
         assert not np.array(covered)[~known].any()
 
 
+@pytest.mark.ranks
 def test_points_of_layers_are_the_same_on_all_ranks(through):
     stress = case_points(through)
     alone = worn_through("fixed", 10.0, stress__points=stress, stress__grid=GRID)
@@ -305,7 +310,6 @@ def test_points_in_material_that_is_worn_away_are_doubted():
     assert not [text for text in moved if "stress.points" in text]
 
 
-@pytest.mark.serial
 def test_a_restarted_run_doubts_what_the_whole_one_does(tmp_path, comm):
     """Also where nothing is asked for after the restart."""
     asked = ["stress.points=[[30, 19.9998]]", "stress.times=[50]", "wear.lower.p0=0",
@@ -323,7 +327,6 @@ def test_a_restarted_run_doubts_what_the_whole_one_does(tmp_path, comm):
     assert any("stress.points[0]" in text for text in found.doubts)
 
 
-@pytest.mark.serial
 def test_a_grid_that_wear_goes_through(tmp_path):
     """Files for ParaView have its points while any state has; else nothing is left to export."""
     grid = {"body": "lower", "r": [29.0, 31.0], "z": [19.9985, 19.9995], "n": [5, 4]}
@@ -370,7 +373,6 @@ def test_the_largest_stress_beside_a_free_edge_of_an_interface_is_doubted(result
     assert not doubted(rw.simulate(case_of(upper__layers=[alike]), comm_self()))
 
 
-@pytest.mark.serial
 def test_pictures_show_what_is_stored(result):
     figure = rw.plot(result, "interfaces", times="0, 60")
     assert len(figure.axes) == 3 * 2 * 2  # interfaces, times, tractions and both sides
@@ -399,7 +401,6 @@ def title(axes):
     return axes.get_legend().get_title().get_text()
 
 
-@pytest.mark.serial
 def test_exports(result, tmp_path):
     last, of = result.stress.states[-1], result.stress.interfaces
     export(result, tmp_path / "a.csv", interfaces=True)
@@ -424,7 +425,6 @@ def test_exports(result, tmp_path):
             export(result, tmp_path / name, interfaces=True, **more)
 
 
-@pytest.mark.serial
 def test_the_page_of_a_run_has_them(result, tmp_path):
     result.save(tmp_path / "run.h5")
     rw.report(tmp_path / "run.h5", tmp_path / "run.html")

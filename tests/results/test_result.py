@@ -100,7 +100,7 @@ def test_the_dataset_is_that_of_the_file(computed, comm, case, words):
     assert set(stored.coords) == {"step", "element", "time", "r", "width"}
 
 
-@pytest.mark.most_ranks(2)
+@pytest.mark.serial
 @pytest.mark.parametrize("extra", [[], ["mesh.geometry=updated", "wear.lower.k=1e-6"]])
 def test_saved_and_opened_it_is_the_same(computed, shared_path, comm, extra):
     path, result = computed("fields.toml", [*FIELDS, *extra])
@@ -126,7 +126,7 @@ def test_saved_and_opened_it_is_the_same(computed, shared_path, comm, extra):
     assert balances["force"] < 1e-10
 
 
-@pytest.mark.most_ranks(2)
+@pytest.mark.serial
 def test_a_result_without_checkpoint_is_one_all_the_same(computed, shared_path, comm):
     _, result = computed("paper.toml", [*SMALL, "output.every=6"])
     if comm.rank > 0:
@@ -141,7 +141,7 @@ def test_a_result_without_checkpoint_is_one_all_the_same(computed, shared_path, 
         restored(again)
 
 
-@pytest.mark.most_ranks(2)
+@pytest.mark.serial
 def test_saving_where_it_cannot_be(computed, shared_path, comm, monkeypatch):
     _, result = computed("paper.toml", SMALL)
     if comm.rank > 0:
@@ -161,7 +161,7 @@ def test_saving_where_it_cannot_be(computed, shared_path, comm, monkeypatch):
     assert [p.name for p in shared_path.iterdir()] == ["run.h5"]
 
 
-@pytest.mark.most_ranks(2)
+@pytest.mark.serial
 def test_without_xarray(computed, comm, monkeypatch):
     _, result = computed("paper.toml", SMALL)
     monkeypatch.setitem(sys.modules, "xarray", None)
@@ -170,7 +170,7 @@ def test_without_xarray(computed, comm, monkeypatch):
             result.to_xarray()
 
 
-@pytest.mark.most_ranks(2)
+@pytest.mark.serial
 @pytest.mark.parametrize("words", [["output.boundary=all"], ["output.boundary=last"], []])
 def test_all_groups_open_as_a_tree(computed, comm, words):
     """Also with warnings as errors, so without axes that have no name."""

@@ -14,6 +14,8 @@ from ringwear_par.elasticity.stress.recovery import StressRecovery
 from ringwear_par.history.validity.case_limits import stress_numbers
 from ringwear_par.results.storage.export import export
 
+pytestmark = pytest.mark.serial
+
 BASE = {
     "mesh.contact_elements": 16, "time.steps": 6, "time.step": 30.0,
     "stress.points": [[30.0, 19.9], [30.0, 20.0, "above"], [30.0, 22.0]],
@@ -77,7 +79,6 @@ def test_variables_and_file(tmp_path):
     assert (data.max_mises.values >= np.nanmax(data.mises.values[:, [0, 2]], axis=1)).all()
 
 
-@pytest.mark.serial
 def test_points_tell_their_side_of_an_interface(tmp_path):
     """In the order of the case; with the stresses that the interface has on that side."""
     layer = {"thickness": 0.1, "young": 1e5, "poisson": 0.3}
@@ -100,6 +101,7 @@ def test_points_tell_their_side_of_an_interface(tmp_path):
     assert [float(row["mises (MPa)"]) for row in rows] == data.mises.values[0].tolist()
 
 
+@pytest.mark.ranks
 def test_the_same_on_all_ranks(comm):
     from mpi4py import MPI
 
@@ -109,6 +111,7 @@ def test_the_same_on_all_ranks(comm):
     assert [state.time for state in shared.stress.states] == [0.0, 120.0]
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("times", ["last", "all", [0.0, 60.0]])
 def test_many_cases_share_what_is_integrated(times, comm, monkeypatch):
     """Same bits in whatever company; those of single runs to round-off; one of them stays alone."""
@@ -238,7 +241,6 @@ def stored(tmp_path_factory, comm):
     return path
 
 
-@pytest.mark.serial
 def test_pictures_show_what_is_stored(stored, tmp_path):
     from ringwear_par.pictures.figures import plot_files
 
@@ -270,7 +272,6 @@ def test_pictures_show_what_is_stored(stored, tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 3000
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize(
     ("r", "z"),
     [((26.5, 33.5), (19.98, 20.0)), ((24.5, 35.5), (19.8, 20.0)), ((28.0, 32.0), (19.0, 21.0)),
@@ -303,7 +304,6 @@ def test_maps_are_neither_lines_nor_strips(r, z):
     assert depth.get_xlim()[1] > 1.01 * np.nanmax(depth.lines[0].get_xdata())
 
 
-@pytest.mark.serial
 def test_pictures_of_what_is_not_stored_are_refused(tmp_path):
     bare = rw.simulate(case_of(time__steps=1).replace({"stress": None}))
     points = rw.simulate(case_of(stress__grid=None, time__steps=1))
@@ -315,7 +315,6 @@ def test_pictures_of_what_is_not_stored_are_refused(tmp_path):
     assert rw.plot(points, "mises").axes[0].lines
 
 
-@pytest.mark.serial
 def test_exports(stored, tmp_path):
     import csv
 
@@ -345,7 +344,6 @@ def test_exports(stored, tmp_path):
     assert list(map(float, rows[-1][4:10])) == state.points[-1].tolist()
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize(
     ("name", "more", "said"),
     [
@@ -362,7 +360,6 @@ def test_exports_that_cannot_be(stored, tmp_path, name, more, said):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.serial
 def test_the_page_of_a_run_has_them(stored, tmp_path):
     page = tmp_path / "run.html"
     rw.report(stored, page)
@@ -410,7 +407,6 @@ def test_points_of_a_case_that_was_not_read_are_checked():
         rw.simulate(case)
 
 
-@pytest.mark.serial
 def test_the_largest_of_each_layer(tmp_path):
     """That of the layer that has the largest is the body's; layers of both bodies are apart."""
     layer = {"thickness": 0.05, "young": 2e5, "poisson": 0.3}
@@ -432,7 +428,6 @@ def test_the_largest_of_each_layer(tmp_path):
     assert ", ".join(f"{name} {value:.5g} MPa" for name, value in values) in result.summary()
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("geometry", ["fixed", "updated"])
 def test_layers_that_are_gone_have_no_largest_stress(geometry, tmp_path):
     """Of the body's own material and worn through everywhere: said in words."""

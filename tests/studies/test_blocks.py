@@ -21,7 +21,7 @@ from ringwear_par.studies.execution.many import simulate_all
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 ALONE = MPI.COMM_SELF
-pytestmark = pytest.mark.most_ranks(1)
+pytestmark = pytest.mark.serial
 
 
 @pytest.fixture(scope="module")

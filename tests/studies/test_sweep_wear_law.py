@@ -11,7 +11,6 @@ def test_life_is_interpolated_and_nan_where_not_reached():
     assert script.lives(time, depth) == pytest.approx([1.5, np.nan], nan_ok=True)
 
 
-@pytest.mark.most_ranks(2)
 def test_numbers_are_near_those_of_steady_state(comm, shared_path):
     numbers = script.study(shared_path / "wear_law", comm)
     assert numbers.keys() == script.NUMBERS.keys()

@@ -15,6 +15,8 @@ from ringwear_par.verification.fine import SORTS, TIMES
 from ringwear_par.verification.half_space import indented, pressure_at
 from ringwear_par.verification.paper import paper_case
 
+pytestmark = pytest.mark.serial
+
 
 @pytest.fixture(scope="module")
 def checks(comm):
@@ -33,7 +35,7 @@ def unworn(case, comm):
     return line, approach, p * approach
 
 
-@pytest.mark.most_ranks(2)
+@pytest.mark.ranks
 def test_every_check_is_passed(checks):
     failed = [c for c in checks.values() if not c.passed]
     kinds = Counter(c.kind for c in checks.values())
@@ -41,7 +43,6 @@ def test_every_check_is_passed(checks):
     assert failed == []
 
 
-@pytest.mark.most_ranks(2)
 def test_identities_hold_to_round_off(checks):
     """On held faces but for the mesh, whose order they show."""
     for check in checks.values():
@@ -50,7 +51,6 @@ def test_identities_hold_to_round_off(checks):
             assert check.order > 2.5 if held else check.errors[-1] < 1e-12, check.name
 
 
-@pytest.mark.most_ranks(2)
 @pytest.mark.parametrize(
     ("name", "order"),
     [
@@ -106,7 +106,6 @@ def test_observed_orders(checks, name, order):
     assert checks[name].order > order
 
 
-@pytest.mark.most_ranks(2)
 def test_steady_pressures_and_torques_are_exact(checks):
     """Pressures c / r have their arm at the elements' mid-points, up to the axis."""
     steady = [c for c in checks.values() if "pin, steady" in c.name or "wear, steady" in c.name]
@@ -116,7 +115,6 @@ def test_steady_pressures_and_torques_are_exact(checks):
             assert max(check.errors) < 1e-7, check.name
 
 
-@pytest.mark.most_ranks(2)
 @pytest.mark.parametrize("name", ["sphere (Hertz): force", "rigid cone: force"])
 def test_growing_contacts_converge(checks, name):
     """Of first order at least: where in an element contact ends differs from mesh to mesh."""
@@ -124,7 +122,6 @@ def test_growing_contacts_converge(checks, name):
     assert (np.array(check.errors) < 0.008 / np.array(check.sizes)).all()
 
 
-@pytest.mark.most_ranks(2)
 def test_default_mesh_at_every_sort_of_edge(checks):
     """64 elements: 3e-5 of the approach, 0.5 % from 0.02 mm on, 0.01 um of wear; none open."""
     for name, rings in SORTS.items():
@@ -137,7 +134,6 @@ def test_default_mesh_at_every_sort_of_edge(checks):
                 assert checks[f"{name}: {text}"].errors[1] <= most, (name, text)
 
 
-@pytest.mark.most_ranks(2)
 def test_hertz_pressure_at_the_axis(comm):
     """The innermost elements too, not only a fit through many."""
     *_, p_max = reference.hertz(reference.contact_modulus((1.0, NU)), 10.0, 0.1)
@@ -163,7 +159,6 @@ def test_default_mesh_meets_its_figures(comm):
         assert pressure_at(line, p, r) == pytest.approx(exact, rel=tolerance)
 
 
-@pytest.mark.most_ranks(2)
 def test_interior_pressure_converges_without_checkerboard(comm):
     """p(29) is 44.65 MPa; nodal gaps gave 45, 32, 75 MPa for 32, 64, 128 elements."""
     for n, tolerance in ((32, 1e-2), (64, 3e-3), (128, 1.5e-3)):
@@ -171,7 +166,6 @@ def test_interior_pressure_converges_without_checkerboard(comm):
         assert pressure_at(line, p, 29.0) == pytest.approx(44.65, rel=tolerance)
 
 
-@pytest.mark.most_ranks(2)
 def test_coatings_on_the_default_mesh(checks):
     """64 elements: 5e-5 of the approach, 1 % of pressures near edges, 1e-4 of the held force."""
     for text, most in (
@@ -181,6 +175,7 @@ def test_coatings_on_the_default_mesh(checks):
         assert checks[f"paper, hard coating: {text}"].errors[1] <= most, text
 
 
+@pytest.mark.ranks
 def test_what_is_not_met_is_named(monkeypatch, comm, capsys):
     """Not for NaN either, and not before all others are done."""
     rows = [

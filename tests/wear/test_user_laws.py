@@ -19,6 +19,8 @@ from ringwear_par.wear import LocalState
 from ringwear_par.wear.checked_law import complete
 from ringwear_par.wear.laws.archard import ArchardLaw
 
+pytestmark = pytest.mark.serial
+
 GOOD = """
 def rate(p, at): return 1e-8 * at.speed * p
 def d_rate_dp(p, at): return 1e-8 * at.speed + 0 * p
@@ -42,6 +44,7 @@ def law(shared_path, comm):
     return law
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("source", "words"),
     [
@@ -136,6 +139,7 @@ def test_what_is_no_law_is_refused(law, comm, bad, words):
         simulate(case, comm)
 
 
+@pytest.mark.ranks
 def test_an_object_that_fails_during_work_is_told_with_time_and_element(law, comm):
     late = _Mine(lambda p, local: np.where(local.time > 5, -1.0, 1e-8 * local.speed * p))
     case = replace(read_case(PAPER, law(GOOD)), wear_lower=late)
@@ -155,6 +159,7 @@ def test_a_fault_of_one_of_many_histories_names_it():
         complete(failing).rate(p, local)
 
 
+@pytest.mark.ranks
 def test_a_law_that_fails_during_work_is_told_with_time_and_element(law, shared_path, comm):
     late = "import numpy as np\n" + GOOD.replace(
         "1e-8 * at.speed * p", "np.where(at.time > 5, -1.0, 1e-8 * at.speed * p)"
@@ -172,6 +177,7 @@ def test_what_is_stored_is_not_what_a_law_was_given(law, shared_path, comm):
             assert file["pressure"][:] @ area == pytest.approx(file["force"][:], rel=1e-9)
 
 
+@pytest.mark.ranks
 def test_restart_wants_the_same_law(law, shared_path, comm):
     output, keys = shared_path / "run.h5", law(GOOD)
     run_case(PAPER, output, keys, comm=comm)
@@ -182,7 +188,6 @@ def test_restart_wants_the_same_law(law, shared_path, comm):
     run_case(PAPER, output, [*keys, "time.end=40"], comm=comm, restart=True)
 
 
-@pytest.mark.most_ranks(2)
 def test_wear_that_grows_too_fast_with_itself_is_told(law, shared_path, comm):
     """Fixed steps say so; adaptive ones become smaller until half of the body is gone."""
     growing = """
@@ -198,7 +203,6 @@ def d_rate_dwear(p, at): return 1e-8 * at.speed * p / 1e-3
         run_case(PAPER, shared_path / "a.h5", [*law(growing), "time.end=2000"], comm=comm)
 
 
-@pytest.mark.most_ranks(2)
 def test_round_off_of_a_memory_law_does_not_matter(law, shared_path, comm):
     noisy = """
 import numpy as np
@@ -227,6 +231,7 @@ def test_a_file_may_have_breakpoints(law, shared_path, comm):
                 assert (file["worn_volume_lower"][-1] > 1.0) == wears
 
 
+@pytest.mark.ranks
 def test_a_refused_case_is_a_row_of_its_sweep(shared_path, comm):
     """Undeformed bodies that overlap more than one of two loads explains."""
     if comm.rank == 0:
@@ -245,7 +250,6 @@ def test_a_refused_case_is_a_row_of_its_sweep(shared_path, comm):
         assert any("interpenetrate by 0.05 mm" in row for row in rows)
 
 
-@pytest.mark.serial
 def test_laws_finds_a_wrong_slope_but_not_kinks(law, shared_path, comm, capsys):
     case = PAPER.parent / "user_law.toml"
     assert check_laws(case, []) == 0
@@ -271,7 +275,6 @@ def test_laws_finds_a_wrong_slope_but_not_kinks(law, shared_path, comm, capsys):
     assert "not tested" in capsys.readouterr().out
 
 
-@pytest.mark.serial
 def test_laws_names_a_parameter_that_nothing_reads(law, capsys):
     keys = law('def rate(p, at): return at.parameters["k"] * at.speed * p\n')
     keys = [key for key in keys if not key.startswith("time")]
@@ -306,7 +309,6 @@ def test_times_of_output_are_stored_once_and_named_once(shared_path, comm):
             assert (np.diff(file["steps_made"][:]) >= 0).all()
 
 
-@pytest.mark.most_ranks(2)
 def test_a_rate_is_all_that_a_history_needs(law, comm):
     """In a file or of any object; what they do not say is found as exactly as if they had."""
 
@@ -348,7 +350,6 @@ def test_the_file_of_a_law_is_read_once_and_like_other_files(law, monkeypatch):
     assert read.count(path) == 1
 
 
-@pytest.mark.serial
 def test_a_file_that_is_no_text_is_told_of_with_all_other_faults(law, shared_path):
     keys = [*law(GOOD), "contact.friction=-1"]
     (shared_path / "law.py").write_bytes(b"\xff\xfe")
