@@ -175,21 +175,9 @@ class FitRun:
             optimum = minimise(misfit, x)
             if not fitted_noise.any():
                 return optimum
-            growth = self._noise_growth(optimum)
+            growth = misfit.noise_growth(optimum.evaluation)
             x = optimum.x
             if np.abs(growth[fitted_noise] - 1.0).max() < _SAME_NOISE:
                 return optimum
             misfit.noise_scale = np.where(fitted_noise, growth, 1.0) * misfit.noise_scale
         return optimum
-
-    def _noise_growth(self, optimum: Optimum) -> FloatArray:
-        """Return the scatter of each series over its noise."""
-        misfit, evaluation = self._misfit, optimum.evaluation
-        weighted = misfit.weights(evaluation.noise) * evaluation.noise**2
-        leverage = (np.linalg.qr(evaluation.jacobian)[0] ** 2).sum(axis=1)
-        return np.array(
-            [
-                np.sqrt(weighted[part].sum() / max(1.0, (1.0 - leverage[part]).sum()))
-                for part in misfit.parts
-            ]
-        )

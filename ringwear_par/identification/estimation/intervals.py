@@ -9,8 +9,8 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.identification.definition.problem import Loss
-from ringwear_par.identification.estimation.misfit import NU, Evaluation, Misfit
+from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
+from ringwear_par.identification.model.noise import information_share
 
 Verdict = Literal["identified", "at bound", "not identified"]
 
@@ -46,11 +46,6 @@ class ParameterEstimate:
     interval: tuple[float | None, float | None]
     verdict: Verdict
     direction: str = ""
-
-
-def information_share(loss: Loss) -> float:
-    """Return the Fisher information of a reading under a loss, over that of Gaussian noise."""
-    return (NU + 1.0) / (NU + 3.0) if loss == "student" else 1.0
 
 
 def information(misfit: Misfit, evaluation: Evaluation, priors: bool = True) -> FloatArray:

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.identification.estimation.misfit import NU, Misfit
+from ringwear_par.identification.estimation.misfit import Misfit
+from ringwear_par.identification.model.noise import student_loss, student_weights
 
 #: rounds of reweighting where the loss is not Gaussian
 _REWEIGHTED = 20
@@ -25,7 +26,7 @@ class MarginalLikelihood:
     """
 
     def __init__(self, misfit: Misfit) -> None:
-        self._squares = misfit
+        self._misfit = misfit
         problem, m = misfit.problem, len(misfit.problem.parameters)
         self._student = problem.settings.loss == "student"
         self._low, self._high = misfit.lower[m:], misfit.upper[m:]
@@ -47,7 +48,7 @@ class MarginalLikelihood:
 
     def __call__(self, values: FloatArray, readings: FloatArray) -> float:
         """Return it for values (m,) of the keys and the model's readings (n,)."""
-        unadjusted = self._squares.whitened(readings - self._squares.data)
+        unadjusted = self._misfit.whitened(readings - self._misfit.data)
         weights = np.ones(len(unadjusted))
         noise, rest = unadjusted, -self._prior_values
         for _ in range(_REWEIGHTED if self._student else 1):
@@ -58,14 +59,14 @@ class MarginalLikelihood:
             rest = self._prior_rows @ nuisances - self._prior_values
             if np.abs(noise - before).max() < _SAME:
                 break
-            weights = (NU + 1.0) / (NU + noise * noise)
+            weights = student_weights(noise)
         square = noise @ noise
         if self._student:
-            square = (NU + 1.0) * np.log1p(noise * noise / NU).sum()
+            square = student_loss(noise).sum()
         square += rest @ rest
         square += sum(((values[j] - prior.mean) / prior.sd) ** 2 for j, prior in self._priors)
         # priors are densities of values, those sought here of unknowns
-        slopes = self._squares.slopes(values)
+        slopes = self._misfit.slopes(values)
         return float(sum(np.log(slopes[j]) for j, _ in self._priors) - 0.5 * square)
 
     def _nuisances(self, unadjusted: FloatArray, roots: FloatArray) -> FloatArray:

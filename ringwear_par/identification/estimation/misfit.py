@@ -15,13 +15,17 @@ from scipy.optimize import lsq_linear
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.definition.problem import Prior, Problem
 from ringwear_par.identification.model.histories import Histories
-from ringwear_par.identification.model.readings import log_volume, nuisance_columns, whitened
+from ringwear_par.identification.model.noise import (
+    log_constant,
+    log_volume,
+    loss_roots,
+    weights,
+    whitened,
+)
+from ringwear_par.identification.model.readings import nuisance_columns
 from ringwear_par.identification.model.steps import STEPS
 
 log = logging.getLogger(__name__)
-
-#: degrees of freedom of the loss "student"
-NU = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +177,10 @@ class Misfit:
             log.warning("what shorter steps would change is not known: %s", finer_response)
             return None
         change = self.whitened(finer_response[:, 0] - self.model_readings(x))
-        growth = self._loss(evaluation.noise + change)[0] - evaluation.residuals[: self.n]
+        growth = (
+            loss_roots(self.problem.settings.loss, evaluation.noise + change)[0]
+            - evaluation.residuals[: self.n]
+        )
         finite = np.where(np.isfinite(covariance), covariance, 0.0)[: self._m]
         sd = np.sqrt(np.diag(finite))
         shift = finite @ (evaluation.jacobian[: self.n].T @ growth)
@@ -218,7 +225,7 @@ class Misfit:
         rows = np.concatenate([(model - self.data)[:, None], jacobian], axis=1)
         rows = self.whitened(rows)
         noise, noise_jacobian = rows[:, 0], rows[:, 1:]
-        loss, slope = self._loss(noise)
+        loss, slope = loss_roots(self.problem.settings.loss, noise)
         residuals = np.append(loss, np.zeros(len(self.priors)))
         whole = np.concatenate(
             [slope[:, None] * noise_jacobian, np.zeros((len(self.priors), len(x)))]
@@ -234,35 +241,23 @@ class Misfit:
         parts = zip(self.series, self.parts, strict=True)
         return np.concatenate([whitened(series, rows[part]) for (_, series), part in parts])
 
-    def _loss(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the square roots (n,) of the loss of residuals, and their derivative.
-
-        Of the loss "student" the sum of squares is twice the negative logarithm of the likelihood,
-        but for a constant.
-        """
-        if self.problem.settings.loss == "gaussian":
-            return noise, np.ones(self.n)
-        square = noise * noise
-        loss = np.sign(noise) * np.sqrt((NU + 1.0) * np.log1p(square / NU))
-        small = np.abs(noise) < 1e-6
-        slope = (NU + 1.0) * noise / ((NU + square) * np.where(small, 1.0, loss))
-        return loss, np.where(small, np.sqrt((NU + 1.0) / NU), slope)
-
-    def weights(self, noise: FloatArray) -> FloatArray:
-        """Return how much each reading (n,) counts for its series' scatter."""
-        if self.problem.settings.loss == "gaussian":
-            return np.ones(self.n)
-        return (NU + 1.0) / (NU + noise * noise)
+    def noise_growth(self, evaluation: Evaluation) -> FloatArray:
+        """Return the scatter of each series over its noise, (series,)."""
+        by_loss = weights(self.problem.settings.loss, evaluation.noise)
+        weighted = by_loss * evaluation.noise**2
+        leverage = (np.linalg.qr(evaluation.jacobian)[0] ** 2).sum(axis=1)
+        return np.array(
+            [
+                np.sqrt(weighted[part].sum() / max(1.0, (1.0 - leverage[part]).sum()))
+                for part in self.parts
+            ]
+        )
 
     def log_likelihood(self, evaluation: Evaluation) -> float:
         """Return the logarithm of the likelihood of the readings."""
         scatter = float(np.log(self.sd).sum()) + sum(log_volume(s) for _, s in self.series)
         loss = evaluation.residuals[: self.n]
-        constant = 0.5 * np.log(2.0 * np.pi)
-        if self.problem.settings.loss == "student":
-            from scipy.special import gammaln
-
-            constant = 0.5 * np.log(NU * np.pi) + gammaln(NU / 2.0) - gammaln((NU + 1.0) / 2.0)
+        constant = log_constant(self.problem.settings.loss)
         return float(-0.5 * loss @ loss - scatter - self.n * constant)
 
     def with_best_nuisances(self, values: Sequence[float]) -> FloatArray:

@@ -181,26 +181,6 @@ def nuisance_columns(series: Series, case: Case) -> FloatArray:
     return np.stack(columns, axis=1) if columns else np.zeros((series.n, 0))
 
 
-def whitened(series: Series, rows: FloatArray) -> FloatArray:
-    """Return rows (n, ...) of a series, in units of its noise, without their correlation in time.
-
-    The noise is an AR(1) process of the series' ``correlation_time``.
-    """
-    if not series.correlation_time or series.n < 2:
-        return rows
-    steps = (np.diff(series.x) / series.correlation_time).reshape(-1, *(1,) * (rows.ndim - 1))
-    rest = (rows[1:] - np.exp(-steps) * rows[:-1]) / np.sqrt(-np.expm1(-2.0 * steps))
-    return np.concatenate([rows[:1], rest])
-
-
-def log_volume(series: Series) -> float:
-    """Return the logarithm of what ``whitened`` divides volumes by."""
-    if not series.correlation_time or series.n < 2:
-        return 0.0
-    steps = np.diff(series.x) / series.correlation_time
-    return float(0.5 * np.log(-np.expm1(-2.0 * steps)).sum())
-
-
 def lost_mass(case: Case, body: int, wear: FloatArray, keys: Sequence[str] = ()) -> FloatArray:
     """Return the mass (g) that layers and body of lower (0) or upper (1) have lost, (s, q).
 

@@ -9,8 +9,8 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.identification.definition.problem import Experiment, Problem, Series
-from ringwear_par.identification.estimation.intervals import information_share
-from ringwear_par.identification.model.readings import nuisance_columns, whitened
+from ringwear_par.identification.model.noise import information_share, whitened
+from ringwear_par.identification.model.readings import nuisance_columns
 from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.results.execution.stopping import StopSignals
 

@@ -12,11 +12,10 @@ from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Nuisance, Series
 from ringwear_par.identification.model.histories import Histories
+from ringwear_par.identification.model.noise import log_volume, whitened
 from ringwear_par.identification.model.readings import (
     TimeInterpolation,
-    log_volume,
     nuisance_columns,
-    whitened,
 )
 from ringwear_par.identification.model.steps import step_times
 

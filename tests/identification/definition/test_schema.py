@@ -14,7 +14,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.schema import KEYS
 
-FIT = Path(__file__).parents[2] / "scripts/fit"
+FIT = Path(__file__).parents[3] / "scripts/fit"
 PARAMETER = {"start": 1e-7, "bounds": [1e-9, 1e-5]}
 SERIES = {"quantity": "penetration", "unit": "um", "sd": 0.1, "times": [1.0, 2.0]}
 PROFILE = {"quantity": "profile.lower", "unit": "um", "sd": 0.1, "r": [29.0, 30.0, 31.0]}

@@ -281,7 +281,7 @@ def test_no_more_cases_are_read_than_faults_are_told(tmp_path, monkeypatch):
     """A file of very many tables is refused as soon as it is known to be wrong."""
     checks = []
     monkeypatch.setattr(fit_file, "check_case", lambda *_: checks.append(1))
-    case = Path(__file__).parents[2] / "scripts/cases/paper.toml"
+    case = Path(__file__).parents[3] / "scripts/cases/paper.toml"
     keys = '"wear.lower.k" = { start = 1e-7, bounds = [1e-9, 1e-5] }'
     tables = "\n".join(f'[[experiment]]\nname = "{i}"' for i in range(400))
     path = tmp_path / "fit.toml"

@@ -1,0 +1,73 @@
+"""How probable readings are beside the model: noise correlated in time, and the losses.
+
+A residual is a reading less the model's over its noise, without correlation (``whitened``). Each
+loss is what a residual adds to twice the negative logarithm of the likelihood, but for a constant.
+Other distributions of noise belong here.
+"""
+
+import numpy as np
+from scipy.special import gammaln
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.definition.problem import Loss, Series
+
+#: degrees of freedom of the loss "student"
+_NU = 4.0
+
+
+def whitened(series: Series, rows: FloatArray) -> FloatArray:
+    """Return rows (n, ...) of a series, in units of its noise, without their correlation in time.
+
+    The noise is an AR(1) process of the series' ``correlation_time``.
+    """
+    if not series.correlation_time or series.n < 2:
+        return rows
+    steps = (np.diff(series.x) / series.correlation_time).reshape(-1, *(1,) * (rows.ndim - 1))
+    rest = (rows[1:] - np.exp(-steps) * rows[:-1]) / np.sqrt(-np.expm1(-2.0 * steps))
+    return np.concatenate([rows[:1], rest])
+
+
+def log_volume(series: Series) -> float:
+    """Return the logarithm of what ``whitened`` divides volumes by."""
+    if not series.correlation_time or series.n < 2:
+        return 0.0
+    steps = np.diff(series.x) / series.correlation_time
+    return float(0.5 * np.log(-np.expm1(-2.0 * steps)).sum())
+
+
+def student_loss(residuals: FloatArray) -> FloatArray:
+    """Return the loss "student" of residuals (n,)."""
+    return (_NU + 1.0) * np.log1p(residuals * residuals / _NU)
+
+
+def student_weights(residuals: FloatArray) -> FloatArray:
+    """Return the weights (n,) of squares that make steps of the loss "student"."""
+    return (_NU + 1.0) / (_NU + residuals * residuals)
+
+
+def loss_roots(loss: Loss, residuals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the square roots (n,) of the loss, with the residuals' signs, and their derivative."""
+    if loss == "gaussian":
+        return residuals, np.ones(len(residuals))
+    square = residuals * residuals
+    roots = np.sign(residuals) * np.sqrt((_NU + 1.0) * np.log1p(square / _NU))
+    small = np.abs(residuals) < 1e-6
+    slope = (_NU + 1.0) * residuals / ((_NU + square) * np.where(small, 1.0, roots))
+    return roots, np.where(small, np.sqrt((_NU + 1.0) / _NU), slope)
+
+
+def weights(loss: Loss, residuals: FloatArray) -> FloatArray:
+    """Return how much each reading (n,) counts for its series' scatter."""
+    return np.ones(len(residuals)) if loss == "gaussian" else student_weights(residuals)
+
+
+def log_constant(loss: Loss) -> float:
+    """Return the part of the negative logarithm of a reading's likelihood that never changes."""
+    if loss == "gaussian":
+        return float(0.5 * np.log(2.0 * np.pi))
+    return float(0.5 * np.log(_NU * np.pi) + gammaln(_NU / 2.0) - gammaln((_NU + 1.0) / 2.0))
+
+
+def information_share(loss: Loss) -> float:
+    """Return the Fisher information of a reading under a loss, over that of Gaussian noise."""
+    return (_NU + 1.0) / (_NU + 3.0) if loss == "student" else 1.0
