@@ -165,7 +165,7 @@ def print_table(count: int, elements: int, repeats: int) -> None:
         together, one, bare = measure(kind, count, elements, repeats)
         print(f"{kind:<30}{together:>10.4g}{one:>9.3g}{together / one:>8.3g}", end="")
         print(f"{bare:>11.3g}{together / bare:>8.3g}", flush=True)
-    print(f"{'sweeps, start to files':<30}{'a second':>10}{'us outside':>12}", end="")
+    print(f"{'sweeps, start to files':<40}{'a second':>10}{'us outside':>12}", end="")
     print(f"{'bytes':>8}{'MB a rank':>11}")
     of_size = {"mesh.contact_elements": elements}
     sweeps: list[tuple[str, dict[str, Any], int]] = [
@@ -176,5 +176,8 @@ def print_table(count: int, elements: int, repeats: int) -> None:
     for name, kind, number in sweeps:
         for ranks in (1, 2):
             rate, outside, size, memory = measure_sweep(kind, number, ranks)
-            told = f"{name}, {number} cases, ranks: {ranks}"
-            print(f"{told:<38}{rate:>10.4g}{outside:>8.4g}{size:>8.0f}{memory:>9.0f}", flush=True)
+            kind_and_ranks = f"{name}, {number} cases, ranks: {ranks}"
+            print(
+                f"{kind_and_ranks:<40}{rate:>10.4g}{outside:>12.4g}{size:>8.0f}{memory:>11.0f}",
+                flush=True,
+            )
