@@ -14,7 +14,6 @@ from ringwear_par.errors import InputError
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
 
-PAPER = PAPER
 TEXT = PAPER.read_text()
 
 

@@ -16,7 +16,6 @@ from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.errors import InputError
 
-PAPER = PAPER
 TEXT = PAPER.read_text()
 TABLES = tomllib.loads(TEXT)
 FILES = sorted(p for p in CASES.glob("*.toml") if "lower" in tomllib.loads(p.read_text()))

@@ -13,7 +13,7 @@ from ringwear_par.cases.files import suggestions
 from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.errors import ComputationError, InputError, legible
 
-PAPER = (PAPER).read_text()
+TEXT = PAPER.read_text()
 USER = (CASES / "user_law.toml").read_text()
 DEEP = "[" * 2000 + "]" * 2000
 HUGE = "0x" + "f" * 5000
@@ -29,7 +29,7 @@ def refusal(read, *args):
 
 
 def with_value(key, value):
-    before, after = PAPER.split(f"{key} = ", 1)
+    before, after = TEXT.split(f"{key} = ", 1)
     return f"{before}{key} = {value}\n{after.partition(chr(10))[2]}"
 
 
@@ -60,11 +60,11 @@ def test_a_number_of_many_digits_is_no_name(key):
 
 def test_keys_too_deep_and_too_long():
     deep = ".".join("a" * 1500) + " = 1\n"
-    assert "too deeply" in refusal(parse_case, deep + PAPER, "case.toml")
-    told = refusal(parse_case, f"{'k' * 90_000} = 1\n" + PAPER, "case.toml")
+    assert "too deeply" in refusal(parse_case, deep + TEXT, "case.toml")
+    told = refusal(parse_case, f"{'k' * 90_000} = 1\n" + TEXT, "case.toml")
     assert told == f"case.toml: {'k' * 51} ... {'k' * 16}: unknown key"
     many = "".join(f"k{n} = 1\n" for n in range(1000))
-    told = refusal(parse_case, many + PAPER, "case.toml").splitlines()
+    told = refusal(parse_case, many + TEXT, "case.toml").splitlines()
     assert len(told) == 101
     assert told[-1] == "and 900 faults more"
 
@@ -102,7 +102,7 @@ def test_names_of_parameters_are_identifiers(tmp_path, name):
 
 
 def study(folder, text, table=""):
-    (folder / "paper.toml").write_text(PAPER)
+    (folder / "paper.toml").write_text(TEXT)
     (folder / "study.toml").write_text('case = "paper.toml"\n' + text)
     (folder / "table.csv").write_text(table)
     return folder / "study.toml"
@@ -162,9 +162,9 @@ def test_nobody_looks_for_what_is_meant_by_keys_that_are_not_told(tmp_path, monk
 
     monkeypatch.setattr(suggestions.difflib, "get_close_matches", counted)
     keys = [f"key{i}" for i in range(3000)]
-    told = refusal(parse_case, "\n".join(f"{k} = 1" for k in keys) + f"\n{PAPER}", "case.toml")
+    told = refusal(parse_case, "\n".join(f"{k} = 1" for k in keys) + f"\n{TEXT}", "case.toml")
     assert told.splitlines()[-1] == "and 2900 faults more"
-    (tmp_path / "paper.toml").write_text(PAPER)
+    (tmp_path / "paper.toml").write_text(TEXT)
     study = tmp_path / "study.toml"
     vary = "\n".join(f'"{k}" = {{ values = [1] }}' for k in keys)
     study.write_text(f'case = "paper.toml"\n[vary]\n{vary}\n')
@@ -184,7 +184,7 @@ def test_pipes_and_devices_are_refused(tmp_path, kind, what):
         os.mkfifo(odd)
     else:
         odd.symlink_to("/dev/zero")
-    (tmp_path / "paper.toml").write_text(PAPER)
+    (tmp_path / "paper.toml").write_text(TEXT)
     study = tmp_path / "study.toml"
     changes = {
         "law": {"wear.lower": {"law": "user", "file": str(odd)}},
@@ -205,7 +205,7 @@ def test_pipes_and_devices_are_refused(tmp_path, kind, what):
 
 
 def test_tables_without_entries_vary_nothing(tmp_path):
-    (tmp_path / "paper.toml").write_text(PAPER)
+    (tmp_path / "paper.toml").write_text(TEXT)
     study = tmp_path / "study.toml"
     study.write_text('case = "paper.toml"\n[vary."load.pressure".a]\n')
     assert "[vary]: is missing or empty" in refusal(read_study, study)

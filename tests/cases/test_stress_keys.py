@@ -10,7 +10,7 @@ from ringwear_par.cases.stress_points import grid_bodies, point_bodies
 from ringwear_par.errors import InputError
 from ringwear_par.history.validity.case_limits import check_memory
 
-TEXT = (PAPER).read_text()
+TEXT = PAPER.read_text()
 
 
 def case_of(stress, overrides=()):

@@ -8,7 +8,7 @@ from paths import PAPER
 
 import ringwear_par as rw
 
-CASE = (PAPER).read_text() + ("\n[mesh]\ncontact_elements = 12\n")
+CASE = PAPER.read_text() + ("\n[mesh]\ncontact_elements = 12\n")
 TRUTH = {"wear.lower.k": 1.3e-7, "wear.lower.p0": 25.0}
 FITTED = {
     "wear.lower.k": {"start": 1e-7, "bounds": [1e-9, 1e-5], "scale": "log"},

@@ -5,7 +5,7 @@ import csv
 import h5py
 from paths import PAPER
 
-CASE = (PAPER).read_text()
+CASE = PAPER.read_text()
 CASE = CASE.replace("steps = 200", "steps = 20\n\n[mesh]\ncontact_elements = 16")
 STUDY = """
 [vary]

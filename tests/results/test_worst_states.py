@@ -11,7 +11,7 @@ from ringwear_par.results.execution.run import run_case
 
 def pressed(displacement):
     """Tables of the rings of the paper under a displacement, mm, in time, s."""
-    tables = tomllib.loads((PAPER).read_text())
+    tables = tomllib.loads(PAPER.read_text())
     return tables | {
         "load": {"control": "displacement", "displacement": displacement, "omega": 3.5},
         "wear": {"lower": {"law": "archard", "k": 1e-13}},
@@ -54,7 +54,7 @@ def test_few_elements_are_doubted_where_they_bear_load():
 
 def test_a_thin_disc_on_a_coarse_mesh_is_doubted():
     """From an asymmetry of 0.003 on, below which the usual meshes lie."""
-    tables = tomllib.loads((PAPER).read_text())
+    tables = tomllib.loads(PAPER.read_text())
     assert doubts(tables | {"time": {"step": 1.0, "steps": 1}}) == ()
     tables |= {
         "lower": {"r": [0.0, 30.0], "z": [0.0, 1.4], "young": 500.0, "poisson": 0.3},
