@@ -113,8 +113,11 @@ def run_fit(
     with together(comm):
         reject_unused_options()
 
-    result.save(folder)
-    on_first_rank(comm, StoredStarts(folder, "").remove)
+    def store() -> None:
+        result.save(folder)
+        StoredStarts(folder, "").remove()
+
+    on_first_rank(comm, store)
     if comm.rank == 0:
         print(result.summary())
         if problem.alternatives and not compare:

@@ -23,7 +23,6 @@ from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.estimation.posterior import Posterior
 from ringwear_par.identification.estimation.record_checks import FitWarning, record_warnings
 from ringwear_par.identification.estimation.starts import StartOutcome
-from ringwear_par.parallel import on_first_rank
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,7 +51,6 @@ class FitResult:
     alternatives : outcomes under other laws, by name.
     profiles : of the likelihood, by key: (2, points) values and what the sum of squares grows by.
     versions : of the software.
-    comm : of the ranks that have fitted.
     posterior : samples of the fitted keys, where they were asked for.
     failed : why there is no outcome under some other laws, by name.
     histories_of_profiles : how many of them were for likelihood profiles.
@@ -70,7 +68,6 @@ class FitResult:
     alternatives: "Mapping[str, FitResult]"
     profiles: Mapping[str, FloatArray]
     versions: Mapping[str, str]
-    comm: Any
     posterior: Posterior | None = None
     failed: Mapping[str, str] = field(default_factory=dict)
     histories_of_profiles: int = 0
@@ -329,14 +326,14 @@ class FitResult:
     def save(self, folder: str | Path) -> None:
         """Write fit.json, results.h5 and both figures to a folder, which is made.
 
-        Where several ranks have fitted, all of them call this, and the first writes.
+        Not collective: the process that calls this writes, each file whole.
 
         Raises
         ------
         InputError : a folder that cannot be written.
         ComputationError : the disk.
         """
-        on_first_rank(self.comm, lambda: outcomes.save(self, folder))
+        outcomes.save(self, folder)
 
     def correlations(self) -> list[tuple[str, str, float]]:
         """Return pairs of fitted keys and nuisances and their correlation, the strongest first."""

@@ -54,7 +54,7 @@ class FitRun:
         signals: StopSignals,
         comm: MPI.Intracomm,
     ) -> None:
-        self._problem, self._law, self._stored, self._comm = problem, law, stored, comm
+        self._problem, self._law, self._stored = problem, law, stored
         hint = "; the same command with --restart goes on" if stored.is_stored else ""
         self._rounds = Rounds(problem, comm, signals, hint)
         self._misfit = Misfit(problem, self._rounds)
@@ -78,7 +78,8 @@ class FitRun:
 
         fields, *state = self._rounds.lead(lead)
         misfit.data, misfit.noise_scale, misfit.steps, misfit.response_cache = state
-        return FitResult(misfit, **fields, alternatives={}, versions=versions(), comm=self._comm)
+        misfit.part_from_histories()
+        return FitResult(misfit, **fields, alternatives={}, versions=versions())
 
     def _begin(self) -> FloatArray:
         """Return the unknowns at the start; refuse readings that cannot be what they are called."""

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from laboratory import FITTED, fit_tables, write_tests
+from mpi4py import MPI
 
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Series
@@ -18,8 +19,6 @@ pytestmark = pytest.mark.serial
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
     """What is known before a fit of one test with a penetration, a profile and a mass."""
-    from mpi4py import MPI
-
     folder = tmp_path_factory.mktemp("figures")
     experiments = write_tests(folder, (60.0,))
     mass = {"quantity": "mass.lower", "value": 5.0, "unit": "mg", "sd": 0.1, "density": 0.0019}
@@ -110,7 +109,7 @@ def test_single_readings_alone_are_a_figure(found):
     problem = found.misfit.problem
     (test,) = problem.experiments
     one = replace(test, series=test.series[2:])
-    (axes,) = expected_result(replace(problem, experiments=(one,)), found.comm).plot().axes
+    (axes,) = expected_result(replace(problem, experiments=(one,)), MPI.COMM_SELF).plot().axes
     words = [text.get_text() for text in axes.get_legend().texts]
     assert sorted(words) == ["95 % of readings", "95 % of the model", "data", "model"]
 

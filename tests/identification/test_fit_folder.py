@@ -3,6 +3,7 @@
 import copy
 import json
 import os
+import pickle
 import signal
 import sys
 import tomllib
@@ -227,6 +228,7 @@ def test_the_front_door(tables):
     assert "wear.lower.k" in repr(found)
     assert found.plot().axes
     assert "identified" in found.summary()
+    assert pickle.loads(pickle.dumps(found)).to_dict() == found.to_dict()  # no engine in it
 
 
 @pytest.mark.serial

@@ -144,6 +144,10 @@ class Misfit:
         key = self.values(x).tobytes()
         self.response_cache = {key: self.response_cache[key]}
 
+    def part_from_histories(self) -> None:
+        """Let the histories' engines and communicator go: responses computed so far remain."""
+        del self._histories
+
     def compute(self, points: Sequence[FloatArray]) -> None:
         """Have the histories at unknowns computed together, and keep them. Not collective."""
         values = [self.values(x) for x in points]

@@ -67,7 +67,6 @@ class DesignResult:
     failed : candidates whose histories fail, and why.
     histories : computed.
     versions : of the software.
-    comm : of the ranks that have looked.
     """
 
     problem: Problem
@@ -86,7 +85,6 @@ class DesignResult:
     failed: Mapping[Candidate, str]
     histories: int
     versions: Mapping[str, str]
-    comm: Any
 
     def __repr__(self) -> str:
         tests = " + ".join(str(self.candidates[i].to_dict()) for i in self.designs[0].tests)
@@ -145,14 +143,14 @@ class DesignResult:
     def save(self, folder: str | Path) -> None:
         """Write design.json, next.toml and design.png to a folder, which is made.
 
-        Where several ranks have looked, all of them call this, and the first writes.
+        Not collective: the process that calls this writes, each file whole.
 
         Raises
         ------
         InputError : a folder that cannot be written.
         ComputationError : the disk.
         """
-        on_first_rank(self.comm, lambda: outcomes.save(self, folder))
+        outcomes.save(self, folder)
 
 
 def _finite(value: float) -> float | None:
@@ -219,7 +217,7 @@ def design(
     return DesignResult(
         problem, space.criterion, tuple(tests[number] for number in left), single, single_scores,
         tuple(best), search.design_of_file(of_file), prior.nominal, prior.information,
-        len(prior.draws), prior.after, pairs, scores, failed, histories + more, versions(), comm,
+        len(prior.draws), prior.after, pairs, scores, failed, histories + more, versions(),
     )  # fmt: skip
 
 
@@ -271,6 +269,6 @@ def run_design(
     """Find the next tests and write them to a folder. Collective on comm."""
     on_first_rank(comm, lambda: check(folder, (DESIGN, NEXT, MAP)))
     result = design(source, comm, after=after, criterion=criterion)
-    result.save(folder)
+    on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:
         print(result.summary())
