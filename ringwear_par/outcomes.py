@@ -23,8 +23,9 @@ _MODULES = {
     ("FitResult", "save"): f"{_FIT}.fit_folder",
     ("FitResult", "figure"): f"{_FIT}.figures",
     ("FitResult", "parameter_figure"): f"{_FIT}.figures",
-    ("DesignResult", "summary"): f"{_DESIGN}.design_summary",
-    ("DesignResult", "save"): f"{_DESIGN}.design_summary",
+    ("DesignResult", "summary"): f"{_DESIGN}.design_numbers",
+    ("DesignResult", "to_dict"): f"{_DESIGN}.design_numbers",
+    ("DesignResult", "save"): f"{_DESIGN}.design_folder",
     ("DesignResult", "figure"): f"{_DESIGN}.design_figures",
 }
 

@@ -4,9 +4,10 @@ import io
 import json
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -16,11 +17,14 @@ from ringwear_par.files.folders import CURVES, ESTIMATES, FIT, READINGS
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.identification.definition.fitted_parameters import units_of
-from ringwear_par.identification.definition.problem import Problem
+from ringwear_par.identification.definition.problem import BASE, Problem
 from ringwear_par.identification.estimation.starts import PROGRESS
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, Variable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 log = logging.getLogger(__name__)
 
@@ -79,26 +83,49 @@ def save(fit: FitResult, folder: Path) -> None:
     ------
     InputError, ComputationError : the folder or the disk.
     """
-    check(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
+    with new_files(folder, FILES):
         with atomic_hdf5(folder / READINGS) as (file, _):
             _write(file, fit)
         for figure, draw in ((CURVES, fit.plot), (ESTIMATES, fit.plot_parameters)):
-            picture = io.BytesIO()
             try:
-                draw().savefig(picture, format="png", dpi=130)
+                picture = png(draw())
             except (ArithmeticError, TypeError, ValueError) as error:  # of axes, for huge numbers
                 (folder / figure).unlink(missing_ok=True)
                 log.warning("%s: cannot be drawn: %s", folder / figure, error)
                 continue
             with atomic_write(folder / figure) as path:
-                path.write_bytes(picture.getbuffer())
-        with atomic_write(folder / FIT) as path:
-            path.write_text(json.dumps(fit.to_dict(), indent=1, allow_nan=False) + "\n")
+                path.write_bytes(picture)
+        write_json(folder / FIT, fit.to_dict())
+
+
+@contextmanager
+def new_files(folder: Path, files: Sequence[str]) -> Iterator[None]:
+    """Make a folder, if files can be written there, and report the disk's errors. On one rank.
+
+    Raises
+    ------
+    InputError, ComputationError : the folder or the disk.
+    """
+    check(folder, files)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
     except OSError as error:
         name = error.filename or folder
         raise ComputationError(f"{name}: {error.strerror or error}") from error
+
+
+def png(figure: "Figure") -> bytes:
+    """Return a figure as a picture: drawing takes long, and who is killed leaves no file."""
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=130)
+    return picture.getvalue()
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write numbers that all JSON readers know."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def _write(file: h5py.File, fit: FitResult) -> None:
@@ -151,6 +178,4 @@ def _write(file: h5py.File, fit: FitResult) -> None:
 
 
 def _unit(quantity: str) -> str:
-    from ringwear_par.identification.definition.problem import BASE
-
     return BASE[quantity.partition(".")[0]]

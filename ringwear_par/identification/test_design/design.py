@@ -5,7 +5,6 @@ candidates, one each, tell what every combination of them would. It is averaged 
 may be: draws from an earlier fit or from priors.
 """
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -92,45 +91,7 @@ class DesignResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of design.json."""
-        keys = self.problem.keys
-        return {
-            "criterion": self.criterion,
-            "parameters": dict(zip(keys, self.nominal.tolist(), strict=True)),
-            "after": self.after or None,
-            "draws": self.draws,
-            "candidates": len(self.candidates),
-            "failed": [
-                {"experiment": test.to_dict(), "error": why} for test, why in self.failed.items()
-            ],
-            "histories": self.histories,
-            "measured_as": self.problem.experiments[0].name,
-            "designs": [self._design_entry(entry) for entry in self.designs],
-            "fit_file": self._predicted(self.planned),
-            "versions": dict(self.versions),
-        }
-
-    def _design_entry(self, one: Design) -> dict[str, Any]:
-        tests = [self.candidates[i] for i in one.tests]
-        return {
-            "experiments": [test.to_dict() for test in tests],
-            "seconds": sum(test.seconds for test in tests),
-            **self._predicted(one),
-        }
-
-    def _predicted(self, one: Design) -> dict[str, Any]:
-        keys = self.problem.keys
-        pairs = itertools.combinations(range(len(keys)), 2)
-        return {
-            "score": _finite(one.score),
-            "sd": {key: _finite(v) for key, v in zip(keys, one.sd.tolist(), strict=True)},
-            "sd_range": {
-                key: [_finite(v) for v in ends]
-                for key, ends in zip(keys, one.range.T.tolist(), strict=True)
-            },
-            "correlation": {
-                f"{keys[i]}, {keys[j]}": _finite(float(one.correlation[i, j])) for i, j in pairs
-            },
-        }
+        return outcomes.to_dict(self)
 
     def summary(self) -> str:
         """Return the outcome in a few lines."""
@@ -151,10 +112,6 @@ class DesignResult:
         ComputationError : the disk.
         """
         outcomes.save(self, folder)
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def design(

@@ -10,9 +10,8 @@ from matplotlib.ticker import LogLocator, NullLocator
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.identification.definition.candidates import Candidate
-from ringwear_par.identification.definition.fitted_parameters import unit_of_key
 from ringwear_par.identification.test_design.design import DesignResult
-from ringwear_par.identification.test_design.design_summary import name_of
+from ringwear_par.identification.test_design.design_numbers import name_of_tests, sd_scales
 from ringwear_par.pictures.style import COLOURS, NotebookFigure
 
 _MAP = "viridis_r"
@@ -25,26 +24,25 @@ def figure(design: DesignResult) -> Figure:
 
     Where neither varies, bars of the best designs. Of several tests the map is that of one.
     """
-    parameters = design.problem.parameters
-    m = len(parameters)
+    scales = sd_scales(design)
+    m = len(scales)
     lines = sum(len(one.tests) for one in design.designs)
     chart = NotebookFigure(figsize=(4.6 * m, max(4.2, 0.2 * lines)), layout="constrained")
     panels = chart.subplots(1, m, squeeze=False)[0]
     plain = np.array(
         [i for i, test in enumerate(design.candidates) if _is_plain(test)], dtype=np.int64
     )
-    for j, (axes, parameter) in enumerate(zip(panels, parameters, strict=True)):
-        scale = 100.0 / design.nominal[j] if parameter.log else 1.0
-        unit = (
-            "%" if parameter.log else in_signs(unit_of_key(design.problem, parameter.key).strip())
-        )
-        label = f"predicted sd of {parameter.key}" + (f" ({unit})" if unit else "")
+    for j, (axes, scale) in enumerate(zip(panels, scales, strict=True)):
+        unit = in_signs(scale.unit)
+        label = f"predicted sd of {scale.key}" + (f" ({unit})" if unit else "")
         if len(plain) and len(design.pairs):
-            _map_of_pairs(axes, design, plain, scale * design.pairs[..., j], label, first=j == 0)
+            _map_of_pairs(
+                axes, design, plain, scale.factor * design.pairs[..., j], label, first=j == 0
+            )
         elif len({design.candidates[i].seconds for i in plain}) > 1:
-            _map_of_tests(axes, design, plain, scale * design.single[:, j], label)
+            _map_of_tests(axes, design, plain, scale.factor * design.single[:, j], label)
         else:
-            _bars(axes, design, j, scale, label)
+            _bars(axes, design, j, scale.factor, label)
     return chart
 
 
@@ -85,7 +83,7 @@ def _map_of_pairs(
     tests = [design.candidates[i] for i in design.designs[0].tests]
     if all(map(_is_plain, tests)):
         (x,), (y,) = (test.loads for test in tests)
-        _mark(axes, [x, y], [y, x], " + ".join(map(name_of, tests)) if first else "")
+        _mark(axes, [x, y], [y, x], name_of_tests(design, design.designs[0]) if first else "")
 
 
 def _map_of_tests(
@@ -105,7 +103,7 @@ def _map_of_tests(
     if all(map(_is_plain, best)):
         _mark(
             axes, [test.loads[0] for test in best], [test.seconds for test in best],
-            " + ".join(map(name_of, best)),
+            name_of_tests(design, design.designs[0]),
         )  # fmt: skip
 
 
@@ -130,9 +128,7 @@ def _mark(axes: Any, x: list[float], y: list[float], name: str) -> None:
 
 
 def _bars(axes: Any, design: DesignResult, j: int, scale: float, label: str) -> None:
-    names = [
-        "\n+ ".join(name_of(design.candidates[i]) for i in one.tests) for one in design.designs
-    ]
+    names = [name_of_tests(design, one, "\n+ ") for one in design.designs]
     values = [scale * one.sd[j] for one in design.designs]
     axes.barh(range(len(values)), np.where(np.isfinite(values), values, 0.0), color=COLOURS[0])
     axes.set_yticks(range(len(values)), names if j == 0 else [], fontsize=7)

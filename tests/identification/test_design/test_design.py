@@ -19,8 +19,7 @@ from ringwear_par.identification.definition.candidates import candidates
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fit import expected_result, fit
 from ringwear_par.identification.test_design.design import run_design
-from ringwear_par.identification.test_design.design_summary import FILES
-from ringwear_par.identification.test_design.next_tests import next_tests
+from ringwear_par.identification.test_design.design_folder import FILES, next_tests
 from ringwear_par.results.execution.stopping import Stopped
 
 VARY = {"load.pressure": [40.0, 96.0]}
@@ -382,7 +381,7 @@ def test_next_tests_have_the_noise_of_the_readings_that_they_are_measured_as(tab
     other = {"quantity": "penetration", "times": [0.5 * END, END], "unit": "mm", "sd": 0.07}
     source["experiment"][0]["data"] = [early, *data, other]
     found = rw.design(source, comm)
-    for test in tomllib.loads(next_tests(found, "much"))["experiment"]:
+    for test in tomllib.loads(next_tests(found))["experiment"]:
         told = [(one["quantity"], one["unit"], one["sd"]) for one in test["data"]]
         assert sorted(told) == [
             ("penetration", "mm", 0.07), ("penetration", "um", 0.2), ("profile.lower", "um", 0.08),

@@ -1,7 +1,11 @@
-"""The best tests of a design as tables of a fit file: readings planned, to be filled in."""
+"""The folder of a design: its numbers, their map, its best tests as tables of a fit file.
+
+Readings of these tests are planned, to be filled in.
+"""
 
 import itertools
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,29 +16,46 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.units import has_unit, in_unit
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import legible
+from ringwear_par.files.folders import DESIGN, MAP, NEXT
 from ringwear_par.files.text import parse_toml
+from ringwear_par.files.writing import atomic_write
 from ringwear_par.identification.definition.candidates import LOADS, Candidate, last_profiles
 from ringwear_par.identification.definition.problem import Series
+from ringwear_par.identification.fit_folder import new_files, png, write_json
 from ringwear_par.identification.test_design.design import DesignResult
+from ringwear_par.identification.test_design.design_numbers import spreads
+
+FILES = (DESIGN, NEXT, MAP)
 
 #: of a step: within it distances are equal
 _EQUAL = 1e-6
 
 
-def next_tests(design: DesignResult, spreads: str) -> str:
-    """Return the best design as tables that may follow those of its fit file.
+def save(design: DesignResult, folder: Path) -> None:
+    """Write all three files; design.json, which says that it is whole, the last. On one rank.
 
-    Parameters
-    ----------
-    spreads : the predicted standard deviations, in words.
+    Raises
+    ------
+    InputError, ComputationError : the folder or the disk.
     """
+    with new_files(folder, FILES):
+        picture = png(design.plot())
+        with atomic_write(folder / MAP) as path:
+            path.write_bytes(picture)
+        with atomic_write(folder / NEXT) as path:
+            path.write_text(next_tests(design), encoding="utf-8")
+        write_json(folder / DESIGN, design.to_dict())
+
+
+def next_tests(design: DesignResult) -> str:
+    """Return the best design as tables that may follow those of its fit file."""
     problem, best = design.problem, design.designs[0]
     measured = _measured_as(design)
     tables = _tables(problem.experiments[0].series, measured["data"])
     taken = {experiment.name for experiment in problem.experiments}
     names = (name for i in itertools.count(1) if (name := f"next {i}") not in taken)
     lines = [
-        f"# The best of {len(design.candidates)} candidates: {spreads}.",
+        f"# The best of {len(design.candidates)} candidates: {spreads(design, best)}.",
         f"# Tables for {legible(problem.name)}, measured as {legible(measured['name'])} there. "
         "Readings are planned:",
         "# ringwear fit --dry-run tells what they would. When a test has been made, what it has "

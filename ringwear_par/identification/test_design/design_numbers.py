@@ -1,0 +1,153 @@
+"""The numbers of a test design: design.json, the summary, and the names and units of both."""
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.identification.definition.candidates import Candidate
+from ringwear_par.identification.definition.fitted_parameters import unit_of_key
+from ringwear_par.identification.test_design.design import DesignResult
+from ringwear_par.identification.test_design.search import Design
+
+_CRITERIA = {
+    "D": "smallest volume of the confidence ellipsoid (D)",
+    "A": "smallest mean variance over the widths of the bounds (A)",
+    "eig": "largest expected gain of information (eig)",
+}
+#: designs that a summary shows
+_LISTED = 5
+
+
+@dataclass(frozen=True)
+class SdScale:
+    """How people read the sd of a key: in its unit, or in % where it is fitted as a logarithm."""
+
+    key: str
+    factor: float
+    unit: str
+
+
+def sd_scales(design: DesignResult) -> list[SdScale]:
+    """Return the scales of the predicted standard deviations, by key."""
+    return [
+        SdScale(p.key, 100.0 / value, "%") if p.log
+        else SdScale(p.key, 1.0, unit_of_key(design.problem, p.key).strip())
+        for p, value in zip(design.problem.parameters, design.nominal.tolist(), strict=True)
+    ]  # fmt: skip
+
+
+def to_dict(design: DesignResult) -> dict[str, Any]:
+    """Return the contents of design.json."""
+    keys = design.problem.keys
+    return {
+        "criterion": design.criterion,
+        "parameters": dict(zip(keys, design.nominal.tolist(), strict=True)),
+        "after": design.after or None,
+        "draws": design.draws,
+        "candidates": len(design.candidates),
+        "failed": [
+            {"experiment": test.to_dict(), "error": why} for test, why in design.failed.items()
+        ],
+        "histories": design.histories,
+        "measured_as": design.problem.experiments[0].name,
+        "designs": [
+            {
+                "experiments": [design.candidates[i].to_dict() for i in one.tests],
+                "seconds": sum(design.candidates[i].seconds for i in one.tests),
+                **_predicted(keys, one),
+            }
+            for one in design.designs
+        ],
+        "fit_file": _predicted(keys, design.planned),
+        "versions": dict(design.versions),
+    }
+
+
+def _predicted(keys: tuple[str, ...], one: Design) -> dict[str, Any]:
+    pairs = itertools.combinations(range(len(keys)), 2)
+    return {
+        "score": _finite(one.score),
+        "sd": {key: _finite(v) for key, v in zip(keys, one.sd.tolist(), strict=True)},
+        "sd_range": {
+            key: [_finite(v) for v in ends]
+            for key, ends in zip(keys, one.range.T.tolist(), strict=True)
+        },
+        "correlation": {
+            f"{keys[i]}, {keys[j]}": _finite(float(one.correlation[i, j])) for i, j in pairs
+        },
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def summary(design: DesignResult) -> str:
+    """Return the outcome in a few lines."""
+    problem, count = design.problem, len(design.designs[0].tests)
+    lines = [
+        f"{problem.name}: {count} of {len(design.candidates)} tests, "
+        f"{_CRITERIA[design.criterion]}; measured as in {problem.experiments[0].name}; "
+        f"{design.histories} histories"
+    ]
+    about = ", ".join(
+        f"{p.key} = {v:.4g}{unit_of_key(problem, p.key)}"
+        for p, v in zip(problem.parameters, design.nominal.tolist(), strict=True)
+    )
+    where = f"after {design.after}" if design.after else "at the start"
+    spread = (
+        f", and {design.draws - 1} draws around it" if design.draws > 1
+        else "; without priors or an earlier fit (--after) it holds there only"
+    )  # fmt: skip
+    lines.append(f"{where}: {about}{spread}")
+    names = [name_of_tests(design, one) for one in design.designs[:_LISTED]]
+    width = max(map(len, names))
+    for name, one in zip(names, design.designs, strict=False):
+        lines.append(f"  {name.ljust(width)}  {spreads(design, one)}")
+    seconds = sum(experiment.case.time.end for experiment in problem.experiments)
+    planned = f"the fit file's{' again' if design.after else ''}, {seconds:g} s"
+    lines.append(f"  {planned.ljust(width)}  {spreads(design, design.planned)}")
+    if design.failed:
+        test, why = next(iter(design.failed.items()))
+        lines.append(
+            f"{len(design.failed)} tests cannot be computed and are left out: {name_of(test)}: "
+            f"{why}"
+        )
+    return "\n".join(lines)
+
+
+def name_of_tests(design: DesignResult, one: Design, separator: str = " + ") -> str:
+    """Return the tests of a design in a few words."""
+    return separator.join(name_of(design.candidates[i]) for i in one.tests)
+
+
+def name_of(test: Candidate) -> str:
+    """Return a test in a few words."""
+    words = []
+    if test.loads:
+        unit = "MPa" if "load.pressure" in test.keys else "N"
+        words.append(f"{' then '.join(f'{load:.4g}' for load in test.loads)} {unit}")
+    if "load.omega" in test.keys:
+        words.append(f"{test.keys['load.omega']:.4g} rad/s")
+    words.append(f"{test.seconds:.4g} s")
+    if test.instants_vary:
+        at = ", ".join(f"{at:.4g}" for at in test.profiles)
+        words.append(f"profile{'s' if test.profiles[1:] else ''} at {at} s")
+    return ", ".join(words)
+
+
+def spreads(design: DesignResult, one: Design) -> str:
+    """Return the predicted standard deviations of a design in a sentence."""
+    texts = []
+    for scale, sd, low, high in zip(sd_scales(design), one.sd, *one.range, strict=True):
+        if not np.isfinite(sd):
+            texts.append(f"{scale.key} not identified")
+            continue
+        unit = f" {scale.unit}" if scale.unit else ""
+        texts.append(f"{scale.key} +- {scale.factor * sd:.2g}{unit}")
+        if high > 1.5 * low:
+            worst = f"{high / sd:.2g} times" if np.isfinite(high) else "not identified"
+            texts[-1] += f" (at worst {worst})"
+    return "; ".join(texts)
