@@ -26,8 +26,10 @@ from ringwear_par.errors import InputError
 from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation import starts as starts_room
+from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.estimation.starts import StartOutcome
 from ringwear_par.identification.fit import expected_result, fit, fit_problem
+from ringwear_par.identification.model.histories import Histories
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 
@@ -536,7 +538,8 @@ def test_trials_that_a_law_does_not_allow_end_no_fit(tmp_path, comm):
     assert k.estimate <= k_start.estimate
     assert k.interval[1] is None or k.interval[1] > k.estimate
     assert not any(start.error for start in found.starts)
-    drawn = starts_room.case_points(found.misfit, 16)
+    problem = found.misfit.problem
+    drawn = starts_room.case_points(Misfit(problem, Histories(problem, comm)), 16)
     assert len(drawn) == 16
     assert (drawn[:, 0] <= drawn[:, 1]).all()
     sought = given["fit"]["parameters"]
