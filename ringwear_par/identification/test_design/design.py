@@ -51,7 +51,6 @@ class DesignResult:
     Parameters
     ----------
     problem : the fit.
-    criterion : what was compared.
     candidates : all tests.
     single : (c, m) predicted standard deviations after each candidate alone.
     single_scores : (c,) of each alone.
@@ -69,7 +68,6 @@ class DesignResult:
     """
 
     problem: Problem
-    criterion: Criterion
     candidates: tuple[Candidate, ...]
     single: FloatArray
     single_scores: FloatArray
@@ -88,6 +86,11 @@ class DesignResult:
     def __repr__(self) -> str:
         tests = " + ".join(str(self.candidates[i].to_dict()) for i in self.designs[0].tests)
         return f"<DesignResult: {tests}>"
+
+    @property
+    def criterion(self) -> Criterion:
+        """The criterion by which designs were compared."""
+        return self.problem.design.criterion
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of design.json."""
@@ -172,7 +175,7 @@ def design(
     single, single_scores = search.singles()
     failed = {tests[number]: why for number, why in failures.items()}
     return DesignResult(
-        problem, space.criterion, tuple(tests[number] for number in left), single, single_scores,
+        problem, tuple(tests[number] for number in left), single, single_scores,
         tuple(best), search.design_of_file(of_file), prior.nominal, prior.information,
         len(prior.draws), prior.after, pairs, scores, failed, histories + more, versions(),
     )  # fmt: skip
