@@ -130,7 +130,7 @@ def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
     for omega in _levels(space, "load.omega", _SPEEDS) or [None]:
         for sequence in _sequences(space, load, steps):
             for end in ends:
-                if space.seconds is not None and end > space.seconds * (1.0 + 1e-9):
+                if end > space.time_limit:
                     continue
                 keys: dict[str, Any] = {}
                 if load is not None:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
@@ -202,6 +203,11 @@ class DesignSpace:
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     seconds: float | None = None
     experiments: int = 1
+
+    @property
+    def time_limit(self) -> float:
+        """Most seconds of all tests together, with a margin for round-off."""
+        return math.inf if self.seconds is None else self.seconds * (1.0 + 1e-9)
 
 
 @dataclass(frozen=True, eq=False)

@@ -162,8 +162,7 @@ def design(
     left = [number for number in range(len(tests)) if number not in failures]
     shortest = min((tests[number].seconds for number in left), default=np.inf)
     space = problem.design
-    limit = np.inf if space.seconds is None else space.seconds * (1.0 + 1e-9)
-    if not left or shortest * space.experiments > limit:
+    if not left or shortest * space.experiments > space.time_limit:
         why = next(iter(failures.values()), "")
         raise ComputationError(
             f"{problem.name}: design: {len(failures)} of {len(tests)} tests cannot be computed, "
@@ -206,7 +205,7 @@ def _check(problem: Problem, prior: PriorInformation) -> None:
             )
     end = first.case.time.end
     shortest = space.experiments * space.ranges.get("time.end", (end, end))[0]
-    if space.seconds is not None and shortest > space.seconds * (1.0 + 1e-9):
+    if shortest > space.time_limit:
         raise InputError(
             f"{name}.budget: time.end = {space.seconds:g}: must be at least {shortest:g}, "
             f"{space.experiments} of the shortest tests"

@@ -73,7 +73,7 @@ class Search:
         """Return the best designs of so many tests."""
         c = len(self._seconds)
         without_others = np.zeros_like(self._information[:, 0])
-        limit = np.inf if self._space.seconds is None else self._space.seconds * (1.0 + 1e-9)
+        limit = self._space.time_limit
         if count == 1:
             numbers = np.flatnonzero(self._seconds <= limit)
             return self._best_designs(numbers[:, None])
@@ -186,7 +186,7 @@ class Search:
         ]
         upper = np.stack(np.triu_indices(c), axis=1)
         scores = np.full((c, c), -np.inf)
-        limit = np.inf if self._space.seconds is None else self._space.seconds * (1.0 + 1e-9)
+        limit = self._space.time_limit
         upper = upper[self._seconds[upper].sum(axis=1) <= limit]
         scores[upper[:, 0], upper[:, 1]] = scores[upper[:, 1], upper[:, 0]] = self._scores(upper)
         return np.array(rows), scores
