@@ -11,11 +11,11 @@ from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.lockstep import batch_key, can_share
 from ringwear_par.history.loop import simulate
+from ringwear_par.history.observers.stresses import CaseStresses, stress_key
 from ringwear_par.history.validity.case_limits import stress_numbers
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.result import HistoryColumns, Result
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.execution.pair_resources import PairResources
 
 #: numbers of a batch, of which a history has about so many fields, and most histories of it: see
 #: ``default_batch``
@@ -27,6 +27,32 @@ _BATCHES = 4
 _BLOCK_BYTES = 64e6
 
 
+class PairResources:
+    """A contact pair and the stresses of unit loads on it, which its cases share.
+
+    Stresses are integrated once for all cases that ask for the same.
+
+    Parameters
+    ----------
+    pair : contact pair of the cases.
+    comm : communicator; ``stresses`` is collective on it.
+    """
+
+    def __init__(self, pair: ContactPair, comm: MPI.Comm) -> None:
+        self.pair, self._comm = pair, comm
+        self._stresses: CaseStresses | None = None
+        self._stress_key: Hashable = None
+
+    def stresses(self, case: Case) -> CaseStresses | None:
+        """Return the stresses of a case; None where it asks for none."""
+        if case.stress is None:
+            return None
+        key = stress_key(case)
+        if self._stresses is None or key != self._stress_key:
+            self._stresses, self._stress_key = CaseStresses(case, self._comm), key
+        return self._stresses
+
+
 def default_batch(cases: Sequence[Case]) -> int:
     """Return how many of some cases to step together, where nobody says.
 
@@ -36,18 +62,18 @@ def default_batch(cases: Sequence[Case]) -> int:
     """
     n = cases[0].mesh.contact_elements
     matrices = len({young(case) for case in cases}) > 1
-    each = max(_FIELDS, n) if matrices else _FIELDS
-    return min(max(_NUMBERS // (each * n), 16), _MOST)
+    fields = max(_FIELDS, n) if matrices else _FIELDS
+    return min(max(_NUMBERS // (fields * n), 16), _MOST)
 
 
 def _block(case: Case, most: int) -> int:
     """Return how many histories to store together, of which ``most`` step at a time."""
     profiles = case.stored_rows if case.output.profiles == "all" else 1.0
-    each = 8.0 * profiles * case.mesh.contact_elements * len(case.output.fields)
-    each += 8.0 * case.stored_rows * (len(HISTORIES) + 2)  # with their numbers and steps
+    size = 8.0 * profiles * case.mesh.contact_elements * len(case.output.fields)
+    size += 8.0 * case.stored_rows * (len(HISTORIES) + 2)  # with their numbers and steps
     if case.stress is not None:
-        each += 8.0 * stress_numbers(case)[1]
-    return max(min(_BATCHES * most, int(_BLOCK_BYTES / each)), 1)
+        size += 8.0 * stress_numbers(case)[1]
+    return max(min(_BATCHES * most, int(_BLOCK_BYTES / size)), 1)
 
 
 @dataclass(frozen=True)

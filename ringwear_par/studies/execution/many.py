@@ -58,11 +58,11 @@ def simulate_all(
     for number, case in enumerate(cases):
         need_case(case, f"simulate_all: cases[{number}]")
     comm = MPI.COMM_WORLD if comm is None else comm
-    found: dict[int, Result | FailedResult] = {}
+    results: dict[int, Result | FailedResult] = {}
     groups: dict[Hashable, list[int]] = defaultdict(list)
     for number, checked in enumerate(_checked(cases, comm, derivatives)):
         if isinstance(checked, FailedResult):
-            found[number] = checked
+            results[number] = checked
         else:
             groups[checked].append(number)
     if groups and any(case.stress is not None for case in cases):
@@ -74,7 +74,7 @@ def simulate_all(
             with together(comm):
                 pair = assemble(cases[numbers[0]], comm)
         except Exception as error:
-            found.update((n, _failed(cases[n], error)) for n in numbers)
+            results.update((n, _failed(cases[n], error)) for n in numbers)
             continue
         rounds = len(dealt) // comm.size
         mine = numbers[(comm.rank - len(dealt)) % comm.size :: comm.size]
@@ -83,24 +83,24 @@ def simulate_all(
             waiting.append((pair, mine))
         if len(dealt) // comm.size > rounds:  # every rank has something to do
             with together(comm):
-                found.update(_simulated(cases, waiting, batch, derivatives))
+                results.update(_simulated(cases, waiting, batch, derivatives))
             waiting = []
     with together(comm):  # or the others would wait for its results
-        found.update(_simulated(cases, waiting, batch, derivatives))
+        results.update(_simulated(cases, waiting, batch, derivatives))
     if comm.size > 1:
         for place, number in enumerate(dealt):  # one by one: all might be too much for a message
-            found[number] = comm.bcast(found.get(number), place % comm.size)
-    return [found[number] for number in range(len(cases))]
+            results[number] = comm.bcast(results.get(number), place % comm.size)
+    return [results[number] for number in range(len(cases))]
 
 
 def _checked(
     cases: Sequence[Case], comm: MPI.Comm, derivatives: Sequence[str]
 ) -> list[Hashable | FailedResult]:
-    """Return what the pair of each case depends on, or why it cannot be computed.
+    """Return the key of the pair of each case, or the failure of a case that is refused.
 
     Collective on comm: every rank checks its share.
     """
-    own: list[Hashable | FailedResult] = []
+    checked: list[Hashable | FailedResult] = []
     known: set[Hashable] = set()
     for case in cases[comm.rank :: comm.size]:
         try:
@@ -108,10 +108,10 @@ def _checked(
             check_derivatives(case, derivatives)
             check_case(case, 1, "case", known_mesh=key in known)
             known.add(key)
-            own.append(key)
+            checked.append(key)
         except Exception as error:
-            own.append(_failed(case, error))
-    parts = comm.allgather(own)
+            checked.append(_failed(case, error))
+    parts = comm.allgather(checked)
     return [parts[number % comm.size][number // comm.size] for number in range(len(cases))]
 
 
@@ -123,19 +123,19 @@ def _simulated(
 ) -> Iterator[tuple[int, Result | FailedResult]]:
     """Yield numbers and results of cases, by the pair that they share, on this rank alone."""
     for pair, numbers in work:
-        own = [cases[number] for number in numbers]
-        for block in computed(own, pair, batch=batch, results=True, derivatives=derivatives):
+        chosen = [cases[number] for number in numbers]
+        for block in computed(chosen, pair, batch=batch, results=True, derivatives=derivatives):
             for place, result in zip(block.numbers, block.results(), strict=True):
                 if isinstance(result, Exception):
-                    yield numbers[place], _failed(own[place], result)
+                    yield numbers[place], _failed(chosen[place], result)
                 else:
                     yield numbers[place], result
 
 
 def _failed(case: Case, error: Exception) -> FailedResult:
-    """Return what is told of a case that failed."""
+    """Return the result of a case that failed."""
     log.debug("a case failed", exc_info=error)
-    told = as_ours(error)
+    reason = as_ours(error)
     # they hold the model and its matrices
-    told.__traceback__ = told.__cause__ = told.__context__ = None
-    return FailedResult(case.stored_text, told)
+    reason.__traceback__ = reason.__cause__ = reason.__context__ = None
+    return FailedResult(case.stored_text, reason)

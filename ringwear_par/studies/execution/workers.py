@@ -30,14 +30,13 @@ from ringwear_par.results.result import HistoryColumns, Result
 from ringwear_par.results.storage.result_files import open_result, write_result
 from ringwear_par.results.unit_suspicions import but_varied
 from ringwear_par.studies.definition.texts import Texts
-from ringwear_par.studies.execution.batches import computed
+from ringwear_par.studies.execution.batches import PairResources, computed
 from ringwear_par.studies.execution.operators import (
     StorageError,
     map_operator,
     reason_of_failure,
     write_operator,
 )
-from ringwear_par.studies.execution.pair_resources import PairResources
 from ringwear_par.studies.execution.plan import Plan
 from ringwear_par.studies.execution.scheduling import Cases, Scheduler
 from ringwear_par.studies.storage.blocks import Block
@@ -313,7 +312,7 @@ class Worker:
                 raise StorageError(str(error)) from error
 
     def _stored(self, identity: str) -> Result | None:
-        """Return what an interrupted case goes on from."""
+        """Return the checkpoint of an interrupted case; None where there is none."""
         if identity not in self._plan.interrupted:
             return None
 
