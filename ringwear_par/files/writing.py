@@ -54,6 +54,16 @@ def _is_locked(handle: int) -> bool:
     return True
 
 
+def _allow_readers(handle: int) -> None:
+    """Turn the lock of a file into one that readers share and ``remove_leftovers`` respects.
+
+    HDF5 locks what it reads: it refuses a file that its writer still holds for itself alone in
+    the moment after the file got its name.
+    """
+    with suppress(OSError):  # the disk cannot lock files
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+
+
 def remove_leftovers(folder: Path, name: str = "") -> None:
     """Remove what killed processes have left of files that were not whole yet. Not collective.
 
@@ -134,6 +144,7 @@ def atomic_write(path: Path, mode: int = 0o666) -> Iterator[Path]:
     try:
         yield opened
         os.fsync(handle)
+        _allow_readers(handle)
         temporary.replace(path)
     except OSError as error:
         if error.filename is not None and Path(error.filename) not in (temporary, opened):

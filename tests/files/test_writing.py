@@ -5,7 +5,9 @@ import secrets
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
+import h5py
 import pytest
 
 from ringwear_par.files.writing import atomic_write, check_writable, remove_leftovers
@@ -73,6 +75,24 @@ def test_links_at_its_name_are_not_followed(tmp_path, monkeypatch):
         file["x"] = 1.0
     assert victim.read_text() == "of another"
     path.unlink()
+
+
+def test_a_file_opens_from_the_moment_it_has_its_name(tmp_path, monkeypatch):
+    path = tmp_path / "run.h5"
+    rename = Path.replace
+    seen = []
+
+    def rename_and_read(temporary, target):
+        remove_leftovers(tmp_path, path.name)  # another process, which leaves what is in use
+        rename(temporary, target)
+        with h5py.File(path, "r") as file:  # another process: its writer still holds the file open
+            seen.append(int(file["a"][()]))
+        return target
+
+    monkeypatch.setattr(Path, "replace", rename_and_read)
+    with atomic_hdf5(path) as (file, _):
+        file["a"] = 1
+    assert seen == [1]
 
 
 def test_names_differ_from_file_to_file(tmp_path):
