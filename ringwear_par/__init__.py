@@ -2,8 +2,8 @@
 
 Rooms follow the paper (Serre, Bonnet and Pradeilles-Duval 2001): ``elasticity`` eq. (5),
 ``contact`` (3), ``wear`` (4), ``history`` section 3; around them ``cases``, ``results``,
-``studies``, ``identification``, ``reports``, ``explorer`` and ``verification``. Units: mm, N, MPa,
-s, rad; energies N mm.
+``studies``, ``identification``, ``measuring``, ``reports``, ``explorer`` and ``verification``.
+Units: mm, N, MPa, s, rad; energies N mm.
 
     import ringwear_par as rw
 
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from ringwear_par.identification.fit import fit
     from ringwear_par.identification.fit_result import FitResult
     from ringwear_par.identification.test_design.design import DesignResult, design
+    from ringwear_par.measuring.measure import measure
+    from ringwear_par.measuring.measure_result import MeasureResult
     from ringwear_par.outcomes import save, summary, to_dict
     from ringwear_par.reports.report import report
     from ringwear_par.results.execution.simulate import simulate
@@ -52,12 +54,14 @@ _PUBLIC = {
     "FitResult": "identification.fit_result",
     "InputError": "errors",
     "LocalState": "wear.local_state",
+    "MeasureResult": "measuring.measure_result",
     "Result": "results.result",
     "Study": "studies.definition.study",
     "WearLaw": "wear.law",
     "assemble": "history.elastic.pairs",
     "design": "identification.test_design.design",
     "fit": "identification.fit",
+    "measure": "measuring.measure",
     "open_ensemble": "studies.storage.ensemble",
     "open_result": "results.storage.result_files",
     "plot": "studies.pictures.plot",
@@ -74,9 +78,9 @@ _PUBLIC = {
 }
 __all__ = [
     "Case", "ComputationError", "ContactPair", "DesignResult", "FailedResult", "FitResult",
-    "InputError", "LocalState", "Result", "Study", "WearLaw", "assemble", "design", "fit",
-    "open_ensemble", "open_result", "plot", "read_case", "read_study", "report", "save", "simulate",
-    "simulate_all", "summary", "surrogate", "sweep", "to_dict",
+    "InputError", "LocalState", "MeasureResult", "Result", "Study", "WearLaw", "assemble", "design",
+    "fit", "measure", "open_ensemble", "open_result", "plot", "read_case", "read_study", "report",
+    "save", "simulate", "simulate_all", "summary", "surrogate", "sweep", "to_dict",
 ]  # fmt: skip
 
 

@@ -120,6 +120,17 @@ def _design(args: argparse.Namespace, comm: Any) -> None:
     run_design(args.fit, args.output, comm, after=args.after, criterion=args.criterion)
 
 
+def _measure(args: argparse.Namespace, comm: Any) -> None:
+    from ringwear_par.measuring.measure import run_measure
+    from ringwear_par.parallel import on_first_rank
+
+    summary = on_first_rank(
+        comm, lambda: run_measure(args.sources, args.output, args.case, args.masses)
+    )
+    if comm.rank == 0:
+        print(summary)
+
+
 def _plot(args: argparse.Namespace, comm: Any) -> None:
     from ringwear_par.parallel import on_first_rank
 
@@ -180,7 +191,7 @@ def _verify(args: argparse.Namespace, comm: Any) -> None:
 
 
 def _print_keys(words: Sequence[str]) -> None:
-    """Print the keys of case, study and fit files, or of one of these; a row a key.
+    """Print the keys of case, study, fit and measure files, or of one of these; a row a key.
 
     Parameters
     ----------
@@ -192,9 +203,11 @@ def _print_keys(words: Sequence[str]) -> None:
     """
     from ringwear_par.cases import schema as cases
     from ringwear_par.identification.definition import schema as fits
+    from ringwear_par.measuring.definition import schema as measures
     from ringwear_par.studies.definition import schema as studies
 
-    schemas = {"case": cases.KEYS, "study": studies.KEYS, "fit": fits.KEYS}
+    schemas = {"case": cases.KEYS, "study": studies.KEYS, "fit": fits.KEYS,
+               "measure": measures.KEYS}  # fmt: skip
     kinds = words[:1] if words and words[0] in schemas else list(schemas)
     phrase = " ".join(words[1:] if words[:1] == kinds else words)
     tables = {kind: cases.key_table(schemas[kind], phrase) for kind in kinds}
@@ -304,6 +317,15 @@ _COMMANDS = {
         _argument("--criterion", choices=("D", "A", "eig"), help="instead of that of the fit file"),
         _NO_CACHE,
     ), solves=True, stopped=_UNWRITTEN),
+    "measure": _Command(
+        "compute steady wear rates and friction from a rig's own files, by no model", _measure, (
+        _argument("sources", type=_path, nargs="+", metavar="W.csv or MEASURE.toml",
+                  help="records of one rig, or a measure file alone"),
+        _output("DIR"),
+        _argument("--case", type=_path, metavar="RIG.toml",
+                  help="case file of the rig, of records: rings, load, speed, densities"),
+        _argument("--masses", type=_path, metavar="M.csv", help="weighings, of records"),
+    ), stopped=_UNWRITTEN),
     "plot": _Command(
         "draw the figures of the paper from result files, or those of a sweep", _plot, (
         _argument("results", type=_path, nargs="+", metavar="RUN.h5 or DIR"),
@@ -354,9 +376,9 @@ _COMMANDS = {
         solves=True),
     "info": _Command("print versions, MPI and PETSc builds, ranks and threads", _info, (
         _argument("--schema", nargs="*", metavar="WORD",
-                  help="print the keys of case, study and fit files, or of one of these: case, "
-                  "study or fit; behind it, or alone, a word of the rows to print, such as "
-                  "wear.lower"),
+                  help="print the keys of case, study, fit and measure files, or of one of these: "
+                  "case, study, fit or measure; behind it, or alone, a word of the rows to print, "
+                  "such as wear.lower"),
     )),
 }  # fmt: skip
 

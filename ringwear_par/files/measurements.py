@@ -59,6 +59,12 @@ class Measurements:
         bare = unit.strip("[]() ") if unit[:1] in ("[", "(") else unit
         return f"{name} [{bare}]" if bare not in ("", "-", "1", "hh:mm:ss") else name
 
+    def column(self, place: int) -> "Measurements":
+        """Return the table of one column, for names that several columns have."""
+        rows = tuple((row[place],) for row in self.rows)
+        units = self.units[place : place + 1]
+        return Measurements(self.name, (self.columns[place],), rows, self.lines, self.sha256, units)
+
     def filled(self, *names: str) -> BoolArray:
         """(rows,) bool, where none of some columns is empty."""
         places = [self.columns.index(name) for name in names]

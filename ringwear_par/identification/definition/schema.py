@@ -176,8 +176,8 @@ KEYS: tuple[Key, ...] = (
         "table of readings, relative to this file: a line of column names, perhaps a row of their "
         "units, then numbers; what is above the names, lines that begin with # and cells that are "
         "empty, nan, n.a., NA, - or --- are skipped; times may be stamps such as 2026-03-14 "
-        "08:15:00 or 14.03.2026 08:15:00, or clock times: h:mm:ss, or min:s (h:min where units.time "
-        "is h)", None),
+        "08:15:00 or 14.03.2026 08:15:00, or clock times: h:mm:ss, or min:s (h:min where "
+        "units.time is h)", None),
     Key("experiment.data.columns", *_COLUMNS, "-",
         "names of its columns, where they are not time (or r) and value", None),
     Key("experiment.data.units", *_COLUMNS, "-",
