@@ -27,8 +27,8 @@ from ringwear_par.identification.estimation.starts import (
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.identification.model.steps import MOST_SHIFT_SD, STEPS
-from ringwear_par.info import versions
 from ringwear_par.results.execution.stopping import StopSignals
+from ringwear_par.version import versions
 
 log = logging.getLogger(__name__)
 
