@@ -93,7 +93,7 @@ class NuisanceProjection:
         self._right = right[: len(self._values)]
 
     def rest(self, rows: FloatArray) -> FloatArray:
-        """Return what nuisances cannot make of rows, (n, ...)."""
+        """Return the rest of rows (n, ...) that nuisances cannot make."""
         rest: FloatArray = rows - self._basis @ (self._basis.T @ rows)
         return rest
 
