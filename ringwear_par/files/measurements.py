@@ -181,6 +181,12 @@ class Measurements:
             before = cell
         return first
 
+    def begins_with_stamp(self, name: str) -> bool:
+        """Tell whether the first filled cell of a column is a stamp or a clock time h:mm:ss."""
+        place = self.columns.index(name)
+        cell = next((row[place] for row in self.rows if row[place].lower() not in EMPTY), "")
+        return is_stamp(cell) or has_hours(cell)
+
     def names_seconds(self, name: str, rows: BoolArray) -> bool:
         """Tell whether a column has stamps or clock times with seconds in the rows, no others."""
         place = self.columns.index(name)

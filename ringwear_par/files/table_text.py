@@ -151,12 +151,10 @@ def _first_row(lines: Sequence[str], delimiter: str, labelled: bool) -> int | No
 
 
 def _above(lines: Sequence[str], row: int, delimiter: str, labelled: bool) -> int | None:
-    """Return the first of the rows of numbers above one, however many cells they have."""
-    width = len(_cells(lines[row], delimiter))
+    """Return the first of the rows above one, broken ones too: names are lines without numbers."""
     while row > 0:
         cells = _cells(lines[row - 1], delimiter)
-        alike = len(cells) == width and any(map(_is_value, cells))
-        if not (alike or _is_row(cells, labelled)):
+        if not (any(map(_is_value, cells)) or _is_row(cells, labelled)):
             return row
         row -= 1
     return None

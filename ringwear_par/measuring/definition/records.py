@@ -200,23 +200,23 @@ def _known_column(
     table: Measurements, channel: str, named: set[str], faults: list[str]
 ) -> str | None:
     """Return the column whose name tells that it is of a channel, None for none."""
-    for words in _WORDS[channel]:
-        known = [
-            column
-            for column in table.columns
-            if column not in named and _names(column, words) and _may_be(table, channel, column)
-        ]
+    candidates = [
+        [column for column in table.columns if column not in named and _names(column, words)]
+        for words in _WORDS[channel]
+    ]
+    for columns in candidates:
+        known = [column for column in columns if _may_be(table, channel, column)]
         if channel == "time":  # a date beside a time of day, or stamps beside seconds: one will do
-            known.sort(key=lambda column: not table.names_seconds(column, table.filled(column)))
-            return known[0] if known else None
-        if len(known) > 1:
+            known.sort(key=lambda column: not table.begins_with_stamp(column))
+        elif len(known) > 1:
             faults.append(
                 f"{table.name}: the columns {legible(' and '.join(known), 200)} may both be of "
                 f'{channel}; columns = {{ {channel} = "..." }} must say which is'
             )
         if known:
             return known[0]
-    return None
+    # in the unit of something else, which is told
+    return next((column for columns in candidates for column in columns), None)
 
 
 def _names(column: str, words: set[str]) -> bool:
@@ -253,7 +253,7 @@ def _unit_fault(table: Measurements, channel: str, column: str, unit: str | None
         return "" if right else f"{table.name}: {state}: must be the unit of {_UNITS[channel]}"
     if channel == "temperature":
         named = _TEMPERATURE.search(label) is not None
-    elif channel == "time" and table.names_seconds(column, table.filled(column)):
+    elif channel == "time" and table.begins_with_stamp(column):
         return ""
     else:
         try:
