@@ -227,8 +227,8 @@ COMMANDS = {
         "verification.verify:verify", (), solves=True),
     "info": Command("print versions, MPI and PETSc builds, ranks and threads", "info:print_info", (
         _argument("--schema", nargs="*", metavar="WORD",
-                  help="print the keys of case, study, fit and measure files, or of one of these: "
-                  "case, study, fit or measure; behind it, or alone, a word of the rows to print, "
+                  help="print the keys of case, study, measure and fit files, or of one of these: "
+                  "case, study, measure or fit; behind it, or alone, a word of the rows to print, "
                   "such as wear.lower"),
     )),
 }  # fmt: skip

@@ -72,7 +72,7 @@ def _print_keys(words: Sequence[str]) -> None:
     from ringwear_par.studies.definition import schema as studies
 
     schemas = {
-        "case": cases.KEYS, "study": studies.KEYS, "fit": fits.KEYS, "measure": measures.KEYS,
+        "case": cases.KEYS, "study": studies.KEYS, "measure": measures.KEYS, "fit": fits.KEYS,
     }  # fmt: skip
     kinds = words[:1] if words and words[0] in schemas else list(schemas)
     phrase = " ".join(words[1:] if words[:1] == kinds else words)
