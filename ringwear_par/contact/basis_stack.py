@@ -63,17 +63,17 @@ class BasisStack:
         ----------
         used : numbers that are; negative ones, which are no numbers of bases, stay.
         """
-        kept = np.unique(used[used >= 0])
-        room = max(_LEAST_ROOM, len(kept))
+        still_used = np.unique(used[used >= 0])
+        room = max(_LEAST_ROOM, len(still_used))
         self.psi, self.mu, self.force = (
-            np.concatenate([values[kept], np.empty((room, *values.shape[1:]))])
+            np.concatenate([values[still_used], np.empty((room, *values.shape[1:]))])
             for values in (self.psi, self.mu, self.force)
         )
-        new = {int(number): place for place, number in enumerate(kept)}
+        new = {int(number): place for place, number in enumerate(still_used)}
         self._numbers = {
             name: new.get(number, number)
             for name, number in self._numbers.items()
             if number in new or number < 0
         }
-        self._count = len(kept)
-        return np.where(used >= 0, np.searchsorted(kept, used), used)
+        self._count = len(still_used)
+        return np.where(used >= 0, np.searchsorted(still_used, used), used)

@@ -193,7 +193,7 @@ class ContactProblem:
         return float(objectives.sum())
 
     def slopes(self, q: FloatArray) -> tuple[FloatArray, FloatArray | None]:
-        """Return what wear adds to the diagonals of the Hessians, (h, n), and beside these.
+        """Return the slopes that wear adds to the Hessians: on diagonals, (h, n), and off them.
 
         The second part is (h, n, n) of non-local wear, and does not have the first in it; of local
         wear it is None.
