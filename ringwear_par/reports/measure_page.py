@@ -109,29 +109,29 @@ def _wear(outcome: Mapping[str, Any]) -> list[Block]:
         ],
     )  # fmt: skip
     rows = [
-        ("load (N)", _each(tests, lambda e: f"{e['conditions']['force']:.4g}")),
-        ("mean pressure (MPa)", _each(tests, lambda e: f"{e['conditions']['pressure']:.4g}")),
-        ("sliding speed (m/s)", _each(tests, lambda e: f"{e['conditions']['speed'] / 1e3:.4g}")),
-        ("p V (MPa m/s)", _each(tests, lambda e: f"{e['pv']['MPa m/s']:.4g}")),
-        ("p V (psi ft/min)", _each(tests, lambda e: f"{e['pv']['psi ft/min']:.0f}")),
-        ("duration (h)", _each(tests, lambda e: f"{e['duration'] / 3600.0:.4g}")),
+        ("load (N)", _cells(tests, lambda e: f"{e['conditions']['force']:.4g}")),
+        ("mean pressure (MPa)", _cells(tests, lambda e: f"{e['conditions']['pressure']:.4g}")),
+        ("sliding speed (m/s)", _cells(tests, lambda e: f"{e['conditions']['speed'] / 1e3:.4g}")),
+        ("p V (MPa m/s)", _cells(tests, lambda e: f"{e['pv']['MPa m/s']:.4g}")),
+        ("p V (psi ft/min)", _cells(tests, lambda e: f"{e['pv']['psi ft/min']:.0f}")),
+        ("duration (h)", _cells(tests, lambda e: f"{e['duration'] / 3600.0:.4g}")),
         ("sliding distance (km)",
-         _each(tests, lambda e: f"{e['whole']['distance']['value'] / 1e3:.4g}")),
-        ("temperature, mean and largest (\u00b0C)", _each(tests, _temperature)),
-        ("running-in until (h)", _each(tests, lambda e: f"{e['steady_from']['value'] / 3600.0:.3g}"
+         _cells(tests, lambda e: f"{e['whole']['distance']['value'] / 1e3:.4g}")),
+        ("temperature, mean and largest (\u00b0C)", _cells(tests, _temperature)),
+        ("running-in until (h)", _cells(tests, lambda e: f"{e['steady_from']['value'] / 3600.0:.3g}"
                                        if e["steady"] else "not over")),
-        ("wear rate (\u00b5m/h)", _each(tests, lambda e: _bare(e["wear_rate"], 3.6e6))),
-        ("wear rate (in/h)", _each(tests, lambda e: _DASH if e["wear_rate"] is None
+        ("wear rate (\u00b5m/h)", _cells(tests, lambda e: _bare(e["wear_rate"], 3.6e6))),
+        ("wear rate (in/h)", _cells(tests, lambda e: _DASH if e["wear_rate"] is None
                                    else f"{e['wear_rate']['in/h']:.3g}")),
         ("specific wear rate, steady (mm\u00b3/(N m))",
-         _each(tests, lambda e: _bare(e["specific_wear_rate"]))),
-        ("mass lost (mg)", _each(tests, lambda e: _bare(e["whole"]["mass_loss"]))),
+         _cells(tests, lambda e: _bare(e["specific_wear_rate"]))),
+        ("mass lost (mg)", _cells(tests, lambda e: _bare(e["whole"]["mass_loss"]))),
         ("volume lost, by weighing (mm\u00b3)",
-         _each(tests, lambda e: _bare(e["whole"]["volume"]))),
+         _cells(tests, lambda e: _bare(e["whole"]["volume"]))),
         ("volume lost, by displacement (mm\u00b3)",
-         _each(tests, lambda e: _bare(e["whole"]["volume_by_displacement"]))),
+         _cells(tests, lambda e: _bare(e["whole"]["volume_by_displacement"]))),
         ("specific wear rate, whole test (mm\u00b3/(N m))",
-         _each(tests, lambda e: _bare(e["whole"]["specific_wear_rate"]))),
+         _cells(tests, lambda e: _bare(e["whole"]["specific_wear_rate"]))),
     ]  # fmt: skip
     return [conditions, _by_test("Conditions and wear of each test", tests, rows)]
 
@@ -139,15 +139,15 @@ def _wear(outcome: Mapping[str, Any]) -> list[Block]:
 def _friction(outcome: Mapping[str, Any]) -> list[Block]:
     tests = outcome["tests"]
     rows = [
-        ("kinetic friction coefficient", _each(tests, lambda e: _bare(e["friction"]))),
-        ("it is of", _each(tests, steady_text)),
-        ("steady by itself from (h)", _each(tests, lambda e: _DASH
+        ("kinetic friction coefficient", _cells(tests, lambda e: _bare(e["friction"]))),
+        ("it is of", _cells(tests, steady_text)),
+        ("steady by itself from (h)", _cells(tests, lambda e: _DASH
                                             if e["steady_from"]["friction"] is None
                                             else f"{e['steady_from']['friction'] / 3600.0:.3g}")),
-        ("load (N)", _each(tests, lambda e: f"{e['conditions']['force']:.4g}")),
-        ("sliding speed (m/s)", _each(tests, lambda e: f"{e['conditions']['speed'] / 1e3:.4g}")),
-        ("temperature, mean and largest (\u00b0C)", _each(tests, _temperature)),
-        ("static friction coefficient", _each(tests, lambda e: _OPEN)),
+        ("load (N)", _cells(tests, lambda e: f"{e['conditions']['force']:.4g}")),
+        ("sliding speed (m/s)", _cells(tests, lambda e: f"{e['conditions']['speed'] / 1e3:.4g}")),
+        ("temperature, mean and largest (\u00b0C)", _cells(tests, _temperature)),
+        ("static friction coefficient", _cells(tests, lambda e: _OPEN)),
     ]  # fmt: skip
     sentence = (
         "Friction is torque over load and mean radius, 2/3 (b\u00b3 - a\u00b3)/(b\u00b2 - a\u00b2),"
@@ -162,7 +162,7 @@ def _by_test(
     return Table(caption, ("quantity", *tests), [(name, *cells) for name, cells in rows])
 
 
-def _each(tests: Mapping[str, Any], cell: Any) -> list[str]:
+def _cells(tests: Mapping[str, Any], cell: Any) -> list[str]:
     return [str(cell(entry)) for entry in tests.values()]
 
 
