@@ -8,12 +8,15 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.measuring.analysis.budget import Estimate, Source, shortest_interval
 from ringwear_par.measuring.analysis.steady_part import (
+    FEWEST_BLOCKS,
+    LAST_THIRD,
     Blocks,
     Change,
     SteadyPart,
     block_means,
     change_from,
     count_blocks,
+    has_blocks,
     steady_part,
 )
 from ringwear_par.measuring.definition.problem import Conditions, Problem, Test, Uncertainty
@@ -122,6 +125,27 @@ def numbers_of(test: Test, problem: Problem) -> TestNumbers:
         _temperature(record.time, record.temperature, part.start), (), (),
     )  # fmt: skip
     return replace(result, doubts=tuple(_doubts(result, problem)), notes=tuple(_notes(result)))
+
+
+def coverage_fault(test: Test, start: float | None) -> str:
+    """Return the fault of a record with too few readings where they are needed, "" for none.
+
+    Parameters
+    ----------
+    start : s, of the steady part where a user says it.
+    """
+    time = test.record.time
+    first = LAST_THIRD * test.record.end if start is None else start
+    channels = {"wear": test.record.wear, "torque": friction_readings(test)}
+    for name, readings in channels.items():
+        if readings is None or has_blocks(block_means(time, readings), first):
+            continue
+        return (
+            f'test "{test.name}": {test.record.file}: readings of {name} are too unevenly spread '
+            f"over its {_hours(test.record.end)}; must be in {FEWEST_BLOCKS} equal parts of it at "
+            "least, and at its end; exclude what is before or behind a long gap"
+        )
+    return ""
 
 
 def friction_readings(test: Test) -> FloatArray | None:
@@ -321,6 +345,8 @@ def _notes(numbers: TestNumbers) -> list[str]:
             f"GUM and Monte Carlo differ by more than a tenth of U: from {rate.interval[0]:.4g} to "
             f"{rate.interval[1]:.4g} and from {low:.4g} to {high:.4g} {SPECIFIC}; take the latter"
         )
+    if numbers.friction is not None and numbers.friction.value < 0.0:
+        notes.append(f"{record.columns['torque']} is negative: friction is that of its own sense")
     if numbers.wear_rate is not None and numbers.wear_rate.value <= 0.0:
         notes.append("the depth does not grow in the part that the rate is of")
     return notes
