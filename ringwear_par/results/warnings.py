@@ -20,7 +20,7 @@ from ringwear_par.history.observers.worst_states import (
     worn_share,
 )
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.history.validity.stable_steps import stable_steps
+from ringwear_par.history.validity.stable_steps import missed_corner, stable_steps
 from ringwear_par.results.unit_suspicions import (
     MOST_PRESSED,
     ValidityWarning,
@@ -139,7 +139,7 @@ def validity_warnings(
                 "may touch there too, which is not computed",
             )
         )
-    warnings += [*_high_pressure(case, worst), *_few_elements(case, worst)]
+    warnings += [*_missed_corner(case), *_high_pressure(case, worst), *_few_elements(case, worst)]
     layered = any(ring.layers for ring in case.rings)
     reactions, asymmetry = worst.get("reactions", (0.0, 0.0)), worst["symmetry_defect"]
     measures = [reactions] if layered else [reactions, asymmetry]
@@ -169,6 +169,24 @@ def validity_warnings(
         *_unlike_slopes(case, worst),
         *_asymmetric(worst),
     )
+
+
+def _missed_corner(case: Case) -> list[ValidityWarning]:
+    """Return whether fixed steps passed over a corner of the load."""
+    corner = missed_corner(case)
+    if corner is None:
+        return []
+    time, load, straight = corner
+    noun, unit = ("force", "N") if case.load.displacement is None else ("displacement", "mm")
+    return [
+        ValidityWarning(
+            "missed_corner",
+            f"steps of {case.time.step:g} s pass over the corner of the load at t = {time:g} s: "
+            f"the {noun} is {load:.6g} {unit} there, between the ends of the step {straight:.6g} "
+            f"{unit}; "
+            'a step must end there, which time.scheme = "adaptive" sees to',
+        )
+    ]
 
 
 def _high_pressure(case: Case, worst: Mapping[str, Sequence[float]]) -> list[ValidityWarning]:
