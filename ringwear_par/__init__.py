@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from ringwear_par.studies.definition.study import Study, read_study
     from ringwear_par.studies.execution.many import simulate_all
     from ringwear_par.studies.execution.sweep import sweep
-    from ringwear_par.studies.pictures.plot import plot
+    from ringwear_par.studies.pictures.figures import plot
     from ringwear_par.studies.storage.ensemble import open_ensemble
     from ringwear_par.wear.law import WearLaw
     from ringwear_par.wear.local_state import LocalState
@@ -60,7 +60,7 @@ _PUBLIC = {
     "fit": "identification.fit",
     "open_ensemble": "studies.storage.ensemble",
     "open_result": "results.storage.result_files",
-    "plot": "studies.pictures.plot",
+    "plot": "studies.pictures.figures",
     "read_case": "cases.files.reading",
     "read_study": "studies.definition.study",
     "report": "reports.report",
