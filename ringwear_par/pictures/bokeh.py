@@ -251,7 +251,10 @@ def columns_of(panel: Panel) -> dict[str, dict[str, list[Any]]]:
         "points": [row for points in (*of_cases, *panel.points) for row in _points(points)],
         "labels": [
             (
-                label.x, label.y, label.words, "top" if label.below else "bottom",
+                label.x,
+                label.y,
+                label.words,
+                "top" if label.below else "bottom",
                 "center" if label.centred else "left",
             )
             for label in panel.labels
