@@ -14,12 +14,9 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from ringwear_par.errors import InputError
-from ringwear_par.files.folders import refuse_drawn
-from ringwear_par.pictures import figures
 from ringwear_par.pictures.matplotlib import draw, legend_shape
 from ringwear_par.pictures.panels import Panel
 from ringwear_par.pictures.style import STYLE, NotebookFigure, check_format, plain, save_figure
-from ringwear_par.results.result import Result
 from ringwear_par.studies.analysis.predictions import Surrogate
 from ringwear_par.studies.analysis.sensitivity import Indices, sensitivity_indices
 from ringwear_par.studies.analysis.surrogate import surrogate
@@ -38,49 +35,6 @@ _PANEL, _WIDTH = (2.3, 2.1), 7.2
 _LEGEND_LINE, _TITLE_LINE = 0.18, 0.15
 #: letters of a line in a title, of a legend above a panel, and of a label along its height
 _TITLE_LETTERS, _LEGEND_LETTERS, _LABEL_LETTERS = 100, 34, 26
-
-
-def plot(
-    results: figures.Source | Sequence[figures.Source],
-    panels: str | Sequence[str] | None = None,
-    steps: str = "",
-    profiles_of: Sequence[figures.Source] = (),
-    times: str = "",
-) -> Figure:
-    """Return the panels of one or more results side by side, or the figure of a sweep.
-
-    Not collective. Profiles (``wear``, ``pressure``) and deformed sections (``section``, the last
-    one stored) are drawn of every result, one panel each; the histories of all of them share a
-    panel (``penetration``, ``approach``, ``force``, ``torque``, ``energy``, ``volume``, ``rate``,
-    ``pv``).
-
-    Parameters
-    ----------
-    results : a result or a result file, or several; or the folder of a sweep.
-    panels : names, in a list or separated by commas; None for wear and penetration.
-    steps : comma-separated step numbers of the profiles.
-    profiles_of : those of the results whose profiles and sections are drawn; () for all.
-    times : comma-separated times of the profiles, s or with a unit ("1 h"), instead of steps; the
-        stored states nearest to them are drawn. Without either: the first step and four quarters.
-
-    Raises
-    ------
-    InputError : something that is not a result, an unknown panel, a step not stored; more than its
-        folder where a sweep is drawn; the folder of a fit or a design, which has its pictures.
-    """
-    several = [results] if isinstance(results, Result | str | Path) else results
-    if isinstance(several, Sequence):
-        folders = [s for s in several if isinstance(s, str | Path) and Path(s).is_dir()]
-        if folders:
-            refuse_drawn(Path(folders[0]))
-        if folders and (len(several) > 1 or panels is not None or steps or times or profiles_of):
-            raise InputError(
-                f"{folders[0]}: is a folder; must be the only thing to be drawn, without panels, "
-                "steps, times and profiles_of"
-            )
-        if folders:
-            return draw_sweep_and_surrogate(read_ensemble(Path(folders[0])))
-    return figures.plot(results, panels or figures.DEFAULT, steps, profiles_of, times)
 
 
 def plot_sweep(folder: Path, output: Path) -> None:

@@ -1,0 +1,94 @@
+"""``rw.plot`` and ``ringwear plot``: the figure of some results, or of a sweep."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from ringwear_par.errors import InputError
+from ringwear_par.files.folders import refuse_drawn
+from ringwear_par.pictures import figures
+from ringwear_par.results.result import Result
+
+
+def plot(
+    results: figures.Source | Sequence[figures.Source],
+    panels: str | Sequence[str] | None = None,
+    steps: str = "",
+    profiles_of: Sequence[figures.Source] = (),
+    times: str = "",
+) -> Figure:
+    """Return the panels of one or more results side by side, or the figure of a sweep.
+
+    Not collective. Profiles (``wear``, ``pressure``) and deformed sections (``section``, the last
+    one stored) are drawn of every result, one panel each; the histories of all of them share a
+    panel (``penetration``, ``approach``, ``force``, ``torque``, ``energy``, ``volume``, ``rate``,
+    ``pv``).
+
+    Parameters
+    ----------
+    results : a result or a result file, or several; or the folder of a sweep.
+    panels : names, in a list or separated by commas; None for wear and penetration.
+    steps : comma-separated step numbers of the profiles.
+    profiles_of : those of the results whose profiles and sections are drawn; () for all.
+    times : comma-separated times of the profiles, s or with a unit ("1 h"), instead of steps; the
+        stored states nearest to them are drawn. Without either: the first step and four quarters.
+
+    Raises
+    ------
+    InputError : something that is not a result, an unknown panel, a step not stored; more than its
+        folder where a sweep is drawn; the folder of a fit or a design, which has its pictures.
+    """
+    several = [results] if isinstance(results, Result | str | Path) else results
+    if isinstance(several, Sequence):
+        folders = [s for s in several if isinstance(s, str | Path) and Path(s).is_dir()]
+        if folders:
+            refuse_drawn(Path(folders[0]))
+        if folders and (len(several) > 1 or panels is not None or steps or times or profiles_of):
+            raise InputError(
+                f"{folders[0]}: is a folder; must be the only thing to be drawn, without panels, "
+                "steps, times and profiles_of"
+            )
+        if folders:
+            from ringwear_par.studies.pictures.figures import draw_sweep_and_surrogate
+            from ringwear_par.studies.storage.ensemble import read_ensemble
+
+            return draw_sweep_and_surrogate(read_ensemble(Path(folders[0])))
+    return figures.plot(results, panels or figures.DEFAULT, steps, profiles_of, times)
+
+
+def plot_stored(
+    results: Sequence[Path],
+    output: Path,
+    panels: str | None = None,
+    steps: str | None = None,
+    profiles_of: Sequence[Path] | None = None,
+    times: str | None = None,
+) -> None:
+    """Write the picture of result files, or of the folder of a sweep; see ``plot``. On one rank.
+
+    Parameters
+    ----------
+    output : its ending chooses the format.
+
+    Raises
+    ------
+    InputError : what cannot be drawn or written.
+    """
+    folders = [path for path in results if path.is_dir()]
+    if not folders:
+        panels = panels or figures.DEFAULT
+        figures.plot_files(results, output, panels, steps or "", profiles_of or (), times or "")
+        return
+    refuse_drawn(folders[0])
+    if len(results) > 1:
+        raise InputError(f"{folders[0]}: is a folder; must be the only thing to be drawn")
+    options = {"panels": panels, "steps": steps, "profiles-of": profiles_of, "times": times}
+    for name in (name for name, option in options.items() if option is not None):
+        raise InputError(
+            f"--{name}: must be absent where {folders[0]}, a folder, is "
+            "drawn; it is for result files"
+        )
+    from ringwear_par.studies.pictures.figures import plot_sweep
+
+    plot_sweep(folders[0], output)
