@@ -122,7 +122,7 @@ def _interfaces(items: Sequence[_Item]) -> Iterator[Drawing]:
 
 
 def _shared(panel: Callable[[Sequence[Result], Sequence[str]], Panel]) -> Any:
-    """Return what draws one panel of all results; a single one needs no label."""
+    """Return a function that draws one panel of all results; a single one needs no label."""
 
     def draw_all(items: Sequence[_Item]) -> list[Drawing]:
         labels = [item.label * (len(items) > 1) for item in items]

@@ -105,7 +105,7 @@ def one_by_one(tables):
     draft = read_draft(tables)
     parts = [split_key(name) for name in draft.names]
     found, bad = {}, []
-    for number, row in enumerate(zip(*(c.listed() for c in draft.columns), strict=True)):
+    for number, row in enumerate(zip(*(c.by_case() for c in draft.columns), strict=True)):
         keys, name = varied_keys(draft.base, parts, row), f"study: case {number + 1}"
         try:
             case = make_case(keys, name)
@@ -134,13 +134,13 @@ def test_a_study_is_what_its_cases_are_one_by_one(tmp_path, seed):
     assert faults == ()
     assert found.ids == tuple(wanted)
     cases, texts = found.cases_and_texts(range(len(wanted)))
-    written = texts.each(range(len(wanted)))
+    written = texts.of_cases(range(len(wanted)))
     restored = Texts.unpacked(texts.packed(), len(wanted))
     assert texts.longest == max(len(text.encode()) for text in written)
     for i, (row, case, keys) in enumerate(wanted.values()):
         assert cases[i] == case
         assert cases[i].text == case.text == toml_text(keys) == written[i]
-        assert restored.each([i]) == [case.text]
+        assert restored.of_cases([i]) == [case.text]
         assert found.case(i) == case
         assert cases[i].breakpoints == case.breakpoints
         assert repr(found.rows[i]) == repr(row)
@@ -239,17 +239,17 @@ def test_numbers_of_a_table_are_those_that_toml_has(tmp_path):
          "design": {"method": "list", "file": str(tmp_path / "rows.csv")}}
     )  # fmt: skip
     wanted = [1, 0, 0.5, 1e-7, 1e3, 5, "01", 1000, float("inf"), ".5", "5.", 16, "a"]
-    assert repr(draft.columns[0].listed()) == repr(wanted)
+    assert repr(draft.columns[0].by_case()) == repr(wanted)
 
 
 def test_columns_tell_values_apart_as_they_are_written():
     column = Column.of([0, 0.0, -0.0, 1, True, "1", [1, 2], [1, 2]])
-    assert repr(column.listed()) == "[0, 0.0, -0.0, 1, True, '1', [1, 2], [1, 2]]"
+    assert repr(column.by_case()) == "[0, 0.0, -0.0, 1, True, '1', [1, 2], [1, 2]]"
     assert len(set(column.codes.tolist())) == 7
     assert column.numbers is None
     assert len(set(Column.of([0.0, -0.0, 1.5, 0.0]).codes.tolist())) == 3
     part = column.part(np.array([6, 0, 7]))
-    assert part.listed() == [[1, 2], 0, [1, 2]]
+    assert part.by_case() == [[1, 2], 0, [1, 2]]
 
 
 def test_groups_keep_their_numbers_when_cases_go():

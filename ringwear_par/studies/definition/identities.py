@@ -102,7 +102,7 @@ def identities_of(rows: CaseColumns, firsts: Mapping[int, int]) -> Any:
             name = path if entry is None else f"{path}{entry}" if path in LAYERS else ""
             key = key_of(name) if name else None
             write = partial(_number_pair, name, key.default) if key else _number_text
-            written[i] = part.columns[i].listed(write)
+            written[i] = part.columns[i].by_case(write)
         for kind, here in by_kind(rows.kinds[window]):
             if kind in firsts:
                 pieces = _id_pieces(rows.keys(firsts[kind], places=True), rows.numbers)

@@ -90,7 +90,7 @@ class Study:
     @cached_property
     def rows(self) -> tuple[tuple[Any, ...], ...]:
         """Raw values of each case, in the order of ``names``."""
-        return tuple(zip(*(column.listed() for column in self.cases.columns), strict=True))
+        return tuple(zip(*(column.by_case() for column in self.cases.columns), strict=True))
 
     @cached_property
     def groups(self) -> tuple[tuple[int, ...], ...]:
@@ -109,7 +109,7 @@ class Study:
         """Return some cases, and their texts by templates."""
         numbers = np.asarray(numbers, dtype=np.int64)
         rows, kinds = self.cases.part(numbers), self.cases.kinds[numbers]
-        written = {i: rows.columns[i].listed(toml_value) for i in rows.numbers.values()}
+        written = {i: rows.columns[i].by_case(toml_value) for i in rows.numbers.values()}
         cases = np.empty(len(kinds), dtype=object)
         values = np.empty(len(kinds), dtype=object)
         frame_of = np.zeros(len(kinds), dtype=np.int64)

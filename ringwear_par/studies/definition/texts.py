@@ -66,7 +66,7 @@ class Texts:
         """Return texts that have nothing in common."""
         return cls(tuple((text,) for text in texts), tuple(range(len(texts))), ((),) * len(texts))
 
-    def each(self, cases: Iterable[int]) -> list[str]:
+    def of_cases(self, cases: Iterable[int]) -> list[str]:
         """Return the texts of some of the cases."""
         return [joined(self.frames[self.kinds[i]], self.values[i]) for i in cases]
 

@@ -71,7 +71,7 @@ class Column:
         """Return the column of a function of each value."""
         return Column(_objects(list(map(function, self.distinct))), self.codes)
 
-    def listed(self, function: Callable[[Any], Any] | None = None) -> list[Any]:
+    def by_case(self, function: Callable[[Any], Any] | None = None) -> list[Any]:
         """Return the value of each case, or a function of it."""
         values = self.distinct if function is None else list(map(function, self.distinct))
         return [values[code] for code in self.codes.tolist()]
@@ -165,7 +165,7 @@ def split_key(name: str) -> tuple[str, int | str | None]:
 
 
 def whole_name(path: str, entry: str) -> str:
-    """Return what an entry of a table or of layers is called, as ``split_key`` takes it."""
+    """Return the name of an entry of a table or of layers, as ``split_key`` takes it."""
     return f"{path}{entry}" if path in LAYERS else f"{path}.{entry}"
 
 
@@ -340,10 +340,10 @@ def _variation(
 
 
 def _rule_broken(variation: Variation, method: str) -> str:
-    """Return what a key must be that has a range which reaches beyond that, "" if it does not."""
+    """Return the rule of a key that its range breaks, "" for none."""
     key, inside = own_key(variation.name), 0.0 if method == "grid" else _INSIDE
     try:
-        for value in variation.at(np.array([inside, 1.0 - inside])).listed():
+        for value in variation.at(np.array([inside, 1.0 - inside])).by_case():
             key.read(value)
     except RejectedError:
         return key.rule

@@ -184,7 +184,7 @@ class Responses:
     def of(
         cls, surrogate: Surrogate | None, outputs: Sequence[str], keys: Sequence[str]
     ) -> "Responses | None":
-        """Return what is drawn of some outputs over some keys; None if nothing varies."""
+        """Return the responses to be drawn over some keys; None if nothing varies."""
         if surrogate is None:
             return None
         part = surrogate.parts[0]
@@ -252,7 +252,7 @@ class Choice:
 
 
 def choose(ensemble: Ensemble, surrogate: Surrogate | None, indices: Sequence[Indices]) -> Choice:
-    """Return what is drawn of a sweep. Not collective.
+    """Return the choice of what is drawn of a sweep. Not collective.
 
     Raises
     ------

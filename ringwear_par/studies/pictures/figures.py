@@ -126,7 +126,7 @@ def _grids(ensemble: Ensemble, choice: Choice) -> list[list[list[Panel]]]:
 
 
 def _remarks(choice: Choice) -> list[str]:
-    """Return what is to be said of final values, in lines."""
+    """Return the remarks on final values, in lines."""
     remarks = [] if choice.responses is None else [*choice.responses.remarks]
     pointed = len(pointed_cases(choice))
     if pointed < len(choice.cases):

@@ -332,7 +332,7 @@ class _Writer:
             numbers = all(v is None or is_number(v) for v in there)
             variable = Variable(name, ("case",), unit_of(name) or "1", key.meaning)
             if numbers:
-                known = column.listed(_number) if column.numbers is None else column.numbers
+                known = column.by_case(_number) if column.numbers is None else column.numbers
                 values = np.concatenate([known, list(map(_number, more))])
                 make_variable(file, variable, float, WINDOW)[:] = values
             else:
@@ -352,7 +352,7 @@ class _Writer:
             here = slice(start, min(start + WINDOW, count))
             more = self._looked_up[max(start - known, 0) : max(here.stop - known, 0)]
             varied = [
-                column.part(slice(start, min(here.stop, known))).listed(_shown)
+                column.part(slice(start, min(here.stop, known))).by_case(_shown)
                 + [_shown(row[i]) for row in more]
                 for i, column in enumerate(listing.columns)
             ]
