@@ -6,41 +6,33 @@ import numpy as np
 
 from ringwear_par import batched
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.contact.problem import WarmStart
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.history.state import Progress, State
+from ringwear_par.history.state import Start
 
 
 @dataclass(frozen=True)
 class LastState:
-    """The present or last states of B histories, to go on from.
+    """The present or last states of B histories.
 
     Parameters
     ----------
-    state, progress : without derivatives.
-    warm : where the contact solver starts.
+    start : to continue from, without derivatives.
     symmetry_defect : (B,) of the compliances.
     finished : (B,) whether the histories have come to their ends.
     """
 
-    state: State
-    progress: Progress
-    warm: WarmStart
+    start: Start
     symmetry_defect: FloatArray
     finished: BoolArray
 
     @classmethod
     def of(cls, snapshot: Snapshot, places: IntArray) -> "LastState":
         """Return the states of some histories of a snapshot."""
-        state = replace(snapshot.state, tangent=None)
-        return cls(
-            batched.take(state, places),
-            batched.take(snapshot.progress, places),
-            batched.take(snapshot.contacts.warm, places),
-            snapshot.physics.compliances.symmetry_defect[places],
-            snapshot.finished[places],
-        )
+        physics, state = snapshot.physics, replace(snapshot.state, tangent=None)
+        start = Start(state, snapshot.progress, snapshot.contacts.warm, physics.updates)
+        defect = physics.compliances.symmetry_defect
+        return batched.take(cls(start, defect, snapshot.finished), places)
 
 
 class LastStates:
@@ -91,11 +83,6 @@ class LastStates:
         """The physics of the last snapshot."""
         assert self.snapshot is not None
         return self.snapshot.physics
-
-    @property
-    def updates(self) -> int:
-        """Number of times that elements were assembled anew to follow the wear."""
-        return self.physics.updates
 
     @property
     def finished(self) -> bool:

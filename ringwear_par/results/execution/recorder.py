@@ -25,8 +25,8 @@ from ringwear_par.results.execution.attributes import (
 )
 from ringwear_par.results.execution.last_states import LastStates
 from ringwear_par.results.execution.stored_rows import StoredRows, Table
-from ringwear_par.results.result import HistoryColumns, Result, balance_attributes
-from ringwear_par.results.storage.checkpoints import restored, take
+from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
+from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.stress_variables import point_columns, stress_rows
 from ringwear_par.results.warnings import Warnings
 from ringwear_par.version import __version__
@@ -199,7 +199,7 @@ class Recorder:
 
     def _result(self, number: int, columns: HistoryColumns, error: str = "") -> Result:
         case, rows, last = self._cases[number], columns.rows(number), self._last.state(number)
-        steps, time_reached = columns.steps[rows], float(last.state.time[0])
+        steps, time_reached = columns.steps[rows], float(last.start.state.time[0])
         through = times_through(case, self._last.through[:, number])
 
         def part(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -226,10 +226,7 @@ class Recorder:
                 "closing_contact": int(self._balances.closing_contact[number]),
                 "doubts": json.dumps([warning.text for warning in self.warnings.history(number)]),
             },
-            take(
-                last.state, last.progress, last.warm, self._last.updates,
-                int(self._rows.pending[number]), self.warnings.worst(number),
-            ),
+            Checkpoint(last.start, int(self._rows.pending[number]), self.warnings.worst(number)),
             parameters=self._rows.parameters,
             derivatives=part(columns.derivatives),
             layers=part(columns.layers),

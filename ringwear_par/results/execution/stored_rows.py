@@ -131,7 +131,7 @@ class StoredRows:
             if rows[-1]:
                 last[0] = stored[name]
         assert before.checkpoint is not None
-        self.pending[0] = int(before.checkpoint.numbers["pending_iterations"]) + int(
+        self.pending[0] = before.checkpoint.pending_iterations + int(
             before.histories["contact_iterations"][~rows].sum()
         )
         return rows
