@@ -16,7 +16,7 @@ from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.execution.preparation import Figure, prepare, reached_end
-from ringwear_par.results.execution.progress import Progress
+from ringwear_par.results.execution.progress import RunProgress
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.stopping import StopSignals, remark
 from ringwear_par.results.execution.watch import Watch
@@ -159,7 +159,7 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
     with ExitStack() as resources:
         if comm.rank == 0:
             since = 0.0 if recorder.start is None else float(recorder.start.state.time[0])
-            observers.append(resources.enter_context(closing(Progress(since, case.time.end))))
+            observers.append(resources.enter_context(closing(RunProgress(since, case.time.end))))
         try:
             with _doubting(case, path, comm):
                 simulate_one(case, comm, start=recorder.start, observers=observers)
