@@ -67,13 +67,14 @@ def _print_installation(comm: "MPI.Comm") -> None:
 def _print_keys(words: Sequence[str]) -> None:
     """Print the keys of case, study and fit files, or of one of these; a row a key."""
     from ringwear_par.cases import schema as cases
+    from ringwear_par.cases.tables import key_table
     from ringwear_par.identification.definition import schema as fits
     from ringwear_par.studies.definition import schema as studies
 
     schemas = {"case": cases.KEYS, "study": studies.KEYS, "fit": fits.KEYS}
     kinds = words[:1] if words and words[0] in schemas else list(schemas)
     phrase = " ".join(words[1:] if words[:1] == kinds else words)
-    tables = {kind: cases.key_table(schemas[kind], phrase) for kind in kinds}
+    tables = {kind: key_table(schemas[kind], phrase) for kind in kinds}
     if not any(tables.values()):
         files = " or ".join(kinds)
         raise InputError(f"--schema {legible(phrase)}: is in no row of the keys of {files} files")

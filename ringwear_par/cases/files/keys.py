@@ -14,7 +14,6 @@ from ringwear_par.cases.laws import law_keys
 from ringwear_par.cases.layers import LAYERS, changed_layers, layers_in_full
 from ringwear_par.cases.schema import BY_PATH, TABLES, key_of
 from ringwear_par.cases.text import shortened
-from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import parse_toml, parse_value, read_text, refuse_depth
@@ -215,7 +214,7 @@ def _face_in_full(path: str, shape: dict[str, Any], folder: Path) -> dict[str, A
         except InputError as error:
             raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
     try:
-        return {name: without_units(BY_PATH[path], value, name) for name, value in shape.items()}
+        return {name: BY_PATH[path].without_units(value, name) for name, value in shape.items()}
     except RejectedError:
         return shape
 
@@ -233,7 +232,7 @@ def _value_in_full(path: str, value: Any, folder: Path) -> Any:
     key = key_of(path)
     if isinstance(value, str | list | dict) and key is not None:
         try:
-            return without_units(key, value)
+            return key.without_units(value)
         except RejectedError:
             return value
     return value

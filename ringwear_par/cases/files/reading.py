@@ -33,7 +33,6 @@ from ringwear_par.cases.schema import KEYS, TABLES, key_of, keys_of_layer
 from ringwear_par.cases.stress import Grid, Stress
 from ringwear_par.cases.stress_points import check_stress
 from ringwear_par.cases.text import shortened, toml_text
-from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.elasticity.geometry.sections import Grip, Polyline
@@ -223,7 +222,7 @@ def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any
         key = key_of(path)
         if key is not None:
             try:
-                values[path] = key.read(without_units(key, value))
+                values[path] = key.value(value)
             except RejectedError as reason:
                 reason_text = origin.typed_fault(path, value) or str(reason)
                 why = f"{key.rule} ({reason_text})" if reason_text else key.rule
