@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par import outcomes
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.batched import one
 from ringwear_par.elasticity.geometry.mesh import ContactLine
@@ -18,6 +17,7 @@ from ringwear_par.elasticity.stress.fields import StressHistory
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.files.text import parse_toml
 from ringwear_par.history.state import Progress, Start, State
+from ringwear_par.results import outcomes
 from ringwear_par.results import variables as table
 from ringwear_par.results.stress_variables import stress_coordinates, stress_variables
 from ringwear_par.results.variables import Variable, edge_elements, layer_axis
