@@ -52,14 +52,14 @@ def _print_installation(comm: "MPI.Comm") -> None:
     print(f"  petsc scalar: {PETSc.ScalarType.__name__}, integer: {PETSc.IntType.__name__}")
     launched = os.environ.get("OMPI_COMM_WORLD_SIZE") or os.environ.get("PMI_SIZE") or "no launcher"
     print(f"  ranks: {comm.size} (launcher says: {launched}), cores: {os.cpu_count()}")
-    where = pair_cache.folder()
-    if where is None:
+    folder = pair_cache.folder()
+    if folder is None:
         print(f"  assembled pairs: not kept ({pair_cache.VARIABLE} is empty)")
     else:
-        pairs, size = pair_cache.size(where)
+        pairs, size = pair_cache.size(folder)
         print(
             f"  assembled pairs: {pairs}, {size / 1e6:.3g} of {pair_cache.LIMIT / 1e6:g} MB, "
-            f"in {where}"
+            f"in {folder}"
         )
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         print(f"  {name}: {os.environ.get(name, 'not set')}")

@@ -171,8 +171,8 @@ class TableReader:
         try:
             return key.value(value, unit)
         except RejectedError as reason:
-            why = f" ({reason})" if str(reason) else ""
-            self.wrong(name, f"must be {key.allowed}{why}")
+            hint = f" ({reason})" if str(reason) else ""
+            self.wrong(name, f"must be {key.allowed}{hint}")
             return fallback
 
     def finish(self) -> None:

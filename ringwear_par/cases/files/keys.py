@@ -32,12 +32,12 @@ _FIXED_STEPS = frozenset({"time.step", "time.steps"})
 
 
 @contextmanager
-def naming(said: str) -> Iterator[None]:
+def naming(prefix: str) -> Iterator[None]:
     """Say where faults are that do not tell: "--set", "case.toml:"."""
     try:
         yield
     except InputError as error:
-        raise InputError(*(f"{said} {fault}" for fault in error.faults)) from error
+        raise InputError(*(f"{prefix} {fault}" for fault in error.faults)) from error
 
 
 def read_keys(text: str, name: str = "case") -> dict[str, Any]:
@@ -85,8 +85,8 @@ def base_keys(
     except InputError as error:
         faults += error.faults
         return None
-    said = "is missing" if base is None else f"= {shortened(base)}"
-    faults.append(f"{name}: case {said}: must be the name of a case file, relative to this one")
+    state = "is missing" if base is None else f"= {shortened(base)}"
+    faults.append(f"{name}: case {state}: must be the name of a case file, relative to this one")
     return None
 
 

@@ -225,21 +225,21 @@ def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any
                 values[path] = key.value(value)
             except RejectedError as reason:
                 reason_text = origin.typed_fault(path, value) or str(reason)
-                why = f"{key.rule} ({reason_text})" if reason_text else key.rule
-                faults.append(f"{origin.of(path)}{path} = {shortened(value)}: {why}")
+                rule = f"{key.rule} ({reason_text})" if reason_text else key.rule
+                faults.append(f"{origin.prefix(path)}{path} = {shortened(value)}: {rule}")
         elif path in TABLES and value == {}:
-            faults.append(f"{origin.of(path)}[{path}]: is empty; must have one of its keys")
+            faults.append(f"{origin.prefix(path)}[{path}]: is empty; must have one of its keys")
         elif path in TABLES or (path.endswith(".wear") and path.startswith(LAYERS)):
-            said = f"{path} = {shortened(value)}"
+            subject = f"{path} = {shortened(value)}"
             must = " of a law" if path not in TABLES else f", [{path}]"
-            faults.append(f"{origin.of(path)}{said}: must be a table{must}")
+            faults.append(f"{origin.prefix(path)}{subject}: must be a table{must}")
         elif not of_refused_law(path, raw):
-            said = f"{origin.of(path)}{legible(path)}"
+            subject = f"{origin.prefix(path)}{legible(path)}"
             if len(faults) < MOST_FAULTS:
-                faults.append(f"{said}: {unknown_key(path)}")
+                faults.append(f"{subject}: {unknown_key(path)}")
                 meant.update(nearest_keys(path))
             else:
-                faults.append(f"{said}: unknown key")
+                faults.append(f"{subject}: unknown key")
     for key in itertools.chain(KEYS, *map(keys_of_layer, layer_tables(keys))):
         if key.path not in raw and key.path not in meant:
             if key.default is not ...:

@@ -162,12 +162,12 @@ def _interface_table(
         *(f"{name} (MPa)" for name in COMPONENTS), "mises (MPa)",
     ]  # fmt: skip
     rows = (
-        [state.step, state.time, BODIES[of.body], of.layer, side, r, of.z, *row]
+        [state.step, state.time, BODIES[line.body], line.layer, side, r, line.z, *row]
         for state in states
-        for of in interfaces
-        for side, stress in zip(SIDES, of.stress(state), strict=True)
+        for line in interfaces
+        for side, stress in zip(SIDES, line.stress(state), strict=True)
         for r, row in zip(
-            of.r.tolist(), np.column_stack([stress, mises(stress)]).tolist(), strict=True
+            line.r.tolist(), np.column_stack([stress, mises(stress)]).tolist(), strict=True
         )
     )
     return header, rows

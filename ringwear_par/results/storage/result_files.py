@@ -249,8 +249,7 @@ def _read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None
         return read_array(file, variable, sizes)
 
     times, steps = read(table.STRESS_TIME), read(table.STRESS_STEPS_MADE)
-    if not (len(times) and np.isfinite(times).all() and (np.diff(times) >= 0.0).all()):
-        raise ValueError(table.STRESS_TIME.name)
+    _check_times(times)
     count = len(times)
     points, at_points = np.empty((0, 2)), np.empty((count, 0, 6))
     sides: tuple[str, ...] = ()
@@ -267,8 +266,10 @@ def _read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None
     surface = [read(variable) for variable in table.SURFACE_STRESS]
     none = Interfaces(np.empty(0), np.empty(0)), np.empty((count, 0, len(SIDES), 0, 6))
     lower, upper = (
-        (Interfaces(read(of.r), read(of.z)), read(of.stress)) if of.stress.name in file else none
-        for of in table.INTERFACES
+        (Interfaces(read(names.r), read(names.z)), read(names.stress))
+        if names.stress.name in file
+        else none
+        for names in table.INTERFACES
     )
     largest = [
         [Largest(*row) for row in zip(*(read(v).tolist() for v in variables), strict=True)]

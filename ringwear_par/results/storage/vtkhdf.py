@@ -118,13 +118,13 @@ def stress_cells(history: StressHistory) -> list[Cells]:
 def interface_cells(interfaces: Sequence[Interface], state: StressState) -> Cells:
     """Return interfaces in the plane y = 0, a line for each side: pieces between mid-points."""
     lines, at = [], 0
-    for of in interfaces:
-        for side, stress in zip((1, -1), of.stress(state), strict=True):
-            m = len(of.r)
-            points = np.stack([of.r, np.zeros(m), np.full(m, of.z)], axis=1)
+    for interface in interfaces:
+        for side, stress in zip((1, -1), interface.stress(state), strict=True):
+            m = len(interface.r)
+            points = np.stack([interface.r, np.zeros(m), np.full(m, interface.z)], axis=1)
             first = at + np.arange(m - 1)
             named = {f"stress_{name}": stress[:, i].copy() for i, name in enumerate(COMPONENTS)}
-            place = {"body": of.body, "layer": of.layer, "side": side}
+            place = {"body": interface.body, "layer": interface.layer, "side": side}
             lines.append(
                 Cells(
                     points, np.stack([first, first + 1], axis=1), {**named, "mises": mises(stress)},
@@ -169,9 +169,9 @@ def _revolved(body: BoundaryFields, warp: float, segments: int) -> Cells:
     position = np.stack([r, z, np.zeros(m)], axis=1)
     displacement = _cartesian(body.displacement[ends], at)
     points = _cartesian(position, at) + warp * displacement
-    this = m * np.arange(segments)[:, None]
+    present = m * np.arange(segments)[:, None]
     following = m * ((np.arange(segments)[:, None] + 1) % segments)
-    corners = (this + first, following + first, following + last, this + last)
+    corners = (present + first, following + first, following + last, present + last)
 
     def everywhere(values: FloatArray | IntArray) -> Any:
         return np.tile(values, segments)
