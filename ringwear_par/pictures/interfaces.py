@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.cases.files.reading import outlines
+from ringwear_par.cases.files.key_values import outlines
 from ringwear_par.elasticity.stress.fields import StressState
 from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES, mises
 from ringwear_par.pictures.style import COLOURS, DASHES, set_legend

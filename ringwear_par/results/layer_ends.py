@@ -6,7 +6,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, share
 from ringwear_par.cases.case import CHANGED
-from ringwear_par.cases.files.reading import outlines
+from ringwear_par.cases.files.key_values import outlines
 from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
 from ringwear_par.results.result import Result
 

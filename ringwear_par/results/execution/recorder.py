@@ -3,22 +3,19 @@
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par import batched
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import reason_of
 from ringwear_par.history.observers.balances import Balances, WorstBalances
 from ringwear_par.history.observers.boundaries import BoundaryObserver
 from ringwear_par.history.observers.stresses import CaseStresses, StressObserver
 from ringwear_par.history.observers.worst_states import WorstStates
-from ringwear_par.history.physics import Physics
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.history.state import Start
 from ringwear_par.results.execution.attributes import (
@@ -27,91 +24,13 @@ from ringwear_par.results.execution.attributes import (
     times_through,
     wall_times,
 )
+from ringwear_par.results.execution.last_states import LastStates
 from ringwear_par.results.execution.stored_rows import StoredRows, Table
 from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
-from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.stress_variables import point_columns, stress_rows
 from ringwear_par.results.warnings import Warnings
-from ringwear_par.version import __version__
 
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
-
-
-@dataclass(frozen=True)
-class LastState:
-    """The present or last states of B histories.
-
-    Parameters
-    ----------
-    start : to continue from, without derivatives.
-    symmetry_defect : (B,) of the compliances.
-    finished : (B,) whether the histories have come to their ends.
-    """
-
-    start: Start
-    symmetry_defect: FloatArray
-    finished: BoolArray
-
-    @classmethod
-    def of(cls, snapshot: Snapshot, places: IntArray) -> "LastState":
-        """Return the states of some histories of a snapshot."""
-        physics, state = snapshot.physics, replace(snapshot.state, tangent=None)
-        start = Start(state, snapshot.progress, snapshot.contacts.warm, physics.updates)
-        defect = physics.compliances.symmetry_defect
-        return batched.take(cls(start, defect, snapshot.finished), places)
-
-
-class LastStates:
-    """The state from which each of B histories can go on: an observer. Not collective.
-
-    Parameters
-    ----------
-    count : B.
-    results : whether the states at the ends of the histories are wanted.
-    """
-
-    def __init__(self, count: int, results: bool = True) -> None:
-        self._results = results
-        #: the last snapshot that histories went on from; None before the first
-        self.snapshot: Snapshot | None = None
-        #: (2, B) s, when wear got through all layers of lower and upper, by the end of a history
-        self.through = np.full((2, count), np.inf)
-        self._ended: dict[int, tuple[LastState, int]] = {}
-
-    def __call__(self, snapshot: Snapshot) -> bool:
-        """Take new states."""
-        if snapshot.passing:
-            return False
-        self.snapshot = snapshot
-        places = np.flatnonzero(snapshot.finished)
-        if not len(places):
-            return False
-        numbers = snapshot.numbers[places]
-        if snapshot.state.through is not None:
-            self.through[:, numbers] = snapshot.state.through[:, places]
-        if self._results:
-            states = LastState.of(snapshot, places)
-            self._ended |= {number: (states, i) for i, number in enumerate(numbers.tolist())}
-        return False
-
-    def state(self, number: int) -> LastState:
-        """Return the state of a history at its end, or its present one, as of one of B = 1."""
-        if number in self._ended:
-            states, place = self._ended[number]
-            return batched.take(states, np.array([place]))
-        assert self.snapshot is not None
-        return LastState.of(self.snapshot, np.flatnonzero(self.snapshot.numbers == number))
-
-    @property
-    def physics(self) -> Physics:
-        """The physics of the last snapshot."""
-        assert self.snapshot is not None
-        return self.snapshot.physics
-
-    @property
-    def finished(self) -> bool:
-        """Whether a single history has come to its end."""
-        return self.snapshot is not None and bool(self.snapshot.finished.all())
 
 
 class Recorder:
@@ -142,10 +61,12 @@ class Recorder:
     ) -> None:
         self._cases, self._comm, count = cases, comm, len(cases)
         #: where the history continues, None where it starts
-        self.start = None if before is None else restored(before)
+        self.start: Start | None = None
         self._rows = StoredRows(cases, derivatives)
         rows, stored_until = np.zeros(0, dtype=bool), -1.0
-        if before is not None and self.start is not None:
+        if before is not None:
+            assert before.checkpoint is not None
+            self.start = before.checkpoint.start
             rows = self._rows.restore(before, float(self.start.state.time[0]))
             stored_until = float(before.histories["time"][rows][-1])
         self._balances, self._worst = WorstBalances(count), WorstStates(cases[0], count)
@@ -281,6 +202,7 @@ class Recorder:
         case, rows, last = self._cases[number], columns.rows(number), self._last.state(number)
         steps, time_reached = columns.steps[rows], float(last.start.state.time[0])
         through = times_through(case, self._last.through[:, number])
+        about = case_attributes(case, time_reached)
 
         def part(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
             return {n: self._rows.part(n, column, rows, number) for n, column in values.items()}
@@ -293,12 +215,12 @@ class Recorder:
             part(columns.profiles),
             tuple(self._boundary.states),
             {
-                **case_attributes(case, time_reached),
+                **about,
                 **{name: float(time) for name, time in through.items()},
                 "status": "complete" if last.finished[0] else "incomplete",
                 "error": error,
                 "ranks": self._comm.size,
-                "begun_by": self._before.get("begun_by", __version__),
+                "begun_by": self._before.get("begun_by", about["version"]),
                 **self.seconds(),
                 **balance_attributes(vars(self._balances.history(number))),
                 "symmetry_defect": float(last.symmetry_defect[0]),

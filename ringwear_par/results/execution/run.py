@@ -21,7 +21,6 @@ from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.stopping import StopSignals, remark
 from ringwear_par.results.execution.watch import Watch
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.storage.result_files import write_result
 from ringwear_par.results.unit_suspicions import unit_suspicions
 from ringwear_par.version import __version__
@@ -67,7 +66,7 @@ def run_case(
         warn_of_threads(comm.size)
     recorder = Recorder([case], comm, before)
     if before is not None and comm.rank == 0:
-        _log_continuation(output, before)
+        _log_continuation(output, recorder, before)
     file = _ResultFile(output, recorder, comm)
     signals = StopSignals()
     watch = Watch(signals, file.save, comm)
@@ -95,9 +94,10 @@ def run_case(
     return _draw(output, figure, comm)
 
 
-def _log_continuation(output: Path, before: Result) -> None:
+def _log_continuation(output: Path, recorder: Recorder, before: Result) -> None:
     """Log where a run goes on, and whether another version began it."""
-    start, version = restored(before), before.attributes["version"]
+    start, version = recorder.start, before.attributes["version"]
+    assert start is not None
     log.info(
         "continuing %s after step %d (%g s)", output, start.progress.steps[0], start.state.time[0]
     )
