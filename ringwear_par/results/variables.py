@@ -220,6 +220,15 @@ D_PROFILES = _table(*map(derivative_of, PROFILES.values()))
 DERIVATIVES = {**D_HISTORIES, **D_PROFILES}
 
 
+#: all variables of a row
+VARIABLES = {**HISTORIES, **PROFILES, **LAYERS, **DERIVATIVES}
+
+
+def derivative_names(fields: Sequence[str]) -> tuple[str, ...]:
+    """Return the derivatives that are stored where these fields are."""
+    return tuple(name for name in DERIVATIVES if name in D_HISTORIES or name[2:] in fields)
+
+
 def layer_names(bodies: tuple[bool, bool]) -> tuple[str, ...]:
     """Return the variables of layers where lower, upper or both have some."""
     layered = [body for body, has in zip(BODIES, bodies, strict=True) if has]

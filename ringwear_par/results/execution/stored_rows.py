@@ -14,17 +14,8 @@ from ringwear_par.history.schemes.tangent import variables as derivatives_of
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
 from ringwear_par.results.result import Result
-from ringwear_par.results.variables import (
-    D_HISTORIES,
-    D_PROFILES,
-    HISTORIES,
-    LAYER_PROFILES,
-    LAYER_VOLUMES,
-    layer_names,
-)
+from ringwear_par.results.variables import HISTORIES, VARIABLES, derivative_names, layer_names
 
-#: along the contact line
-_WIDE = (*D_PROFILES, *LAYER_PROFILES)
 #: variables that count from the start, and the variable that they are changes of
 _SINCE_START = {"penetration": "approach", "d_penetration": "d_approach"}
 
@@ -85,23 +76,26 @@ class StoredRows:
 
     def __init__(self, cases: Sequence[Case], derivatives: Sequence[str] = ()) -> None:
         case, count = cases[0], len(cases)
-        self._case, self._count, self._n = case, count, case.line.n
-        self.histories = tuple(HISTORIES)
+        self._case, self._count = case, count
         #: units of the keys
         self.parameters = units_of(case, derivatives)
+        # what is stored, by group
+        self.histories = tuple(HISTORIES)
         self.fields = case.output.fields
-        #: number of layers, the body itself included, by variable of layers
-        self.layers = {
-            name: 1 + len(case.lower.layers if "lower" in name else case.upper.layers)
-            for name in layer_names((bool(case.lower.layers), bool(case.upper.layers)))
-        }
-        self.derivatives: tuple[str, ...] = ()
-        if derivatives:
-            profiles = [f"d_{name}" for name in self.fields]
-            self.derivatives = (*D_HISTORIES, *(name for name in D_PROFILES if name in profiles))
-        stored = (*HISTORIES, *self.fields, *self.derivatives, *self.layers)
-        deep = case.output.profiles == "all"
-        last = () if deep else tuple(name for name in stored if self._along_line(name))
+        self.derivatives = derivative_names(self.fields) if derivatives else ()
+        layers = len(case.lower.layers), len(case.upper.layers)
+        self.layers = layer_names((layers[0] > 0, layers[1] > 0))
+        #: sizes of the axes of a row
+        self._sizes = {
+            "parameter": len(self.parameters), "element": case.line.n,
+            "layer": 1 + layers[0], "layer_upper": 1 + layers[1],
+        }  # fmt: skip
+        stored = (*self.histories, *self.fields, *self.derivatives, *self.layers)
+        last = [
+            name
+            for name in stored
+            if case.output.profiles == "last" and "element" in VARIABLES[name].dimensions
+        ]
         # rows as they come: numbers of the histories, steps, variables
         self._numbers: list[IntArray] = []
         self._steps: list[IntArray] = []
@@ -185,30 +179,23 @@ class StoredRows:
         return values[at_rows(name, rows if name in self._rows else number)]
 
     def _column(self, name: str, parts: Sequence[Any], order: IntArray, places: IntArray) -> Any:
-        """Return the rows of a variable in order; profiles, which are large, are copied once."""
-        if self._along_line(name) or name in LAYER_VOLUMES:
-            column, first = np.empty(self._shape(name, len(order))), 0
-            for part in parts:
-                count = part.shape[1 if name.startswith("d_") else 0]
-                column[at_rows(name, places[first : first + count])] = part
-                first += count
-            return column
-        dtype = HISTORIES[name].dtype if name in HISTORIES else np.float64
-        empty = np.empty(self._shape(name, 0), dtype)
-        return np.concatenate([empty, *parts], axis=-1)[..., order]
-
-    def _along_line(self, name: str) -> bool:
-        return name in self.fields or name in _WIDE
+        """Return the rows of a variable in order; those with more axes, which are large, once."""
+        variable = VARIABLES[name]
+        if variable.dimensions[-1] == "step":
+            empty = np.empty(self._shape(name, 0), variable.dtype)
+            return np.concatenate([empty, *parts], axis=-1)[..., order]
+        column, first = np.empty(self._shape(name, len(order))), 0
+        for part in parts:
+            last = first + part.shape[variable.dimensions.index("step")]
+            column[at_rows(name, places[first:last])] = part
+            first = last
+        return column
 
     def _shape(self, name: str, rows: int) -> tuple[int, ...]:
         """Return the shape of so many rows of a variable, or of so many histories' last ones."""
-        parameters = (len(self.parameters),) if name.startswith("d_") else ()
-        along = (self._n,) if self._along_line(name) else ()
-        if name in LAYER_VOLUMES:
-            along = (self.layers[name],)
-        return (*parameters, rows, *along)
+        return tuple(self._sizes.get(axis, rows) for axis in VARIABLES[name].dimensions)
 
 
-def at_rows(name: str, rows: Any) -> Any:
-    """Return the index of some rows of a variable, or histories: P parameters come first."""
-    return (slice(None), rows) if name.startswith("d_") else rows
+def at_rows(name: str, rows: Any) -> tuple[Any, ...]:
+    """Return the index of some rows of a variable, or histories: parameters may come first."""
+    return (*(slice(None),) * VARIABLES[name].dimensions.index("step"), rows)
