@@ -24,11 +24,11 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.execution import run as driver
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.key_numbers import by_name, check_numbers, key_numbers
+from ringwear_par.results.storage.boundaries import BOUNDARY_FIELDS
 from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.storage.export import export
 from ringwear_par.results.storage.result_files import open_result, read_status
 from ringwear_par.results.variables import (
-    BOUNDARY_FIELDS,
     EDGE_ELEMENT,
     ELEMENT,
     HISTORIES,
