@@ -39,7 +39,7 @@ _MOST_TIMES = 5
 
 
 def _name(table: str) -> str:
-    """Return what wears by the law in a table: "lower", "lower.layers[0]"."""
+    """Return the body or layer that wears by the law in a table: "lower", "lower.layers[0]"."""
     return table.removeprefix("wear.").removesuffix(".wear")
 
 
