@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import reason_of
 from ringwear_par.history.observers.balances import Balances, WorstBalances
@@ -25,7 +25,7 @@ from ringwear_par.results.execution.attributes import (
     wall_times,
 )
 from ringwear_par.results.execution.last_states import LastStates
-from ringwear_par.results.execution.stored_rows import StoredRows, Table
+from ringwear_par.results.execution.stored_rows import StoredRows
 from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
 from ringwear_par.results.stress_variables import point_columns, stress_rows
 from ringwear_par.results.warnings import Warnings
@@ -143,27 +143,20 @@ class Recorder:
         failures, count = {**self._stresses.failures, **failures}, len(self._cases)
         failed = [number in failures for number in range(count)]
         warnings = [() if bad else self.warnings.history(i) for i, bad in enumerate(failed)]
-        rows, table = self._rows, self._rows.table()
-        values = table.values
+        rows = self._rows.columns()
         return HistoryColumns(
-            table.offsets,
-            table.steps,
-            {name: values[name] for name in rows.histories},
-            {name: values[name] for name in rows.fields},
-            np.where(failed, 0.0, self._balances.imbalance),
-            tuple(tuple(warning.flag for warning in texts) for texts in warnings),
-            np.full(count, self._stepping / count),
-            tuple("failed" if bad else "done" for bad in failed),
-            tuple(reason_of(failures[i]) if bad else "" for i, bad in enumerate(failed)),
-            {name: values[name] for name in rows.derivatives},
-            {name: values[name] for name in rows.layers},
-            self._stress_rows(table),
-            self._single_values(),
+            **rows,
+            imbalance=np.where(failed, 0.0, self._balances.imbalance),
+            flags=tuple(tuple(warning.flag for warning in texts) for texts in warnings),
+            seconds=np.full(count, self._stepping / count),
+            status=tuple("failed" if bad else "done" for bad in failed),
+            reason=tuple(reason_of(failures[i]) if bad else "" for i, bad in enumerate(failed)),
+            stress=self._stress_rows(rows["histories"]["time"], rows["offsets"]),
+            whole=self._single_values(),
         )
 
-    def _stress_rows(self, table: Table) -> dict[str, FloatArray]:
+    def _stress_rows(self, times: FloatArray, offsets: IntArray) -> dict[str, FloatArray]:
         """Return the stored stresses of all rows; cases ask for the same, or for none."""
-        times, offsets = table.values["time"], table.offsets
         parts = [
             stress_rows(history, times[offsets[number] : offsets[number + 1]])
             for number in range(len(self._cases))

@@ -1,7 +1,6 @@
 """Observer that stores the variables of histories, row by row."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -49,22 +48,6 @@ def row(physics: Physics, state: State) -> dict[str, Any]:
     return values
 
 
-@dataclass(frozen=True, eq=False)
-class Table:
-    """Stored rows of B histories, which follow each other.
-
-    Parameters
-    ----------
-    offsets : (B + 1,) int, where the rows of each begin and end.
-    steps : (rows,) int, steps made.
-    values : by name, over all rows; of profiles that are stored at the end only, over histories.
-    """
-
-    offsets: IntArray
-    steps: IntArray
-    values: Mapping[str, Any]
-
-
 class StoredRows:
     """Rows of the variables that the cases of some histories store: an observer. Not collective.
 
@@ -79,18 +62,20 @@ class StoredRows:
         self._case, self._count = case, count
         #: units of the keys
         self.parameters = units_of(case, derivatives)
-        # what is stored, by group
-        self.histories = tuple(HISTORIES)
-        self.fields = case.output.fields
-        self.derivatives = derivative_names(self.fields) if derivatives else ()
-        layers = len(case.lower.layers), len(case.upper.layers)
-        self.layers = layer_names((layers[0] > 0, layers[1] > 0))
+        fields, layers = case.output.fields, (len(case.lower.layers), len(case.upper.layers))
+        #: names of what is stored, by field of ``HistoryColumns``
+        self._groups = {
+            "histories": tuple(HISTORIES),
+            "profiles": fields,
+            "derivatives": derivative_names(fields) if derivatives else (),
+            "layers": layer_names((layers[0] > 0, layers[1] > 0)),
+        }
         #: sizes of the axes of a row
         self._sizes = {
             "parameter": len(self.parameters), "element": case.line.n,
             "layer": 1 + layers[0], "layer_upper": 1 + layers[1],
         }  # fmt: skip
-        stored = (*self.histories, *self.fields, *self.derivatives, *self.layers)
+        stored = [name for names in self._groups.values() for name in names]
         last = [
             name
             for name in stored
@@ -153,8 +138,8 @@ class StoredRows:
         self.pending[numbers] = 0
         return False
 
-    def table(self) -> Table:
-        """Return all rows, by history."""
+    def columns(self) -> dict[str, Any]:
+        """Return all rows, by history: the fields of ``HistoryColumns`` that these are."""
         empty = np.empty(0, dtype=np.int64)
         numbers = np.concatenate([empty, *self._numbers])
         order = np.argsort(numbers, kind="stable")
@@ -172,7 +157,9 @@ class StoredRows:
                 values[name] = values[total] - values[total][..., first]
         offsets = np.searchsorted(numbers, np.arange(self._count + 1))
         steps = np.concatenate([empty, *self._steps])[order]
-        return Table(offsets, steps, values | self._last_profiles)
+        values |= self._last_profiles
+        groups = {g: {name: values[name] for name in names} for g, names in self._groups.items()}
+        return {"offsets": offsets, "steps": steps, **groups}
 
     def part(self, name: str, values: Any, rows: slice, number: int) -> Any:
         """Return the values of a variable in some rows of a history, or its last profile."""
