@@ -97,16 +97,12 @@ def unit_question(case: Case, wear: FloatArray) -> str:
 def _strata(case: Case) -> list[list[tuple[str, WearLaw | None, float]]]:
     """Return table, law and thickness (mm) of the layers of lower and upper and what is below."""
     strata = []
-    for body, ring, itself in zip(
-        BODIES, case.rings, (case.wear_lower, case.wear_upper), strict=True
-    ):
-        layers: list[tuple[str, WearLaw | None, float]] = [
-            (f"wear.{body}", itself, layer.thickness)
-            if layer.wear is None
-            else (f"{body}.layers[{i}].wear", layer.wear, layer.thickness)
-            for i, layer in enumerate(ring.layers)
-        ]
-        strata.append([*layers, (f"wear.{body}", itself, math.inf)])
+    laws = case.laws_by_table
+    for body, ring in zip(BODIES, case.rings, strict=True):
+        tables = [f"{body}.layers[{i}].wear" for i in range(len(ring.layers))]
+        tables = [table if table in laws else f"wear.{body}" for table in (*tables, "")]
+        thicknesses = [*(layer.thickness for layer in ring.layers), math.inf]
+        strata.append([(t, laws[t], h) for t, h in zip(tables, thicknesses, strict=True)])
     return strata
 
 
