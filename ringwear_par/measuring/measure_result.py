@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ringwear_par import outcomes
 from ringwear_par.measuring.analysis.budget import Estimate
 from ringwear_par.measuring.analysis.numbers import (
     IN3_MIN_PER_FT_LBF_H,
@@ -16,6 +15,7 @@ from ringwear_par.measuring.analysis.numbers import (
 )
 from ringwear_par.measuring.analysis.repeats import Repeats
 from ringwear_par.measuring.definition.problem import Problem
+from ringwear_par.results import outcomes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

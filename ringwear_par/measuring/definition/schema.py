@@ -1,7 +1,6 @@
 """The keys of a measure file: reading, messages and ``info --schema measure`` follow them."""
 
-from ringwear_par.cases.schema import Key
-from ringwear_par.cases.tables import keys_of_table
+from ringwear_par.cases.tables import Key, keys_of_table
 from ringwear_par.cases.values import anything, number, one_of, text
 from ringwear_par.measuring.definition.problem import Limits
 
