@@ -312,8 +312,7 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[Doubt]:
         if apart > max(2.0 * np.hypot(balance.u, depth.u), _DIFFERENT * abs(balance.value)):
             text = (
                 f"the displacement gives {depth.value:.4g} mm3 of the whole test and the balance "
-                f"{balance.value:.4g} mm3: rings that grow, debris or drift; rates of the steady "
-                "part are free of what happened before it, and of nothing else"
+                f"{balance.value:.4g} mm3: rings that grow, debris or drift"
             )
             doubts.append(Doubt("displacement-against-weighing", text))
     usual = record.end / count_blocks(len(record.time))
