@@ -92,11 +92,11 @@ def _problem(source: Source, case: Any, masses: str | Path | None) -> Problem:
     if isinstance(source, Mapping) or (
         isinstance(source, str | Path) and Path(source).suffix.lower() == _TOML
     ):
-        said = "measure" if isinstance(source, Mapping) else legible(str(source))
+        file = "measure" if isinstance(source, Mapping) else legible(str(source))
         for name, value in (("case", case), ("masses", masses)):
             if value is not None:
                 raise InputError(
-                    f"{name} = {legible(str(value))}: must be absent beside {said}, which names it"
+                    f"{name} = {legible(str(value))}: must be absent beside {file}, which names it"
                 )
         return read_measure(source)
     records = [source] if isinstance(source, str | Path) else list(source)
