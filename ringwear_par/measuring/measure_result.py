@@ -103,7 +103,8 @@ def _test(numbers: TestNumbers) -> dict[str, Any]:
         "conditions": {
             "force": conditions.force, "pressure": conditions.pressure, "omega": conditions.omega,
             "speed": conditions.speed, "area": conditions.area, "mean_radius": conditions.radius,
-            "radii": [conditions.inner, conditions.outer], "body": test.body, "density": ring.density,
+            "radii": [conditions.inner, conditions.outer], "body": test.body,
+            "density": ring.density,
         },
         "temperature": None
         if numbers.temperature is None
