@@ -9,7 +9,7 @@ from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.cases.files.reading import Outline, outlines
+from ringwear_par.cases.files.key_values import Outline, outlines
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.elasticity.stress.fields import StressState
 from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES, mises

@@ -90,7 +90,8 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
         raise InputError(f"{name}: is a case, not a study; ringwear run computes it")
     faults = [
         f"{name}: {legible(key)}: unknown key; must be one of case, vary, design"
-        for key in tables.keys() - {"case", "vary", "design"}
+        for key in tables
+        if key not in ("case", "vary", "design")
     ]
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults) or {}
     vary, design = tables.get("vary", {}), tables.get("design", {})

@@ -13,9 +13,9 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.files.keys import override
 from ringwear_par.cases.files.suggestions import unknown_key
 from ringwear_par.cases.layers import LAYERS, entries_of
-from ringwear_par.cases.schema import BY_PATH, Key, key_of, layer_entry
+from ringwear_par.cases.schema import BY_PATH, key_of, layer_entry
+from ringwear_par.cases.tables import Key
 from ringwear_par.cases.text import shortened, toml_value
-from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError, is_finite, is_number
 from ringwear_par.errors import MOST_FAULTS, legible
 from ringwear_par.studies.definition.schema import MOST_CASES
@@ -306,7 +306,7 @@ def _variation(
     try:
         if isinstance(values, list):
             entry = index if isinstance(index, str) and path not in LAYERS else None
-            values = [without_units(own_key(key), value, entry) for value in values]
+            values = [own_key(key).without_units(value, entry) for value in values]
         numbers = isinstance(values, list) and len(values) == 2 and all(map(is_finite, values))
     except RejectedError as reason:
         faults.append(f"{range_words}: must be two increasing numbers ({reason})")
