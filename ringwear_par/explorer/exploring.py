@@ -197,11 +197,11 @@ def changed_keys(
         try:
             raw, value = _read(control, text)
         except RejectedError as reason:
-            why = f" ({reason})" if str(reason) else ""
+            cause = f" ({reason})" if str(reason) else ""
             unit = f" in {control.unit}" if control.unit else ""
-            hint = ", or one with its unit" if control.unit and not control.scales else ""
+            unit += ", or one with its unit" if control.unit and not control.scales else ""
             faults.append(
-                f"{control.name} = {legible(text) or '(empty)'}: must be a number{unit}{hint}{why}"
+                f"{control.name} = {legible(text) or '(empty)'}: must be a number{unit}{cause}"
             )
             continue
         moved[name] = control.at(value)

@@ -85,8 +85,8 @@ def plot(
     sources = [*several]
     for number, source in enumerate(sources, 1):
         if isinstance(source, FailedResult):
-            why = str(source.error).partition("\n")[0]
-            raise InputError(f"plot: result {number} failed ({why}); must be results only")
+            reason = str(source.error).partition("\n")[0]
+            raise InputError(f"plot: result {number} failed ({reason}); must be results only")
         if not isinstance(source, Result | str | Path):
             kind = type(source).__name__
             raise InputError(f"plot: result {number} is a {kind}; must be a result or its file")
