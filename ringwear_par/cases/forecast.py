@@ -72,7 +72,7 @@ def _coefficient(law: WearLaw | None) -> float:
 
 
 def unit_question(case: Case, wear: FloatArray) -> str:
-    """Return a question about the unit of k where much is worn off, or to be; "" for none.
+    """Return a sentence about the unit of k where much is worn off, or to be; "" for none.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def unit_question(case: Case, wear: FloatArray) -> str:
         ]
         if coefficients and depth > DEEP * (ring.z[1] - ring.z[0]):
             k, key = max(coefficients)
-            return f'; {key} = {k:g} is in 1/MPa: if it is in mm3/(N m), write "{k:g} mm3/(N m)"'
+            return f'. {key} = {k:g} is in 1/MPa: if it is in mm3/(N m), write "{k:g} mm3/(N m)"'
     return ""
 
 

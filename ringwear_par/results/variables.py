@@ -113,15 +113,23 @@ DISPLAY_UNITS = {
 }
 #: fields along the contact line at each stored state, or at the last one (``at_last_step``)
 PROFILES = variable_table(
-    Variable("pressure", ("step", "element"), "MPa", "contact pressure, normal to the faces"),
-    Variable("gap", ("step", "element"), "mm", "gap between the deformed profiles, along the axis"),
     Variable(
-        "wear_lower", ("step", "element"), "mm", "depth worn off the lower ring, along the axis"
+        "pressure", ("step", "element"), "MPa",
+        "contact pressure, normal to the faces, mean over the element",
     ),
     Variable(
-        "wear_upper", ("step", "element"), "mm", "depth worn off the upper ring, along the axis"
+        "gap", ("step", "element"), "mm",
+        "gap between the deformed profiles at the element's mid-point, along the axis",
     ),
-)
+    Variable(
+        "wear_lower", ("step", "element"), "mm",
+        "depth worn off the lower ring at the element's mid-point, along the axis",
+    ),
+    Variable(
+        "wear_upper", ("step", "element"), "mm",
+        "depth worn off the upper ring at the element's mid-point, along the axis",
+    ),
+)  # fmt: skip
 #: by which the pressure of such an element may be off, relative to the largest (docs/accuracy.md)
 EDGE_ERROR = 0.28
 #: of every pressure that is stored, see ``edge_elements``

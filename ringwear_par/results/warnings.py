@@ -20,7 +20,7 @@ from ringwear_par.history.observers.worst_states import (
     worn_share,
 )
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.history.validity.stable_steps import stable_steps
+from ringwear_par.history.validity.stable_steps import missed_corner, stable_steps
 from ringwear_par.results.unit_suspicions import (
     MOST_PRESSED,
     ValidityWarning,
@@ -117,12 +117,28 @@ def validity_warnings(
     return (
         *_deep_wear(case, worst),
         *_contact_beyond_mesh(case, worst),
+        *_missed_corner(case),
         *_high_pressure(case, worst),
         *_few_elements(case, worst),
         *_coarse_mesh(case, worst),
         *_other_stack(case, worst),
         *_unlike_slopes(case, worst),
         *_asymmetric(worst),
+    )
+
+
+def _missed_corner(case: Case) -> Iterator[ValidityWarning]:
+    """Yield whether fixed steps passed over a corner of the load."""
+    corner = missed_corner(case)
+    if corner is None:
+        return
+    time, load, straight = corner
+    noun, unit = ("force", "N") if case.load.displacement is None else ("displacement", "mm")
+    yield ValidityWarning(
+        "missed_corner",
+        f"steps of {case.time.step:g} s pass over the corner of the load at t = {time:g} s: the "
+        f"{noun} is {load:.6g} {unit} there, between the ends of the step {straight:.6g} {unit}; "
+        'a step must end there, which time.scheme = "adaptive" sees to',
     )
 
 

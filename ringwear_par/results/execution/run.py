@@ -172,7 +172,7 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
                 raise
             file.save_at_end(str(error))
             raise ComputationError(
-                f"{error} of {path}; {file.path} holds the steps before it, and ringwear plot or "
+                f"{path}: {error}. {file.path} holds the steps before it: ringwear plot and "
                 "report show how it came to that"
             ) from error
 
