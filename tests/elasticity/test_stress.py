@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import ringwear_par as rw
-from ringwear_par.elasticity.bem import rows
 from ringwear_par.elasticity.bem.body import BoundaryResponse
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Material, Section
+from ringwear_par.elasticity.stress import rows
 from ringwear_par.elasticity.stress.largest import Search, edges
 from ringwear_par.elasticity.stress.measures import max_shear, mises, principal
 from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery

@@ -267,8 +267,7 @@ def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
 def load_stress_kernels(comm: MPI.Comm) -> None:
     """Compile the kernels of stress, or load them from the cache. Collective on comm."""
     from ringwear_par.elasticity.bem.compiling import load_compiled  # numba: not without need
-    from ringwear_par.elasticity.bem.rows import MAX_PARTS
-    from ringwear_par.elasticity.stress.rows import stress_rows
+    from ringwear_par.elasticity.stress.rows import MAX_PARTS, stress_rows
 
     nodes = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])
     none = np.empty(0, dtype=np.int64)

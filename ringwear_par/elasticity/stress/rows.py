@@ -16,6 +16,7 @@ from ringwear_par.elasticity.bem.boundary import BoundaryMesh
 from ringwear_par.elasticity.bem.compiling import compiled
 from ringwear_par.elasticity.bem.kernels import TILE
 from ringwear_par.elasticity.bem.quadrature import MAX_POINTS, Quadrature
+from ringwear_par.elasticity.bem.rows import MAX_PARTS as MAX_PARTS
 from ringwear_par.elasticity.bem.rows import element_lines, padded
 from ringwear_par.elasticity.stress.kernels import N_KERNELS, STRESS_TILE_ROWS, fill_stress_tile
 

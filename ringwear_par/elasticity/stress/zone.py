@@ -274,8 +274,7 @@ class ZoneStress:
     def _add_integrals(self, recipe: _Recipe, normal: FloatArray, torsion: FloatArray) -> None:
         """Add the integrals at samples to the influences of their points."""
         # numba: not without need
-        from ringwear_par.elasticity.bem.rows import MAX_PARTS
-        from ringwear_par.elasticity.stress.rows import stress_rows
+        from ringwear_par.elasticity.stress.rows import MAX_PARTS, stress_rows
 
         boundary, rules = self.zone.boundary, quadrature(_TOLERANCE)
         samples, count = np.array(recipe.samples), min(_BATCH, len(recipe.samples))
