@@ -42,13 +42,13 @@ _PUBLIC = {
     "read_case": "cases.files.reading",
     "read_study": "studies.definition.study",
     "report": "reports.report",
-    "save": "outcomes",
+    "save": "results.outcomes",
     "simulate": "results.execution.simulate",
     "simulate_all": "studies.execution.many",
-    "summary": "outcomes",
+    "summary": "results.outcomes",
     "surrogate": "studies.analysis.surrogate",
     "sweep": "studies.execution.sweep",
-    "to_dict": "outcomes",
+    "to_dict": "results.outcomes",
 }
 __all__ = [*_PUBLIC]
 

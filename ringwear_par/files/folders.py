@@ -17,12 +17,12 @@ def refuse_drawn(folder: Path) -> None:
     ------
     InputError : it is one; with the pictures that are there.
     """
-    for outcome, of, pictures in (
+    for outcome, kind, pictures in (
         (FIT, "fit", f"pictures {CURVES} and {ESTIMATES} are"),
         (DESIGN, "design", f"picture {MAP} is"),
     ):
         if (folder / outcome).exists():
             raise InputError(
-                f"{folder}: is the folder of a {of}, whose {pictures} there already (a page of it "
-                "is made by ringwear report); must be that of a sweep, or a result file"
+                f"{folder}: is the folder of a {kind}, whose {pictures} there already (a page of "
+                "it is made by ringwear report); must be that of a sweep, or a result file"
             )

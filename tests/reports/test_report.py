@@ -267,15 +267,15 @@ def test_charts_of_a_sweep_name_cases_and_their_values(folder, pages):
 
 
 def test_few_cases_have_a_line_each_and_many_a_few(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("ringwear_par.studies.pictures.panels._LINES", 3)
-    monkeypatch.setattr("ringwear_par.studies.pictures.panels._POINTS", 7)
+    monkeypatch.setattr("ringwear_par.studies.pictures.histories._LINES", 3)
+    monkeypatch.setattr("ringwear_par.studies.pictures.effects._POINTS", 7)
     rw.report(folder / "sweep", tmp_path / "page.html")
     page = Read((tmp_path / "page.html").read_text())
     assert "quantiles of 20 cases, and 3 of the cases" in page.text
     assert "7 of 20 cases are drawn" in page.text
     assert len(points(page)) == 7
     assert page.charts["histories"].columns["asides"]["label"] == ["3 of the cases"] * 3
-    monkeypatch.setattr("ringwear_par.studies.pictures.panels.FEW", 20)
+    monkeypatch.setattr("ringwear_par.studies.pictures.histories.FEW", 20)
     rw.report(folder / "sweep", tmp_path / "page.html")
     drawn = Read((tmp_path / "page.html").read_text()).charts["histories"].columns["lines"]
     assert len(drawn["x"]) == 20

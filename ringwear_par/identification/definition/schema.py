@@ -8,8 +8,7 @@ from typing import Any, get_args
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.schema import Key
-from ringwear_par.cases.tables import keys_of_table
+from ringwear_par.cases.tables import Key, keys_of_table
 from ringwear_par.cases.values import (
     RejectedError,
     Values,

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par import outcomes
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.folders import DESIGN, MAP, NEXT
@@ -36,6 +35,7 @@ from ringwear_par.identification.test_design.information import (
 )
 from ringwear_par.identification.test_design.search import Design, Search
 from ringwear_par.parallel import on_first_rank
+from ringwear_par.results import outcomes
 from ringwear_par.version import versions
 
 if TYPE_CHECKING:
