@@ -10,6 +10,8 @@ from ringwear_par.identification.fit import fit as fit
 from ringwear_par.identification.fit_result import FitResult as FitResult
 from ringwear_par.identification.test_design.design import DesignResult as DesignResult
 from ringwear_par.identification.test_design.design import design as design
+from ringwear_par.measuring.measure import measure as measure
+from ringwear_par.measuring.measure_result import MeasureResult as MeasureResult
 from ringwear_par.reports.report import report as report
 from ringwear_par.results.execution.simulate import simulate as simulate
 from ringwear_par.results.outcomes import save as save

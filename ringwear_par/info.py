@@ -66,13 +66,16 @@ def _print_installation(comm: "MPI.Comm") -> None:
 
 
 def _print_keys(words: Sequence[str]) -> None:
-    """Print the keys of case, study and fit files, or of one of these; a row a key."""
+    """Print the keys of case, study, fit and measure files, or of one of these; a row a key."""
     from ringwear_par.cases import schema as cases
     from ringwear_par.cases.tables import key_table
     from ringwear_par.identification.definition import schema as fits
+    from ringwear_par.measuring.definition import schema as measures
     from ringwear_par.studies.definition import schema as studies
 
-    schemas = {"case": cases.KEYS, "study": studies.KEYS, "fit": fits.KEYS}
+    schemas = {
+        "case": cases.KEYS, "study": studies.KEYS, "measure": measures.KEYS, "fit": fits.KEYS,
+    }  # fmt: skip
     kinds = words[:1] if words and words[0] in schemas else list(schemas)
     phrase = " ".join(words[1:] if words[:1] == kinds else words)
     tables = {kind: key_table(schemas[kind], phrase) for kind in kinds}

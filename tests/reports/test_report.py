@@ -420,7 +420,8 @@ def test_laws_of_users_are_told_but_not_run(tmp_path):
         ("run.h5", "away/page.html", "its folder"),
         ("nothing.h5", "page.html", "nothing.h5: does not exist; must be a result file"),
         ("paper.toml", "page.html", "paper.toml: is not a result file of ringwear"),
-        ("empty", "page.html", "empty: holds none of fit.json, design.json and results.h5"),
+        ("empty", "page.html", "empty: holds none of fit.json, design.json, measure"),
+        ("rough", "page.html", "measure.json: is not the outcome of ringwear measure, or is dam"),
         ("torn", "page.html", "design.json: is not the outcome of ringwear design, or is damaged"),
         ("broken", "page.html", "fit.json: is not the outcome of ringwear fit, or is damaged"),
     ],
@@ -429,6 +430,8 @@ def test_what_cannot_be_is_refused(source, output, words, folder, tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken/fit.json").write_text('{"level": 0.95, "parameters": []}')
+    (tmp_path / "rough").mkdir()
+    (tmp_path / "rough/measure.json").write_text('{"tests": {"W1": {}}}')
     (tmp_path / "torn").mkdir()
     (tmp_path / "torn/design.json").write_text('{"designs": [')
     place = tmp_path if (tmp_path / source).is_dir() else folder
