@@ -8,7 +8,9 @@ from mpi4py import MPI
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fit import fit
 from ringwear_par.identification.model import histories as histories_room
-from ringwear_par.identification.model.histories import Histories
+from ringwear_par.identification.model.histories import ROUGH_STEPS, Histories
+from ringwear_par.identification.model.rounds import Rounds
+from ringwear_par.results.execution.stopping import StopSignals
 
 pytestmark = pytest.mark.serial
 
@@ -53,13 +55,17 @@ def test_a_search_between_operators_ends_at_the_optimum_of_exact_ones(tables, co
 
 
 @pytest.mark.ranks
-def test_numbers_are_those_of_one_rank(tables, comm):
-    between = fit(tables(2), comm)
-    if comm.size > 1:
-        alone = fit(tables(2), MPI.COMM_SELF)
-        np.testing.assert_array_equal(numbers(between), numbers(alone))
-        assert [s.objective for s in between.starts] == [s.objective for s in alone.starts]
-    assert between.n_at_best == 2
+def test_readings_between_operators_are_those_of_one_rank(tables, comm):
+    """To the last bit: ranks share the operators at the nodes, and a search all histories."""
+    problem = read_fit(tables(2))
+    points = np.outer([0.9, 1.1], list(problem.start.values()))
+    rounds, alone = Rounds(problem, comm, StopSignals()), Histories(problem, MPI.COMM_SELF)
+    rounds.interpolate(problem, comm)
+    alone.interpolate(problem, MPI.COMM_SELF)
+    assert rounds.are_interpolated
+    together = rounds.lead(lambda: rounds.responses(points, ROUGH_STEPS, exact=False))
+    for one, other in zip(together, alone.responses(points, ROUGH_STEPS, exact=False), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_operators_between_others_are_those_of_a_search_only(tables, comm):
