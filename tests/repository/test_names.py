@@ -17,7 +17,7 @@ VAGUE = {
 #: likewise; not in these rooms yet
 ALSO_VAGUE = {"here", "said", "so", "these", "this", "those", "untold", "why"}
 ALSO_TO_DO = {
-    "elasticity", "explorer", "history", "identification", "pictures", "reports", "studies",
+    "elasticity", "history", "identification", "studies/execution", "studies/storage",
     "verification", "wear",
 }  # fmt: skip
 #: beginnings of docstrings that name no noun
