@@ -80,7 +80,7 @@ class HistoryInputs:
 
         Parameters
         ----------
-        ends : (layers, n) float, mm, along the axis, of lower and upper.
+        ends : (layers, B, n) float, mm, along the axis, of lower and upper.
         obliquity : (n,) float, 1 / cos alpha of sloping faces; None: all are flat.
         """
 

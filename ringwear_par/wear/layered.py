@@ -44,8 +44,8 @@ class LayeredLaw(Law):
     laws : of the layers from the contact face inwards, and of the body itself.
     thicknesses : mm, of the layers.
     has_law : which layers have a law of their own; the others wear as the body.
-    ends : (layers, n) mm, depth at which each layer ends, measured as ``LocalState.wear``; None:
-        as many thicknesses, at all elements.
+    ends : (layers, n) mm, or (layers, B, n) of B histories, depth at which each layer ends,
+        measured as ``LocalState.wear``; None: as many thicknesses, at all elements.
     """
 
     laws: tuple[Law, ...]
@@ -63,17 +63,18 @@ class LayeredLaw(Law):
         return cls(laws, tuple(thicknesses), tuple(law is not None for law in layer_laws))
 
     def at(self, ends: FloatArray) -> Self:
-        """Return the law at elements, where layers end at these depths, (layers, n) mm."""
+        """Return the law at elements, where layers end at these depths, mm, see ``ends``."""
         return replace(self, ends=ends)
 
     @property
     def depths(self) -> FloatArray:
-        """(layers, n) or (layers, 1) mm, where layers end."""
+        """(layers, n), (layers, B, n) or (layers, 1) mm, where layers end."""
         return np.cumsum(self.thicknesses)[:, None] if self.ends is None else self.ends
 
     def remaining(self, wear: FloatArray) -> FloatArray:
         """Return the thickness that remains of layers, (layers, ..., n) mm, worn by (..., n) mm."""
-        ends = self.depths.reshape(len(self.thicknesses), *(1,) * (wear.ndim - 1), -1)
+        layers, *shape = self.depths.shape
+        ends = self.depths.reshape(layers, *(1,) * (wear.ndim - len(shape)), *shape)
         starts = np.concatenate([np.zeros_like(ends[:1]), ends[:-1]])
         reached = np.maximum(wear, starts)
         return np.where(worn_through(ends, reached), 0.0, ends - reached)
@@ -210,17 +211,25 @@ class LayeredLaw(Law):
         ValueError : they differ in something else.
         """
         first = laws[0]
-        if any(
-            (law.thicknesses, law.has_law) != (first.thicknesses, first.has_law) for law in laws
-        ):
+        if any(law.has_law != first.has_law for law in laws):
             raise ValueError("laws of different layers cannot be stacked")
         stacks = [stack_laws(group) for group in zip(*(law.laws for law in laws), strict=True)]
-        return replace(first, laws=tuple(law for law in stacks if law is not None))
+        return replace(
+            first,
+            laws=tuple(law for law in stacks if law is not None),
+            ends=np.stack([law.depths for law in laws], axis=1),
+        )
 
     def history(self, i: int) -> Self:
         """Return the law of one of B histories."""
-        return replace(self, laws=tuple(law.history(i) for law in self.laws))
+        ends = self.ends
+        if ends is not None and ends.ndim == 3:
+            ends = ends[:, i]
+        return replace(self, laws=tuple(law.history(i) for law in self.laws), ends=ends)
 
     def take(self, histories: IntArray) -> Self:
         """Return the law of some of B histories."""
-        return replace(self, laws=tuple(law.take(histories) for law in self.laws))
+        ends = self.ends
+        if ends is not None and ends.ndim == 3:
+            ends = ends[:, histories]
+        return replace(self, laws=tuple(law.take(histories) for law in self.laws), ends=ends)
