@@ -9,20 +9,22 @@ import signal
 import subprocess
 import sys
 import zlib
+from dataclasses import replace
 
 import h5py
 import numpy as np
 import pytest
 import try_faults as faults
 from commands import SHELL_ENVIRONMENT
+from stored_cases import StoredCase, block_of
 from swept import write_study
 
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.studies.execution import scheduling, sweep, workers
 from ringwear_par.studies.execution.sweep import run_sweep
-from ringwear_par.studies.storage import blocks, shards, store
-from ringwear_par.studies.storage.blocks import Block, Record
-from ringwear_par.studies.storage.index import DamagedError
+from ringwear_par.studies.storage import blocks, results_file, shards
+from ringwear_par.studies.storage.blocks import CASE, DamagedError
+from ringwear_par.studies.storage.folder import SweepFolder
 from ringwear_par.studies.storage.shards import Shard, read_shard
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
@@ -86,9 +88,9 @@ def parts(path):
     content, at, found = path.read_bytes(), 0, []
     while at < len(content):
         _, size, count, data, _ = blocks._HEAD.unpack(content[at : at + blocks._HEAD.size])
-        ends = np.cumsum([at + blocks._HEAD.size, size, count * blocks._CASE.itemsize, data])
+        ends = np.cumsum([at + blocks._HEAD.size, size, count * CASE.itemsize, data])
         words, cases, arrays = (content[a:b] for a, b in itertools.pairwise(ends.tolist()))
-        cases = np.frombuffer(cases, dtype=blocks._CASE).copy()
+        cases = np.frombuffer(cases, dtype=CASE).copy()
         found.append([json.loads(words), cases, arrays])
         at = int(ends[-1])
     return found
@@ -116,7 +118,7 @@ def test_a_sweep_killed_while_it_writes_its_first_block(output, swept, comm, tol
 
 
 def blocks_of(path):
-    return read_shard(path).index.blocks
+    return read_shard(path).blocks
 
 
 @pytest.mark.parametrize("lost", [1, 7, 1000, "all but a byte"])
@@ -141,11 +143,11 @@ def test_a_block_that_was_being_written_when_the_sweep_was_killed(output, swept,
         ("operators.py", "write_operator", 1),  # assembly
         ("pathlib.py", "replace", 1),  # the operator's file has not its name yet
         ("shards.py", "add", 2),
-        ("dataset.py", "write_ensemble", 1),  # merging
+        ("results_writer.py", "write_results", 1),  # merging
         ("pathlib.py", "replace", 2),  # results.h5 is whole, but has not its name yet
         ("pathlib.py", "replace", 3),  # it has, cases.csv has not
-        ("store.py", "forget_shards", 1),
-        ("locks.py", "forget_slices", 1),  # shards are gone, their folder is not
+        ("folder.py", "forget_shards", 1),
+        ("folder.py", "forget_slices", 1),  # shards are gone, their folder is not
     ],
 )
 def test_a_sweep_killed_at_a_moment_of_note(tmp_path, swept, comm, file, function, call):
@@ -224,8 +226,8 @@ def test_shards_that_are_removed_under_a_sweep(tmp_path, swept, comm, monkeypatc
 @pytest.fixture
 def looks(monkeypatch):
     """Looks for what is stored."""
-    looks, scan = [], store.Store.scan
-    monkeypatch.setattr(store.Store, "scan", lambda *a, **b: (looks.append(a), scan(*a, **b))[1])
+    looks, scan = [], SweepFolder.scan
+    monkeypatch.setattr(SweepFolder, "scan", lambda *a, **b: (looks.append(a), scan(*a, **b))[1])
     return looks
 
 
@@ -233,14 +235,16 @@ def test_a_shard_that_comes_to_light_late(output, swept, comm, monkeypatch):
     """As on a disk of the network: not there at the first look, and nothing is lost."""
     study, reference, _ = swept
     before = faults.done_before(output)
-    looks, scan = [], store.Store.scan
+    looks, scan = [], SweepFolder.scan
 
     def late(self, *words, **more):
         looks.append(words)
         index, notes = scan(self, *words, **more)
-        return index if len(looks) != 2 else index.only(np.arange(2)), notes
+        if len(looks) == 2:
+            index = replace(index, entries=index.entries[:2])
+        return index, notes
 
-    monkeypatch.setattr(store.Store, "scan", late)
+    monkeypatch.setattr(SweepFolder, "scan", late)
     run_sweep(study, output, comm)
     assert len(looks) == 3
     assert faults.seconds_by_id(output) == before
@@ -294,9 +298,9 @@ def change_words(name, value):
     return change
 
 
-def change_arrays(name, *entry):
+def change_columns(name, *entry):
     def change(words, cases):
-        words["arrays"][name] = entry
+        words["columns"][name] = entry
 
     return change
 
@@ -311,14 +315,15 @@ def change_cases(name, value):
 @pytest.mark.parametrize(
     "change",
     [
-        *(change_words(name, None) for name in ("elements", "sizes", "longest", "kinds", "arrays")),
-        change_words("elements", -1),
+        *(change_words(name, None) for name in ("sizes", "longest", "kinds", "columns")),
+        change_words("sizes", {"element": -1}),
+        change_words("sizes", {"element": None}),
         change_words("kinds", []),
         change_words("kinds", [["1", 3, ""]]),
-        change_arrays("time", "often", 8, 0),
-        change_arrays("time", "rows", 8, 0),
-        change_arrays("unknown", "rows", 8, 0),
-        change_arrays("time", "rows"),
+        change_columns("time", "often", 8, 0),
+        change_columns("time", "state", 8, 0),
+        change_columns("unknown", "state", 8, 0),
+        change_columns("time", "state"),
         change_cases("status", 7),
         change_cases("rows", -1),
         change_cases("rows", 0),
@@ -383,8 +388,8 @@ def test_what_is_damaged_within_a_block_takes_the_block_along(
     if what == "texts":
         packed = b"[[], [], []]"
         words, _, data = found[0]
-        size = words["arrays"]["toml"][1]
-        words["arrays"]["toml"] = "block", len(packed), zlib.crc32(packed)
+        size = words["columns"]["toml"][1]
+        words["columns"]["toml"] = "block", len(packed), zlib.crc32(packed)
         found[0][2] = data[:-size] + packed
         write_parts(shard, found)
     else:
@@ -406,9 +411,9 @@ def test_what_is_damaged_within_a_block_takes_the_block_along(
 def test_a_case_of_nobody(output, swept, comm, told):
     """That the study does not know, and whose text says nothing, is listed and no more."""
     study, reference, _ = swept
-    record = Record("stranger", "no = case =", "done", "", 1.0, math.nan, {}, "1")
+    stranger = StoredCase("stranger", "no = case =", seconds=1.0, imbalance=math.nan)
     with Shard(shard_of(output)) as shard:
-        shard.add(Block.of([record]))
+        shard.add(block_of([stranger]))
     run_sweep(study, output, comm, mix_versions=True)
     assert not told()
     rows = faults.table(output)
@@ -486,7 +491,7 @@ def test_results_that_fail_only_when_they_are_read(swept, tmp_path, comm, told, 
         raise DamagedError(self.path)
 
     with monkeypatch.context() as patch:  # the index of cases is as it was
-        patch.setattr(store.results_file.ResultsBlock, "read", damaged)
+        patch.setattr(results_file.ResultsBlock, "read", damaged)
         with pytest.raises(ComputationError, match="6 of 9 cases that have ended are not stored"):
             run_sweep(changed, output, comm)
     assert len(looks) == 3

@@ -19,7 +19,12 @@ from ringwear_par.results.storage.result_files import open_result
 from ringwear_par.results.variables import HISTORIES, PROFILES
 from ringwear_par.studies.definition.study import read_study
 from ringwear_par.studies.execution import estimate, operators, sweep, workers
-from ringwear_par.studies.storage import case_variables, dataset, results_file
+from ringwear_par.studies.storage import (
+    case_table,
+    case_variables,
+    results_file,
+    results_writer,
+)
 from ringwear_par.studies.storage.ensemble import open_ensemble, read_ensemble
 
 
@@ -213,8 +218,8 @@ def test_files_do_not_depend_on_windows(write, shared_path, comm, monkeypatch):
     for name in ("whole", "parts"):
         if name == "parts":
             monkeypatch.setattr(results_file, "_WINDOW_BYTES", 4000)
-            monkeypatch.setattr(dataset, "WINDOW", 4)
-            monkeypatch.setattr(case_variables, "WINDOW", 4)
+            for module in (results_writer, case_table, case_variables):
+                monkeypatch.setattr(module, "WINDOW", 4)
         for n, text in enumerate(studies):
             swept(write(text), shared_path / name, comm)
             shutil.copytree(shared_path / name, shared_path / f"{name}{n}")

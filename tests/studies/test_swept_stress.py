@@ -18,7 +18,7 @@ from ringwear_par.studies.execution.sweep import sweep
 from ringwear_par.studies.pictures import panels as sweeps
 from ringwear_par.studies.pictures.choice import choose
 from ringwear_par.studies.storage.ensemble import read_ensemble
-from ringwear_par.studies.storage.store import Store
+from ringwear_par.studies.storage.folder import SweepFolder
 
 LAYER = """
 [[lower.layers]]
@@ -271,7 +271,7 @@ def test_an_interrupted_case_keeps_its_stresses(comm, tmp_path, monkeypatch):
             sweep(study, tmp_path / "parts", comm)
     with rw.open_ensemble(tmp_path / "parts") as data:
         (going,) = np.flatnonzero(data.status == "incomplete")[:1]
-        assert len(Store(tmp_path / "parts", "").interrupted()) == 1
+        assert len(SweepFolder(tmp_path / "parts", "").interrupted()) == 1
         begun = data.isel(case=int(going))
         assert np.isfinite(begun.max_mises[: int(begun.steps_stored)]).any()
     sweep(study, tmp_path / "parts", comm)

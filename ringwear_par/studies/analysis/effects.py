@@ -22,7 +22,7 @@ from ringwear_par.studies.definition.axes import (
     upright,
 )
 from ringwear_par.studies.definition.designs import SAMPLED
-from ringwear_par.studies.storage.end_values import shown
+from ringwear_par.studies.storage.end_values import display_of
 
 _MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
 #: most curves with a legend
@@ -182,7 +182,7 @@ def draw_effects(
     panels = part.subplots(*shape, squeeze=False, sharex=share[0], sharey=share[1])
     panels = panels.T if transposed else panels
     for row, (output, final) in enumerate(finals.items()):
-        values, label = shown(output).factor * final, shown(output).label
+        values, label = display_of(output).factor * final, display_of(output).label
         for column, plan in enumerate(plans):
             axes = panels[row, column]
             _draw_panel(axes, plan, values, legend=row == 0)

@@ -16,7 +16,7 @@ from scipy.stats import rankdata
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.studies.analysis.regression import SEED, Part
 from ringwear_par.studies.definition.designs import SAMPLED
-from ringwear_par.studies.storage.end_values import drawn, final_name
+from ringwear_par.studies.storage.end_values import figure_columns, final_name
 from ringwear_par.studies.storage.ensemble import Ensemble
 
 log = logging.getLogger(__name__)
@@ -119,7 +119,7 @@ def sensitivity(
 
 def outputs_of(ensemble: Ensemble, cases: BoolArray | IntArray) -> list[str]:
     """Return the outputs of some cases, see ``drawn``."""
-    return drawn(ensemble.final, cases)
+    return figure_columns(ensemble.final, cases)
 
 
 def _delta(x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:

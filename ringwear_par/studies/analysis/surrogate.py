@@ -19,7 +19,7 @@ from ringwear_par.studies.analysis.regression import Part, fitted, places_betwee
 from ringwear_par.studies.analysis.responses import read_responses
 from ringwear_par.studies.analysis.sensitivity import chosen_cases, done_cases
 from ringwear_par.studies.analysis.surrogate_file import SURROGATE, read_surrogate, write_surrogate
-from ringwear_par.studies.storage.end_values import FINAL
+from ringwear_par.studies.storage.end_values import MAIN_END_VALUES
 from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ def _identity(ensemble: Ensemble, times: FloatArray | None) -> str:
 
 def _made(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
     done = done_cases(ensemble) & (ensemble.steps_stored > 1)
-    done &= np.isfinite([ensemble.final[name] for name in FINAL]).all(axis=0)
+    done &= np.isfinite([ensemble.final[name] for name in MAIN_END_VALUES]).all(axis=0)
     designed = ensemble.spacings
     texts: list[str] = []
     numbers: list[str] = []

@@ -14,10 +14,10 @@ from ringwear_par.errors import InputError
 from ringwear_par.history.validity.case_limits import memory_needed
 from ringwear_par.studies.definition.groups import Groups
 from ringwear_par.studies.definition.study import Study
-from ringwear_par.studies.storage.index import DONE, FAILED, NOTHING, Index
-from ringwear_par.studies.storage.locks import locked
+from ringwear_par.studies.storage.blocks import DONE, FAILED
+from ringwear_par.studies.storage.case_index import EMPTY, CaseIndex
+from ringwear_par.studies.storage.folder import SweepFolder, locked
 from ringwear_par.studies.storage.results_file import RESULTS
-from ringwear_par.studies.storage.store import Store
 from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)
@@ -96,7 +96,7 @@ class Plan:
 
     request: Request
     study: Study
-    store: Store
+    store: SweepFolder
     todo: Groups
     in_flight: frozenset[str]
     interrupted: frozenset[str]
@@ -112,7 +112,7 @@ class Plan:
         """Number of the cases of this study, or slice."""
         return int(self.mine.sum())
 
-    def count(self, index: Index) -> tuple[int, int]:
+    def count(self, index: CaseIndex) -> tuple[int, int]:
         """Return how many of the cases are stored, done and failed."""
         entry = index.find(self.study.identities[self.mine])
         status = index["status"][entry[entry >= 0]]
@@ -163,8 +163,8 @@ def make_plan(study: Study, request: Request, held: ExitStack | None) -> Plan:
     ComputationError : the folder is in use by a process of a killed sweep.
     """
     folder, part = request.folder, request.part
-    store = Store(folder, f"{part[0]}-{part[1]}" if part else "")
-    index = NOTHING
+    store = SweepFolder(folder, f"{part[0]}-{part[1]}" if part else "")
+    index = EMPTY
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; must be a folder, or a new name")
     if held is not None:
@@ -209,7 +209,7 @@ def make_plan(study: Study, request: Request, held: ExitStack | None) -> Plan:
 
 
 def _interrupted(
-    store: Store, in_flight: frozenset[str], index: Index, entry: IntArray
+    store: SweepFolder, in_flight: frozenset[str], index: CaseIndex, entry: IntArray
 ) -> frozenset[str]:
     """Return the cases that go on from a checkpoint: a case has one version from start to end."""
     if not in_flight:
@@ -226,7 +226,7 @@ def _interrupted(
     return frozenset(going_on)
 
 
-def _refuse_other_versions(folder: Path, index: Index, kept: IntArray, more: bool) -> None:
+def _refuse_other_versions(folder: Path, index: CaseIndex, kept: IntArray, more: bool) -> None:
     """Raise where cases of several versions would come together.
 
     Parameters

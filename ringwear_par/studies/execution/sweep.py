@@ -32,11 +32,12 @@ from ringwear_par.studies.execution.plan import Plan, Request, make_plan
 from ringwear_par.studies.execution.scheduling import Scheduler
 from ringwear_par.studies.execution.summary import Summary
 from ringwear_par.studies.execution.workers import Timings, Worker, provide_operator
-from ringwear_par.studies.storage.dataset import Listing, write_ensemble
+from ringwear_par.studies.storage.blocks import DamagedError
+from ringwear_par.studies.storage.case_index import CaseIndex
 from ringwear_par.studies.storage.ensemble import read_ensemble
-from ringwear_par.studies.storage.index import DamagedError, Index
+from ringwear_par.studies.storage.folder import reporting_unreadable
 from ringwear_par.studies.storage.results_file import RESULTS, TABLE
-from ringwear_par.studies.storage.store import reporting_unreadable
+from ringwear_par.studies.storage.results_writer import CaseList, write_results
 
 log = logging.getLogger(__name__)
 
@@ -309,7 +310,7 @@ def _settle(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
         return plan.count(index)
 
 
-def _scan(plan: Plan, awaited: int) -> Index:
+def _scan(plan: Plan, awaited: int) -> CaseIndex:
     """Return what is stored; if that is less than awaited, network disks may show it late."""
     limit = time.monotonic() + PATIENCE_SECONDS
     while True:
@@ -321,7 +322,7 @@ def _scan(plan: Plan, awaited: int) -> Index:
         time.sleep(_LATE_SECONDS)
 
 
-def _merge(plan: Plan, summary: Summary, index: Index) -> None:
+def _merge(plan: Plan, summary: Summary, index: CaseIndex) -> None:
     """Write results.h5 and cases.csv of all that is stored, then drop the shards. On one rank.
 
     Raises
@@ -330,20 +331,19 @@ def _merge(plan: Plan, summary: Summary, index: Index) -> None:
     OSError : the disk.
     """
     study, store, ranks = plan.study, plan.store, len(summary.timings)
-    if not summary.computed and (store.folder / RESULTS).exists():
+    if not summary.computed and (store.path / RESULTS).exists():
         try:
-            ranks = int(read_ensemble(store.folder).attributes["ranks"])
+            ranks = int(read_ensemble(store.path).attributes["ranks"])
         except UnreadableError:
             raise
         except InputError as error:
-            raise DamagedError(store.folder / RESULTS) from error
+            raise DamagedError(store.path / RESULTS) from error
     entry = index.find(study.identities)
     others = np.ones(len(index), dtype=bool)
     others[entry[entry >= 0]] = False
     gone = np.flatnonzero(others)
-    listing = Listing(
-        study.names,
-        study.cases.columns,
+    cases = CaseList(
+        dict(zip(study.names, study.cases.columns, strict=True)),
         np.concatenate([study.identities, index["id"][gone]]),
         np.arange(len(entry) + len(gone)) < len(entry),
         index,
@@ -359,6 +359,6 @@ def _merge(plan: Plan, summary: Summary, index: Index) -> None:
         "ranks": ranks,
         **versions(),
     }
-    write_ensemble(store.folder, listing, attributes)
+    write_results(store.path, cases, attributes)
     if ended >= summary.done + summary.failed:  # else they may yet come to light
         store.forget_shards()

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
@@ -266,22 +267,29 @@ class Worker:
         both = zip(columns.flags, cases, strict=True)
         flags = tuple(but_varied(flags, case, varied) for flags, case in both)
         columns = replace(columns, flags=flags)
-        block = Block.of_columns(columns, cases[0], ids, texts, __version__)
+        case, steps = cases[0], None
+        if case.output.times:  # before which a number of steps is not unique
+            first = columns.offsets[:-1]
+            steps = np.arange(len(columns.steps)) - np.repeat(first, np.diff(columns.offsets))
+        block = Block.of(
+            columns, case.line, ids, texts, __version__,
+            deep=case.output.profiles == "all", steps=steps,
+        )  # fmt: skip
         self._timings.worst = max(self._timings.worst, float(columns.imbalance.max()))
 
         def add() -> None:
             assert self._shard is not None
             self._shard.add(block)
-            for identity in block.ids:
+            for identity in ids:
                 if identity in self._plan.in_flight or identity in self._saved:
                     self._plan.store.inflight(identity).unlink(missing_ok=True)
-            self._timings.flagged.update(flags for flags in block.columns.flags if flags)
+            self._timings.flagged.update(flags for flags in columns.flags if flags)
 
         on_first_rank(self._team, add)
         self._timings.output += time.perf_counter() - t0
         if self._team.rank == 0:
-            failed = block.columns.status.count("failed")
-            self._scheduler.count(len(block.ids) - failed, failed, seconds)
+            failed = columns.status.count("failed")
+            self._scheduler.count(len(ids) - failed, failed, seconds)
 
     def _step(
         self,

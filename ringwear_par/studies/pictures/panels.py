@@ -20,8 +20,7 @@ from ringwear_par.studies.definition.axes import LOG_VALUE, least_range, spans, 
 from ringwear_par.studies.pictures.choice import Choice
 from ringwear_par.studies.pictures.fan import FEW, Fan, fan_of, labels_of
 from ringwear_par.studies.pictures.index_bars import IndexBars
-from ringwear_par.studies.storage.end_values import final_name
-from ringwear_par.studies.storage.end_values import shown as display_of
+from ringwear_par.studies.storage.end_values import display_of, final_name
 from ringwear_par.studies.storage.ensemble import Ensemble
 
 #: cases with a line of their own beside quantiles, and points against a key

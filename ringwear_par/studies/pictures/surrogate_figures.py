@@ -22,7 +22,7 @@ from ringwear_par.studies.definition.axes import (
     spans,
     upright,
 )
-from ringwear_par.studies.storage.end_values import shown
+from ringwear_par.studies.storage.end_values import display_of
 
 #: panels beside each other, places along a key, and points over the other keys at each
 _COLUMNS, _PLACES, _OTHERS = 4, 41, 2**8
@@ -134,7 +134,8 @@ class Responses:
     def _errors(self, names: Sequence[str]) -> str:
         responses = self._part.responses
         return "; ".join(
-            f"{shown(name).name} {told_share(responses[name].relative_error)}" for name in names
+            f"{display_of(name).name} {told_share(responses[name].relative_error)}"
+            for name in names
         )
 
     def _draw_curves(self, figure: Any, keys: Sequence[int], *, legend: bool) -> None:
@@ -145,7 +146,7 @@ class Responses:
             len(self.names), len(keys), squeeze=False, sharex="col", sharey="row"
         )
         for row, name in enumerate(self.names):
-            factor, label = shown(name).factor, shown(name).label
+            factor, label = display_of(name).factor, display_of(name).label
             values = factor * part.responses[name].values[:, 0]
             logarithmic = spans(values, LOG_VALUE)
             for axes, key in zip(panels[row], keys, strict=True):

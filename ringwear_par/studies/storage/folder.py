@@ -1,35 +1,30 @@
-"""The folder of a sweep: which cases it holds, and where.
+"""The folder of a sweep: which cases it holds, and where; one sweep at a time is at work in it.
 
 ``results.h5`` and ``cases.csv`` are written when a sweep ends; until then its cases are in
 ``shards``, those that a stop interrupted in ``inflight``, shared operators in ``operators``. Slices
-of a study keep to files of their own until the whole is merged.
+of a study have files of their own until the whole is merged.
 """
 
+import fcntl
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.files.ordinary import open_ordinary
 from ringwear_par.files.writing import check_writable, remove_leftovers, unwritable
-from ringwear_par.history.observers.balances import Balances
-from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.storage.hdf5 import UnreadableError
-from ringwear_par.results.storage.result_files import open_result
-from ringwear_par.results.stress_variables import point_columns, stress_rows
-from ringwear_par.results.variables import TIMES_THROUGH
-from ringwear_par.studies.definition.identities import case_id
-from ringwear_par.studies.storage import results_file, shards
-from ringwear_par.studies.storage.blocks import Block, Record, unpack_header
-from ringwear_par.studies.storage.index import DAMAGE, INCOMPLETE, Index, join, latest
-from ringwear_par.studies.storage.locks import forget_slices
-from ringwear_par.studies.storage.results_file import RESULTS
+from ringwear_par.studies.storage import shards
+from ringwear_par.studies.storage.blocks import INCOMPLETE, CaseBlock
+from ringwear_par.studies.storage.case_index import CaseIndex
+from ringwear_par.studies.storage.interrupted import read_interrupted
+from ringwear_par.studies.storage.results_file import RESULTS, read_results_blocks
 
 
 @contextmanager
@@ -47,38 +42,38 @@ _FOLDERS = ("shards", "inflight", "operators")
 
 
 @dataclass(frozen=True)
-class Store:
-    """Names in a sweep's folder.
+class SweepFolder:
+    """The files of a sweep.
 
     Parameters
     ----------
-    folder : of the sweep.
+    path : of the folder.
     part : "" for the whole, or the slice, such as "2-8".
     """
 
-    folder: Path
+    path: Path
     part: str = ""
 
     def shard(self, team: int) -> Path:
         """Return the file that a team writes to."""
-        return self.folder / "shards" / f"{self.part or 'all'}_{team:04d}{SHARD}"
+        return self.path / "shards" / f"{self.part or 'all'}_{team:04d}{SHARD}"
 
     def inflight(self, identity: str) -> Path:
         """Return the file of a case that was interrupted."""
-        return self.folder / "inflight" / f"{identity}.h5"
+        return self.path / "inflight" / f"{identity}.h5"
 
     def interrupted(self) -> list[Path]:
         """Return the files of all cases that were interrupted."""
-        return sorted((self.folder / "inflight").glob("*.h5"))
+        return sorted((self.path / "inflight").glob("*.h5"))
 
     def operator(self, group: int) -> Path:
         """Return the file of a group's operator."""
-        return self.folder / "operators" / f"{self.part or 'all'}_{group}.npy"
+        return self.path / "operators" / f"{self.part or 'all'}_{group}.npy"
 
     @property
     def stopped(self) -> Path:
         """The file that is there after a stop: run the same command again."""
-        return self.folder / f"STOPPED{'.' if self.part else ''}{self.part}"
+        return self.path / f"STOPPED{'.' if self.part else ''}{self.part}"
 
     def open(self) -> None:
         """Make the folders, and clear what a killed sweep left half done.
@@ -90,28 +85,30 @@ class Store:
         """
         try:
             for name in _FOLDERS:
-                (self.folder / name).mkdir(parents=True, exist_ok=True)
+                (self.path / name).mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise unwritable(self.folder, error) from error
-        check_writable(self.folder / RESULTS)
+            raise unwritable(self.path, error) from error
+        check_writable(self.path / RESULTS)
 
     def clear(self) -> None:
         """Remove what a killed sweep left half done. Needs the folder's lock."""
         self.drop_operators()
         self.stopped.unlink(missing_ok=True)
         if not self.part:
-            for path in self.folder.glob("STOPPED.*"):
+            for path in self.path.glob("STOPPED.*"):
                 path.unlink(missing_ok=True)
-            remove_leftovers(self.folder)
-            remove_leftovers(self.folder / "inflight")
+            remove_leftovers(self.path)
+            remove_leftovers(self.path / "inflight")
 
     def drop_operators(self) -> None:
         """Remove the operators, which are assembled again where they are needed."""
-        for path in (self.folder / "operators").glob(f"{self.part or '*'}_*"):
+        for path in (self.path / "operators").glob(f"{self.part or '*'}_*"):
             path.unlink(missing_ok=True)
 
+    # -- which cases it holds ----------------------------------------------------------------------
+
     @reporting_unreadable()
-    def scan(self, ids: Any, mend: bool) -> tuple[Index, list[str]]:
+    def scan(self, ids: Any, mend: bool) -> tuple[CaseIndex, list[str]]:
         """Return the stored cases, and sentences on what is damaged. Needs the lock.
 
         Parameters
@@ -123,16 +120,16 @@ class Store:
         ------
         ComputationError : a file is in use by a process of a killed sweep, or cannot be read.
         """
-        parts: list[Index] = []
+        blocks: list[CaseBlock] = []
         notes = []
-        results = self.folder / RESULTS
+        results = self.path / RESULTS
         if results.exists():
-            index = results_file.read_entries(results)
-            if index is None:
+            stretches = read_results_blocks(results)
+            if stretches is None:
                 notes.append(self.set_aside(results, mend))
             else:
-                parts.append(index)
-        for path in sorted((self.folder / "shards").glob(f"{self.part or '*'}_*{SHARD}")):
+                blocks += stretches
+        for path in sorted((self.path / "shards").glob(f"{self.part or '*'}_*{SHARD}")):
             contents = shards.read_shard(path)
             if contents is None:
                 notes.append(self.set_aside(path, mend))
@@ -141,31 +138,28 @@ class Store:
                 notes.append(self.mend(path, mend))
             elif mend:
                 shards.cut(path, contents.end)
-            parts.append(contents.index)
+            blocks += contents.blocks
         # a failure never hides a success
-        stored = latest(join(parts))
+        stored = CaseIndex.of(blocks)
         interrupted, more = self._in_flight(stored, ids, mend)
-        return latest(join([stored, *interrupted])), notes + more
+        return CaseIndex.of([*blocks, *interrupted]) if interrupted else stored, notes + more
 
-    def _in_flight(self, stored: Index, ids: Any, mend: bool) -> tuple[list[Index], list[str]]:
+    def _in_flight(
+        self, stored: CaseIndex, ids: Any, mend: bool
+    ) -> tuple[list[CaseBlock], list[str]]:
         """Return the interrupted cases that have not ended since, and what is damaged."""
         paths = self.interrupted()
         names = np.array([os.fsencode(path.stem) for path in paths] or [b""])[: len(paths)]
-        entries, mine = stored.find(names), np.isin(names, ids)
-        parts, notes = [], []
-        for path, entry, own in zip(paths, entries.tolist(), mine.tolist(), strict=True):
+        entries, in_study = stored.find(names), np.isin(names, ids)
+        blocks: list[CaseBlock] = []
+        notes = []
+        for path, entry, known in zip(paths, entries.tolist(), in_study.tolist(), strict=True):
             if entry >= 0 and stored["status"][entry] != INCOMPLETE:
                 if mend:  # killed between storing the case and this
                     path.unlink(missing_ok=True)
                 continue
             try:
-                record = _interrupted(path)
-                if own and _id_of(record) != path.stem:
-                    raise InputError(f"{path}: is of another case than its name says")
-                packed = Block.of([record]).packed()
-                block = unpack_header(packed, 0, path, packed)
-                assert block is not None
-                parts.append(block[1])
+                blocks.append(read_interrupted(path, known))
             except UnreadableError:
                 raise
             except InputError as error:
@@ -173,7 +167,7 @@ class Store:
                     if mend:
                         path.unlink(missing_ok=True)
                     notes.append(f"{error}; this case starts anew")
-        return parts, notes
+        return blocks, notes
 
     def mend(self, path: Path, mend: bool = True) -> str:
         """Drop what is damaged of a shard, or set another file aside; return a sentence on it.
@@ -204,12 +198,12 @@ class Store:
 
     def forget_shards(self) -> None:
         """Remove what results.h5 holds by now, and what slices have left."""
-        for path in (self.folder / "shards").glob(f"*{SHARD}*"):
+        for path in (self.path / "shards").glob(f"*{SHARD}*"):
             path.unlink(missing_ok=True)
-        forget_slices(self.folder)
+        forget_slices(self.path)
         for name in _FOLDERS:  # what is damaged or interrupted stays
             with suppress(OSError):
-                (self.folder / name).rmdir()
+                (self.path / name).rmdir()
 
 
 def _free_name(path: Path) -> Path:
@@ -220,37 +214,56 @@ def _free_name(path: Path) -> Path:
     return next(name for name in names if not name.exists())
 
 
-def _interrupted(path: Path) -> Record:
-    """Read an interrupted case.
+# -- locks -----------------------------------------------------------------------------------------
+
+
+@contextmanager
+def locked(folder: Path, part: str) -> Iterator[None]:
+    """Lock a sweep's folder, or one slice of it, for this process. Call on one rank.
+
+    Parameters
+    ----------
+    folder : of the sweep.
+    part : name of the slice, "" for the whole, which excludes every slice.
 
     Raises
     ------
-    InputError : the file is damaged, or cannot be read.
+    InputError : another sweep is at work there.
     """
-    result = open_result(path)
-    try:
-        restored(result)
-        about, worst = result.attributes, Balances(**result.balances).worst
-        seconds, version = float(about["seconds_stepping"]), str(about["version"])
-        arrays = {
-            "step": result.step,
-            **result.histories,
-            "r": result.line.r,
-            "width": result.line.width,
-            **result.profiles,
-            **result.layers,
-            **{name: np.array(about[name]) for name in TIMES_THROUGH if name in about},
-        }
-        if result.stress is not None:
-            arrays |= stress_rows(result.stress, arrays["time"]) | point_columns(result.stress)
-    except DAMAGE as error:
-        raise InputError(f"{path}: is damaged") from error
-    return Record(path.stem, result.case, "incomplete", "", seconds, worst, arrays, version)
+    with ExitStack() as locks:
+        whole = locks.enter_context(_opened(folder / "lock"))
+        _lock(whole, fcntl.LOCK_SH if part else fcntl.LOCK_EX, folder)
+        if part:  # only now: who has the whole may remove it
+            of_slice = locks.enter_context(_opened(folder / f"lock{part}"))
+            _lock(of_slice, fcntl.LOCK_EX, folder)
+        yield
 
 
-def _id_of(record: Record) -> str:
-    """Return the id that the text of a case says, "" if it says none."""
+def forget_slices(folder: Path) -> None:
+    """Remove the locks of slices. Needs the lock of the whole folder."""
+    for path in folder.glob("lock[0-9]*-[0-9]*"):
+        path.unlink(missing_ok=True)
+
+
+def _opened(path: Path) -> BinaryIO:
+    """Open a lock, or make it.
+
+    Raises
+    ------
+    InputError : it cannot be opened, or something else is there.
+    """
     try:
-        return case_id(read_keys(record.toml))
-    except DAMAGE:
-        return ""
+        return open_ordinary(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be opened: {error.strerror or error}") from error
+
+
+def _lock(file: BinaryIO, kind: int, folder: Path) -> None:
+    try:
+        fcntl.flock(file, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise InputError(
+            f"{folder}: another sweep is at work in this folder; wait for its end, or use another"
+        ) from None
+    except OSError as error:
+        raise InputError(f"{folder}: its disk cannot lock files: {error.strerror}") from error
