@@ -20,8 +20,9 @@ from stored_cases import StoredCase, block_of
 from swept import write_study
 
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.studies.execution import scheduling, sweep, workers
+from ringwear_par.studies.execution import case_queue, merging
 from ringwear_par.studies.execution.sweep import run_sweep
+from ringwear_par.studies.execution.team_store import TeamStore
 from ringwear_par.studies.storage import blocks, results_file, shards
 from ringwear_par.studies.storage.blocks import CASE, DamagedError
 from ringwear_par.studies.storage.folder import SweepFolder
@@ -44,7 +45,7 @@ DRAWS = ("_BUSY_SECONDS", "_LONGEST_SECONDS", "_LEAST_SECONDS")
 
 def draw_one_by_one(patch):
     for name in DRAWS:
-        patch.setattr(scheduling, name, 0.0)
+        patch.setattr(case_queue, name, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +141,7 @@ def test_a_block_that_was_being_written_when_the_sweep_was_killed(output, swept,
 @pytest.mark.parametrize(
     ("file", "function", "call"),
     [
-        ("operators.py", "write_operator", 1),  # assembly
+        ("shared_pairs.py", "write_pair", 1),  # assembly
         ("pathlib.py", "replace", 1),  # the operator's file has not its name yet
         ("shards.py", "add", 2),
         ("results_writer.py", "write_results", 1),  # merging
@@ -157,11 +158,11 @@ def test_a_sweep_killed_at_a_moment_of_note(tmp_path, swept, comm, file, functio
 import os, signal, sys
 from pathlib import Path
 from mpi4py import MPI
-from ringwear_par.studies.execution import scheduling
+from ringwear_par.studies.execution import case_queue
 from ringwear_par.studies.execution.sweep import run_sweep
 
 for name in {DRAWS}:  # one by one
-    setattr(scheduling, name, 0.0)
+    setattr(case_queue, name, 0.0)
 calls = iter(range({call}, 0, -1))
 
 def kill(frame, event, _):
@@ -190,20 +191,21 @@ run_sweep(*map(Path, sys.argv[1:]), MPI.COMM_SELF)
 @pytest.mark.parametrize("seen_under_way", [False, True])
 def test_shards_that_are_removed_under_a_sweep(tmp_path, swept, comm, monkeypatch, seen_under_way):
     study, reference, _ = swept
-    output, store_one = tmp_path / "out", workers.Worker._store
+    output, store_one = tmp_path / "out", TeamStore.add
     stored = []
 
     def storing(self, columns, cases, ids, *more):
-        store_one(self, columns, cases, ids, *more)
+        columns = store_one(self, columns, cases, ids, *more)
         stored.extend(ids)
         if len(stored) == 2:
             shutil.rmtree(output / "shards")
+        return columns
 
     with monkeypatch.context() as patch:
-        patch.setattr(workers.Worker, "_store", storing)
+        patch.setattr(TeamStore, "add", storing)
         draw_one_by_one(patch)
         patch.setattr(shards, "_SYNC_SECONDS", 0.0 if seen_under_way else 1e9)
-        patch.setattr(sweep, "PATIENCE_SECONDS", 0.3)
+        patch.setattr(merging, "PATIENCE_SECONDS", 0.3)
         with pytest.raises(ComputationError) as trouble:
             run_sweep(study, output, comm)
     assert len(str(trouble.value).splitlines()) == 1

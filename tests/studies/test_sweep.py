@@ -18,7 +18,7 @@ from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage.result_files import open_result
 from ringwear_par.results.variables import HISTORIES, PROFILES
 from ringwear_par.studies.definition.study import read_study
-from ringwear_par.studies.execution import estimate, operators, sweep, workers
+from ringwear_par.studies.execution import estimate, shared_pairs, single_cases, sweep
 from ringwear_par.studies.storage import (
     case_table,
     case_variables,
@@ -121,9 +121,9 @@ def test_fifty_geometries_cost_fifty_assemblies(write, shared_path, comm, monkey
         '"time.steps" = { values = [2] }\n'
     )
     assembled = []
-    original = operators.assemble
+    original = shared_pairs.assemble
     monkeypatch.setattr(
-        operators, "assemble",
+        shared_pairs, "assemble",
         lambda case, team: (assembled.append(case.upper.r), original(case, team))[1],
     )  # fmt: skip
     swept(study, shared_path / "out", comm)
@@ -155,7 +155,7 @@ def test_again_recomputes_nothing_and_changes_nothing(write, shared_path, comm, 
     study, folder = write(STUDY), shared_path / "out"
     swept(study, folder, comm)
     before, rows = variables(folder), table(folder)
-    monkeypatch.setattr(workers, "simulate_one", None)  # any case would fail
+    monkeypatch.setattr(single_cases, "simulate_one", None)  # any case would fail
     swept(study, folder, comm)
     same(before, variables(folder))
     assert table(folder) == rows
@@ -273,14 +273,14 @@ def test_a_failed_case_is_a_row_and_the_others_go_on(
 
 
 def test_an_operator_that_fails_fails_its_cases_only(write, shared_path, comm, monkeypatch):
-    original = operators.assemble
+    original = shared_pairs.assemble
 
     def assemble(case, team):
         if case.upper.r[0] == 28.0:
             raise ComputationError("the factorisation failed")
         return original(case, team)
 
-    monkeypatch.setattr(operators, "assemble", assemble)
+    monkeypatch.setattr(shared_pairs, "assemble", assemble)
     with pytest.raises(ComputationError, match="6 of 12 cases failed"):
         swept(write(STUDY), shared_path / "out", comm)
     comm.Barrier()

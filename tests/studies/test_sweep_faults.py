@@ -14,7 +14,7 @@ from waiting import STEPS, Waiting
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.results.execution import watch
-from ringwear_par.studies.execution import workers
+from ringwear_par.studies.execution import team_store
 from ringwear_par.studies.execution.sweep import run_sweep
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
@@ -350,8 +350,8 @@ def test_signal_to_one_rank(tmp_path, held, number):
 def test_no_checkpoint_is_left(tmp_path, monkeypatch, one_by_one, comm):
     study = faults.write_study(tmp_path, count=2, steps=4, elements=(16,))
     monkeypatch.setattr(watch, "CHECKPOINT_SECONDS", 0.0)
-    written, write = [], workers.write_result
-    monkeypatch.setattr(workers, "write_result", lambda *w: (written.append(w), write(*w))[1])
+    written, write = [], team_store.write_result
+    monkeypatch.setattr(team_store, "write_result", lambda *w: (written.append(w), write(*w))[1])
     run_sweep(study, tmp_path / "out", comm)
     assert len(written) == 10 * 3
     assert not (tmp_path / "out" / "inflight").exists()

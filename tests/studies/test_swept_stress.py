@@ -13,8 +13,8 @@ from ringwear_par.elasticity.stress.recovery import StressRecovery
 from ringwear_par.errors import ComputationError
 from ringwear_par.studies.analysis.sensitivity import outputs_of
 from ringwear_par.studies.analysis.surrogate import surrogate
-from ringwear_par.studies.execution import workers
 from ringwear_par.studies.execution.sweep import sweep
+from ringwear_par.studies.execution.teams import Team
 from ringwear_par.studies.pictures import panels as sweeps
 from ringwear_par.studies.pictures.choice import choose
 from ringwear_par.studies.storage.ensemble import read_ensemble
@@ -256,7 +256,7 @@ def test_an_interrupted_case_keeps_its_stresses(comm, tmp_path, monkeypatch):
     case = COATED.replace("contact_elements = 16", 'contact_elements = 16\ngeometry = "updated"')
     study = write_study(tmp_path, comm, STUDY, case + 'times = "all"\n')
     sweep(study, tmp_path / "whole", comm)
-    step, made = workers.Worker._check_options, []
+    step, made = Team._observe, []
 
     def interrupting(self, snapshot=None):
         if snapshot is not None:
@@ -266,12 +266,12 @@ def test_an_interrupted_case_keeps_its_stresses(comm, tmp_path, monkeypatch):
         return step(self, snapshot)
 
     with monkeypatch.context() as patch:
-        patch.setattr(workers.Worker, "_check_options", interrupting)
+        patch.setattr(Team, "_observe", interrupting)
         with pytest.raises(ComputationError, match="stopped by SIGTERM"):
             sweep(study, tmp_path / "parts", comm)
     with rw.open_ensemble(tmp_path / "parts") as data:
         (going,) = np.flatnonzero(data.status == "incomplete")[:1]
-        assert len(SweepFolder(tmp_path / "parts", "").interrupted()) == 1
+        assert len(SweepFolder(tmp_path / "parts", "").checkpoints()) == 1
         begun = data.isel(case=int(going))
         assert np.isfinite(begun.max_mises[: int(begun.steps_stored)]).any()
     sweep(study, tmp_path / "parts", comm)

@@ -93,7 +93,7 @@ class Computed:
 
     @property
     def columns(self) -> HistoryColumns:
-        """What is stored, in the order of the numbers."""
+        """The histories as they are stored, in the order of the numbers."""
         return self.recorder.columns(self.failures)
 
     def results(self) -> list[Result | Exception]:
@@ -128,7 +128,7 @@ def computed(
     step_times : s, ends of the steps of each case, its own end the last; None: as cases say.
     """
     resources = resources or PairResources(pair, MPI.COMM_SELF)
-    for numbers in _together(cases):
+    for numbers in _batches(cases):
         numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
         most = batch or default_batch([cases[number] for number in numbers])
         longest = max((cases[n] for n in numbers), key=lambda case: case.stored_rows)
@@ -150,7 +150,13 @@ def computed(
             yield Computed(tuple(part), recorder, outcome.failures)
 
 
-def _together(cases: Sequence[Case]) -> list[list[int]]:
+def failed_columns(cases: Sequence[Case], error: Exception, comm: MPI.Comm) -> HistoryColumns:
+    """Return the histories of cases that fail before their start, all for the same reason."""
+    recorder = Recorder(cases, comm, stresses=lambda case: None, results=False)
+    return recorder.columns(dict.fromkeys(range(len(cases)), error))
+
+
+def _batches(cases: Sequence[Case]) -> list[list[int]]:
     """Return the numbers of cases that step together, and those of cases that step alone."""
     groups: dict[Hashable, list[int]] = defaultdict(list)
     for number, case in enumerate(cases):

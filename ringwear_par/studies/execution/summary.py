@@ -1,19 +1,31 @@
-"""What a sweep did, in a few lines."""
+"""The summary of a sweep: where its time went, and how many cases have ended."""
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ringwear_par.results.execution.progress import duration
-from ringwear_par.studies.execution.workers import Timings
 from ringwear_par.studies.storage.results_file import RESULTS, TABLE, count_flags
 
-_KNOWN = ("stepping", "assembly", "waiting", "output")
+_PARTS = ("stepping", "assembly", "waiting", "output")
+
+
+@dataclass
+class Timings:
+    """Where a rank's time went, s, and its counts; flags of the cases that have some."""
+
+    stepping: float = 0.0
+    assembly: float = 0.0
+    waiting: float = 0.0
+    output: float = 0.0
+    operators: int = 0
+    worst: float = 0.0
+    flagged: Counter[tuple[str, ...]] = field(default_factory=Counter)
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What a sweep did; ``str`` of it is what the command prints.
+    """The summary of a sweep; the command prints it as a text.
 
     Parameters
     ----------
@@ -50,7 +62,7 @@ class Summary:
         ]
         if self.computed:
             ranks = len(self.timings)
-            spent = {name: sum(getattr(t, name) for t in self.timings) for name in _KNOWN}
+            spent = {name: sum(getattr(t, name) for t in self.timings) for name in _PARTS}
             spent["start and merging"] = self.seconds * ranks - sum(spent.values())
             shares = (f"{100.0 * s / (self.seconds * ranks):.1f} % {n}" for n, s in spent.items())
             rate = self.computed / self.seconds

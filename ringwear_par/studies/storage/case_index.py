@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import IntArray
-from ringwear_par.studies.storage.blocks import CASE, DONE, CaseBlock, Kind
+from ringwear_par.studies.storage.blocks import CASE, DONE, FAILED, CaseBlock, Kind
 
 #: of each case what its block says, where ``kind`` is a place in ``CaseIndex.kinds``; the block, a
 #: place in ``CaseIndex.blocks``, and the place in it
@@ -31,7 +31,10 @@ class CaseIndex:
 
     @classmethod
     def of(cls, blocks: Sequence[CaseBlock]) -> "CaseIndex":
-        """Return each case of some blocks once: as it was done first, else as stored last."""
+        """Return each case of some blocks once.
+
+        As it was done first, else as it failed last, else as it was interrupted last.
+        """
         kinds: dict[Kind, int] = {}
         entries = np.zeros(sum(len(block.cases) for block in blocks), dtype=ENTRY)
         start = 0
@@ -64,8 +67,8 @@ class CaseIndex:
 
 def _latest(entries: Any) -> Any:
     """Return which entries count, where some are of the same case."""
-    n = np.arange(len(entries))
-    rank = np.where(entries["status"] == DONE, 2 * len(entries) - n, n)
+    count, n, status = len(entries), np.arange(len(entries)), entries["status"]
+    rank = np.where(status == DONE, 3 * count - n, np.where(status == FAILED, count + n, n))
     order = np.lexsort((rank, entries["id"]))
     ids = entries["id"][order]
     last = np.ones(len(ids), dtype=bool)

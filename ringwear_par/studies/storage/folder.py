@@ -1,8 +1,8 @@
 """The folder of a sweep: which cases it holds, and where; one sweep at a time is at work in it.
 
 ``results.h5`` and ``cases.csv`` are written when a sweep ends; until then its cases are in
-``shards``, those that a stop interrupted in ``inflight``, shared operators in ``operators``. Slices
-of a study have files of their own until the whole is merged.
+``shards``, checkpoints of those that were interrupted in ``inflight``, shared operators in
+``operators``. Slices of a study have files of their own until the whole is merged.
 """
 
 import fcntl
@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from ringwear_par.results.storage.hdf5 import UnreadableError
 from ringwear_par.studies.storage import shards
 from ringwear_par.studies.storage.blocks import INCOMPLETE, CaseBlock
 from ringwear_par.studies.storage.case_index import CaseIndex
-from ringwear_par.studies.storage.interrupted import read_interrupted
 from ringwear_par.studies.storage.results_file import RESULTS, read_results_blocks
 
 
@@ -58,11 +57,11 @@ class SweepFolder:
         """Return the file that a team writes to."""
         return self.path / "shards" / f"{self.part or 'all'}_{team:04d}{SHARD}"
 
-    def inflight(self, identity: str) -> Path:
-        """Return the file of a case that was interrupted."""
+    def checkpoint(self, identity: str) -> Path:
+        """Return the file that an interrupted case continues from."""
         return self.path / "inflight" / f"{identity}.h5"
 
-    def interrupted(self) -> list[Path]:
+    def checkpoints(self) -> list[Path]:
         """Return the files of all cases that were interrupted."""
         return sorted((self.path / "inflight").glob("*.h5"))
 
@@ -108,12 +107,11 @@ class SweepFolder:
     # -- which cases it holds ----------------------------------------------------------------------
 
     @reporting_unreadable()
-    def scan(self, ids: Any, mend: bool) -> tuple[CaseIndex, list[str]]:
+    def scan(self, mend: bool) -> tuple[CaseIndex, list[str]]:
         """Return the stored cases, and sentences on what is damaged. Needs the lock.
 
         Parameters
         ----------
-        ids : (cases,) bytes, of the study, whose checkpoints have to be theirs.
         mend : set damaged files and blocks aside, cut off what a killed process was writing.
 
         Raises
@@ -139,35 +137,18 @@ class SweepFolder:
             elif mend:
                 shards.cut(path, contents.end)
             blocks += contents.blocks
-        # a failure never hides a success
-        stored = CaseIndex.of(blocks)
-        interrupted, more = self._in_flight(stored, ids, mend)
-        return CaseIndex.of([*blocks, *interrupted]) if interrupted else stored, notes + more
+        index = CaseIndex.of(blocks)
+        if mend:
+            self._drop_old_checkpoints(index)
+        return index, notes
 
-    def _in_flight(
-        self, stored: CaseIndex, ids: Any, mend: bool
-    ) -> tuple[list[CaseBlock], list[str]]:
-        """Return the interrupted cases that have not ended since, and what is damaged."""
-        paths = self.interrupted()
-        names = np.array([os.fsencode(path.stem) for path in paths] or [b""])[: len(paths)]
-        entries, in_study = stored.find(names), np.isin(names, ids)
-        blocks: list[CaseBlock] = []
-        notes = []
-        for path, entry, known in zip(paths, entries.tolist(), in_study.tolist(), strict=True):
-            if entry >= 0 and stored["status"][entry] != INCOMPLETE:
-                if mend:  # killed between storing the case and this
-                    path.unlink(missing_ok=True)
-                continue
-            try:
-                blocks.append(read_interrupted(path, known))
-            except UnreadableError:
-                raise
-            except InputError as error:
-                if path.exists():  # else another slice has just ended the case
-                    if mend:
-                        path.unlink(missing_ok=True)
-                    notes.append(f"{error}; this case starts anew")
-        return blocks, notes
+    def _drop_old_checkpoints(self, index: CaseIndex) -> None:
+        """Remove those of cases that have ended: a sweep was killed just before it would."""
+        names = [path.stem for path in self.checkpoints()]
+        entries = index.find(np.array([os.fsencode(name) for name in names]))
+        for name, entry in zip(names, entries.tolist(), strict=True):
+            if entry >= 0 and index["status"][entry] != INCOMPLETE:
+                self.checkpoint(name).unlink(missing_ok=True)
 
     def mend(self, path: Path, mend: bool = True) -> str:
         """Drop what is damaged of a shard, or set another file aside; return a sentence on it.
