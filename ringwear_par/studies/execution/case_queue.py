@@ -56,7 +56,7 @@ class CaseQueue:
     ----------
     sizes : number of cases to be computed of each group.
     teams : that draw.
-    seconds : about what a case of each group takes, until it is known.
+    seconds : estimate for a case of each group, until its time is known.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class SharedQueue:
     sizes : number of cases to be computed of each group.
     comm : communicator.
     teams : into which it is divided.
-    seconds : about what a case of each group takes.
+    seconds : estimate for a case of each group.
     group_ended : called on rank 0 with the number of a group whose last case has ended.
     """
 
@@ -174,7 +174,7 @@ class SharedQueue:
         return (0, 0) if self._queue is None else (self._queue.done, self._queue.failed)
 
     def serve(self, _: Any = None) -> bool:
-        """Answer whoever has asked, on rank 0: an observer of its histories. Not collective."""
+        """Answer questions of other ranks, on rank 0: an observer. Not collective."""
         if self._queue is not None and self._comm.size > 1:
             while self._comm.Iprobe(MPI.ANY_SOURCE, _QUESTION_TAG, self._status):
                 source, question = self._status.Get_source(), np.empty(5, dtype=np.int64)

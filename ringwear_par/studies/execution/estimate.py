@@ -65,7 +65,7 @@ def _timed(plan: Plan) -> str:
 
     def enough(snapshot: Snapshot) -> bool:
         if snapshot.step is None or case.time.adaptive:
-            return False  # adaptive steps grow: what the first ones take says little
+            return False  # adaptive steps grow: the first ones say little
         return time.perf_counter() - t2 > _TRIAL_SECONDS
 
     simulate_one(case, MPI.COMM_SELF, pair=pair, observers=[recorder, enough])

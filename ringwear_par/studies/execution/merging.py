@@ -21,7 +21,7 @@ from ringwear_par.studies.storage.results_writer import CaseList, write_results
 
 log = logging.getLogger(__name__)
 
-#: how long between two looks for what another machine has stored
+#: s, between two looks for cases that another machine has stored
 _LATE_SECONDS = 0.2
 
 
@@ -49,7 +49,7 @@ def merge_if_well(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
                 _merge(plan, summary, index)
         except DamagedError as error:
             log.warning("%s", plan.folder.mend(error.path))
-            awaited = 0  # what was in it will not come to light
+            awaited = 0  # the cases in it will not come to light
             continue
         return plan.count(index)
 

@@ -56,7 +56,7 @@ class Request:
 
         Raises
         ------
-        InputError : with what is allowed.
+        InputError : with the numbers that are allowed.
         """
         if self.part is not None:
             number, count = self.part
@@ -161,7 +161,7 @@ def make_plan(study: Study, request: Request, locks: ExitStack | None) -> Plan:
 
     Raises
     ------
-    InputError : the folder, or what it holds; or the memory that all teams need together.
+    InputError : the folder, or a file in it; or the memory that all teams need together.
     ComputationError : the folder is in use by a process of a killed sweep.
     """
     path, part = request.folder, request.part
@@ -240,7 +240,7 @@ def _refuse_other_versions(folder: Path, index: CaseIndex, stored: IntArray, mor
 
 
 def _check_memory(plan: Plan) -> None:
-    """Refuse what this machine cannot hold, as if all ranks were on it."""
+    """Refuse a plan that this machine has no memory for, as if all ranks were on it."""
     needed = plan.memory_needed()
     memory = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
     teams, m = plan.request.teams, plan.request.ranks_per_case

@@ -84,7 +84,7 @@ def run_sweep(
     mix_versions: bool = False,
     dry_run: bool = False,
 ) -> None:
-    """Do as ``sweep`` and print what was done, or in a dry run what would be.
+    """Sweep and print the summary, or in a dry run an estimate.
 
     Collective on comm.
     """
@@ -242,7 +242,7 @@ def _trouble(
     if stopped:
         on_first_rank(comm, lambda: _mark(plan.folder.stopped))
     stored = summary.done, summary.failed
-    # what failed before and is stored still must not make up for what is lost
+    # cases that failed before and are still stored must not make up for lost ones
     lost = max(counted[0] - stored[0], sum(counted) - sum(stored))
     if lost > 0:
         return ComputationError(

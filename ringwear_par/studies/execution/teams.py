@@ -27,7 +27,7 @@ from ringwear_par.studies.execution.single_cases import is_batchable, simulate_a
 from ringwear_par.studies.execution.summary import Timings
 from ringwear_par.studies.execution.team_store import TeamStore
 
-#: how long a team that waits for a pair goes on before it asks again whether all are to stop
+#: how long a team that waits for a pair waits before it asks again whether all are to stop
 _ASK_SECONDS = 0.5
 
 
@@ -41,7 +41,7 @@ class Team:
     queue : that cases are drawn from.
     store : where cases are stored.
     signals : that ask to stop.
-    progress : shown, on rank 0 of the sweep only.
+    progress : bar of rank 0 of the sweep, else None.
     timings : where the time goes.
     """
 

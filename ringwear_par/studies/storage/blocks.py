@@ -5,7 +5,7 @@ A packed block is a header and its data::
     marker | bytes of the words | number of cases | bytes of the data | checksum | words | cases
     data of each column, one after another
 
-The header (the first line, its checksum is of all of it) is what an index needs: ``cases`` has a
+The header (the first line, its checksum is of all of it) is enough for an index: ``cases`` has a
 row of ``CASE`` each, the words are JSON: where each column is, its checksum, versions, errors.
 """
 
@@ -49,7 +49,7 @@ BY_STATE, BY_CASE, SHARED = "state", "case", "block"
 MARKER = bytes.fromhex("d2ff5257b10c0a1a8e5be0c4f3079d61")
 _HEAD = struct.Struct("<16sIIQI")
 _TEXTS = "toml"
-#: what reading a damaged file ends in
+#: the errors of reading a damaged file
 DAMAGE = (
     RuntimeError, LookupError, AttributeError, TypeError, ValueError, OverflowError, InputError,
 )  # fmt: skip
@@ -135,7 +135,7 @@ class CaseBlock(ABC):
 
     @abstractmethod
     def read(self, names: Iterable[str]) -> dict[str, Any]:
-        """Return those of some columns that are stored.
+        """Return the stored ones of some columns.
 
         Raises
         ------
@@ -211,7 +211,7 @@ class Block(CaseBlock):
         return cls(path, cases, tuple(kinds), axes, sizes, texts.longest, columns, texts)
 
     def read(self, names: Iterable[str]) -> dict[str, Any]:
-        """Return those of some columns that there are."""
+        """Return the stored ones of some columns."""
         return {name: self.columns[name] for name in names if name in self.columns}
 
     def texts(self, places: Sequence[int]) -> list[str]:
@@ -265,7 +265,7 @@ class PackedBlock(CaseBlock):
     parts: Mapping[str, tuple[int, int]]
 
     def read(self, names: Iterable[str]) -> dict[str, Any]:
-        """Return those of some columns that are stored."""
+        """Return the stored ones of some columns."""
         return {
             name: np.frombuffer(part, _dtype(name)).reshape(-1, *shape_of(name, self.sizes))
             for name, part in self._bytes(names).items()

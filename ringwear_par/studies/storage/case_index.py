@@ -9,8 +9,8 @@ import numpy as np
 from ringwear_par.arrays import IntArray
 from ringwear_par.studies.storage.blocks import CASE, DONE, FAILED, CaseBlock, Kind
 
-#: of each case what its block says, where ``kind`` is a place in ``CaseIndex.kinds``; the block, a
-#: place in ``CaseIndex.blocks``, and the place in it
+#: of each case the columns of its block, where ``kind`` is a place in ``CaseIndex.kinds``; the
+#: block, a place in ``CaseIndex.blocks``, and the place in it
 ENTRY = np.dtype([*CASE.descr, ("block", "<i4"), ("place", "<i4")])
 
 

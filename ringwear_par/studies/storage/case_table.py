@@ -1,4 +1,4 @@
-"""What there is one of of each case: the columns of ``cases.csv``, and what they mean."""
+"""The table of cases: a number or a word of each in a column, ``cases.csv`` and its meanings."""
 
 import csv
 import json
@@ -22,7 +22,7 @@ from ringwear_par.studies.storage.end_values import END_VALUES, end_value_of, en
 from ringwear_par.studies.storage.results_file import TABLE
 from ringwear_par.studies.storage.stored_variables import OF_CASES, axis_of, entry_label
 
-#: what the columns of the table mean, named as CSV on the Web has it
+#: the meanings of the table's columns, named as CSV on the Web has it
 TABLE_MEANINGS = f"{TABLE}-metadata.json"
 #: columns of the table before and after the end values
 _BEFORE, _AFTER = ("status", "error"), ("seconds", "in_study", "version", "flags")

@@ -23,7 +23,7 @@ from ringwear_par.results.storage.hdf5 import (
 from ringwear_par.results.variables import HISTORIES, LINE, Variable
 from ringwear_par.studies.definition.variations import path_of, read_variations
 from ringwear_par.studies.storage.end_values import END_VALUES, MAIN_END_VALUES, entries
-from ringwear_par.studies.storage.results_file import RESULTS, SOFTWARE, WHAT, split_flags
+from ringwear_par.studies.storage.results_file import FILE_KIND, RESULTS, SOFTWARE, split_flags
 from ringwear_par.studies.storage.stored_variables import (
     AT_STATES,
     FIELDS,
@@ -88,7 +88,7 @@ class Ensemble:
         ------
         InputError : the file is damaged.
         """
-        with reading(self.path, SOFTWARE, WHAT) as file:
+        with reading(self.path, SOFTWARE, FILE_KIND) as file:
             sizes = {"case": len(self.ids)}
             return find_array(file, over_cases(AT_STATES[name]), sizes)[cases]
 
@@ -99,7 +99,7 @@ class Ensemble:
         ------
         InputError : the file is damaged.
         """
-        with reading(self.path, SOFTWARE, WHAT) as file:
+        with reading(self.path, SOFTWARE, FILE_KIND) as file:
             return read_text(find_texts(file, "case_toml", {"case": len(self.ids)})[case])
 
     def profiles(self, name: str, cases: IntArray) -> FloatArray | None:
@@ -113,7 +113,7 @@ class Ensemble:
         InputError : the file is damaged.
         """
         variable = {**LINE, **FIELDS}[name]
-        with reading(self.path, SOFTWARE, WHAT) as file:
+        with reading(self.path, SOFTWARE, FILE_KIND) as file:
             if name not in file:
                 return None
             if name in FIELDS and file[name].ndim == 2:
@@ -138,7 +138,7 @@ def read_ensemble(folder: Path) -> Ensemble:
             f"{path}: does not exist; must be written by ringwear sweep (without --slice), which "
             "goes on where it was interrupted"
         )
-    with reading(path, SOFTWARE, WHAT) as file:
+    with reading(path, SOFTWARE, FILE_KIND) as file:
         sizes: dict[str, int] = {}
         ids, status, error, in_study = (
             tuple(map(read_text, find_texts(file, name, sizes)[:]))

@@ -75,7 +75,7 @@ class SweepFolder:
         return self.path / f"STOPPED{'.' if self.part else ''}{self.part}"
 
     def open(self) -> None:
-        """Make the folders, and clear what a killed sweep left half done.
+        """Make the folders, and see that they can be written.
 
         Raises
         ------
@@ -90,7 +90,7 @@ class SweepFolder:
         check_writable(self.path / RESULTS)
 
     def clear(self) -> None:
-        """Remove what a killed sweep left half done. Needs the folder's lock."""
+        """Remove the half-written files of a killed sweep. Needs the folder's lock."""
         self.drop_operators()
         self.stopped.unlink(missing_ok=True)
         if not self.part:
@@ -108,11 +108,11 @@ class SweepFolder:
 
     @reporting_unreadable()
     def scan(self, mend: bool) -> tuple[CaseIndex, list[str]]:
-        """Return the stored cases, and sentences on what is damaged. Needs the lock.
+        """Return the stored cases, and sentences on damage. Needs the lock.
 
         Parameters
         ----------
-        mend : set damaged files and blocks aside, cut off what a killed process was writing.
+        mend : set damaged files and blocks aside, cut off the half block of a killed process.
 
         Raises
         ------
@@ -151,7 +151,7 @@ class SweepFolder:
                 self.checkpoint(name).unlink(missing_ok=True)
 
     def mend(self, path: Path, mend: bool = True) -> str:
-        """Drop what is damaged of a shard, or set another file aside; return a sentence on it.
+        """Drop the damaged blocks of a shard, or set another file aside; return a sentence on it.
 
         Parameters
         ----------
@@ -178,11 +178,11 @@ class SweepFolder:
         return f"{path}: is damaged (kept as {aside.name}); its cases run again"
 
     def forget_shards(self) -> None:
-        """Remove what results.h5 holds by now, and what slices have left."""
+        """Remove shards, which results.h5 holds by now, and locks of slices."""
         for path in (self.path / "shards").glob(f"*{SHARD}*"):
             path.unlink(missing_ok=True)
         forget_slices(self.path)
-        for name in _FOLDERS:  # what is damaged or interrupted stays
+        for name in _FOLDERS:  # damaged files and checkpoints stay
             with suppress(OSError):
                 (self.path / name).rmdir()
 

@@ -40,10 +40,10 @@ from ringwear_par.studies.storage.stored_variables import (
 )
 
 SOFTWARE = "ringwear-par sweep"
-#: what messages call the file
-WHAT = "a results file of ringwear sweep"
+#: the kind of the file in messages
+FILE_KIND = "a results file of ringwear sweep"
 RESULTS, TABLE = "results.h5", "cases.csv"
-#: of what is read or written at once
+#: of the cases that are read or written at once
 _WINDOW_BYTES = 24e6
 #: attribute of ``step``: whether all histories begin with the same numbers of steps made
 SAME_STEPS = "same_in_all_cases"
@@ -62,7 +62,7 @@ def split_flags(text: str) -> tuple[str, ...]:
 
 
 def count_flags(flagged: Mapping[tuple[str, ...], int]) -> str:
-    """Return a sentence on how many cases are flagged, and what for."""
+    """Return a sentence on how many cases are flagged, and for which reasons."""
     counts: Counter[str] = Counter()
     for flags, n in flagged.items():
         counts.update(dict.fromkeys(flags, n))
@@ -98,9 +98,9 @@ class ResultsBlock(CaseBlock):
         return np.arange(self.sizes["step"]) < self.cases["rows"][:, None]
 
     def read(self, names: Iterable[str]) -> dict[str, Any]:
-        """Return those of some columns that are stored."""
+        """Return the stored ones of some columns."""
         columns = {}
-        with reporting_damage(self.path), reading(self.path, SOFTWARE, WHAT) as file:
+        with reporting_damage(self.path), reading(self.path, SOFTWARE, FILE_KIND) as file:
             for name in names:
                 if name not in self.axes:
                     continue
@@ -116,7 +116,7 @@ class ResultsBlock(CaseBlock):
 
     def texts(self, places: Sequence[int]) -> list[str]:
         """Return the TOML texts of some of the cases."""
-        with reporting_damage(self.path), reading(self.path, SOFTWARE, WHAT) as file:
+        with reporting_damage(self.path), reading(self.path, SOFTWARE, FILE_KIND) as file:
             words = file["case_toml"][self.stretch]
             return [words[place].decode() for place in places]
 
@@ -131,7 +131,7 @@ def read_results_blocks(path: Path) -> list[CaseBlock] | None:
     UnreadableError : it cannot be read now.
     """
     try:
-        with reading(path, SOFTWARE, WHAT) as file:
+        with reading(path, SOFTWARE, FILE_KIND) as file:
             return _blocks(path, file)
     except UnreadableError:
         raise

@@ -1,8 +1,8 @@
-"""What a sweep has computed while it is at work: one file a team, blocks of cases end to end.
+"""Shards: the cases of a sweep at work, one file a team, blocks of cases end to end.
 
 Blocks are added at the end, and never changed. A case is done once its block is written: a process
-that is killed loses the block that it was writing; what a power failure can take is what was
-written in the last second. The headers of the blocks are the index (see ``blocks``).
+that is killed loses the block that it was writing; a power failure can take the blocks of the last
+second. The headers of the blocks are the index (see ``blocks``).
 """
 
 import fcntl
@@ -199,7 +199,7 @@ def drop_damaged_blocks(path: Path, copy: Path) -> bool:
 
     Parameters
     ----------
-    copy : name of a copy of what there was.
+    copy : name of a copy of the damaged file.
 
     Raises
     ------

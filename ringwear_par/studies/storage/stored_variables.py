@@ -31,7 +31,7 @@ AT_STATES = {**HISTORIES, **LAYER_HISTORIES, **LAYER_VOLUMES, **STRESS}
 FIELDS = {**PROFILES, **LAYER_PROFILES}
 #: a number of each case, or one a point
 OF_A_CASE = {**TIMES_THROUGH, **POINTS}
-#: what a sweep stores of a case's history; all but ``HISTORIES`` are of some cases only
+#: the stored variables of a case's history; all but ``HISTORIES`` are of some cases only
 STORED = {**AT_STATES, **LINE, **FIELDS, **OF_A_CASE}
 #: and the numbers of the steps, which all cases of a file may have in common
 COLUMNS = {STEP.name: STEP, **STORED}
@@ -84,7 +84,7 @@ def entry_names(variable: Variable, size: int) -> tuple[str, ...]:
 
 
 def entry_label(variable: Variable, entry: str) -> str:
-    """Return what sentences call one of the numbers of a variable with such an axis."""
+    """Return the name in sentences of one of the numbers of a variable with such an axis."""
     if entry == BODY:
         return "the body itself"
     return f"{axis_of(variable).removesuffix('_upper')} {entry}"
