@@ -23,7 +23,7 @@ from ringwear_par.studies.definition.texts import Texts
 from ringwear_par.studies.definition.variations import column_of, split_key, varied_keys
 from ringwear_par.studies.storage.blocks import BY_CASE, BY_STATE, CASE, Block, Kind
 from ringwear_par.studies.storage.case_index import CaseIndex
-from ringwear_par.studies.storage.results_writer import fill
+from ringwear_par.studies.storage.padded_tables import fill
 
 pytestmark = pytest.mark.serial
 CASES = Path(__file__).parents[2] / "scripts/cases"

@@ -194,9 +194,9 @@ def test_shards_that_are_removed_under_a_sweep(tmp_path, swept, comm, monkeypatc
     output, store_one = tmp_path / "out", TeamStore.add
     stored = []
 
-    def storing(self, columns, cases, ids, *more):
-        columns = store_one(self, columns, cases, ids, *more)
-        stored.extend(ids)
+    def storing(self, columns, cases):
+        columns = store_one(self, columns, cases)
+        stored.extend(cases.ids)
         if len(stored) == 2:
             shutil.rmtree(output / "shards")
         return columns

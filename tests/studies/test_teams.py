@@ -13,6 +13,7 @@ from ringwear_par.history import batch
 from ringwear_par.results.execution.stopping import StopSignals
 from ringwear_par.studies.execution import shared_pairs
 from ringwear_par.studies.execution.case_queue import SharedQueue
+from ringwear_par.studies.execution.plan import CaseSet
 from ringwear_par.studies.execution.summary import Timings
 from ringwear_par.studies.execution.sweep import sweep
 from ringwear_par.studies.execution.teams import Team
@@ -120,10 +121,7 @@ def test_a_signal_to_any_rank_ends_the_wait_for_an_operator(shared_path, comm):
     """That another team was to provide: nobody draws any more."""
     plan = SimpleNamespace(
         folder=SimpleNamespace(operator=lambda group: shared_path / f"{group}.npy"),
-        todo=[np.arange(2)],
-        study=SimpleNamespace(
-            made=lambda numbers: ([None] * len(numbers), None), identities=np.array([b"a", b"b"])
-        ),
+        cases=lambda *stretch: CaseSet([None], ["a"], None),
         all_assemble=True,
     )
     signals = StopSignals()

@@ -3,17 +3,21 @@
 import logging
 import os
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, IntArray
+from ringwear_par.cases.case import Case
 from ringwear_par.errors import InputError
 from ringwear_par.history.validity.case_limits import memory_needed
 from ringwear_par.studies.definition.groups import Groups
 from ringwear_par.studies.definition.study import Study
+from ringwear_par.studies.definition.texts import Texts
 from ringwear_par.studies.storage.blocks import DONE, FAILED
 from ringwear_par.studies.storage.case_index import EMPTY, CaseIndex
 from ringwear_par.studies.storage.folder import SweepFolder, locked
@@ -74,6 +78,26 @@ class Request:
             )
 
 
+class CaseSet(NamedTuple):
+    """Some cases of a study.
+
+    Parameters
+    ----------
+    cases : the cases.
+    ids : of each.
+    texts : of each as a case file.
+    """
+
+    cases: Sequence[Case]
+    ids: Sequence[str]
+    texts: Texts
+
+    def part(self, places: Sequence[int]) -> "CaseSet":
+        """Return some of them."""
+        cases, ids = [self.cases[i] for i in places], [self.ids[i] for i in places]
+        return CaseSet(cases, ids, self.texts.part(places))
+
+
 @dataclass(frozen=True)
 class Plan:
     """The cases that a sweep computes, the same on all ranks.
@@ -122,6 +146,13 @@ class Plan:
     def cases_left(self) -> int:
         """Number of the cases that are to be computed."""
         return len(self.todo.cases)
+
+    def cases(self, group: int, first: int, count: int) -> CaseSet:
+        """Return some cases of a group that are to be computed, from a place on."""
+        numbers = self.todo[group][first : first + count]
+        cases, texts = self.study.made(numbers)
+        ids: list[str] = self.study.identities[numbers].astype(str).tolist()
+        return CaseSet(cases, ids, texts)
 
     @property
     def left(self) -> list[int]:

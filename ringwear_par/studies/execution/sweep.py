@@ -18,20 +18,19 @@ from mpi4py import MPI
 
 from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.elasticity.stress.recovery import load_stress_kernels
-from ringwear_par.errors import ComputationError, InputError, RingwearError
+from ringwear_par.errors import ComputationError, RingwearError
 from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads
 from ringwear_par.results.execution.progress import SweepProgress
-from ringwear_par.results.execution.stopping import StopSignals, name_of, remark
+from ringwear_par.results.execution.stopping import StopSignals
 from ringwear_par.studies.definition.study import Study, read_study_together
 from ringwear_par.studies.execution.case_queue import SharedQueue
 from ringwear_par.studies.execution.estimate import estimate
 from ringwear_par.studies.execution.merging import merge_if_well
 from ringwear_par.studies.execution.plan import Plan, Request, make_plan
 from ringwear_par.studies.execution.shared_pairs import StorageError, provide_pair
-from ringwear_par.studies.execution.summary import Summary, Timings
+from ringwear_par.studies.execution.summary import Summary, Timings, trouble_of
 from ringwear_par.studies.execution.team_store import TeamStore
 from ringwear_par.studies.execution.teams import Team
-from ringwear_par.studies.storage.results_file import TABLE
 
 log = logging.getLogger(__name__)
 
@@ -201,7 +200,7 @@ def _compute(
         except RingwearError as error:  # of the disk
             troubles.append(error)
     summary = replace(summary, seconds=time.perf_counter() - started)
-    return summary, _trouble(plan, summary, counted, troubles, received, comm)
+    return summary, trouble_of(plan, summary, counted, troubles, received, comm)
 
 
 def _assemble_all(plan: Plan, comm: MPI.Intracomm, timings: Timings) -> None:
@@ -214,58 +213,3 @@ def _assemble_all(plan: Plan, comm: MPI.Intracomm, timings: Timings) -> None:
         ended = f"{plan.done + plan.failed} of {plan.total} cases are stored"
         raise ComputationError(f"{error}; {ended}, and the same command goes on") from error
     comm.Barrier()
-
-
-def _trouble(
-    plan: Plan,
-    summary: Summary,
-    counted: tuple[int, int],
-    troubles: list[RingwearError],
-    received: int,
-    comm: MPI.Intracomm,
-) -> RingwearError | None:
-    """Return in one sentence what is wrong, if anything, the same on all ranks. Collective.
-
-    Parameters
-    ----------
-    counted : cases done and failed, of which ``summary`` says how many are stored.
-    """
-    ended = f"{summary.done + summary.failed} of {summary.total} cases are stored"
-    if troubles:
-        if isinstance(troubles[0], InputError):
-            return troubles[0]
-        if comm.rank == 0:  # beside results of an earlier study, which look complete
-            with suppress(OSError):
-                plan.folder.stopped.touch()
-        return ComputationError(f"{troubles[0]}; {ended}, and the same command goes on")
-    stopped = summary.computed < plan.cases_left
-    if stopped:
-        on_first_rank(comm, lambda: _mark(plan.folder.stopped))
-    stored = summary.done, summary.failed
-    # cases that failed before and are still stored must not make up for lost ones
-    lost = max(counted[0] - stored[0], sum(counted) - sum(stored))
-    if lost > 0:
-        return ComputationError(
-            f"{summary.folder}: {lost} of {sum(counted)} cases that have ended are not stored any "
-            f"more (files in {summary.folder / 'shards'} were removed or damaged); {ended}, and "
-            "the same command computes the others again"
-        )
-    if stopped:
-        name = name_of(received) if received else "a team"
-        return ComputationError(
-            f"stopped by {name}, incomplete: {ended}, and the same command goes on"
-            f"{remark(received)}"
-        )
-    if summary.failed:
-        where = summary.folder / TABLE
-        reasons = "merging tells why" if plan.folder.part else f"{where} says why of each"
-        return ComputationError(f"{summary.failed} of {summary.total} cases failed; {reasons}")
-    return None
-
-
-def _mark(path: Path) -> None:
-    """Make an empty file, or say why it cannot be."""
-    try:
-        path.touch()
-    except OSError as error:
-        log.warning("%s: cannot be written: %s", path, error.strerror)

@@ -1,13 +1,11 @@
 """Where a team stores its cases: those that end in its shard, checkpoints of interrupted ones."""
 
 import logging
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.parallel import on_first_rank
@@ -17,8 +15,7 @@ from ringwear_par.results.storage.hdf5 import UnreadableError
 from ringwear_par.results.storage.result_files import open_result, write_result
 from ringwear_par.results.unit_suspicions import but_varied
 from ringwear_par.studies.definition.identities import case_id
-from ringwear_par.studies.definition.texts import Texts
-from ringwear_par.studies.execution.plan import Plan
+from ringwear_par.studies.execution.plan import CaseSet, Plan
 from ringwear_par.studies.storage.blocks import DAMAGE, Block
 from ringwear_par.studies.storage.shards import Shard
 from ringwear_par.version import __version__
@@ -58,26 +55,26 @@ class TeamStore:
         if self._shard is not None:
             self._shard.close()
 
-    def add(
-        self, columns: HistoryColumns, cases: Sequence[Case], ids: Sequence[str], texts: Texts
-    ) -> HistoryColumns:
-        """Store cases for good, with the checkpoints of those that have ended removed.
+    def add(self, columns: HistoryColumns, cases: CaseSet) -> HistoryColumns:
+        """Store cases for good, and remove the checkpoints of those that have ended.
 
         Return the columns as they are stored.
         """
-        case, steps, varied = cases[0], None, self._plan.study.names
-        flags = zip(columns.flags, cases, strict=True)
+        case, steps, varied = cases.cases[0], None, self._plan.study.names
+        flags = zip(columns.flags, cases.cases, strict=True)
         columns = replace(columns, flags=tuple(but_varied(f, case, varied) for f, case in flags))
         if case.output.times:  # before which a number of steps is not unique
             first = columns.offsets[:-1]
             steps = np.arange(len(columns.steps)) - np.repeat(first, np.diff(columns.offsets))
         deep = case.output.profiles == "all"
-        block = Block.of(columns, case.line, ids, texts, __version__, deep=deep, steps=steps)
+        block = Block.of(
+            columns, case.line, cases.ids, cases.texts, __version__, deep=deep, steps=steps
+        )
 
         def store() -> None:
             assert self._shard is not None
             self._shard.add(block)
-            for identity, status in zip(ids, columns.status, strict=True):
+            for identity, status in zip(cases.ids, columns.status, strict=True):
                 if identity in self._checkpoints and status != "incomplete":
                     self._plan.folder.checkpoint(identity).unlink(missing_ok=True)
 

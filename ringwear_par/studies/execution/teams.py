@@ -1,7 +1,6 @@
 """Teams of ranks at work: cases are drawn, computed on the pair of their group, and stored."""
 
 import time
-from collections.abc import Sequence
 
 from mpi4py import MPI
 
@@ -13,10 +12,9 @@ from ringwear_par.parallel import together
 from ringwear_par.results.execution.progress import SweepProgress
 from ringwear_par.results.execution.stopping import StopSignals
 from ringwear_par.results.result import HistoryColumns
-from ringwear_par.studies.definition.texts import Texts
 from ringwear_par.studies.execution.batches import PairResources, computed, failed_columns
 from ringwear_par.studies.execution.case_queue import SharedQueue, Stretch
-from ringwear_par.studies.execution.plan import Plan
+from ringwear_par.studies.execution.plan import CaseSet, Plan
 from ringwear_par.studies.execution.shared_pairs import (
     StoppedError,
     StorageError,
@@ -90,80 +88,57 @@ class Team:
 
         All ranks of the team go the same way.
         """
-        group, first, count = stretch
-        numbers = self._plan.todo[group][first : first + count]
         with together(self._comm):
-            cases, texts = self._plan.study.made(numbers)
-        ids = [identity.decode() for identity in self._plan.study.identities[numbers]]
+            drawn = self._plan.cases(*stretch)
         try:
-            resources = self._resources_of(group, first, cases[0])
+            resources = self._resources_of(stretch, drawn.cases[0])
         except StoppedError:
             return False
         except StorageError:
             raise
         except ComputationError as error:  # the same for all of them
-            self._add(failed_columns(cases, error, self._comm), cases, ids, texts, 0.0)
+            self._add(failed_columns(drawn.cases, error, self._comm), drawn, 0.0)
             return True
-        batched: list[int] = []
+        places: list[int] = []
         if self._comm.size == 1:
-            begun = self._plan.interrupted
-            batched = [i for i in range(count) if ids[i] not in begun and is_batchable(cases[i])]
-        if batched and not self._simulate_batched(resources, batched, cases, ids, texts):
+            begun, cases = self._plan.interrupted, zip(drawn.ids, drawn.cases, strict=True)
+            places = [
+                i for i, (n, case) in enumerate(cases) if n not in begun and is_batchable(case)
+            ]
+        if places and not self._simulate_batched(resources, drawn.part(places)):
             return False
-        for i in sorted(set(range(count)) - set(batched)):
-            if self._stopping() or not self._simulate_alone(
-                resources, cases[i], ids[i], texts.part([i])
-            ):
+        for i in sorted(set(range(stretch.number)) - set(places)):
+            if self._stopping() or not self._simulate_alone(resources, drawn.part([i])):
                 return False
         return True
 
-    def _simulate_batched(
-        self,
-        resources: PairResources,
-        places: Sequence[int],
-        cases: Sequence[Case],
-        ids: Sequence[str],
-        texts: Texts,
-    ) -> bool:
-        """Compute some cases of those drawn side by side, and store them in blocks; tell as above.
-
-        Parameters
-        ----------
-        resources : of their pair.
-        places : of these cases among those drawn.
-        """
+    def _simulate_batched(self, resources: PairResources, cases: CaseSet) -> bool:
+        """Compute cases of a pair side by side, and store them in blocks; tell as above."""
 
         def stop() -> bool:
             self._observe()
             return bool(self._signals.received)
 
         started, ended = time.perf_counter(), 0
-        chosen = [cases[i] for i in places]
-        for block in computed(chosen, resources.pair, resources=resources, stop=stop):
+        for block in computed(cases.cases, resources.pair, resources=resources, stop=stop):
             seconds = time.perf_counter() - started
             self._timings.stepping += seconds
-            part = [places[number] for number in block.numbers]
-            self._add(
-                block.columns, [cases[i] for i in part], [ids[i] for i in part], texts.part(part),
-                seconds,
-            )  # fmt: skip
-            ended += len(part)
+            self._add(block.columns, cases.part(block.numbers), seconds)
+            ended += len(block.numbers)
             started = time.perf_counter()
         self._timings.stepping += time.perf_counter() - started
-        return ended == len(places)
+        return ended == len(cases.cases)
 
-    def _simulate_alone(
-        self, resources: PairResources, case: Case, identity: str, texts: Texts
-    ) -> bool:
+    def _simulate_alone(self, resources: PairResources, case: CaseSet) -> bool:
         """Compute a case by itself, with checkpoints, and store it; tell whether it has ended."""
-        started = time.perf_counter()
+        started, signals, comm = time.perf_counter(), self._signals, self._comm
         try:
             columns = simulate_alone(
-                case, identity, resources, self._store, self._signals, [self._observe], self._comm
+                case.cases[0], case.ids[0], resources, self._store, signals, [self._observe], comm
             )
         finally:
             self._timings.stepping += time.perf_counter() - started
-        self._add(columns, [case], [identity], texts, time.perf_counter() - started)
+        self._add(columns, case, time.perf_counter() - started)
         return columns.status != ("incomplete",)
 
     def _observe(self, _: Snapshot | None = None) -> bool:
@@ -183,17 +158,10 @@ class Team:
             return bool(self._signals.received)
         return bool(self._comm.allreduce(self._signals.received, MPI.MAX))
 
-    def _add(
-        self,
-        columns: HistoryColumns,
-        cases: Sequence[Case],
-        ids: Sequence[str],
-        texts: Texts,
-        seconds: float,
-    ) -> None:
+    def _add(self, columns: HistoryColumns, cases: CaseSet, seconds: float) -> None:
         """Store cases that took so many seconds in one block, and count those that have ended."""
         t0 = time.perf_counter()
-        columns = self._store.add(columns, cases, ids, texts)
+        columns = self._store.add(columns, cases)
         self._timings.output += time.perf_counter() - t0
         if columns.status == ("incomplete",):
             return
@@ -201,12 +169,13 @@ class Team:
         if self._comm.rank == 0:
             self._timings.flagged.update(flags for flags in columns.flags if flags)
             failed = columns.status.count("failed")
-            self._queue.count(len(ids) - failed, failed, seconds)
+            self._queue.count(len(cases.ids) - failed, failed, seconds)
 
-    def _resources_of(self, group: int, place: int, case: Case) -> PairResources:
+    def _resources_of(self, stretch: Stretch, case: Case) -> PairResources:
         """Return the pair of a group, with its stresses; its first case's team assembles it."""
+        group = stretch.group
         if self._resources is None or group != self._group:
-            if place == 0 and not self._plan.all_assemble:
+            if stretch.first == 0 and not self._plan.all_assemble:
                 provide_pair(self._plan, group, self._comm, self._timings)
             t0, last_question = time.perf_counter(), 0.0
 

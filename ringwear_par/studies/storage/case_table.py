@@ -3,7 +3,7 @@
 import csv
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,11 +12,13 @@ import h5py
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import is_number
+from ringwear_par.errors import InputError
 from ringwear_par.results.variables import POINT_R, POINT_SIDE, POINT_Z, Variable
-from ringwear_par.studies.definition.variations import Column, own_key
+from ringwear_par.studies.definition.variations import Column, own_key, value_of
 from ringwear_par.studies.storage.case_variables import WINDOW, CaseVariable, write_texts
 from ringwear_par.studies.storage.end_values import END_VALUES, end_value_of, entries
 from ringwear_par.studies.storage.results_file import TABLE
@@ -155,6 +157,39 @@ class CaseTable:
             "tableSchema": {"columns": columns},
         }
         return json.dumps(table, indent=1) + "\n"
+
+
+def extended(varied: Mapping[str, Column], texts: Iterable[str]) -> dict[str, Column]:
+    """Return columns of varied keys with further cases, whose values are looked up in their texts.
+
+    None where such a case has no such key.
+    """
+    rows = [_values_in(text, tuple(varied)) for text in texts]
+    if not rows:
+        return dict(varied)
+    values_of_keys = zip(*rows, strict=True)
+    return {
+        name: _joined(column, values)
+        for (name, column), values in zip(varied.items(), values_of_keys, strict=True)
+    }
+
+
+def _values_in(text: str, names: Sequence[str]) -> tuple[Any, ...]:
+    try:
+        keys = read_keys(text)
+        return tuple(value_of(keys, name) for name in names)
+    except InputError:
+        return (None,) * len(names)
+
+
+def _joined(column: Column, values: Sequence[Any]) -> Column:
+    """Return a column with further cases, each with a value of its own."""
+    plain = isinstance(column.values, np.ndarray) and column.codes is None
+    if plain and all(map(is_number, values)):
+        return Column(np.concatenate([column.values, np.array(values, dtype=np.float64)]))
+    codes = np.arange(len(column)) if column.codes is None else column.codes
+    more = len(column.values) + np.arange(len(values))
+    return Column((*column.there, *values), np.concatenate([codes, more]))
 
 
 def _cell(value: Any) -> str:

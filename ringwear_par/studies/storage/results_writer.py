@@ -5,7 +5,7 @@ with NaN; ``steps_stored`` and ``elements`` say how much is there. Both files ap
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,6 @@ import h5py
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.cases.files.keys import read_keys
-from ringwear_par.cases.values import is_number
-from ringwear_par.errors import InputError
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.storage.hdf5 import atomic_hdf5
 from ringwear_par.results.stress_variables import side_words
@@ -29,10 +26,10 @@ from ringwear_par.results.variables import (
     Variable,
     edge_elements,
 )
-from ringwear_par.studies.definition.variations import Column, value_of
-from ringwear_par.studies.storage.blocks import BY_STATE, STATUS, CaseBlock, Kind
+from ringwear_par.studies.definition.variations import Column
+from ringwear_par.studies.storage.blocks import STATUS, CaseBlock, Kind
 from ringwear_par.studies.storage.case_index import ENTRY, CaseIndex
-from ringwear_par.studies.storage.case_table import TABLE_MEANINGS, CaseTable, Words
+from ringwear_par.studies.storage.case_table import TABLE_MEANINGS, CaseTable, Words, extended
 from ringwear_par.studies.storage.case_variables import (
     WINDOW,
     CaseVariable,
@@ -41,6 +38,7 @@ from ringwear_par.studies.storage.case_variables import (
     write_texts,
 )
 from ringwear_par.studies.storage.end_values import BY_SOURCE, STRESS_STATES, last_with_stress
+from ringwear_par.studies.storage.padded_tables import CommonSteps, body_last, fill
 from ringwear_par.studies.storage.results_file import (
     RESULTS,
     SAME_STEPS,
@@ -177,7 +175,7 @@ class _Writer:
         window = cases_at_once(8 * sum(map(math.prod, shapes.values())))
         columns: dict[str, CaseVariable] = {}
         end_values: dict[str, FloatArray] = {}
-        steps = _CommonSteps()
+        steps = CommonSteps()
         for start in range(0, max(count, 1), window):
             stop = min(start + window, count)
             tables = {
@@ -258,12 +256,15 @@ class _Writer:
 
     def case_table(self, end_values: Mapping[str, FloatArray]) -> CaseTable:
         """Return the numbers and words of all cases."""
+        varied, count = self._list.varied, len(self._cases)
+        known = min((len(column) for column in varied.values()), default=count)
+        windows = (np.arange(at, min(at + WINDOW, count)) for at in range(known, count, WINDOW))
         used, code = np.unique(self._cases["kind"], return_inverse=True)
         none = Kind("")
         kinds = [self._list.index.kinds[i] if i >= 0 else none for i in used.tolist()]
         return CaseTable(
             self._list.ids,
-            self._varied(),
+            extended(varied, (text for cases in windows for text in self._texts(cases))),
             {
                 "status": Words.of(STATUS, self._cases["status"]),
                 "error": Words.of([kind.error for kind in kinds], code),
@@ -277,128 +278,3 @@ class _Writer:
             },
             end_values,
         )
-
-    def _varied(self) -> dict[str, Column]:
-        """Return the varied keys of all cases, None where a case has no such."""
-        varied, count = self._list.varied, len(self._cases)
-        known = min((len(column) for column in varied.values()), default=count)
-        looked_up: list[tuple[Any, ...]] = []
-        for start in range(known, count, WINDOW):
-            texts = self._texts(np.arange(start, min(start + WINDOW, count)))
-            looked_up += [_values_in(text, tuple(varied)) for text in texts]
-        rest = zip(*looked_up, strict=True) if looked_up else [()] * len(varied)
-        return {
-            name: _extended(column, values)
-            for (name, column), values in zip(varied.items(), rest, strict=True)
-        }
-
-
-def _values_in(text: str, names: Sequence[str]) -> tuple[Any, ...]:
-    """Return the varied keys of a case that the study no longer has, None where it has no such."""
-    try:
-        keys = read_keys(text)
-        return tuple(value_of(keys, name) for name in names)
-    except InputError:
-        return (None,) * len(names)
-
-
-def _extended(column: Column, values: Sequence[Any]) -> Column:
-    """Return a column with further cases, which have values of their own."""
-    if not values:
-        return column
-    if (
-        isinstance(column.values, np.ndarray)
-        and column.codes is None
-        and all(map(is_number, values))
-    ):
-        return Column(np.concatenate([column.values, np.array(values, dtype=np.float64)]))
-    codes = np.arange(len(column)) if column.codes is None else column.codes
-    more = len(column.values) + np.arange(len(values))
-    return Column((*column.there, *values), np.concatenate([codes, more]))
-
-
-# -- columns of blocks in padded tables ------------------------------------------------------------
-
-
-def fill(
-    table: Any, at: IntArray, values: Any, block: CaseBlock, name: str, places: IntArray
-) -> None:
-    """Put a column of a block into a table of some of its cases that is padded with NaN.
-
-    Parameters
-    ----------
-    table : (cases, ...), changed.
-    at : rows of the table, those of the cases.
-    values : the column.
-    block, name : that it is of.
-    places : of the cases in the block.
-    """
-    lengths = block.offsets[places + 1] - block.offsets[places]
-    cells = tuple(map(slice, np.minimum(table.shape[2:], values.shape[1:]).tolist()))
-    if block.axes[name] != BY_STATE:
-        values = values if len(values) == 1 else values[places]
-        if "step" not in STORED[name].dimensions or table.ndim == values.ndim:
-            cells = tuple(map(slice, np.minimum(table.shape[1:], values.shape[1:]).tolist()))
-            table[(_run(at), *cells)] = values[(slice(None), *cells)]
-        else:  # the last of a field that the table has at all states
-            table[(at, lengths - 1, *cells)] = values[(slice(None), *cells)]
-        return
-    if not lengths.sum():
-        return
-    values = values[(slice(None), *cells)]
-    starts, to, taken = block.offsets[places], _run(at), _run(places)
-    if isinstance(to, slice) and isinstance(taken, slice):
-        part, longest = values[starts[0] : starts[0] + lengths.sum()], int(lengths.max())
-        inside = table[(to, slice(longest), *cells)]
-        if (lengths == longest).all():
-            inside[...] = part.reshape(inside.shape)
-        else:
-            inside[np.arange(longest) < lengths[:, None]] = part
-        return
-    step = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-    table[(np.repeat(at, lengths), step, *cells)] = values[step + np.repeat(starts, lengths)]
-
-
-def body_last(values: FloatArray, width: int) -> FloatArray:
-    """Return a column by layer with so many of these, the body itself the last of them.
-
-    Cases may have fewer layers than others of their sweep: these have NaN before the body.
-    """
-    layers = values.shape[-1] - 1
-    if layers + 1 == width:
-        return values
-    wider = np.full((*values.shape[:-1], width), np.nan)
-    wider[..., :layers], wider[..., -1] = values[..., :-1], values[..., -1]
-    return wider
-
-
-def _run(numbers: IntArray) -> slice | IntArray:
-    """Return increasing numbers without gaps as a slice, others as they are."""
-    first, last = int(numbers[0]), int(numbers[-1])
-    if last - first + 1 == len(numbers) and (np.diff(numbers) == 1).all():
-        return slice(first, last + 1)
-    return numbers
-
-
-class _CommonSteps:
-    """Names of the stored states, as long as all cases begin with the same."""
-
-    def __init__(self) -> None:
-        self.names: FloatArray | None = np.empty(0)
-
-    def add(self, steps: Any, offsets: IntArray, places: IntArray) -> None:
-        """Compare with those of some cases of a block, None where they differ among these."""
-        if self.names is None or steps is None:
-            self.names = None
-            return
-        starts, rows = offsets[places], offsets[places + 1] - offsets[places]
-        longest = int(rows.argmax())
-        if rows[longest] > len(self.names):
-            longer = steps[starts[longest] : starts[longest] + rows[longest]]
-            if not np.array_equal(longer[: len(self.names)], self.names):
-                self.names = None
-                return
-            self.names = np.array(longer)
-        step = np.arange(rows.sum()) - np.repeat(np.cumsum(rows) - rows, rows)
-        if not np.array_equal(steps[step + np.repeat(starts, rows)], self.names[step]):
-            self.names = None
