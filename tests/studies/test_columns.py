@@ -268,11 +268,11 @@ def a_block(name, rows, axes=(), **columns):
 
 
 def test_what_is_stored_twice_counts_once():
-    """As it was done first, or else as it was stored last."""
+    """As it was done first, or else as it failed last, or else as it was interrupted last."""
     index = CaseIndex.of([
         a_block("a", [0] * 4, id=["a", "b", "c", "d"], status=[1, 2, 1, 2]),
         a_block("b", [0] * 3, id=["b", "a", "longer"], status=[1, 1, 0]),
-        a_block("c", [0] * 2, id=["c", "d"], status=[2, 2]),
+        a_block("c", [0] * 3, id=["c", "d", "a"], status=[2, 2, 0]),
     ])  # fmt: skip
     found = {
         identity.decode(): (status, str(index.blocks[block].path))

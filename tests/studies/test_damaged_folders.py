@@ -20,7 +20,13 @@ from stored_cases import StoredCase, block_of
 from swept import write_study
 
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.studies.execution import case_queue, merging
+from ringwear_par.studies.execution import (
+    case_queue,
+    merging,
+    plan,
+    single_cases,
+    team_store,
+)
 from ringwear_par.studies.execution.sweep import run_sweep
 from ringwear_par.studies.execution.team_store import TeamStore
 from ringwear_par.studies.storage import blocks, results_file, shards
@@ -464,6 +470,36 @@ def test_checkpoints_in_flight(tmp_path, interrupted, swept, comm, told, one_by_
         assert note.endswith("; this case starts anew")
         assert ("is of another case than its name says" in note) == (kind == "other")
     assert not faults.differences(output, reference)
+
+
+@pytest.mark.parametrize("version", [team_store.__version__, "99.0"])
+def test_a_checkpoint_that_no_block_tells_of(
+    interrupted, swept, comm, told, one_by_one, monkeypatch, version
+):
+    """As after a kill between a checkpoint and the next: its case continues from it."""
+    study, reference, _ = swept
+    output = interrupted.parents[1]
+    (output / "results.h5").unlink()
+    for module in (plan, team_store):
+        monkeypatch.setattr(module, "__version__", version)
+    before, recorder = [], single_cases.Recorder
+    monkeypatch.setattr(
+        single_cases, "Recorder",
+        lambda cases, comm, start, **how: (
+            before.append(start) or recorder(cases, comm, start, **how)
+        ),
+    )  # fmt: skip
+    run_sweep(study, output, comm)
+    continued = [start for start in before if start is not None]
+    if version == "99.0":
+        (note,) = told()
+        assert note.startswith(f"{interrupted}: is of version ")
+        assert note.endswith("; this case starts anew")
+        assert not continued
+    else:
+        assert not told()
+        assert [start.path for start in continued] == [interrupted]
+        assert not faults.differences(output, reference)
 
 
 def test_a_checkpoint_of_a_case_that_has_ended_goes(interrupted, swept, comm, told, one_by_one):
