@@ -7,7 +7,6 @@ from contextlib import suppress
 import numpy as np
 
 from ringwear_par.errors import InputError, RingwearError
-from ringwear_par.info import versions
 from ringwear_par.results.storage.hdf5 import UnreadableError
 from ringwear_par.studies.execution.plan import Plan
 from ringwear_par.studies.execution.shared_pairs import PATIENCE_SECONDS
@@ -18,6 +17,7 @@ from ringwear_par.studies.storage.ensemble import read_ensemble
 from ringwear_par.studies.storage.folder import reporting_unreadable
 from ringwear_par.studies.storage.results_file import RESULTS
 from ringwear_par.studies.storage.results_writer import CaseList, write_results
+from ringwear_par.version import versions
 
 log = logging.getLogger(__name__)
 
