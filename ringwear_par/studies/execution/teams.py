@@ -25,7 +25,7 @@ from ringwear_par.studies.execution.single_cases import is_batchable, simulate_a
 from ringwear_par.studies.execution.summary import Timings
 from ringwear_par.studies.execution.team_store import TeamStore
 
-#: how long a team that waits for a pair waits before it asks again whether all are to stop
+#: s, between two questions of a team that waits for a pair whether all are to stop
 _ASK_SECONDS = 0.5
 
 

@@ -132,8 +132,9 @@ class _Writer:
         self._blocks = [cases.index.blocks[block] for block in numbers.tolist()]
         axes: dict[str, int] = {}
         for block in self._blocks:
-            for axis in AXES.keys() & block.sizes.keys():
-                axes[axis] = max(block.sizes[axis], axes.get(axis, 0))
+            for axis, size in block.sizes.items():
+                if axis in AXES:
+                    axes[axis] = max(size, axes.get(axis, 0))
         make_scales(
             file, cases.ids, int(self._rows.max(initial=0)) or 1,
             int(self._cases["elements"].max(initial=0)) or 1, axes,
@@ -158,7 +159,7 @@ class _Writer:
         if "pressure" in names:
             variables[EDGE_ELEMENT.name] = EDGE_ELEMENT
         if not deep:
-            for name in variables.keys() & {*FIELDS, EDGE_ELEMENT.name}:
+            for name in {*FIELDS, EDGE_ELEMENT.name} & variables.keys():
                 variables[name] = variables[name].at_last_step()
         return variables
 
@@ -218,8 +219,10 @@ class _Writer:
     ) -> Iterator[tuple[str, FloatArray]]:
         """Yield the end values of a window of cases."""
         stressed = tables.get(STRESS_STATES)
-        for source in tables.keys() & BY_SOURCE.keys():
-            end_value, table = BY_SOURCE[source], tables[source]
+        for source, end_value in BY_SOURCE.items():
+            if source not in tables:
+                continue
+            table = tables[source]
             last = self._rows[start : start + len(table)] - 1
             if source in STRESS and stressed is not None:
                 last = last_with_stress(stressed)
