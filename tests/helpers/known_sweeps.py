@@ -7,7 +7,7 @@ from scipy.stats import qmc
 from stored_cases import StoredCase, block_of
 
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.definition.variations import column_of
+from ringwear_par.studies.definition.variations import Column
 from ringwear_par.studies.storage.case_index import CaseIndex
 from ringwear_par.studies.storage.ensemble import read_ensemble
 from ringwear_par.studies.storage.results_writer import CaseList, write_results
@@ -40,7 +40,7 @@ def write(
         return StoredCase(f"{n:016x}", status=status[n], columns=arrays)
 
     index = CaseIndex.of([block_of([case(n) for n in stored])])
-    columns = tuple(map(column_of, map(list, zip(*rows, strict=True))))
+    columns = tuple(map(Column.of, map(list, zip(*rows, strict=True))))
     ids, entry = np.array([f"{n:016x}".encode() for n in range(count)]), np.full(count, -1)
     entry[stored] = np.arange(len(stored))
     cases = CaseList(

@@ -14,10 +14,14 @@ VAGUE = {
     "asked", "each", "found", "given", "held", "kept", "lent", "made", "nothing", "others", "own",
     "shown", "sought", "there", "told", "what",
 }  # fmt: skip
+#: likewise; not in these rooms yet
+ALSO_VAGUE = {"here", "said", "so", "these", "this", "those", "untold", "why"}
+ALSO_TO_DO = {
+    "elasticity", "explorer", "history", "identification", "measuring", "pictures", "reports",
+    "studies/analysis", "studies/definition", "studies/pictures", "verification", "wear",
+}  # fmt: skip
 #: beginnings of docstrings that name no noun
 VAGUE_DOCSTRING = re.compile(r"(?:Return|Tell|Give) (?:what|the same|that of|those)\b")
-#: folders, and modules of the root, that are not clean yet
-ROOMS_TO_DO = {"studies/analysis", "studies/definition", "studies/pictures"}
 
 
 def room_of(path: Path) -> str:
@@ -28,7 +32,7 @@ def room_of(path: Path) -> str:
     return parts[0].removesuffix(".py")
 
 
-ROOMS = sorted({room_of(path) for path in PACKAGE.rglob("*.py")} - ROOMS_TO_DO)
+ROOMS = sorted({room_of(path) for path in PACKAGE.rglob("*.py")})
 
 
 def identifiers(tree: ast.AST) -> Iterator[tuple[int, str]]:
@@ -53,9 +57,10 @@ def docstrings(tree: ast.AST) -> Iterator[tuple[int, str]]:
 def faults(path: Path, text: str) -> list[str]:
     """Return the vague names and docstrings of a module, each with its line."""
     tree, place = ast.parse(text), path.relative_to(PACKAGE)
+    vague = VAGUE if room_of(path) in ALSO_TO_DO else VAGUE | ALSO_VAGUE
     names = [(1, path.stem), *identifiers(tree)]
     return [
-        f"{place}:{line}: {name}" for line, name in names if name.strip("_").lower() in VAGUE
+        f"{place}:{line}: {name}" for line, name in names if name.strip("_").lower() in vague
     ] + [
         f"{place}:{line}: {text.partition(chr(10))[0]}"
         for line, text in docstrings(tree)

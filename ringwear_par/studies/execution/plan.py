@@ -15,7 +15,7 @@ from ringwear_par.arrays import BoolArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import InputError
 from ringwear_par.history.validity.case_limits import memory_needed
-from ringwear_par.studies.definition.groups import Groups
+from ringwear_par.studies.definition.case_columns import Groups
 from ringwear_par.studies.definition.study import Study
 from ringwear_par.studies.definition.texts import Texts
 from ringwear_par.studies.storage.blocks import DONE, FAILED
@@ -150,7 +150,7 @@ class Plan:
     def cases(self, group: int, first: int, count: int) -> CaseSet:
         """Return some cases of a group that are to be computed, from a place on."""
         numbers = self.todo[group][first : first + count]
-        cases, texts = self.study.made(numbers)
+        cases, texts = self.study.cases_and_texts(numbers)
         ids: list[str] = self.study.identities[numbers].astype(str).tolist()
         return CaseSet(cases, ids, texts)
 

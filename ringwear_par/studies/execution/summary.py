@@ -9,6 +9,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from ringwear_par.errors import ComputationError, InputError, RingwearError
+from ringwear_par.files.writing import atomic_write
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.execution.progress import duration
 from ringwear_par.results.execution.stopping import name_of, remark
@@ -114,8 +115,8 @@ def trouble_of(
         if isinstance(troubles[0], InputError):
             return troubles[0]
         if comm.rank == 0:  # beside results of an earlier study, which look complete
-            with suppress(OSError):
-                plan.folder.stopped.touch()
+            with suppress(OSError), atomic_write(plan.folder.stopped):
+                pass
         return ComputationError(f"{troubles[0]}; {ended}, and the same command goes on")
     stopped = summary.computed < plan.cases_left
     if stopped:
@@ -143,8 +144,9 @@ def trouble_of(
 
 
 def _mark(path: Path) -> None:
-    """Make an empty file, or say why it cannot be."""
+    """Make an empty file in place of whatever has its name, or say why it cannot be."""
     try:
-        path.touch()
+        with atomic_write(path):
+            pass
     except OSError as error:
         log.warning("%s: cannot be written: %s", path, error.strerror)

@@ -216,7 +216,7 @@ class Block(CaseBlock):
 
     def texts(self, places: Sequence[int]) -> list[str]:
         """Return the TOML texts of some of the cases."""
-        return self.templates.each(places)
+        return self.templates.of_cases(places)
 
     def packed(self) -> bytes:
         """Return the block as ``unpack_header`` reads it."""
@@ -275,7 +275,7 @@ class PackedBlock(CaseBlock):
         """Return the TOML texts of some of the cases."""
         packed = self._bytes([_TEXTS])[_TEXTS]
         with reporting_damage(self.path):
-            return Texts.unpacked(packed.decode(), len(self.cases)).each(places)
+            return Texts.unpacked(packed.decode(), len(self.cases)).of_cases(places)
 
     def check(self) -> None:
         """Raise DamagedError if any of the data is damaged."""

@@ -90,12 +90,11 @@ class CaseTable:
         variable = Variable(name, ("case",), unit_of(name) or "1", own_key(name).meaning)
         if column.numbers is not None:
             CaseVariable(file, variable, float).write(0, column.numbers)
-        elif all(value is None or is_number(value) for value in column.there):
-            values = column.each(lambda value: math.nan if value is None else float(value))
+        elif all(value is None or is_number(value) for value in column.distinct):
+            values = column.by_case(lambda value: math.nan if value is None else float(value))
             CaseVariable(file, variable, float).write(0, np.array(values))
         else:
-            codes = np.arange(len(column)) if column.codes is None else column.codes
-            words = Words.of(list(map(_cell, column.there)), codes)
+            words = Words.of(list(map(_cell, column.distinct)), column.codes.astype(np.int64))
             write_texts(file, variable, words.distinct.dtype.itemsize, words.part)
 
     def write_csv(self, path: Path) -> None:
@@ -119,7 +118,7 @@ class CaseTable:
         words = {name: _texts(words.part(cases)) for name, words in self.words.items()}
         return zip(
             _texts(self.ids[cases]),
-            *(column.part(cases).each(_cell) for column in self.varied.values()),
+            *(column.part(cases).by_case(_cell) for column in self.varied.values()),
             *(words[name] for name in _BEFORE),
             *(
                 ["" if v != v else repr(v) for v in values[cases].tolist()]
@@ -184,12 +183,9 @@ def _values_in(text: str, names: Sequence[str]) -> tuple[Any, ...]:
 
 def _joined(column: Column, values: Sequence[Any]) -> Column:
     """Return a column with further cases, each with a value of its own."""
-    plain = isinstance(column.values, np.ndarray) and column.codes is None
-    if plain and all(map(is_number, values)):
-        return Column(np.concatenate([column.values, np.array(values, dtype=np.float64)]))
-    codes = np.arange(len(column)) if column.codes is None else column.codes
-    more = len(column.values) + np.arange(len(values))
-    return Column((*column.there, *values), np.concatenate([codes, more]))
+    distinct = column.distinct
+    more = len(distinct) + np.arange(len(values))
+    return Column.chosen([*distinct, *values], np.concatenate([column.codes, more]))
 
 
 def _cell(value: Any) -> str:
