@@ -11,6 +11,7 @@ from ringwear_par.studies.definition.variations import Column
 from ringwear_par.studies.storage.case_index import CaseIndex
 from ringwear_par.studies.storage.ensemble import read_ensemble
 from ringwear_par.studies.storage.results_writer import CaseList, write_results
+from ringwear_par.studies.storage.shards import Shard, read_shard
 
 
 def write(
@@ -39,7 +40,9 @@ def write(
         arrays.update(step=np.arange(steps[n] + 1.0), r=np.ones(4), width=np.ones(4))
         return StoredCase(f"{n:016x}", status=status[n], columns=arrays)
 
-    index = CaseIndex.of([block_of([case(n) for n in stored])])
+    with Shard(folder / "all_0000.blocks") as shard:
+        shard.add(block_of([case(n) for n in stored]))
+    index = CaseIndex.of(read_shard(shard.path).blocks)
     columns = tuple(map(Column.of, map(list, zip(*rows, strict=True))))
     ids, entry = np.array([f"{n:016x}".encode() for n in range(count)]), np.full(count, -1)
     entry[stored] = np.arange(len(stored))
@@ -53,6 +56,7 @@ def write(
     )
     attributes = {"method": method, "study": "", "status": "complete", "ranks": 1}
     write_results(folder, cases, attributes)
+    shard.path.unlink()
     return read_ensemble(folder)
 
 

@@ -22,7 +22,7 @@ from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.definition.study import read_study
 from ringwear_par.studies.definition.texts import Texts
 from ringwear_par.studies.definition.variations import Column, split_key, varied_keys
-from ringwear_par.studies.storage.blocks import BY_CASE, BY_STATE, CASE, Block, Kind
+from ringwear_par.studies.storage.blocks import BY_CASE, BY_STATE, CASE, Kind, PackedBlock
 from ringwear_par.studies.storage.case_index import CaseIndex
 from ringwear_par.studies.storage.padded_tables import fill
 
@@ -266,7 +266,7 @@ def a_block(name, rows, axes=(), **columns):
     for column, values in columns.items():
         cases[column] = values
     cases["rows"] = rows
-    return Block(Path(name), cases, (Kind("1"),), dict(axes), {}, 1, {}, None)
+    return PackedBlock(Path(name), cases, (Kind("1"),), dict(axes), {}, 1, 0, 0, 0, {})
 
 
 def test_what_is_stored_twice_counts_once():

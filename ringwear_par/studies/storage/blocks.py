@@ -149,17 +149,21 @@ class CaseBlock(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Block(CaseBlock):
-    """Cases of one contact pair in memory, with the same fields stored as often.
+class Block:
+    """Cases of one contact pair, with the same fields stored as often, to be packed.
 
     Parameters
     ----------
+    cases, kinds, axes : see ``CaseBlock``.
     columns : by name.
-    templates : the texts.
+    texts : of the cases.
     """
 
+    cases: Any
+    kinds: tuple[Kind, ...]
+    axes: Mapping[str, str]
     columns: Mapping[str, Any]
-    templates: Texts
+    texts: Texts
 
     @classmethod
     def of(
@@ -172,7 +176,6 @@ class Block(CaseBlock):
         *,
         deep: bool,
         steps: IntArray | None = None,
-        path: Path = Path(),
     ) -> "Block":
         """Return histories as they were computed as a block.
 
@@ -183,7 +186,6 @@ class Block(CaseBlock):
         version : of ringwear-par that computed them.
         deep : whether fields are stored at every stored state, or at the last one only.
         steps : (rows,) names of the stored states; None: the numbers of the steps made.
-        path : of the file that they were read from.
         """
         columns = {
             "step": histories.steps if steps is None else steps,
@@ -207,16 +209,7 @@ class Block(CaseBlock):
             kinds.setdefault(Kind(version, tuple(flags), reason), len(kinds))
             for flags, reason in zip(histories.flags, histories.reason, strict=True)
         ]
-        sizes = sizes_of(columns)
-        return cls(path, cases, tuple(kinds), axes, sizes, texts.longest, columns, texts)
-
-    def read(self, names: Iterable[str]) -> dict[str, Any]:
-        """Return the stored ones of some columns."""
-        return {name: self.columns[name] for name in names if name in self.columns}
-
-    def texts(self, places: Sequence[int]) -> list[str]:
-        """Return the TOML texts of some of the cases."""
-        return self.templates.of_cases(places)
+        return cls(cases, tuple(kinds), axes, columns, texts)
 
     def packed(self) -> bytes:
         """Return the block as ``unpack_header`` reads it."""
@@ -224,10 +217,10 @@ class Block(CaseBlock):
             name: np.ascontiguousarray(values, dtype=_dtype(name)).tobytes()
             for name, values in self.columns.items()
         }
-        data[_TEXTS] = self.templates.packed().encode()
+        data[_TEXTS] = self.texts.packed().encode()
         words = {
-            "sizes": self.sizes,
-            "longest": self.longest,
+            "sizes": sizes_of(self.columns),
+            "longest": self.texts.longest,
             "kinds": self.kinds,
             "columns": {
                 name: (self.axes.get(name, SHARED), len(part), zlib.crc32(part))
