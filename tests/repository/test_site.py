@@ -18,8 +18,8 @@ from ringwear_par.cases import schema
 from ringwear_par.cli import _parser
 from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition import schema as fit_schema
-from ringwear_par.identification.definition.candidates import count_of
 from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.test_design.candidates import count_of
 from ringwear_par.studies.definition import schema as study_schema
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
