@@ -17,17 +17,13 @@ from ringwear_par.identification.scatter.reduction import ReducedTest
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """A level at which a key scatters: each group has a deviation of its own.
+    """A level at which a key scatters: each group has a deviation of its own."""
 
-    Parameters
-    ----------
-    key : number of the key among the unknowns.
-    name : "specimen", "batch" or "lab".
-    group : (tests,) int, the group of each test, from 0.
-    """
-
+    #: number of the key among the unknowns
     key: int
+    #: "specimen", "batch" or "lab"
     name: str
+    #: (tests,) int, the group of each test, from 0
     group: IntArray
 
     @property
@@ -38,19 +34,16 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Solutions:
-    """Solutions of the linear mixed model at G sizes of its scatters.
+    """Solutions of the linear mixed model at G sizes of its scatters."""
 
-    Parameters
-    ----------
-    tau : (G, levels) float, sizes of the scatters, in the unit of the unknowns.
-    effects : (G, m + groups) float: beta, then u of all groups of all levels.
-    covariance : (G, m + groups, m + groups) float, of the effects.
-    restricted, marginal : (G,) float, -2 log likelihood: with beta integrated, and at its best.
-    """
-
+    #: (G, levels) float, sizes of the scatters, in the unit of the unknowns
     tau: FloatArray
+    #: (G, m + groups) float: beta, then u of all groups of all levels
     effects: FloatArray
+    #: (G, m + groups, m + groups) float, of the effects
     covariance: FloatArray
+    #: (G,) float, -2 log likelihood of the readings, but for a constant: with beta and nuisances
+    #: integrated, and at their best
     restricted: FloatArray
     marginal: FloatArray
 
@@ -89,6 +82,7 @@ class MixedModel:
         self._constant = sum(test.square + test.log_volume for test in tests) + float(
             prior_precision @ prior_mean**2
         )
+        self._log_nuisances = sum(test.log_nuisances for test in tests)
 
     def columns(self, test: int) -> FloatArray:
         """Return (m, m + groups) what unit effects are in the unknowns of a test, at tau = 1."""
@@ -122,4 +116,5 @@ class MixedModel:
         square = self._constant - np.einsum("gi,gi->g", right, effects)
         log_determinant = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         groups = np.linalg.slogdet(hessian[:, m:, m:])[1]
-        return Solutions(tau, effects, covariance, square + log_determinant, square + groups)
+        restricted = square + log_determinant + self._log_nuisances
+        return Solutions(tau, effects, covariance, restricted, square + groups)

@@ -10,48 +10,40 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.model.noise import NuisanceProjection
 
 
 @dataclass(frozen=True, eq=False)
 class ReducedTest:
-    """What the readings of a test say of its unknowns: normal equations, nuisances projected out.
+    """Normal equations of a test's unknowns, nuisances projected out."""
 
-    Parameters
-    ----------
-    information : (m, m) float, ``J' V^-1 J``.
-    score : (m,) float, ``J' V^-1 z``, of the linearised readings z = y - h + J x.
-    square : ``z' V^-1 z``.
-    log_volume : log determinant of V, and of the normal matrix of free nuisances.
-    """
-
+    #: (m, m) float, ``J' V^-1 J``
     information: FloatArray
+    #: (m,) float, ``J' V^-1 z``, of the linearised readings z = y - h + J x
     score: FloatArray
+    #: ``z' V^-1 z``
     square: float
+    #: log determinants of V, and of the nuisances' normal matrix
     log_volume: float
+    log_nuisances: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedTest:
-    """A test linearised at its unknowns x, in units of its noise and without its correlation.
+    """A test linearised at its unknowns x, in units of its noise and without its correlation."""
 
-    Parameters
-    ----------
-    readings : (n,) float, z = y - h(x) + J x.
-    jacobian : (n, m) float, J.
-    nuisances : (n, c) float, what unit nuisances add to the readings.
-    prior_rows : (r, c) float, of the nuisances' priors, in units of their sd.
-    prior_values : (r,) float.
-    log_volume : log determinant of the noise's covariance and of the nuisances' priors.
-    process : (n, n) float, covariance of what the random part of wear adds, for a size of 1 mm;
-        None without.
-    """
-
+    #: (n,) float, z = y - h(x) + J x
     readings: FloatArray
+    #: (n, m) float, J
     jacobian: FloatArray
+    #: (n, c) float, what unit nuisances add to the readings
     nuisances: FloatArray
+    #: (r, c) and (r,) float, the nuisances' priors in units of their sd
     prior_rows: FloatArray
     prior_values: FloatArray
+    #: log determinant of the noise's covariance
     log_volume: float
+    #: (n, n) float, covariance that the random part of wear adds, for a size of 1 mm
     process: FloatArray | None = None
 
 
@@ -62,23 +54,17 @@ def reduce_test(test: LinearisedTest, sizes: Sequence[float] = (0.0,)) -> tuple[
 
     Parameters
     ----------
-    sizes : mm, of the process noise; all 0 where the test has none.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError : nuisances that readings and priors do not determine.
+    sizes : mm, of the process noise; of no meaning to a test that has none.
     """
-    n = len(test.readings)
     rows = np.column_stack([test.readings, test.jacobian, test.nuisances])
-    variances = np.zeros(n)
+    variances = np.zeros(len(rows))
     if test.process is not None:
         # one decomposition makes the covariances of all sizes diagonal
         variances, vectors = np.linalg.eigh(test.process)
         variances, rows = np.maximum(variances, 0.0), vectors.T @ rows
     m = test.jacobian.shape[1]
-    priors = np.column_stack(
-        [test.prior_values, np.zeros((len(test.prior_values), m)), test.prior_rows]
-    )
+    no_keys = np.zeros((len(test.prior_values), m))
+    priors = np.column_stack([test.prior_values, no_keys, test.prior_rows])
     return tuple(
         _reduce(rows, priors, 1.0 + size * variances, m, test.log_volume) for size in sizes
     )
@@ -89,14 +75,10 @@ def _reduce(
 ) -> ReducedTest:
     """Return the normal equations of uncorrelated rows: readings, m keys, then the nuisances."""
     scaled = np.concatenate([rows / np.sqrt(variances)[:, None], priors])
-    log_volume += float(np.log(variances).sum())
-    wanted, nuisances = scaled[:, : 1 + m], scaled[:, 1 + m :]
-    if nuisances.shape[1]:
-        basis, triangle = np.linalg.qr(nuisances)
-        diagonal = np.abs(np.diag(triangle))
-        if diagonal.min() <= np.finfo(float).eps * len(scaled) * diagonal.max():
-            raise np.linalg.LinAlgError("nuisances are not determined")
-        log_volume += 2.0 * float(np.log(diagonal).sum())
-        wanted = wanted - basis @ (basis.T @ wanted)
-    products = wanted.T @ wanted
-    return ReducedTest(products[1:, 1:], products[1:, 0], float(products[0, 0]), log_volume)
+    projection = NuisanceProjection(scaled[:, 1 + m :])
+    rest = projection.rest(scaled[:, : 1 + m])
+    products = rest.T @ rest
+    return ReducedTest(
+        products[1:, 1:], products[1:, 0], float(products[0, 0]),
+        log_volume + float(np.log(variances).sum()), projection.log_volume,
+    )  # fmt: skip
