@@ -57,6 +57,10 @@ class MixedModel:
     levels : of all keys that scatter.
     prior_precision : (m,) float, of the unknowns of the material; 0 where there is no prior.
     prior_mean : (m,) float.
+
+    Attributes
+    ----------
+    precision : (m + groups,) float, of the priors of all effects.
     """
 
     def __init__(
@@ -76,7 +80,7 @@ class MixedModel:
             columns = self.columns(i)
             self._normal += columns.T @ test.information @ columns
             self._right += columns.T @ test.score
-        self._precision = np.concatenate([prior_precision, np.ones(size - self.m)])
+        self.precision = np.concatenate([prior_precision, np.ones(size - self.m)])
         self._prior_right = np.zeros(size)
         self._prior_right[: self.m] = prior_precision * prior_mean
         self._constant = sum(test.square + test.log_volume for test in tests) + float(
@@ -107,7 +111,7 @@ class MixedModel:
         scale, m = self.scales(tau), self.m
         hessian = scale[:, :, None] * self._normal * scale[:, None, :]
         diagonal = np.arange(len(self._right))
-        hessian[:, diagonal, diagonal] += self._precision
+        hessian[:, diagonal, diagonal] += self.precision
         right = scale * self._right + self._prior_right
         factor = np.linalg.cholesky(hessian)
         inverse = np.linalg.inv(factor)

@@ -38,7 +38,7 @@ class Size:
     """
 
     known: float | None
-    scale: float
+    scale: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,17 +128,49 @@ class ScatterPosterior:
 
     def of_test(self, test: int, key: int) -> Mixture:
         """Return what is known of a key's value in one test, in the light of the others."""
-        s = self.solutions
-        row = self.model.columns(test)[key] * self.model.scales(s.tau)
+        s, row = self.solutions, self._rows(test)[:, key]
         means = np.einsum("gi,gi->g", row, s.effects)
         variances = np.einsum("gi,gij,gj->g", row, s.covariance, row)
         return Mixture(self.weights, means, variances)
 
     def unknowns(self, test: int) -> FloatArray:
         """Return the means (m,) of the unknowns of a test."""
-        s = self.solutions
-        columns = self.model.columns(test) * self.model.scales(s.tau)[:, None, :]
-        return self.weights @ np.einsum("gki,gi->gk", columns, s.effects)
+        means = np.einsum("gki,gi->gk", self._rows(test), self.solutions.effects)
+        return self.weights @ means
+
+    def _rows(self, test: int) -> FloatArray:
+        """Return (G, m, m + groups) what effects are in the unknowns of a test."""
+        return self.model.columns(test) * self.model.scales(self.solutions.tau)[:, None, :]
+
+    @property
+    def _material_rows(self) -> FloatArray:
+        """(G, m, m + groups), what effects are in the unknowns of the material."""
+        m, size = self.model.m, self.solutions.effects.shape[1]
+        return np.broadcast_to(np.eye(m, size), (len(self.weights), m, size))
+
+    def _between(self, first: FloatArray, second: FloatArray) -> FloatArray:
+        """Return the covariance (m, m) of two combinations (G, m, m + groups) of the effects."""
+        s, w = self.solutions, self.weights
+        within = np.einsum("g,gki,gij,glj->kl", w, first, s.covariance, second, optimize=True)
+        means = [np.einsum("gki,gi->gk", rows, s.effects) for rows in (first, second)]
+        one, other = (values - w @ values for values in means)
+        covariance: FloatArray = within + np.einsum("g,gk,gl->kl", w, one, other)
+        return covariance
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(m, m) of the material's unknowns."""
+        return self._between(self._material_rows, self._material_rows)
+
+    def covariance_of_test(self, test: int) -> FloatArray:
+        """Return the covariance (m, m) of the unknowns of a test."""
+        rows = self._rows(test)
+        return self._between(rows, rows)
+
+    def covariance_of_test_and_material(self, test: int) -> FloatArray:
+        """Return the covariance (m, m) of the unknowns of a test with those of the material."""
+        rows = self._rows(test)
+        return self._between(rows, self._material_rows)
 
     def size(self, level: int, probability: float) -> SizePosterior:
         """Return what is known of the size of a level's scatter.
