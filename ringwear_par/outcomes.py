@@ -23,6 +23,7 @@ _MODULES = {
     ("FitResult", "save"): f"{_FIT}.fit_folder",
     ("FitResult", "figure"): f"{_FIT}.figures",
     ("FitResult", "parameter_figure"): f"{_FIT}.figures",
+    ("FitResult", "specimen_figure"): f"{_FIT}.figures",
     ("DesignResult", "summary"): f"{_DESIGN}.design_numbers",
     ("DesignResult", "to_dict"): f"{_DESIGN}.design_numbers",
     ("DesignResult", "save"): f"{_DESIGN}.design_folder",
@@ -84,4 +85,15 @@ def figure(outcome: Any) -> "Figure":
 def parameter_figure(outcome: Any) -> "Figure":
     """Return the figure of the fitted keys of a fit."""
     drawn: Figure = _apply("parameter_figure", outcome)
+    return drawn
+
+
+def specimen_figure(outcome: Any) -> "Figure":
+    """Return the figure of the specimens of a fit with scatter.
+
+    Raises
+    ------
+    InputError : a fit without scatter.
+    """
+    drawn: Figure = _apply("specimen_figure", outcome)
     return drawn

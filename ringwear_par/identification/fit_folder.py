@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.folders import CURVES, ESTIMATES, FIT, READINGS
+from ringwear_par.files.folders import CURVES, ESTIMATES, FIT, READINGS, SPECIMENS
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.identification.definition.fitted_parameters import units_of
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-FILES = (FIT, READINGS, CURVES, ESTIMATES)
+FILES = (FIT, READINGS, CURVES, ESTIMATES, SPECIMENS)
 
 
 def check(folder: Path, files: Sequence[str] = FILES) -> None:
@@ -86,7 +86,10 @@ def save(fit: FitResult, folder: Path) -> None:
     with new_files(folder, FILES):
         with atomic_hdf5(folder / READINGS) as (file, _):
             _write(file, fit)
-        for figure, draw in ((CURVES, fit.plot), (ESTIMATES, fit.plot_parameters)):
+        figures = {CURVES: fit.plot, ESTIMATES: fit.plot_parameters}
+        if fit.material is not None:
+            figures[SPECIMENS] = fit.plot_specimens
+        for figure, draw in figures.items():
             try:
                 picture = png(draw())
             except (ArithmeticError, TypeError, ValueError) as error:  # of axes, for huge numbers

@@ -360,6 +360,15 @@ class FitResult:
         """Return the figure of the fitted keys: ellipses, likelihood profiles, samples."""
         return outcomes.parameter_figure(self)
 
+    def plot_specimens(self) -> "Figure":
+        """Return the figure of the specimens: each one's value, the material's, the next one's.
+
+        Raises
+        ------
+        InputError : a fit without scatter.
+        """
+        return outcomes.specimen_figure(self)
+
     def save(self, folder: str | Path) -> None:
         """Write fit.json, results.h5 and both figures to a folder, which is made.
 

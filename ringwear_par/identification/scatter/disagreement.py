@@ -72,8 +72,9 @@ def disagreements(
         unit = "" if parameter.log else unit_of_key(problem, parameter.key)
         text = (
             f"{parameter.key} of tests of {'equal' if equal else 'different'} conditions scatters "
-            f"by {_size(found.scatter, parameter.log)}{unit} (DerSimonian-Laird) where readings explain "
-            f'{_size(own_sd, parameter.log)}: scatter = "fit"{"" if equal else ", or another law"}'
+            f"by {_size(found.scatter, parameter.log)}{unit} (DerSimonian-Laird) where readings "
+            f'explain {_size(own_sd, parameter.log)}{unit}: scatter = "fit"'
+            f"{'' if equal else ', or another law'}"
         )
         values = {"q": found.q, "degrees_of_freedom": found.freedom, "p": found.probability,
                   "scatter": found.scatter, "readings": own_sd}  # fmt: skip

@@ -55,11 +55,13 @@ def estimate_material(
     for _ in range(_MOST_ROUNDS):
         x = misfit.with_best_nuisances(misfit.values(x), own)
         evaluation = misfit.evaluate(x, own)
+        prior = _prior_of_keys(problem.parameters, linear.free, x)
         if sizes is not None:
+            x[m:] = _expected_nuisances(misfit)
             evaluation = replace(evaluation, noise=np.zeros(misfit.n))
+            prior = prior[0], x[list(linear.free)]
         tests = [linear.test(i, evaluation, x, own) for i in range(len(own))]
         reduced = [reduce_test(test)[0] for test in tests]
-        prior = _prior_of_keys(problem.parameters, linear.free, x)
         posterior = _integrated(problem.name, reduced, levels, prior, scatters)
         free, before = list(linear.free), own
         own, sds = before.copy(), np.empty((len(before), len(free)))
@@ -103,6 +105,14 @@ def _prior_of_keys(
             precision[place] = (slope / prior.sd) ** 2
             mean[place] = x[key] + (prior.mean - parameter.value(x[key])) / slope
     return precision, mean
+
+
+def _expected_nuisances(misfit: Misfit) -> FloatArray:
+    """Return the nuisances as their priors have them, 0 without."""
+    nuisances = np.zeros(len(misfit.names))
+    for j, prior in misfit.priors:
+        nuisances[j] = prior.mean
+    return nuisances[len(misfit.problem.parameters) :]
 
 
 def _integrated(
