@@ -33,10 +33,10 @@ from ringwear_par.identification.model.histories import MOST_SHIFT_SD, STEPS
 from ringwear_par.identification.model.rounds import Rounds, StoppedError
 from ringwear_par.identification.scatter.search import estimate_material
 from ringwear_par.identification.summary import prediction
-from ringwear_par.info import versions
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads
 from ringwear_par.results.execution.stopping import StopSignals
+from ringwear_par.version import versions
 
 log = logging.getLogger(__name__)
 

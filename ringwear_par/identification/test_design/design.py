@@ -35,8 +35,8 @@ from ringwear_par.identification.test_design.information import (
     with_noise,
 )
 from ringwear_par.identification.test_design.search import Design, Search
-from ringwear_par.info import versions
 from ringwear_par.parallel import on_first_rank
+from ringwear_par.version import versions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
