@@ -195,7 +195,7 @@ class Material:
         parameter, place = self.parameters[key], self.free.index(key)
         finest = max(levels, key=lambda i: len(self.names[i]))
         groups = self.posterior.model.levels[finest].group
-        material = self.material(key).mean
+        variance = sum(self._median_size(i) ** 2 for i in levels)
         entries = {}
         for number, name in enumerate(self.names[finest]):
             tests = np.flatnonzero(groups == number)
@@ -204,7 +204,6 @@ class Material:
             alone = float(weight @ self.alone[tests, place] / weight.sum())
             alone_sd = float(1.0 / np.sqrt(weight.sum()))
             value, alone_value = parameter.value(shrunk.mean), parameter.value(alone)
-            distance = alone - material
             entries[name] = {
                 "estimate": value,
                 "sd": shrunk.sd * parameter.slope(value),
@@ -213,6 +212,6 @@ class Material:
                     "estimate": alone_value,
                     "sd": alone_sd * parameter.slope(alone_value),
                 },
-                "shrinkage": 1.0 - (shrunk.mean - material) / distance if distance else 0.0,
+                "shrinkage": alone_sd**2 / (alone_sd**2 + variance),
             }
         return entries
