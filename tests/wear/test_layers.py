@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringwear_par.contact.problem import on_curve
+from ringwear_par.contact.problem import project_to_wear_curve
 from ringwear_par.wear.increment import Closing, WearIncrement
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
@@ -135,10 +135,10 @@ def test_a_step_is_put_back_on_a_curve_that_almost_jumps():
     ones = np.ones(N)
     scale, weight = ones, 1e6 * ones
     before, after = 59.0 * ones, 64.0 * ones
-    there = on_curve(during, before, after, scale, weight)
+    there = project_to_wear_curve(during, before, after, scale, weight)
     total = after + weight * during.depth(before)
     np.testing.assert_allclose(there + weight * during.depth(there), total, rtol=1e-8)
     assert (during.depth(there) < 1e-5).all()
     assert (during.depth(after) > 3e-4).all()
     straight = replace(during, laws=(BODY, None))
-    assert on_curve(straight, before, after, scale, weight) is after
+    assert project_to_wear_curve(straight, before, after, scale, weight) is after

@@ -58,10 +58,10 @@ def pressed(
     ----------
     histories : those that are solved; None: all.
     """
-    solver, inputs = contacts.solver, physics.inputs
+    engine, inputs = contacts.engine, physics.inputs
     loads = [case.load for case in inputs.cases]
     if inputs.force is None:
         approach = np.array([largest(load.displacement or 0.0) for load in loads])
-        return solver.solve(inputs.initial_gap, approach=approach, histories=histories)
+        return engine.solve(inputs.initial_gap, approach=approach, histories=histories)
     force = np.array([largest(load.force or 0.0) for load in loads])
-    return solver.solve(inputs.initial_gap, force=force, histories=histories)
+    return engine.solve(inputs.initial_gap, force=force, histories=histories)
