@@ -197,7 +197,13 @@ class FitResult:
 
     @property
     def information(self) -> FloatArray:
-        """(m, m) Fisher information of the fitted keys' unknowns, nuisances eliminated."""
+        """(m, m) Fisher information of the fitted keys' unknowns, nuisances eliminated.
+
+        Of the material's, where they scatter.
+        """
+        if self.material is not None:
+            m = len(self.parameters)
+            return np.linalg.pinv(self.covariance[:m, :m], hermitian=True)
         return without_nuisances(information(self.misfit, self.evaluation), len(self.parameters))
 
     @property

@@ -122,3 +122,20 @@ class MixedModel:
         groups = np.linalg.slogdet(hessian[:, m:, m:])[1]
         restricted = square + log_determinant + self._log_nuisances
         return Solutions(tau, effects, covariance, restricted, square + groups)
+
+
+def of_new_specimen(information: FloatArray, variances: FloatArray) -> FloatArray:
+    """Return what a test of one more specimen tells of the material, (m, m).
+
+    Parameters
+    ----------
+    information : (m, m) float, that of its readings on its own values.
+    variances : (m,) float, by which these scatter about the material's.
+    """
+    scattering = variances > 0.0
+    if not scattering.any():
+        return information
+    columns = information[:, scattering]
+    inner = np.diag(1.0 / variances[scattering]) + columns[scattering]
+    reduced: FloatArray = information - columns @ np.linalg.solve(inner, columns.T)
+    return reduced

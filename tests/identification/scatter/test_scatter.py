@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringwear_par.identification.scatter.likelihood import Level, MixedModel
+from ringwear_par.identification.scatter.likelihood import Level, MixedModel, of_new_specimen
 from ringwear_par.identification.scatter.mixture import Mixture
 from ringwear_par.identification.scatter.posterior import Size, integrate
 from ringwear_par.identification.scatter.reduction import LinearisedTest, ReducedTest, reduce_test
@@ -92,6 +92,16 @@ def test_nuisances_that_do_the_same_count_once():
     once = LinearisedTest(z, jacobian, np.ones((4, 1)), none[:, :1], np.zeros(0), 0.0)
     twice = LinearisedTest(z, jacobian, np.ones((4, 2)), none, np.zeros(0), 0.0)
     assert reduce_test(twice)[0].information == pytest.approx(reduce_test(once)[0].information)
+
+
+def test_information_of_new_specimens_adds():
+    jacobians, z = laboratory()
+    tests = [reduced(j, y) for j, y in zip(jacobians, z, strict=True)]
+    model = MixedModel(tests, [Level(1, "specimen", np.arange(5))], np.zeros(2), np.zeros(2))
+    covariance = model.solve(np.array([[0.4]])).covariance[0, :2, :2]
+    variances = np.array([0.0, 0.4**2])
+    added = sum(of_new_specimen(test.information, variances) for test in tests)
+    assert added == pytest.approx(np.linalg.inv(covariance), rel=1e-10)
 
 
 def test_without_scatter_it_is_the_common_fit():
