@@ -1,4 +1,4 @@
-"""The cases of a study by column."""
+"""The cases of a study by column, and in groups."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from ringwear_par.studies.definition.variations import Column, path_of, split_ke
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class CaseColumns:
     """The cases of a study, or a stretch of them, by column.
 
     Cases whose columns differ in numbers only (see ``cases.numbers``) are of one kind.
@@ -35,23 +35,23 @@ class Rows:
     numbers: Mapping[Number, int]
 
     @classmethod
-    def of(cls, draft: Draft) -> "Rows":
+    def of(cls, draft: Draft) -> "CaseColumns":
         """Return all cases of a draft."""
         numbers: dict[Number, int] = {}
         for i, (path, entry) in enumerate(map(split_key, draft.names)):
             if isinstance(entry, int) or draft.columns[i].numbers is None:
                 continue
-            body, _, own = path.partition(".")
-            if own == "young" and _has_layers(draft, body):
+            body, _, name = path.partition(".")
+            if name == "young" and _has_layers(draft, body):
                 continue  # of other layers: no one factor of the elasticity
             if interval_of((path, entry)) is not None:
                 numbers[path, entry] = i
         return cls(draft.base, draft.names, draft.columns, numbers)
 
-    def part(self, cases: slice | IntArray) -> "Rows":
+    def part(self, cases: slice | IntArray) -> "CaseColumns":
         """Return some of the cases."""
         columns = tuple(column.part(cases) for column in self.columns)
-        return Rows(self.base, self.names, columns, self.numbers)
+        return CaseColumns(self.base, self.names, columns, self.numbers)
 
     def keys(self, case: int, places: bool = False) -> dict[str, Any]:
         """Return the dotted keys and raw values of a case, perhaps with places for its numbers."""
@@ -69,13 +69,12 @@ class Rows:
         kinds = np.zeros(len(self.columns[0]), dtype=np.int64)
         for i, column in enumerate(self.columns):
             if i not in self.numbers.values():
-                own = column.kinds
-                kinds = kinds * (int(own.max(initial=0)) + 1) + own
+                kinds = kinds * (int(column.codes.max(initial=0)) + 1) + column.codes
                 kinds = np.unique(kinds, return_inverse=True)[1].astype(np.int64)
         return kinds
 
-    def others(self, case: int) -> str:
-        """Return what tells the kind of a case: all values but the numbers."""
+    def kind_words(self, case: int) -> str:
+        """Return the values of a case that make its kind: all but the numbers."""
         numbers = self.numbers.values()
         return repr([column[case] for i, column in enumerate(self.columns) if i not in numbers])
 
@@ -107,5 +106,44 @@ def _has_layers(draft: Draft, body: str) -> bool:
 def by_kind(kinds: IntArray) -> Iterator[tuple[int, IntArray]]:
     """Yield each kind and its cases."""
     order = np.argsort(kinds, kind="stable")
-    there, starts = np.unique(kinds[order], return_index=True)
-    yield from zip(there.tolist(), np.split(order, starts)[1:], strict=True)
+    distinct, starts = np.unique(kinds[order], return_index=True)
+    yield from zip(distinct.tolist(), np.split(order, starts)[1:], strict=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Groups:
+    """Groups of cases, in two arrays whatever their number; those of group g are ``groups[g]``.
+
+    Parameters
+    ----------
+    cases : numbers of the cases, group after group.
+    starts : (groups + 1,) where each begins.
+    """
+
+    cases: IntArray
+    starts: IntArray
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def __getitem__(self, group: int) -> IntArray:
+        return self.cases[self.starts[group] : self.starts[group + 1]]
+
+    def __iter__(self) -> Iterator[IntArray]:
+        return (self[group] for group in range(len(self)))
+
+    @property
+    def sizes(self) -> IntArray:
+        """Number of the cases of each group."""
+        return np.diff(self.starts)
+
+    def only(self, wanted: BoolArray) -> "Groups":
+        """Return the groups with the wanted cases only.
+
+        Parameters
+        ----------
+        wanted : by number of the case.
+        """
+        chosen = wanted[self.cases]
+        starts = np.concatenate([[0], np.cumsum(chosen)])[self.starts]
+        return Groups(self.cases[chosen], starts)

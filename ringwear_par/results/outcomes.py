@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _FIT, _DESIGN = "ringwear_par.identification", "ringwear_par.identification.test_design"
+_MEASURING = "ringwear_par.measuring"
 #: modules of the functions, by the class of an outcome and the function's name
 _MODULES = {
     ("Result", "summary"): "ringwear_par.results.summary",
@@ -24,6 +25,9 @@ _MODULES = {
     ("FitResult", "figure"): f"{_FIT}.figures",
     ("FitResult", "parameter_figure"): f"{_FIT}.figures",
     ("FitResult", "specimen_figure"): f"{_FIT}.figures",
+    ("MeasureResult", "summary"): f"{_MEASURING}.summary",
+    ("MeasureResult", "save"): f"{_MEASURING}.measure_folder",
+    ("MeasureResult", "figure"): f"{_MEASURING}.figures",
     ("DesignResult", "summary"): f"{_DESIGN}.design_numbers",
     ("DesignResult", "to_dict"): f"{_DESIGN}.design_numbers",
     ("DesignResult", "save"): f"{_DESIGN}.design_folder",
@@ -77,7 +81,7 @@ def warnings(outcome: Any) -> tuple[str, ...]:
 
 
 def figure(outcome: Any) -> "Figure":
-    """Return the figure of a fit or of a design of tests."""
+    """Return the figure of a fit, of a design of tests or of a measurement."""
     drawn: Figure = _apply("figure", outcome)
     return drawn
 
