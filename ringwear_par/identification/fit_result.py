@@ -243,12 +243,12 @@ class FitResult:
         """What records say against the model or the intervals; ``warnings`` has their texts."""
         misfit, x, evaluation = self.misfit, self.x, self.evaluation
         if self.material is None:
-            own = np.tile(x[: len(self.parameters)], (len(misfit.problem.experiments), 1))
+            test_unknowns = np.tile(x[: len(self.parameters)], (len(misfit.problem.experiments), 1))
         else:
-            own = self.material.own
+            test_unknowns = self.material.test_unknowns
         return (
             *record_warnings(misfit, x, evaluation),
-            *disagreements(misfit, x, evaluation, own),
+            *disagreements(misfit, x, evaluation, test_unknowns),
             *(() if self.material is None else self.material.warnings),
         )
 

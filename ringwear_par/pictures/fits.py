@@ -133,10 +133,10 @@ def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
     estimate : of a key that scatters, as in fit.json.
     level : of its intervals.
     """
-    each, unit = estimate["each"], in_signs(estimate["unit"])
+    entries, unit = estimate["each"], in_signs(estimate["unit"])
     quantile = float(norm.ppf(0.5 + 0.5 * level))
-    places = np.arange(len(each), dtype=float)
-    ends = np.array([-0.6, len(each) - 0.4])
+    places = np.arange(len(entries), dtype=float)
+    ends = np.array([-0.6, len(entries) - 0.4])
     bands = []
     for name, (low, high), opacity in (
         ("the next specimen", estimate["next"], 0.15),
@@ -149,16 +149,18 @@ def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
                 Band(ends, low, high, name, (f"{name}, from", f"{name}, to"), opacity=opacity)
             )
     drawn = []
-    for name, entries, colour, shift in (
-        ("by its own readings", [one["alone"] for one in each.values()], GREY, -_ASIDE),
-        ("in the light of the others", list(each.values()), COLOURS[1], _ASIDE),
+    for name, values_of, colour, shift in (
+        ("by its own readings", [one["alone"] for one in entries.values()], GREY, -_ASIDE),
+        ("in the light of the others", list(entries.values()), COLOURS[1], _ASIDE),
     ):
-        values, sds = (np.array([one[n] for one in entries]) for n in ("estimate", "sd"))
+        values, sds = (np.array([one[n] for one in values_of]) for n in ("estimate", "sd"))
         drawn.append(
             Points(places + shift, values, name, colour, 6.0, hollow=shift < 0.0,
                    errors=quantile * sds)
         )  # fmt: skip
-    names = tuple(each) if len(each) <= _NAMED else tuple(map(str, range(1, len(each) + 1)))
+    names = (
+        tuple(entries) if len(entries) <= _NAMED else tuple(map(str, range(1, len(entries) + 1)))
+    )
     material = Curve(ends, np.full(2, estimate["estimate"]), "the material", COLOURS[0])
     return Panel(
         Axis("specimen", ends=(ends[0], ends[1]), categories=names),

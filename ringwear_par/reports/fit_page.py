@@ -165,7 +165,7 @@ def _estimates(caption: str, parameters: Mapping[str, Any], level: float) -> Tab
 
 
 def _scatter(outcome: Mapping[str, Any]) -> list[Block]:
-    """Return what intervals are of: the specimens at hand, or the material behind them."""
+    """Return blocks about the specimens: intervals are of them, or of the material behind them."""
     parameters, level = outcome["parameters"], float(outcome["level"])
     scattering = {key: one for key, one in parameters.items() if one["of"] == "material"}
     if not scattering:

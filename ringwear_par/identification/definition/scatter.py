@@ -51,9 +51,12 @@ def read_scatter(
     table = value if isinstance(value, Mapping) else {"specimen": value}
     reader = TableReader(f"{said}.scatter", table, faults, SCATTER)
     before = len(faults)
-    own = "1" if log else unit
-    sizes = {group: reader.read(group, unit=own) for group in GROUPS if group in reader}
-    scale, start = reader.read("prior", unit=own), reader.read("start", unit=own)
+    size_unit = "1" if log else unit
+    sizes = {group: reader.read(group, unit=size_unit) for group in GROUPS if group in reader}
+    scale, start = (
+        reader.read("prior", unit=size_unit),
+        reader.read("start", unit=size_unit),
+    )
     for name in (*GROUPS, "prior", "start"):
         reader.raw(name)
     reader.finish()
@@ -148,7 +151,7 @@ def _same_groups(experiments: Sequence[Experiment], small: str, large: str) -> b
 
 
 def expected_sizes(problem: Problem) -> dict[tuple[str, str], float]:
-    """Return what a plan takes the sizes of all scatters to be, by key and group."""
+    """Return the sizes of all scatters in a plan, by key and group."""
     return {
         (p.key, group): p.scatter.start if size is None else size
         for p in problem.parameters

@@ -163,11 +163,12 @@ class Misfit:
         for key in [key for key in self.response_cache if key[1] in past]:
             del self.response_cache[key]
 
-    def keep_only(self, x: FloatArray, own: FloatArray | None = None) -> None:
+    def keep_only(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> None:
         """Forget all histories but those at unknowns, see ``evaluate``. Not collective."""
-        self._response(x, own)
+        self._response(x, test_unknowns)
         remaining = {
-            (test, values.tobytes()) for test, values in enumerate(self.values_of_tests(x, own))
+            (test, values.tobytes())
+            for test, values in enumerate(self.values_of_tests(x, test_unknowns))
         }
         self.response_cache = {k: v for k, v in self.response_cache.items() if k in remaining}
 
@@ -180,20 +181,20 @@ class Misfit:
         self.steps *= 2
         self.response_cache = {}
 
-    def values_of_tests(self, x: FloatArray, own: FloatArray | None) -> list[FloatArray]:
+    def values_of_tests(self, x: FloatArray, test_unknowns: FloatArray | None) -> list[FloatArray]:
         """Return the fitted keys' values (m,) of each test.
 
         Parameters
         ----------
-        own : (tests, m) unknowns of each; None: those of x are the same for all.
+        test_unknowns : (tests, m) unknowns of each; None: those of x are the same for all.
         """
-        if own is None:
+        if test_unknowns is None:
             return [self.values(x)] * len(self.problem.experiments)
-        return [self.values(unknowns) for unknowns in own]
+        return [self.values(unknowns) for unknowns in test_unknowns]
 
-    def _response(self, x: FloatArray, own: FloatArray | None = None) -> FloatArray:
+    def _response(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> FloatArray:
         """Return the readings of all tests and their derivatives by the values, (n, 1 + m)."""
-        wanted = list(enumerate(self.values_of_tests(x, own)))
+        wanted = list(enumerate(self.values_of_tests(x, test_unknowns)))
         self._compute(wanted)
         responses = []
         for test, values in wanted:
@@ -214,37 +215,39 @@ class Misfit:
 
     # from readings to residuals
 
-    def columns(self, x: FloatArray, own: FloatArray | None = None) -> FloatArray:
+    def columns(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> FloatArray:
         """Return derivatives (n, u) of the readings with respect to the unknowns. Not collective.
 
         Parameters
         ----------
-        own : (tests, m) unknowns of the keys in each test, see ``evaluate``.
+        test_unknowns : (tests, m) unknowns of the keys in each test, see ``evaluate``.
 
         Raises
         ------
         HistoryError : there is no history.
         """
         counts = [experiment.n for experiment in self.problem.experiments]
-        slopes = [self.problem.slopes(v) for v in self.values_of_tests(x, own)]
-        key_columns = self._response(x, own)[:, 1:] * np.repeat(slopes, counts, axis=0)
+        slopes = [self.problem.slopes(v) for v in self.values_of_tests(x, test_unknowns)]
+        key_columns = self._response(x, test_unknowns)[:, 1:] * np.repeat(slopes, counts, axis=0)
         return np.concatenate([key_columns, self.nuisance_columns], axis=1)
 
-    def evaluate(self, x: FloatArray, own: FloatArray | None = None) -> Evaluation:
+    def evaluate(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> Evaluation:
         """Return the residuals at unknowns (u,). Not collective.
 
         Parameters
         ----------
-        own : (tests, m) unknowns of the keys in each test, where their values scatter; priors are
-            of those of x.
+        test_unknowns : (tests, m) unknowns of the keys in each test, where their values scatter;
+            priors are of those of x.
 
         Raises
         ------
         HistoryError : there is no history.
         """
-        values, response = self.values(x), self._response(x, own)
+        values, response = self.values(x), self._response(x, test_unknowns)
         model = response[:, 0] + self.nuisance_columns @ x[self._m :]
-        rows = np.concatenate([(model - self.data)[:, None], self.columns(x, own)], axis=1)
+        rows = np.concatenate(
+            [(model - self.data)[:, None], self.columns(x, test_unknowns)], axis=1
+        )
         rows = self.whitened(rows)
         noise, noise_jacobian = rows[:, 0], rows[:, 1:]
         loss, slope = loss_roots(self.problem.settings.loss, noise)
@@ -310,13 +313,13 @@ class Misfit:
         return float(-0.5 * loss @ loss - scatter - self.n * constant)
 
     def with_best_nuisances(
-        self, values: Sequence[float] | FloatArray, own: FloatArray | None = None
+        self, values: Sequence[float] | FloatArray, test_unknowns: FloatArray | None = None
     ) -> FloatArray:
         """Return unknowns (u,) at values of the fitted keys, with the best nuisances for them.
 
         Parameters
         ----------
-        own : (tests, m) unknowns of the keys in each test, see ``evaluate``.
+        test_unknowns : (tests, m) unknowns of the keys in each test, see ``evaluate``.
 
         Raises
         ------
@@ -327,7 +330,7 @@ class Misfit:
         x = np.concatenate([unknowns, np.clip(np.zeros(len(lower)), lower, upper)])
         if len(x) == self._m:
             return x
-        evaluation = self.evaluate(x, own)
+        evaluation = self.evaluate(x, test_unknowns)
         rows = np.array([True] * self.n + [j >= self._m for j, _ in self.priors])
         columns = evaluation.jacobian[rows, self._m :]
         size = np.linalg.norm(columns, axis=0)

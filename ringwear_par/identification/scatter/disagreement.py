@@ -33,21 +33,24 @@ class _Heterogeneity(NamedTuple):
 
 
 def disagreements(
-    misfit: Misfit, x: FloatArray, evaluation: Evaluation, own: FloatArray
+    misfit: Misfit, x: FloatArray, evaluation: Evaluation, test_unknowns: FloatArray
 ) -> list[FitWarning]:
     """Return warnings about keys of rates whose values differ between tests, and do not scatter.
 
     Parameters
     ----------
-    x, evaluation, own : unknowns (u,), residuals, and unknowns of the keys in each test.
+    x, evaluation, test_unknowns : unknowns (u,), residuals, and (tests, m) of the keys.
     """
     problem = misfit.problem
     if len(problem.experiments) < 2:
         return []
     linear = Linearisation(misfit, x)
-    reduced, free = linear.reduced(evaluation, x, own), list(linear.free)
+    reduced, free = linear.reduced(evaluation, x, test_unknowns), list(linear.free)
     score = np.array(
-        [test.score - test.information @ o for test, o in zip(reduced, own[:, free], strict=True)]
+        [
+            test.score - test.information @ o
+            for test, o in zip(reduced, test_unknowns[:, free], strict=True)
+        ]
     )
     information = np.array([np.diag(test.information) for test in reduced])
     conditions = defaultdict(list)
@@ -58,27 +61,26 @@ def disagreements(
         parameter = problem.parameters[key]
         if parameter.scatter is not None or not parameter.key.startswith(_RATES):
             continue
-        told = np.flatnonzero(information[:, place] > 0.0)
+        informed = np.flatnonzero(information[:, place] > 0.0)
         s, a = score[:, place], information[:, place]
         alike = _heterogeneity(
             s, a, [[i for i in tests if a[i] > 0.0] for tests in conditions.values()]
         )
-        all_tests = _heterogeneity(s, a, [told.tolist()])
+        all_tests = _heterogeneity(s, a, [informed.tolist()])
         equal = alike.probability < _NO_CHANCE
-        found = alike if equal else all_tests
-        if found.probability >= _NO_CHANCE:
+        heterogeneity = alike if equal else all_tests
+        if heterogeneity.probability >= _NO_CHANCE:
             continue
-        own_sd = float(np.median(a[told] ** -0.5))
+        own_sd = float(np.median(a[informed] ** -0.5))
         unit = "" if parameter.log else unit_of_key(problem, parameter.key)
         text = (
             f"{parameter.key} of tests of {'equal' if equal else 'different'} conditions scatters "
-            f"by {_size(found.scatter, parameter.log)}{unit} (DerSimonian-Laird) where readings "
-            f'explain {_size(own_sd, parameter.log)}{unit}: scatter = "fit"'
+            f"by {_size(heterogeneity.scatter, parameter.log)}{unit} (DerSimonian-Laird) where "
+            f'readings explain {_size(own_sd, parameter.log)}{unit}: scatter = "fit"'
             f"{'' if equal else ', or another law'}"
         )
-        values = {"q": found.q, "degrees_of_freedom": found.freedom, "p": found.probability,
-                  "scatter": found.scatter, "readings": own_sd}  # fmt: skip
-        names = tuple(problem.experiments[i].name for i in told.tolist())
+        values = {**heterogeneity._asdict(), "p": heterogeneity.probability, "readings": own_sd}
+        names = tuple(problem.experiments[i].name for i in informed.tolist())
         warnings.append(FitWarning("tests-disagree", text, names, (parameter.key,), values))
     return warnings
 

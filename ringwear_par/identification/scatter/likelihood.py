@@ -125,7 +125,7 @@ class MixedModel:
 
 
 def of_new_specimen(information: FloatArray, variances: FloatArray) -> FloatArray:
-    """Return what a test of one more specimen tells of the material, (m, m).
+    """Return the information (m, m) on the material in a test of one more specimen.
 
     Parameters
     ----------

@@ -27,19 +27,24 @@ class Linearisation:
     """
 
     def __init__(self, misfit: Misfit, x: FloatArray) -> None:
-        self.misfit, held = misfit, _held(misfit, x)
+        self.misfit, at_bounds = misfit, _at_bounds(misfit, x)
         self.m = len(misfit.problem.parameters)
-        self.free = tuple(np.flatnonzero(~held[: self.m]).tolist())
-        self._held = held
+        self.free = tuple(np.flatnonzero(~at_bounds[: self.m]).tolist())
+        self._at_bounds = at_bounds
         ends = np.cumsum([experiment.n for experiment in misfit.problem.experiments])
         self.rows = [
             slice(int(end) - experiment.n, int(end))
             for end, experiment in zip(ends, misfit.problem.experiments, strict=True)
         ]
 
-    def reduced(self, evaluation: Evaluation, x: FloatArray, own: FloatArray) -> list[ReducedTest]:
+    def reduced(
+        self, evaluation: Evaluation, x: FloatArray, test_unknowns: FloatArray
+    ) -> list[ReducedTest]:
         """Return the normal equations of all tests, linearised where they were evaluated."""
-        return [reduce_test(self.test(i, evaluation, x, own))[0] for i in range(len(self.rows))]
+        return [
+            reduce_test(self.test(i, evaluation, x, test_unknowns))[0]
+            for i in range(len(self.rows))
+        ]
 
     def nuisances_of(self, test: int) -> list[int]:
         """Return the numbers of a test's unknown nuisances that no bound holds."""
@@ -47,7 +52,7 @@ class Linearisation:
         return [
             j
             for j, of in enumerate(self.misfit.names)
-            if not isinstance(of, str) and of[0] == name and not self._held[j]
+            if not isinstance(of, str) and of[0] == name and not self._at_bounds[j]
         ]
 
     def priors_of(self, nuisances: Sequence[int]) -> tuple[FloatArray, FloatArray]:
@@ -59,7 +64,7 @@ class Linearisation:
         return rows, values
 
     def test(
-        self, number: int, evaluation: Evaluation, x: FloatArray, own: FloatArray
+        self, number: int, evaluation: Evaluation, x: FloatArray, test_unknowns: FloatArray
     ) -> LinearisedTest:
         """Return a test, linearised where it was evaluated."""
         misfit, rows, nuisances = self.misfit, self.rows[number], self.nuisances_of(number)
@@ -68,18 +73,18 @@ class Linearisation:
         jacobian = roots * evaluation.noise_jacobian[rows]
         keys, columns = jacobian[:, list(self.free)], jacobian[:, nuisances]
         readings = -roots[:, 0] * evaluation.noise[rows]
-        readings = readings + keys @ own[number, list(self.free)] + columns @ x[nuisances]
+        readings = readings + keys @ test_unknowns[number, list(self.free)] + columns @ x[nuisances]
         records = [r for r in misfit.records if r.experiment is misfit.problem.experiments[number]]
         volume = 2.0 * float(np.log(misfit.sd[rows]).sum())
         volume += 2.0 * sum(log_volume(record.series) for record in records)
         return LinearisedTest(readings, keys, columns, *self.priors_of(nuisances), volume)
 
 
-def _held(misfit: Misfit, x: FloatArray) -> BoolArray:
+def _at_bounds(misfit: Misfit, x: FloatArray) -> BoolArray:
     """Return which unknowns (u,) stay at their bounds; no key that scatters does."""
-    held = (x <= misfit.lower) | (x >= misfit.upper)
+    at_bounds = (x <= misfit.lower) | (x >= misfit.upper)
     for j, parameter in enumerate(misfit.problem.parameters):
         span = misfit.upper[j] - misfit.lower[j]
         near = min(x[j] - misfit.lower[j], misfit.upper[j] - x[j]) <= 1e-9 * span
-        held[j] = near and parameter.scatter is None
-    return held
+        at_bounds[j] = near and parameter.scatter is None
+    return at_bounds

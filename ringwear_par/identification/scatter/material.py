@@ -41,7 +41,7 @@ class Material:
     #: of intervals
     level: float
     #: (tests, m) unknowns of the keys in each test
-    own: FloatArray
+    test_unknowns: FloatArray
     #: (u,) unknowns: those of the material, and the nuisances of all tests
     x: FloatArray
     evaluation: Evaluation
@@ -65,7 +65,7 @@ class Material:
         return float(self.posterior.weights @ shares.sum(axis=1))
 
     def material(self, key: int) -> Mixture:
-        """Return what is known of the material's unknown of a key that is free."""
+        """Return the distribution of the material's unknown of a key that is free."""
         return self.posterior.material(self.free.index(key))
 
     def levels_of(self, key: int) -> list[int]:
@@ -76,7 +76,7 @@ class Material:
         return [i for i, v in enumerate(self.posterior.model.levels) if v.key == place]
 
     def size(self, level: int) -> SizePosterior:
-        """Return what is known of the size of a level's scatter."""
+        """Return the posterior of the size of a level's scatter."""
         return self.posterior.size(level, self.level)
 
     def interval(self, key: int, mixture: Mixture) -> tuple[float, float]:
@@ -113,8 +113,8 @@ class Material:
         levels = [i for i in self.levels_of(key) if self._name(i) == "specimen"]
         if not levels or not self.parameters[key].log:
             return None
-        own = float(np.median(self.alone_sd[:, self.free.index(key)]))
-        sd = np.hypot(self._median_size(levels[0]), own)
+        test_sd = float(np.median(self.alone_sd[:, self.free.index(key)]))
+        sd = np.hypot(self._median_size(levels[0]), test_sd)
         quantile = 0.5 + 0.5 * self.level
         n = 2
         while float(student_t.ppf(quantile, n - 1)) * sd / np.sqrt(n) > _WANTED:
@@ -131,7 +131,7 @@ class Material:
         return self.size(level).median if known is None else known
 
     def entry(self, key: int) -> dict[str, Any]:
-        """Return what fit.json has of a key, beside its estimate."""
+        """Return the entries of a key in fit.json, beside its estimate."""
         if key not in self.free:
             return {}
         levels = self.levels_of(key)

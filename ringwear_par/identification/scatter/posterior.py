@@ -115,19 +115,19 @@ class ScatterPosterior:
         return self.models[0]
 
     def material(self, key: int) -> Mixture:
-        """Return what is known of a key's value of the material."""
+        """Return the distribution of a key's value of the material."""
         s = self.solutions
         return Mixture(self.weights, s.effects[:, key], s.covariance[:, key, key])
 
     def next_specimen(self, key: int) -> Mixture:
-        """Return what is known of a key's value of one more specimen, of a new batch and lab."""
+        """Return the distribution of a key's value of one more specimen, of a new batch and lab."""
         material = self.material(key)
         levels = [i for i, level in enumerate(self.model.levels) if level.key == key]
         spread = (self.solutions.tau[:, levels] ** 2).sum(axis=1)
         return Mixture(self.weights, material.means, material.variances + spread)
 
     def of_test(self, test: int, key: int) -> Mixture:
-        """Return what is known of a key's value in one test, in the light of the others."""
+        """Return the distribution of a key's value in one test, in the light of the others."""
         s, row = self.solutions, self._rows(test)[:, key]
         means = np.einsum("gi,gi->g", row, s.effects)
         variances = np.einsum("gi,gij,gj->g", row, s.covariance, row)
@@ -173,7 +173,7 @@ class ScatterPosterior:
         return self._between(rows, self._material_rows)
 
     def size(self, level: int, probability: float) -> SizePosterior:
-        """Return what is known of the size of a level's scatter.
+        """Return the posterior of the size of a level's scatter.
 
         Parameters
         ----------

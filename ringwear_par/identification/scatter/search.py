@@ -50,31 +50,31 @@ def estimate_material(
     if sizes is not None:
         keys = [problem.keys[linear.free[level.key]] for level in levels]
         scatters = [Size(sizes[key, level.name]) for key, level in zip(keys, levels, strict=True)]
-    own = np.tile(x[:m], (len(problem.experiments), 1))
+    test_unknowns = np.tile(x[:m], (len(problem.experiments), 1))
     low, high = misfit.lower[:m], misfit.upper[:m]
     for _ in range(_MOST_ROUNDS):
-        x = misfit.with_best_nuisances(misfit.values(x), own)
-        evaluation = misfit.evaluate(x, own)
+        x = misfit.with_best_nuisances(misfit.values(x), test_unknowns)
+        evaluation = misfit.evaluate(x, test_unknowns)
         prior = _prior_of_keys(problem.parameters, linear.free, x)
         if sizes is not None:
             x[m:] = _expected_nuisances(misfit)
             evaluation = replace(evaluation, noise=np.zeros(misfit.n))
             prior = prior[0], x[list(linear.free)]
-        tests = [linear.test(i, evaluation, x, own) for i in range(len(own))]
+        tests = [linear.test(i, evaluation, x, test_unknowns) for i in range(len(test_unknowns))]
         reduced = [reduce_test(test)[0] for test in tests]
         posterior = _integrated(problem.name, reduced, levels, prior, scatters)
-        free, before = list(linear.free), own
-        own, sds = before.copy(), np.empty((len(before), len(free)))
-        for i in range(len(own)):
-            own[i, free] = posterior.unknowns(i)
+        free, before = list(linear.free), test_unknowns
+        test_unknowns, sds = before.copy(), np.empty((len(before), len(free)))
+        for i in range(len(test_unknowns)):
+            test_unknowns[i, free] = posterior.unknowns(i)
             sds[i] = [posterior.of_test(i, j).sd for j in range(len(free))]
-        own = np.clip(own, low, high)
+        test_unknowns = np.clip(test_unknowns, low, high)
         x = x.copy()
         x[free] = [posterior.material(j).mean for j in range(len(free))]
         x[:m] = np.clip(x[:m], low, high)
         growth = _noise_growth(misfit, evaluation, tests, posterior)
         misfit.noise_scale = growth * misfit.noise_scale
-        moves = np.abs(own - before)[:, free] / sds
+        moves = np.abs(test_unknowns - before)[:, free] / sds
         if max(moves.max(), np.abs(growth - 1.0).max()) <= _STILL:
             break
     else:
@@ -82,7 +82,7 @@ def estimate_material(
             "%s: values of specimens still move by %.2g sd after %d rounds",
             problem.name, moves.max(), _MOST_ROUNDS,
         )  # fmt: skip
-    alone, alone_sd = _alone(reduced, posterior, own[:, free])
+    alone, alone_sd = _alone(reduced, posterior, test_unknowns[:, free])
     covariance, band = _covariance(misfit, linear, tests, posterior, x)
     constant = 2.0 * misfit.n * log_constant(problem.settings.loss)
     return Material(
@@ -158,19 +158,20 @@ def _noise_growth(
 
 
 def _alone(
-    reduced: Sequence[ReducedTest], posterior: ScatterPosterior, own: FloatArray
+    reduced: Sequence[ReducedTest], posterior: ScatterPosterior, test_unknowns: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return estimate and sd (tests, free) of each unknown by one test, the others as estimated."""
-    estimate, sd = np.full_like(own, np.nan), np.full_like(own, np.inf)
-    material = np.array([posterior.material(j).mean for j in range(own.shape[1])])
+    count = test_unknowns.shape[1]
+    estimate, sd = np.full_like(test_unknowns, np.nan), np.full_like(test_unknowns, np.inf)
+    material = np.array([posterior.material(j).mean for j in range(count)])
     scattering = {level.key for level in posterior.model.levels}
     for i, test in enumerate(reduced):
         # what does not scatter is the material's, and as well known as that
-        fixed = np.where([j in scattering for j in range(own.shape[1])], own[i], material)
-        for j in range(own.shape[1]):
+        fixed = np.where([j in scattering for j in range(count)], test_unknowns[i], material)
+        for j in range(count):
             if test.information[j, j] > 0.0:
-                others = np.delete(test.information[j] * fixed, j).sum()
-                estimate[i, j] = (test.score[j] - others) / test.information[j, j]
+                by_other_keys = np.delete(test.information[j] * fixed, j).sum()
+                estimate[i, j] = (test.score[j] - by_other_keys) / test.information[j, j]
                 sd[i, j] = test.information[j, j] ** -0.5
     return estimate, sd
 

@@ -80,8 +80,8 @@ def prior_information(problem: Problem, after: str | Path | None) -> PriorInform
         by = [0.0 if p.prior is None else p.slope(v) / p.prior.sd for p, v in pairs]
         information = np.diag(np.square(by))
     else:
-        nominal, information, noise, found = _earlier(problem, Path(after))
-        sizes |= {key: size for key, size in found.items() if key in sizes}
+        nominal, information, noise, fitted_sizes = _earlier(problem, Path(after))
+        sizes |= {key: size for key, size in fitted_sizes.items() if key in sizes}
     width = widths(problem)
     values, vectors = np.linalg.eigh(information * np.outer(width, width))
     informed = values > _WEAK
