@@ -262,9 +262,6 @@ class BatchSolver:
         else:
             raise ValueError("force or approach must be given")
         self._callbacks.pose(wear)
-        newton.bend = (
-            self._callbacks.on_curve if wear is not None and wear.nearly_discontinuous else None
-        )
         self._pose_coupling(wear)
         newton.at_work = active
         if apart.any():

@@ -169,8 +169,7 @@ class Batch:
             return self._after_failure(error)
         if not snapshots:
             return [self]
-        if snapshots[-1].accepted.any():
-            self._ensemble.show(snapshots)
+        self._ensemble.show([snapshot for snapshot in snapshots if snapshot.accepted.any()])
         if self._alone and snapshots[-1].accepted.all():
             self._alone, self._failure = False, ""
         ended = snapshots[-1].finished
@@ -259,13 +258,14 @@ class Batch:
         if not accepted.all():
             state = batched.where(accepted, state, _with_entries_of(before.state, state))
         self._present = replace(before, state=state, progress=progress)
-        finished = accepted & control.finished(state, progress)
+        new = decision.complete
+        finished = new & control.finished(state, progress)
         return [
             *snapshots,
             Snapshot(
                 self.numbers, physics, contacts, state, step, progress,
-                progress.iterations - before.progress.iterations, accepted,
-                _stored(physics.inputs.cases, state, progress, accepted, finished), finished,
+                progress.iterations - before.progress.iterations, new,
+                _stored(physics.inputs.cases, state, progress, new, finished), finished,
             ),
         ]  # fmt: skip
 

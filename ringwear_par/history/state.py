@@ -79,6 +79,8 @@ class Progress:
     pressed : whether a try of the present step failed by its pressure.
     tried_iterations : of the contact solver, in tries of the present step.
     undefined : whether the error of the last try was not a number.
+    interface : s, when the first element is expected at the end of its layer; infinite where none
+        is.
     """
 
     steps: IntArray
@@ -90,12 +92,14 @@ class Progress:
     pressed: BoolArray
     tried_iterations: IntArray
     undefined: BoolArray
+    interface: FloatArray
 
     @classmethod
     def at_start(cls, count: int) -> "Progress":
         """Return the progress of B histories before their first step."""
         zeros, no = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
-        return cls(zeros, np.zeros(count), zeros, zeros, np.zeros(count), no, no, zeros, no)
+        length, never = np.zeros(count), np.full(count, np.inf)
+        return cls(zeros, length, zeros, zeros, length, no, no, zeros, no, never)
 
 
 @dataclass(frozen=True)

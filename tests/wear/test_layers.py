@@ -10,7 +10,7 @@ from ringwear_par.wear.increment import Closing, WearIncrement
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
-from ringwear_par.wear.layer_split import d_split, split
+
 from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
 

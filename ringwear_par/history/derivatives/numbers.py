@@ -131,7 +131,6 @@ class Sensitivity:
             [(row, name) for key, row in rows.items() if (name := _name_of_number(body, key))]
             for body in BODIES
         )
-        self._whole_laws = cases[0].laws
         #: of bodies, which number is the length of their averages, and what it does to these
         self.averages: dict[int, tuple[int, FloatArray]] = {}
         line, true_area = pair.line, pair.line.area * obliquity(pair.slope)
@@ -185,18 +184,21 @@ class Sensitivity:
         """Return derivatives (P, ...) that are 0."""
         return np.zeros((len(self), *shape))
 
-    def rates(
-        self, i: int, law: Law, p: FloatArray, at: LocalState, layer: int | None
-    ) -> FloatArray:
+    def layer_starts(self, i: int, law: Law) -> FloatArray | float:
+        """Return derivatives of the depths at which layers start, see ``VaryingNumbers``."""
+        thicknesses = self.thicknesses.get(i)
+        if thicknesses is None or not thicknesses.any() or not isinstance(law, LayeredLaw):
+            return 0.0
+        assert law.present is not None
+        starts = np.concatenate([np.zeros_like(thicknesses[:1]), np.cumsum(thicknesses, axis=0)])
+        return np.moveaxis(starts[law.present], -1, 0)
+
+    def rates(self, i: int, law: Law, p: FloatArray, at: LocalState) -> FloatArray:
         """Return derivatives of rates with respect to the numbers, see ``VaryingNumbers``."""
-        out, whole = self.zeros(*p.shape), self._whole_laws[i]
+        out = self.zeros(*p.shape)
         for row, name in self._laws[i]:
-            if layer is not None and isinstance(whole, LayeredLaw):
-                in_layer = whole.of_layer(name, layer)
-                if in_layer is None or in_layer not in law.numeric:
-                    continue
-                name = in_layer
-            out[row] = law.d_rate_dparameter(name, p, at)
+            if name in law.numeric:
+                out[row] = law.d_rate_dparameter(name, p, at)
         if self.friction is not None:
             size, still = columns(self._sizes[self.friction]), np.zeros(p.shape[-1])
             along = LocalState(0.0, at.r, still, size, still, still)

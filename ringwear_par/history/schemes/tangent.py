@@ -13,17 +13,19 @@ Derivatives with respect to P numbers are (P, ..., n) of fields, (P, ...) of a h
 and (2, P, ..., n) of what both bodies have.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, columns, inner
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, columns, inner
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.closing_elements import ClosingElements
 from ringwear_par.history.state import State, Tangent
-from ringwear_par.wear.increment import WearIncrement
+from ringwear_par.wear.increment import WearIncrement, total_of
+from ringwear_par.wear.law import Law
 from ringwear_par.wear.linearised import LinearisedIncrement, linearise
 
 # -- along one step --------------------------------------------------------------------------------
@@ -71,8 +73,6 @@ class Along:
         self._closes: FloatArray | None = None
         if closing is not None:
             self._closes = np.where(closing.gap > 0.0, before.gap, 0.0)
-        #: (P, ..., n) of what the first stage counts for closing elements
-        self._d_first: FloatArray | float = 0.0
         #: (P, ..., n) s, of the steps of elements
         self._step: FloatArray | None = None
         self._energy = before.energy
@@ -116,7 +116,7 @@ class Along:
 
     def unhindered(self) -> dict[int, FloatArray]:
         """Return derivatives of what the last stage wears off bodies all along, (P, ..., n) mm."""
-        return {} if self._linearised is None else self._linearised.depths_in_share(self.pressure)
+        return {} if self._linearised is None else self._linearised.depths(self.pressure)
 
     def _wear_off(self, lost: dict[int, FloatArray]) -> None:
         """Add to derivatives of the wear."""
@@ -129,7 +129,7 @@ class Along:
     def explicit(self, increment: WearIncrement, p: FloatArray) -> None:
         """Wear off what an explicit step does at the pressure of its start."""
         linearised = self._linearise(increment, p, None, instant=True)
-        self._wear_off(linearised.depths_in_share(self._before.pressure))
+        self._wear_off(linearised.depths(self._before.pressure))
 
     def implicit(self) -> None:
         """Wear off what the last stage does."""
@@ -147,29 +147,10 @@ class Along:
         first = self._counted = self.pressure
         d_counts: FloatArray | float = 0.0
         if self._closing is not None:
-            d_counts = self._closing.d_stage_weights(p, first, self._closing.first, self._d_first)
+            d_counts = self._closing.d_stage_weights(p, first, 0.0, 0.0)
             self._counted = counts * first + d_counts * p
         self._wear_off(self._lost(share * counts, share * d_counts))
         self._near = self._first = first
-
-    def hold(self, closing: ClosingElements | None, share: float, step: FloatArray) -> None:
-        """Take note of the elements that get to the next layer after the first stage.
-
-        Parameters
-        ----------
-        closing : they, and those that wear brings into contact.
-        share : of the first stage's length, what it stands for.
-        step : s, of the last stage.
-        """
-        if closing is self._closing or closing is None or self._linearised is None:
-            return
-        self._closing = closing
-        if self._closes is None:
-            self._closes = np.zeros_like(self._before.gap)
-        crossing_layers = np.asarray(closing.first_weight) < 1.0
-        d_share = self._linearised.fraction_to_interface(share, self.pressure)
-        self._d_first = np.where(crossing_layers, d_share / share, 0.0)
-        self._step = -columns(step) * share * self._d_first
 
     def lengthen(self, last: WearIncrement, p: FloatArray, step: FloatArray) -> None:
         """Take note that the last stage is tried again, its steps being those that ``p`` asks for.
@@ -182,11 +163,8 @@ class Along:
         whole = last.step / columns(step)
         inside, d_inside = self._inside(last, p)
         counts = whole * inside
-        d_late = whole * d_inside
-        d_step: FloatArray | float = 0.0 if self._step is None else self._step
-        d_late = d_late + inside * d_step / columns(step)
-        d_counts = self._closing.d_stage_weights(p, self.pressure, counts, d_late)
-        self._step = np.where(self._closing.mask, d_step, columns(step) * d_counts)
+        d_counts = self._closing.d_stage_weights(p, self.pressure, counts, whole * d_inside)
+        self._step = np.where(self._closing.mask, 0.0, columns(step) * d_counts)
         self._near = self._first
 
     def last_stage(self, last: WearIncrement, p: FloatArray, step: FloatArray) -> None:
@@ -206,15 +184,31 @@ class Along:
     def _inside(self, last: WearIncrement, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return ``WearIncrement.share`` at a solution, (..., n), and its derivatives."""
         assert self._linearised is not None
-        depth = last.depth_in_present_layer(p)
-        d_depth = self._linearised.depth_in_present_layer(self.pressure)
+        depth = last.depth_if_always_in_contact(p)
+        d_depth = total_of(list(self.unhindered().values()))
         return last.share(depth), last.d_share(depth[0] + depth[1], d_depth, self._closes)
 
     def _lost(self, share: Any, d_share: Any) -> dict[int, FloatArray]:
         """Return derivatives of what the last stage wears off in a share of its step."""
         if self._linearised is None:
             return {}
-        return self._linearised.depths_in_share(self.pressure, share, d_share)
+        return self._linearised.depths(self.pressure, share, d_share)
+
+    def cross(self, crossing: BoolArray, faster: FloatArray, laws: Sequence[Law | None]) -> None:
+        """Wear off what is beyond the ends of layers as the next ones do.
+
+        Parameters
+        ----------
+        crossing : (2, ..., n), which elements come to their next layer.
+        faster : (2, ..., n), its rates over those before.
+        laws : of lower and upper, in the layers after the step.
+        """
+        self.wear = self.wear.copy()
+        for i, law in enumerate(laws):
+            if law is not None:
+                ends = self._numbers.layer_starts(i, law)
+                across = ends + faster[i] * (self.wear[i] - ends)
+                self.wear[i] = np.where(crossing[i], across, self.wear[i])
 
     def work(self, lasts: FloatArray, omega: FloatArray, p: FloatArray, d_p: FloatArray) -> None:
         """Dissipate the energy of a time, s, at a speed, rad/s, and a pressure."""

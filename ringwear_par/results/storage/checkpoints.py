@@ -31,7 +31,7 @@ _ARRAYS = (
 )
 _NUMBERS = (
     "step", "time", "energy", "iterations", "next_step", "rejected", "assemblies", "approach",
-    "force", "pending_iterations", "warm_approach",
+    "force", "pending_iterations", "warm_approach", "interface",
 )  # fmt: skip
 #: of histories whose elements follow the wear, and of bodies with layers
 _OPTIONAL = ("shape", "fit", "through")
@@ -65,6 +65,7 @@ def take(
         "iterations": steps.iterations,
         "next_step": steps.next_step,
         "rejected": steps.rejected,
+        "interface": steps.interface,
         "assemblies": updates,
         "approach": contact.approach,
         "force": contact.force,
@@ -120,6 +121,7 @@ def restored(result: Result) -> Start:
         Progress.at_start(1),
         steps=number("step", np.int64),
         next_step=number("next_step"),
+        interface=number("interface"),
         rejected=number("rejected", np.int64),
         iterations=number("iterations", np.int64),
     )
