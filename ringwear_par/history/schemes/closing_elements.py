@@ -15,7 +15,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, columns, inner
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.state import State
-from ringwear_par.wear.increment import Closing, WearIncrement
+from ringwear_par.wear.increment import Closing
 
 #: gaps that a step may close, in what the fastest element wears in it
 _REACH = 2.0

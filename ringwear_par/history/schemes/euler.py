@@ -11,7 +11,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, columns
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.schemes.interfaces import LastPart, Passage, end_at_interfaces
+from ringwear_par.history.schemes.interfaces import Passage, end_at_interfaces
 from ringwear_par.history.schemes.step import Step, advanced
 from ringwear_par.history.schemes.tangent import along_step
 from ringwear_par.history.state import State
@@ -35,8 +35,8 @@ def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: Fl
     then = physics.rates_at(end, state.wear + depths, contact.pressure)
     energy = length * omega * physics.torque(p)
     after = advanced(physics, state, end, depths, volumes, energy, contact, then, along)
-    passage = Passage.of(physics, state, after, LastPart(state.time, omega, p))
-    return end_at_interfaces(physics, contacts, state, _judged(state, after), passage, along)
+    passage = Passage.of(physics, state, after, state.time, omega, p)
+    return end_at_interfaces(contacts, state, _judged(state, after), passage, along)
 
 
 def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
@@ -60,8 +60,8 @@ def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: F
         along.implicit()
         along.work(length, omega, p, along.pressure)
     after = advanced(physics, state, end, depths, volumes, energy, contact, then, along)
-    passage = Passage.of(physics, state, after, LastPart(end, omega, p))
-    return end_at_interfaces(physics, contacts, state, _judged(state, after), passage, along)
+    passage = Passage.of(physics, state, after, end, omega, p)
+    return end_at_interfaces(contacts, state, _judged(state, after), passage, along)
 
 
 def _judged(state: State, after: State) -> Step:

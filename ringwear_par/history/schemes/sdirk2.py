@@ -26,7 +26,7 @@ from ringwear_par.history.schemes.closing_elements import (
     entry_error,
     find_closing_elements,
 )
-from ringwear_par.history.schemes.interfaces import LastPart, Passage, end_at_interfaces
+from ringwear_par.history.schemes.interfaces import Passage, end_at_interfaces
 from ringwear_par.history.schemes.step import Step, advanced
 from ringwear_par.history.schemes.tangent import Along, along_step
 from ringwear_par.history.state import State
@@ -68,7 +68,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     carried = state.wear + lost_first
     if along is not None:
         along.first_stage(stage.pressure, counts, _SHARE)
-    last, contact, counts_last, inside = _last_stage(
+    last, contact, counts_last = _last_stage(
         physics, contacts, closing, end, speeds[2], carried, length, stage.pressure, along
     )
     worn_last = last.depth_if_always_in_contact(contact.pressure)
@@ -124,12 +124,9 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     defect = defect + errors[0] + changes[0]
     carried = errors[1] + changes[1]
     after = replace(after, error=carried + defect)
-    part = LastPart(end, speeds[2], contact.pressure)
-    passage = Passage.of(physics, state, after, part)
-    if passage is not None:  # what is missed in a layer is more in the next one
-        low = np.minimum(contact.pressure, _mean_pressure(physics, contact))
-        below = Passage.of(physics, state, after, replace(part, pressure=low))
-        defect = defect * np.maximum(passage.growth, below.growth)
+    passage = Passage.of(physics, state, after, end, speeds[2], contact.pressure)
+    if passage is not None:
+        defect = defect * passage.growth_at(_mean_pressure(physics, contact))
     judged = Step(
         after,
         _largest(defect),
@@ -140,7 +137,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         _largest(carried),
         ((state.contact.pressure <= 0.0) & (losses.sum(axis=0) > 0.0)).any(axis=-1),
     )
-    return end_at_interfaces(physics, contacts, state, judged, passage, along)
+    return end_at_interfaces(contacts, state, judged, passage, along)
 
 
 @dataclass(frozen=True)
@@ -184,17 +181,16 @@ def _last_stage(
     length: FloatArray,
     near: FloatArray,
     along: Along | None,
-) -> tuple[WearIncrement, ContactState, FloatArray | float, FloatArray | float]:
-    """Return the last stage, its contact, how many times its weight it counts, (..., n).
+) -> tuple[WearIncrement, ContactState, FloatArray | float]:
+    """Return the last stage, its contact, and how many times its weight it counts, (..., n).
 
-    And which share of its elements' own steps, which are longer by as much, they wear.
     ``near`` are pressures near those at its end, (..., n) MPa.
     """
     step = GAMMA * length
     if closing is None:
         last = physics.increment(end, speed, carried, step)
         contact = contacts.solve(physics.contact_inputs(end, carried, last), near, along=along)
-        return last, contact, 1.0, 1.0
+        return last, contact, 1.0
     counts = np.where(closing.mask, 1.0 + _SHARE, 1.0)
     last = physics.increment(end, speed, carried, step, closing.closing(step, counts))
     contact = contacts.solve(physics.contact_inputs(end, carried, last), near, along=along)
@@ -212,7 +208,7 @@ def _last_stage(
         more = np.where(solved[0], 0, contact.iterations)
         contact = replace(again, iterations=again.iterations + more)
         inside = last.share(last.depth_if_always_in_contact(contact.pressure))
-    return last, contact, counts * inside, inside
+    return last, contact, counts * inside
 
 
 def _scale(physics: Physics, before: ContactState, after: ContactState) -> FloatArray:

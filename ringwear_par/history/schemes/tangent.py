@@ -13,7 +13,6 @@ Derivatives with respect to P numbers are (P, ..., n) of fields, (P, ...) of a h
 and (2, P, ..., n) of what both bodies have.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,6 @@ from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.closing_elements import ClosingElements
 from ringwear_par.history.state import State, Tangent
 from ringwear_par.wear.increment import WearIncrement, total_of
-from ringwear_par.wear.law import Law
 from ringwear_par.wear.linearised import LinearisedIncrement, linearise
 
 # -- along one step --------------------------------------------------------------------------------
@@ -76,6 +74,8 @@ class Along:
         #: (P, ..., n) s, of the steps of elements
         self._step: FloatArray | None = None
         self._energy = before.energy
+        #: (P, ..., n) MPa, of the pressure in the last part of the step
+        self._last = before.pressure
 
     # -- contact -----------------------------------------------------------------------------------
 
@@ -129,10 +129,12 @@ class Along:
     def explicit(self, increment: WearIncrement, p: FloatArray) -> None:
         """Wear off what an explicit step does at the pressure of its start."""
         linearised = self._linearise(increment, p, None, instant=True)
+        self._last = self._before.pressure
         self._wear_off(linearised.depths(self._before.pressure))
 
     def implicit(self) -> None:
         """Wear off what the last stage does."""
+        self._last = self.pressure
         self._wear_off(self.unhindered())
 
     def first_stage(self, p: FloatArray, counts: FloatArray | float, share: float) -> None:
@@ -169,7 +171,7 @@ class Along:
 
     def last_stage(self, last: WearIncrement, p: FloatArray, step: FloatArray) -> None:
         """Wear off what the last stage of two does, see ``first_stage`` and ``lengthen``."""
-        self._counted_last = self.pressure
+        self._last = self._counted_last = self.pressure
         inside: FloatArray | float = 1.0
         d_inside: FloatArray | float = 0.0
         if self._closing is not None:
@@ -194,21 +196,37 @@ class Along:
             return {}
         return self._linearised.depths(self.pressure, share, d_share)
 
-    def cross(self, crossing: BoolArray, faster: FloatArray, laws: Sequence[Law | None]) -> None:
-        """Wear off what is beyond the ends of layers as the next ones do.
+    def cross(
+        self,
+        crossing: BoolArray,
+        second: tuple[WearIncrement, WearIncrement],
+        p: FloatArray,
+        since: FloatArray,
+        faster: FloatArray,
+    ) -> None:
+        """Wear what was lost beyond the ends of layers off the next ones.
 
         Parameters
         ----------
         crossing : (2, ..., n), which elements come to their next layer.
-        faster : (2, ..., n), its rates over those before.
-        laws : of lower and upper, in the layers after the step.
+        second : what these lose in a second before it and in it, the end of the step included.
+        p : (..., n) MPa, of the last part of the step.
+        since : (2, ..., n) s, for how long they have lost it.
+        faster : (2, ..., n), rates in the next layer over those before it.
         """
+        ends = np.zeros_like(self.wear)
+        for body in second[1].bodies:
+            ends[body.side] += self._numbers.layer_starts(body.side, body.law)
+        reached = np.where(crossing[:, None], ends, self.wear)
+        here, below = (
+            linearise(increment, p, self._numbers, d_wear, None, instant=True).depths(self._last)
+            for increment, d_wear in zip(second, (self.wear, reached), strict=True)
+        )
         self.wear = self.wear.copy()
-        for i, law in enumerate(laws):
-            if law is not None:
-                ends = self._numbers.layer_starts(i, law)
-                across = ends + faster[i] * (self.wear[i] - ends)
-                self.wear[i] = np.where(crossing[i], across, self.wear[i])
+        for i in here:
+            beyond = faster[i] * (self.wear[i] - ends[i])
+            depth = beyond + since[i] * (below[i] - faster[i] * here[i])
+            self.wear[i] = np.where(crossing[i], ends[i] + depth, self.wear[i])
 
     def work(self, lasts: FloatArray, omega: FloatArray, p: FloatArray, d_p: FloatArray) -> None:
         """Dissipate the energy of a time, s, at a speed, rad/s, and a pressure."""
