@@ -16,7 +16,7 @@ from ringwear_par.batched import take
 from ringwear_par.contact.bases import Bases, RowGroups
 from ringwear_par.contact.batch_newton import BatchNewton
 from ringwear_par.contact.hessians import SOLVED, Hessians
-from ringwear_par.contact.problem import KKT_TOLERANCE, ContactState, WarmStart, on_curve
+from ringwear_par.contact.problem import KKT_TOLERANCE, ContactState, WarmStart
 from ringwear_par.contact.solver import ContactSolver
 from ringwear_par.contact.tao import OPEN, Guard
 from ringwear_par.errors import ComputationError, HistoriesError
@@ -126,16 +126,6 @@ class _Callbacks:
             diagonal = np.arange(q.shape[1])
             coupling[:, diagonal, diagonal] -= hessians.slope[rows]
             hessians.coupling[rows] = coupling
-
-    def on_curve(self, before: FloatArray, after: FloatArray) -> FloatArray:
-        """Return unknowns after a Newton step, those at work back on curves, see ``problem``."""
-        assert self.wear is not None
-        (wear, _), rows = self._worn(self.wear, after), self._newton.rows
-        unknowns = after.copy()
-        unknowns[rows] = on_curve(
-            wear, before[rows], after[rows], self._scale[rows], self._weights[rows]
-        )
-        return unknowns
 
     def steepest(self, q: FloatArray) -> FloatArray:
         """Return the steeper slope, (B, n), of both sides of a kink of the law."""

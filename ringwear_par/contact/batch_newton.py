@@ -6,8 +6,6 @@ that the force is met, to round-off, by every step. There is no damped iteration
 sets cycle is given up, and is computed alone.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
@@ -33,8 +31,6 @@ class BatchNewton(Method):
         self._hessians, self._weights = hessians, weights
         #: (h,) the histories at work: others stay as they are, and so does their gradient
         self.at_work: IntArray = np.arange(len(weights))
-        #: puts the unknowns of histories at work back on curves, see ``newton``, if any
-        self.bend: Callable[[FloatArray, FloatArray], FloatArray] | None = None
         #: (B, n) mm, (B,) mm, and (B,) N, or (0,) where approaches are given
         self.gaps, self.approaches = np.zeros_like(weights), np.zeros(len(weights))
         self.forces = np.zeros(0)
@@ -72,10 +68,7 @@ class BatchNewton(Method):
                 missing = self.forces[rows] - inner(weights[rows], q[rows])
             steps, changes = hessians.steps(histories, g[rows], missing, NEAR)
             self.approaches[rows] += changes
-            before = None if self.bend is None else q.copy()
             q[rows] += steps
-            if self.bend is not None and before is not None:
-                q[:] = self.bend(before, q)
             self._evaluate(tao)
             self.iterations[histories] = iteration
             again = self._settle(q, g, free)

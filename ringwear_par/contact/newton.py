@@ -10,7 +10,6 @@ over if the sets cycle is Bertsekas' projected Newton method, SIAM J. Control Op
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
@@ -32,8 +31,6 @@ class ActiveSetNewton(Method):
 
     def __init__(self) -> None:
         super().__init__()
-        #: puts unknowns after a step back on curves that a straight line tells little of, if any
-        self.bend: Callable[[FloatArray, FloatArray], FloatArray] | None = None
         self._factor: FloatArray | None = None
         self._free: BoolArray = np.empty(0, dtype=bool)
         self._diagonal: FloatArray | float = 1.0
@@ -66,18 +63,13 @@ class ActiveSetNewton(Method):
         gradient = self._evaluate(tao, x)
         for iteration in range(1, limit + 1):
             if iteration <= PLAIN_ITERATIONS:
-                before = x.copy() if self.bend is not None else x
                 if free.all():  # the same in fewer operations: most steps of most histories
                     x += self._newton_step(tao, gradient, free)
-                    if self.bend is not None:
-                        x = self.bend(before, x)
                     gradient = self._evaluate(tao, x)
                     keep = x > 0.0
                     settled = bool(keep.all())
                 else:
                     x[free] += self._newton_step(tao, gradient[free], free)
-                    if self.bend is not None:
-                        x[free] = self.bend(before, x)[free]
                     gradient = self._evaluate(tao, x)
                     keep = np.where(free, x > 0.0, gradient < 0.0)
                     settled = bool((keep == free).all())

@@ -20,8 +20,6 @@ from ringwear_par.wear.increment import WearIncrement
 
 #: largest relative KKT residual of an accepted solution
 KKT_TOLERANCE = 1e-9
-#: share of a force below which a step counts as along a curve of wear, and tries to get there
-_STRAIGHT, _MOST_BENDS = 1e-9, 40
 #: norm of the gradient at which a solver ends, relative to that of the overlap
 GRADIENT_TOLERANCE = 1e-12
 
@@ -77,48 +75,6 @@ class WarmStart:
 
     scaled_pressure: FloatArray
     approach: FloatArray
-
-
-def on_curve(
-    wear: WearIncrement,
-    before: FloatArray,
-    after: FloatArray,
-    scale: FloatArray,
-    weight: FloatArray,
-) -> FloatArray:
-    """Return unknowns after a Newton step, (..., n), put back on curves of wear over pressure.
-
-    The step was along their tangents. Where a curve almost jumps, the pressure that the tangent
-    leads to may be that of a far-off depth, and the next step goes back: instead the point is taken
-    at which the curve meets what the element's own elasticity makes of the end of the step.
-
-    Parameters
-    ----------
-    before, after : (..., n) scaled pressures.
-    scale, weight : (..., n), as of ``ContactProblem``.
-    """
-    start = before / scale
-    line = weight * (wear.depth(start) + wear.d_depth_dp(start) * (after / scale - start))
-    total = after + line
-    off = weight * wear.depth(after / scale) - line
-    bent = (after > 0.0) & (total > 0.0) & (np.abs(off) > _STRAIGHT * total)
-    if not bent.any():
-        return after
-    x = np.where(bent, after, 0.0)
-    low, high = np.zeros_like(x), np.where(bent, total, 0.0)
-    for _ in range(_MOST_BENDS):
-        p = x / scale
-        excess = np.where(bent, x + weight * wear.depth(p) - total, 0.0)
-        going = bent & (
-            np.abs(excess) > _STRAIGHT * total
-        )  # each element by itself, whoever the others are
-        if not going.any():
-            break
-        high, low = np.where(excess > 0.0, x, high), np.where(excess > 0.0, low, x)
-        following = x - excess / (1.0 + weight * wear.d_depth_dp(p) / scale)
-        inside = (low < following) & (following < high)
-        x = np.where(going, np.where(inside, following, 0.5 * (low + high)), x)
-    return np.where(bent, x, after)
 
 
 class ContactProblem:
@@ -213,16 +169,6 @@ class ContactProblem:
     def diagonal(self) -> FloatArray:
         """Diagonal of the Hessian."""
         return 1.0 + self._slope
-
-    @property
-    def nearly_discontinuous(self) -> bool:
-        """Whether depth may almost jump with pressure."""
-        return self._wear is not None and self._wear.nearly_discontinuous
-
-    def on_curve(self, before: FloatArray, after: FloatArray) -> FloatArray:
-        """Return unknowns after a Newton step, put back on the curves of wear, see there."""
-        assert self._wear is not None
-        return on_curve(self._wear, before, after, self.scale, self.weights)
 
     def add_coupling(self, q: FloatArray, hessian: FloatArray) -> None:
         """Add the slopes of non-local wear to the Hessian."""

@@ -213,8 +213,6 @@ class ContactSolver:
         """Return the contact at a given approach."""
         problem, tao = self._problem, self._tao
         problem.pose(gap, approach, wear)
-        if self._newton is not None:
-            self._newton.bend = problem.on_curve if problem.nearly_discontinuous else None
         if problem.apart:
             self._x.set(0.0)
             self._g.setArray(problem.gradient_apart())

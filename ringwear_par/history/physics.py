@@ -110,7 +110,8 @@ class Physics:
         """Return the physics whose averages and layers are those of faces of these slopes."""
         inputs, true_area = self.inputs, self.area * self.compliances.every[0].obliquity
         if inputs.layered:
-            inputs = inputs.with_laws(lambda i, law: law.at(self._along_normal(self.layer_ends[i])))
+            ends = [None if e is None else self._along_normal(e) for e in self.layer_ends]
+            inputs = inputs.with_laws(lambda i, law: law.at(ends[i]))
         averages = tuple(
             averaging(self.line.r, true_area, law.length)
             if law is not None and law.length

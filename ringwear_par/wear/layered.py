@@ -10,10 +10,11 @@ from typing import Any, Self
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.schedules import Quantity
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, columns
+from ringwear_par.schedules import Quantity, Stacked, Table
 from ringwear_par.wear.law import Law, stack_laws
 from ringwear_par.wear.local_state import LocalState
+from ringwear_par.wear.parameters import parameters_of
 
 #: share of the depth of a layer's end below which what is left above it is round-off
 _ROUND_OFF = 1e-13
@@ -73,6 +74,12 @@ class LayeredLaw(Law):
     has_law: tuple[bool, ...]
     ends: FloatArray | None = field(default=None, compare=False, repr=False)
     present: IntArray | None = field(default=None, compare=False, repr=False)
+    #: one law whose parameters are those of each element's layer, where layers differ in no more
+    _joined: Law | None = field(default=None, init=False, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.present is not None:
+            object.__setattr__(self, "_joined", _joined(self.laws, self.present))
 
     @classmethod
     def of(
@@ -83,7 +90,7 @@ class LayeredLaw(Law):
         laws = (*(itself if law is None else law for law in layer_laws), itself)
         return cls(laws, tuple(thicknesses), tuple(law is not None for law in layer_laws))
 
-    def at(self, ends: FloatArray) -> Self:
+    def at(self, ends: FloatArray | None) -> Self:
         """Return the law at elements, where layers end at these depths, (layers, n) mm."""
         return replace(self, ends=ends)
 
@@ -120,6 +127,8 @@ class LayeredLaw(Law):
 
     def _at_face(self, method: str, p: FloatArray, local: LocalState, *more: LocalState) -> Any:
         """Return a method of the law of each element's layer; None where one has none."""
+        if self._joined is not None:
+            return getattr(self._joined, method)(p, local, *more)
         present = self.layers_at(local.wear) if self.present is None else self.present
         values: Any = None
         for number, (law, at) in enumerate(zip(self.laws, self.states(local), strict=True)):
@@ -222,6 +231,8 @@ class LayeredLaw(Law):
 
     def onset(self, local: LocalState) -> float | FloatArray:
         """Return the pressure, MPa, up to which nothing wears."""
+        if self._joined is not None:
+            return self._joined.onset(local)
         present = self.layers_at(local.wear) if self.present is None else self.present
         onset = np.zeros(present.shape)
         for number, (law, at) in enumerate(zip(self.laws, self.states(local), strict=True)):
@@ -267,3 +278,25 @@ class LayeredLaw(Law):
         present = None if self.present is None else self.present[histories]
         laws = tuple(law.take(histories) for law in self.laws)
         return replace(self, laws=laws, present=present)
+
+
+def _joined(laws: Sequence[Law], present: IntArray) -> Law | None:
+    """Return one law of elements in these layers, (..., n); None where laws differ too much.
+
+    Its parameters are arrays over the elements, so that rates take one evaluation.
+    """
+    first: Any = laws[0]
+    if any(type(law) is not type(first) or law.reads_wear for law in laws):
+        return None
+    changed: dict[str, Any] = {}
+    for name, parameter in parameters_of(type(first)).items():
+        values = [getattr(law, name) for law in laws]
+        if all(value is values[0] or np.array_equal(value, values[0]) for value in values):
+            continue
+        numbers = [value.numbers if isinstance(value, Stacked) else value for value in values]
+        if not parameter.numeric or any(n is None or isinstance(n, Table) for n in numbers):
+            return None
+        here = [present == layer for layer in range(len(laws))]
+        changed[name] = np.select(here, [columns(n) for n in numbers])
+    joined: Law = replace(first, **changed)
+    return joined
