@@ -16,33 +16,11 @@ a result or drawing it starts MPI, PETSc or compiled code.
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ringwear_par.version import __version__ as __version__
 
-if TYPE_CHECKING:
-    from ringwear_par.cases.case import Case
-    from ringwear_par.cases.files.reading import read_case
-    from ringwear_par.elasticity.bem.pair import ContactPair
-    from ringwear_par.errors import ComputationError, InputError
-    from ringwear_par.history.elastic.pairs import assemble
-    from ringwear_par.identification.fit import fit
-    from ringwear_par.identification.fit_result import FitResult
-    from ringwear_par.identification.test_design.design import DesignResult, design
-    from ringwear_par.outcomes import save, summary, to_dict
-    from ringwear_par.reports.report import report
-    from ringwear_par.results.execution.simulate import simulate
-    from ringwear_par.results.result import FailedResult, Result
-    from ringwear_par.results.storage.result_files import open_result
-    from ringwear_par.studies.analysis.surrogate import surrogate
-    from ringwear_par.studies.definition.study import Study, read_study
-    from ringwear_par.studies.execution.many import simulate_all
-    from ringwear_par.studies.execution.sweep import sweep
-    from ringwear_par.studies.pictures.plot import plot
-    from ringwear_par.studies.storage.ensemble import open_ensemble
-    from ringwear_par.wear.law import WearLaw
-    from ringwear_par.wear.local_state import LocalState
-
+#: module of each name; their types are in __init__.pyi
 _PUBLIC = {
     "Case": "cases.case",
     "ComputationError": "errors",
@@ -72,12 +50,7 @@ _PUBLIC = {
     "sweep": "studies.execution.sweep",
     "to_dict": "outcomes",
 }
-__all__ = [
-    "Case", "ComputationError", "ContactPair", "DesignResult", "FailedResult", "FitResult",
-    "InputError", "LocalState", "Result", "Study", "WearLaw", "assemble", "design", "fit",
-    "open_ensemble", "open_result", "plot", "read_case", "read_study", "report", "save", "simulate",
-    "simulate_all", "summary", "surrogate", "sweep", "to_dict",
-]  # fmt: skip
+__all__ = [*_PUBLIC]
 
 
 def __getattr__(name: str) -> Any:

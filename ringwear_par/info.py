@@ -1,45 +1,16 @@
-"""``ringwear info``: what this installation is made of."""
+"""``ringwear info``: the versions of an installation, and the keys of files."""
 
 import os
-import platform
 import sys
-from functools import cache
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
-from ringwear_par.version import __version__
+from ringwear_par.errors import InputError, legible
+from ringwear_par.version import __version__, versions
 
 if TYPE_CHECKING:
     from mpi4py import MPI
-
-
-def versions() -> dict[str, str]:
-    """Return the versions that a result file records."""
-    import h5py
-    import mpi4py
-    import numpy
-    import scipy
-    from mpi4py import MPI
-
-    from ringwear_par.petsc import PETSc
-
-    return {
-        "version": __version__,
-        "python_version": platform.python_version(),
-        "numpy_version": numpy.__version__,
-        "scipy_version": scipy.__version__,
-        "numba_version": _numba_version(),
-        "h5py_version": h5py.__version__,
-        "mpi4py_version": mpi4py.__version__,
-        "petsc_version": ".".join(map(str, PETSc.Sys.getVersion())),
-        "mpi_library": MPI.Get_library_version().split(",")[0].splitlines()[0].strip("\0 "),
-    }
-
-
-@cache
-def _numba_version() -> str:
-    """Return the version of what takes long to import, and long to ask."""
-    return version("numba")
 
 
 def _optional(package: str) -> str:
@@ -49,8 +20,24 @@ def _optional(package: str) -> str:
         return "not installed"
 
 
-def print_info(comm: "MPI.Comm") -> None:
-    """Print versions, builds, ranks and threads. On one rank."""
+def print_info(comm: "MPI.Comm", schema: Sequence[str] | None = None) -> None:
+    """Print versions, builds, ranks and threads; or the keys of files. Not collective.
+
+    Parameters
+    ----------
+    schema : a kind of file or none, and then words of the rows of keys; None: no keys.
+
+    Raises
+    ------
+    InputError : no key has the words.
+    """
+    if schema is None:
+        _print_installation(comm)
+    else:
+        _print_keys(schema)
+
+
+def _print_installation(comm: "MPI.Comm") -> None:
     from ringwear_par.elasticity import pair_cache
     from ringwear_par.petsc import PETSc
 
@@ -75,3 +62,22 @@ def print_info(comm: "MPI.Comm") -> None:
         )
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         print(f"  {name}: {os.environ.get(name, 'not set')}")
+
+
+def _print_keys(words: Sequence[str]) -> None:
+    """Print the keys of case, study and fit files, or of one of these; a row a key."""
+    from ringwear_par.cases import schema as cases
+    from ringwear_par.identification.definition import schema as fits
+    from ringwear_par.studies.definition import schema as studies
+
+    schemas = {"case": cases.KEYS, "study": studies.KEYS, "fit": fits.KEYS}
+    kinds = words[:1] if words and words[0] in schemas else list(schemas)
+    phrase = " ".join(words[1:] if words[:1] == kinds else words)
+    tables = {kind: cases.key_table(schemas[kind], phrase) for kind in kinds}
+    if not any(tables.values()):
+        files = " or ".join(kinds)
+        raise InputError(f"--schema {legible(phrase)}: is in no row of the keys of {files} files")
+    for kind, table in tables.items():
+        if len(kinds) > 1:
+            print(f"Keys of {kind} files\n")
+        print(table or f"  none with {phrase}", end="\n\n" if kind != kinds[-1] else "\n")

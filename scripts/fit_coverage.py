@@ -25,9 +25,8 @@ from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.estimation.intervals import estimates
 from ringwear_par.identification.estimation.minimise import minimise
 from ringwear_par.identification.estimation.misfit import Misfit
-from ringwear_par.identification.model.histories import Histories
-from ringwear_par.identification.model.lockstep import WaitFor, side_by_side
-from ringwear_par.identification.model.steps import STEPS
+from ringwear_par.identification.model.histories import STEPS, Histories
+from ringwear_par.identification.model.rounds import WaitFor, side_by_side
 from ringwear_par.options import start_petsc
 
 TRUTH = {"wear.lower.k": 1e-7, "wear.lower.p0": 40.0}
@@ -108,7 +107,7 @@ def coverage(asked: Problem, repeats: int) -> tuple[FloatArray, FloatArray, Floa
         Misfit(repeated(asked, truth, np.random.default_rng(seed)), histories)
         for seed in range(repeats)
     ]
-    known: dict[bytes, np.ndarray] = {}
+    known: dict[tuple[int, bytes], np.ndarray] = {}
     for misfit in posed:
         misfit.response_cache = known  # the histories do not depend on the noise
     begun, before = time.process_time(), histories.count

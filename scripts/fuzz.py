@@ -33,9 +33,8 @@ from pathlib import Path
 import matplotlib
 from mutations import WORDS, edited, mutated_bytes, mutated_table, mutated_text
 
-from ringwear_par import cli
 from ringwear_par.cases.files.reading import read_case
-from ringwear_par.cases.units import seconds
+from ringwear_par.commands import parser
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.files.writing import check_writable
 from ringwear_par.history.validity.case_limits import check_case
@@ -52,6 +51,7 @@ from ringwear_par.results.storage.result_files import (
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.definition.study import read_study
 from ringwear_par.studies.pictures.figures import plot_sweep
+from ringwear_par.studies.pictures.plot import plot_stored
 from ringwear_par.studies.storage.ensemble import read_ensemble
 from ringwear_par.studies.storage.index import DamagedError
 from ringwear_par.studies.storage.results_file import read_entries
@@ -148,24 +148,23 @@ def read_words(folder: Path, _: random.Random) -> None:
     words = json.loads((folder / "words.json").read_text())
     os.chdir(folder)
     cut = words.index("--") if "--" in words else len(words)
-    args = cli._parser().parse_args(words[:cut])
+    args = parser().parse_args(words[:cut])
     _refuse_words(words[cut + 1 :])
     if "output" in args:
         check_writable(args.output)
     if args.command in ("run", "laws"):
-        check_case(read_case(args.case, args.overrides), 1, str(args.case))
+        check_case(read_case(args.path, args.overrides), 1, str(args.path))
     elif args.command == "sweep":
         from ringwear_par.studies.execution.plan import Request
 
-        Request(args.output, 1, args.ranks_per_case, args.part).check()
+        Request(args.folder, 1, args.ranks_per_case, args.part).check()
         read_study(args.study)
     elif args.command == "plot":
-        chosen = args.panels or "wear", args.steps or "", args.profiles_of or (), args.times or ""
-        plot_files(args.results, args.output, *chosen)
+        chosen = args.panels, args.steps, args.profiles_of, args.times
+        plot_stored(args.results, args.output, *chosen)
     elif args.command == "export":
-        at = None if args.time is None else seconds(args.time)
-        how = at, args.revolve, args.scale, args.fields, args.stress, args.time or ""
-        export(args.result, args.output, *how, interfaces=args.interfaces)
+        how = args.segments, args.scale, args.fields, args.stress, args.interfaces
+        export(args.run, args.output, *how)
 
 
 # -- inputs ----------------------------------------------------------------------------------------

@@ -38,8 +38,7 @@ def figure(fit: FitResult) -> Figure:
     """Return the figure of data, model, its band at the fit's level, and residuals."""
     misfit = fit.misfit
     all_series = [
-        _series(fit, experiment, series, part)
-        for (experiment, series), part in zip(misfit.series, misfit.parts, strict=True)
+        _series(fit, experiment, series, part) for experiment, series, part in misfit.records
     ]
     curves = [series for series in all_series if len(series.x) > 1]
     single = [series for series in all_series if len(series.x) == 1]

@@ -144,9 +144,7 @@ def _write(file: h5py.File, fit: FitResult) -> None:
             unit = units[one.key]
             variable = Variable(one.key, ("sample",), unit, "sample of the posterior")
             write_variable(group, variable, samples[:, j])
-    for number, ((experiment, series), part) in enumerate(
-        zip(misfit.series, misfit.parts, strict=True), start=1
-    ):
+    for number, (experiment, series, part) in enumerate(misfit.records, start=1):
         group = file.create_group(f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', series.name)}")
         group.attrs.update(
             {"experiment": experiment.name, "series": series.name, "quantity": series.quantity,

@@ -23,6 +23,7 @@ from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.estimation.posterior import Posterior
 from ringwear_par.identification.estimation.record_checks import FitWarning, record_warnings
 from ringwear_par.identification.estimation.starts import StartOutcome
+from ringwear_par.identification.model.histories import MOST_SHIFT_SD
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -91,12 +92,12 @@ class FitResult:
     @property
     def noise_fitted(self) -> bool:
         """Whether the noise of some series was fitted."""
-        return any(series.sd_fitted for _, series in self.misfit.series)
+        return any(record.series.sd_fitted for record in self.misfit.records)
 
     @property
     def n_fitted(self) -> int:
         """Number of fitted numbers: keys, nuisances that do something, and noises."""
-        fitted_noise = sum(series.sd_fitted for _, series in self.misfit.series)
+        fitted_noise = sum(record.series.sd_fitted for record in self.misfit.records)
         return len(self.x) - int(self.misfit.idle.sum()) + fitted_noise
 
     @property
@@ -130,7 +131,7 @@ class FitResult:
         if not self.noise_fitted:
             return self.total, self.freedom
         rows = np.ones(len(self.evaluation.residuals), dtype=bool)
-        for (_, series), part in zip(misfit.series, misfit.parts, strict=True):
+        for _, series, part in misfit.records:
             rows[part] = not series.sd_fitted
         size = np.linalg.norm(self.evaluation.jacobian, axis=0)
         columns = self.evaluation.jacobian / np.where(size > 0.0, size, 1.0)
@@ -176,7 +177,7 @@ class FitResult:
     def natural_covariance(self) -> FloatArray:
         """(m, m) of the fitted keys' values."""
         m = len(self.parameters)
-        slopes = self.misfit.slopes(self.misfit.values(self.x))
+        slopes = self.misfit.problem.slopes(self.misfit.values(self.x))
         return self.covariance[:m, :m] * np.outer(slopes, slopes)
 
     @property
@@ -201,6 +202,12 @@ class FitResult:
             )
             if any(math.isclose(estimate.estimate, b, rel_tol=1e-9) for b in parameter.bounds)
         )
+
+    @property
+    def step_dependent_keys(self) -> tuple[str, ...]:
+        """Fitted keys that steps half as long would move by more than they should."""
+        shifts = self.discretisation_shift_sd.items()
+        return tuple(key for key, shift in shifts if abs(shift) > MOST_SHIFT_SD)
 
     @property
     def n_at_best(self) -> int:
@@ -292,8 +299,7 @@ class FitResult:
         """Sum of squares and number of readings of each series, by experiment."""
         experiments: dict[str, dict[str, Any]] = {}
         scales = self.misfit.noise_scale.tolist()
-        parts = zip(self.misfit.series, self.misfit.parts, scales, strict=True)
-        for (experiment, series), part, scale in parts:
+        for (experiment, series, part), scale in zip(self.misfit.records, scales, strict=True):
             noise = self.evaluation.noise[part]
             entry = {"chi2": float(noise @ noise), "n": series.n, "unit": series.unit}
             if series.sd_fitted:

@@ -1,21 +1,22 @@
-"""A fit in a few lines of text: the estimates, then what speaks against them, then the rest."""
+"""A fit as people read it: rows of numbers for its page, warnings, and the text of its summary.
 
-from collections.abc import Mapping
-from typing import Any
+Functions of an ``outcome`` take the contents of fit.json (``FitResult.to_dict``).
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.identification.estimation.posterior import FEW, Posterior, missing_package
-from ringwear_par.identification.fit_numbers import (
-    counted,
-    goodness,
-    law_rows,
-    series_rows,
-    unit_suffix,
-    value_text,
-)
-from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.identification.model.steps import MOST_SHIFT_SD
+if TYPE_CHECKING:
+    from ringwear_par.identification.estimation.posterior import Posterior
+    from ringwear_par.identification.fit_result import FitResult
+
+Outcome = Mapping[str, Any]
+
+#: units of nuisances, after that of their readings
+_PER = {"compliance": "/kN", "tilt": "/mm"}
 
 #: correlations that are listed
 _STRONG = 0.9
@@ -25,7 +26,107 @@ _HIGH = 2.0
 _FAR, _SHARE, _LISTED = 6.0, 0.1, 4
 
 
-def warnings(fit: FitResult) -> tuple[str, ...]:
+@dataclass(frozen=True)
+class SeriesRow:
+    """A series of readings and its misfit; ``noise`` is None unless it was fitted."""
+
+    experiment: str
+    name: str
+    n: int
+    chi2: float
+    unit: str
+    noise: float | None
+    nuisances: str
+
+
+@dataclass(frozen=True)
+class LawRow:
+    """A law that was compared; numbers are None where its fit failed."""
+
+    name: str
+    aic_difference: float | None
+    bic: float | None
+    chi2: float | None
+    parameters: str
+    verdict: str
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def unit_suffix(unit: str) -> str:
+    """Return a unit with a blank before it; "" for none."""
+    return "" if unit in ("1", "-") else f" {unit}"
+
+
+def value_text(estimate: Mapping[str, Any]) -> str:
+    """Return an estimate with its standard deviation, where it is identified, and its unit."""
+    sd = estimate["sd"] if estimate["verdict"] == "identified" else None
+    return f"{_with_sd(estimate['estimate'], sd, 5)}{unit_suffix(estimate['unit'])}"
+
+
+def goodness(outcome: Outcome) -> str:
+    """Return chi2, degrees of freedom, p-value and information criteria in a sentence."""
+    p_value = outcome["p_value"]
+    noise_fitted = any(row.noise is not None for row in series_rows(outcome))
+    if p_value is not None:
+        test = f"p = {p_value:.2g}" + " of those whose noise is given" * noise_fitted
+    elif noise_fitted:
+        test = "all noise was fitted"
+    else:
+        test = 'loss "student"' if outcome["loss"] == "student" else "no p-value"
+    return (
+        f"chi2 = {outcome['chi2']:.5g} of {outcome['n_data']} readings, "
+        f"{outcome['degrees_of_freedom']} degrees of freedom ({test}); "
+        f"AIC {outcome['aic']:.5g}, BIC {outcome['bic']:.5g}"
+    )
+
+
+def series_rows(outcome: Outcome) -> Iterator[SeriesRow]:
+    """Yield the series of all experiments, with their nuisances."""
+    for experiment, series in outcome["experiments"].items():
+        fitted = outcome["nuisance"].get(experiment, {})
+        for name, entry in series.items():
+            unit = entry["unit"]
+            nuisances = ", ".join(
+                f"{kind} not identified"
+                if nuisance["sd"] is None
+                else f"{kind} {_with_sd(nuisance['estimate'], nuisance['sd'], 3)} {unit}"
+                f"{_PER.get(kind, '')}"
+                for kind, nuisance in fitted.get(name, {}).items()
+            )
+            yield SeriesRow(
+                experiment, name, entry["n"], entry["chi2"], unit, entry.get("sd"), nuisances
+            )
+
+
+def law_rows(outcome: Outcome) -> list[LawRow]:
+    """Return the laws that were compared, the best by AIC first, those that failed last."""
+    laws = {"this law": outcome, **outcome["alternatives"]}
+    solved = {name: law for name, law in laws.items() if "aic" in law}
+    best = min(law["aic"] for law in solved.values())
+    rows = []
+    for name, law in sorted(solved.items(), key=lambda item: item[1]["aic"]):
+        parameters = ", ".join(f"{key} = {value_text(p)}" for key, p in law["parameters"].items())
+        verdict = "does not fit" if law["flagged"] else "fits"
+        if law["p_value"] is None:
+            verdict = "not tested: noise was fitted, or has long tails"
+        rows.append(LawRow(name, law["aic"] - best, law["bic"], law["chi2"], parameters, verdict))
+    rows += [
+        LawRow(name, None, None, None, "", f"failed: {law['error']}")
+        for name, law in laws.items()
+        if name not in solved
+    ]
+    return rows
+
+
+def _with_sd(value: float, sd: float | None, digits: int) -> str:
+    return f"{value:.{digits}g}" + ("" if sd is None else f" +- {sd:.2g}")
+
+
+def warnings(fit: "FitResult") -> tuple[str, ...]:
     """Return reasons not to take the numbers as they are, a sentence each."""
     sentences = []
     for one in fit.parameters:
@@ -60,36 +161,35 @@ def warnings(fit: FitResult) -> tuple[str, ...]:
         if failed:
             sentences.append(f"{len(failed)} of {len(fit.starts)} starts failed: {failed[0].error}")
     sentences += [
-        f"{key}: steps half as long would move it by {discretisation_shift_sd:.2g} sd"
-        for key, discretisation_shift_sd in fit.discretisation_shift_sd.items()
-        if abs(discretisation_shift_sd) > MOST_SHIFT_SD
+        f"{key}: steps half as long would move it by {fit.discretisation_shift_sd[key]:.2g} sd"
+        for key in fit.step_dependent_keys
     ]
     sentences += [
         f"{key}: a limit of its likelihood profile is only near the level, or none was found: the "
         "laws do not allow such values, or no history could be computed there"
         for key in fit.inexact_limits
     ]
-    if fit.posterior is not None and fit.posterior.effective < FEW:
+    if fit.posterior is not None and fit.posterior.few:
         sentences.append(
             f"the posterior's samples are worth {fit.posterior.effective:.0f} only: more samples"
         )
     return (*sentences, *_assumptions(fit))
 
 
-def _assumptions(fit: FitResult) -> list[str]:
+def _assumptions(fit: "FitResult") -> list[str]:
     """Return the sentences about columns whose unit nobody names."""
     return [
         f"{series.name} ({experiment.name}): {sentence}"
-        for experiment, series in fit.misfit.series
+        for experiment, series, _ in fit.misfit.records
         for sentence in series.assumptions
     ]
 
 
-def _outliers(fit: FitResult) -> list[str]:
+def _outliers(fit: "FitResult") -> list[str]:
     """Return which few readings do not fit at all, a sentence a series."""
     sentences = []
     misfit = fit.misfit
-    for (experiment, series), part in zip(misfit.series, misfit.parts, strict=True):
+    for experiment, series, part in misfit.records:
         far = np.abs(fit.evaluation.noise[part])
         few = np.argsort(-far)[: max(1, int(_SHARE * series.n))]
         worst = few[far[few] > _FAR]
@@ -113,7 +213,7 @@ def _outliers(fit: FitResult) -> list[str]:
     return sentences
 
 
-def summary(fit: FitResult) -> str:
+def summary(fit: "FitResult") -> str:
     """Return the outcome in a few lines: the estimates, what speaks against them, the rest."""
     problem, outcome = fit.misfit.problem, fit.to_dict()
     lines = [
@@ -146,7 +246,7 @@ def summary(fit: FitResult) -> str:
     return "\n".join(lines)
 
 
-def prediction(fit: FitResult) -> str:
+def prediction(fit: "FitResult") -> str:
     """Return the summary of a fit whose optimum is the start, with nothing fitted."""
     problem = fit.misfit.problem
     lines = [
@@ -166,7 +266,7 @@ def prediction(fit: FitResult) -> str:
         f"to be done: {settings.starts} starts by {settings.method}, intervals: "
         f"{', '.join(settings.intervals)}"
     )
-    if missing := missing_package(settings.intervals):
+    if missing := settings.missing_package:
         lines.append(f"missing: {missing}")
     if problem.alternatives:
         lines.append(f"to be compared: {', '.join(problem.alternatives)}")
@@ -191,7 +291,9 @@ def _parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _posterior_lines(fit: FitResult, posterior: Posterior, outcome: Mapping[str, Any]) -> list[str]:
+def _posterior_lines(
+    fit: "FitResult", posterior: "Posterior", outcome: Mapping[str, Any]
+) -> list[str]:
     parameters, level = outcome["parameters"], outcome["level"]
     width = max(map(len, parameters))
     lines = [
@@ -209,9 +311,9 @@ def _posterior_lines(fit: FitResult, posterior: Posterior, outcome: Mapping[str,
     return lines
 
 
-def _unit_lines(fit: FitResult) -> list[str]:
+def _unit_lines(fit: "FitResult") -> list[str]:
     lines = []
-    for experiment, series in fit.misfit.series:
+    for experiment, series, _ in fit.misfit.records:
         spread = np.median(series.sd) / series.factor
         lines.append(
             f"  {experiment.name}, {series.name}: {counted(series.n, 'reading')} in {series.unit}, "
@@ -221,7 +323,7 @@ def _unit_lines(fit: FitResult) -> list[str]:
     return lines
 
 
-def _correlation_lines(fit: FitResult) -> list[str]:
+def _correlation_lines(fit: "FitResult") -> list[str]:
     strong = [pair for pair in fit.correlations() if abs(pair[2]) > _STRONG]
     return [f"correlated by {value:+.3f}: {one} and {other}" for one, other, value in strong[:5]]
 

@@ -14,7 +14,7 @@ from ringwear_par.files import folders
 from ringwear_par.files.ordinary import read_bytes
 from ringwear_par.files.text import parse_json
 from ringwear_par.files.text import read_text as read_file
-from ringwear_par.identification.fit_numbers import counted, goodness, law_rows, series_rows
+from ringwear_par.identification.summary import counted, goodness, law_rows, series_rows
 from ringwear_par.pictures import fits
 from ringwear_par.pictures.style import in_words
 from ringwear_par.reports.blocks import (

@@ -119,7 +119,7 @@ def test_residual_of_a_solution_and_of_none(parts):
 def test_starts_neither_mpi_nor_petsc_nor_compiled_code():
     text = (
         "import sys; import ringwear_par.contact.problem, ringwear_par.contact.approach; "
-        "import ringwear_par.options, ringwear_par.info; "
+        "import ringwear_par.options, ringwear_par.version; "
         "heavy = ('mpi4py.MPI', 'petsc4py', 'numba', 'scipy', 'h5py'); "
         "print([name for name in heavy if name in sys.modules])"
     )

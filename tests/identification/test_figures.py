@@ -80,9 +80,7 @@ def test_residuals_are_data_less_model(found):
     chart = found.plot()
     panels = [axes for axes in chart.axes if axes.get_ylabel() == "(data - model) / sd"]
     assert len(panels) == 2
-    for axes, (_, series), part in zip(
-        panels, found.misfit.series, found.misfit.parts, strict=False
-    ):
+    for axes, (_, series, part) in zip(panels, found.misfit.records, strict=False):
         expected = (series.value - found.evaluation.model[part]) / series.sd
         (drawn,) = (line.get_ydata() for line in axes.lines)
         assert drawn == pytest.approx(expected)
@@ -140,8 +138,8 @@ def test_long_tests_are_drawn_in_hours(found):
     assert not series.profile
     long = replace(series, x=series.x * (2e4 / series.x.max()))
     for one, seconds, words in ((long, 3600.0, "time (h)"), (series, 1.0, "time (s)")):
-        x, axis = _series(found, test, one, found.misfit.parts[0]).along()
+        x, axis = _series(found, test, one, found.misfit.records[0].rows).along()
         assert x == pytest.approx(one.x / seconds)
         assert axis.label == words
-    _, axis = _series(found, test, test.series[1], found.misfit.parts[1]).along()
+    _, axis = _series(found, test, test.series[1], found.misfit.records[1].rows).along()
     assert axis.label == "radius (mm)"

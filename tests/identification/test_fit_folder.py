@@ -24,8 +24,8 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.folders import FIT
 from ringwear_par.identification import fit as fit_room
+from ringwear_par.identification import fit as run_room
 from ringwear_par.identification import fit_folder
-from ringwear_par.identification import fit_run as run_room
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation import starts as starts_room
 from ringwear_par.identification.fit import fit, fit_problem, run_fit

@@ -15,11 +15,11 @@ from paths import ROOT
 
 import ringwear_par as rw
 from ringwear_par.cases import schema
-from ringwear_par.cli import _parser
+from ringwear_par.commands import parser
 from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition import schema as fit_schema
-from ringwear_par.identification.definition.candidates import count_of
 from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.test_design.candidates import count_of
 from ringwear_par.studies.definition import schema as study_schema
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
@@ -81,7 +81,7 @@ def test_commands_are_ones_that_can_be_given(page):
     for words in commands(page):
         cut = words.index("--") if "--" in words else len(words)
         try:
-            _parser().parse_args(words[:cut])
+            parser().parse_args(words[:cut])
         except SystemExit:
             pytest.fail(" ".join(words))
         for word in words:
@@ -147,8 +147,7 @@ def test_wrong_keys_of_blocks_are_found(examples):
 
 def test_every_command_and_option_is_told():
     text = (ROOT / "docs" / "commands.md").read_text("utf-8")
-    parser = _parser()
-    (actions,) = (action for action in parser._actions if action.dest == "command")
+    (actions,) = (action for action in parser()._actions if action.dest == "command")
     for name, command in actions.choices.items():
         rows = "\n".join(line for line in text.splitlines() if f"`ringwear {name}" in line)
         assert rows, name

@@ -4,7 +4,7 @@ import pytest
 from swept import CASE, table, variables, write_study
 
 import ringwear_par
-from ringwear_par import info
+from ringwear_par import version
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.studies.execution import plan, workers
 from ringwear_par.studies.execution.sweep import sweep
@@ -30,7 +30,7 @@ def swept(shared_path, comm):
 def test_another_version_does_not_mix_with_the_first(swept, shared_path, comm, monkeypatch):
     mine = ringwear_par.__version__
     swept("0, 20")
-    for module in (ringwear_par, info, plan, workers):
+    for module in (ringwear_par, version, plan, workers):
         monkeypatch.setattr(module, "__version__", "99.0")
     assert swept("0, 20").computed == 0  # nothing to mix
     with pytest.raises(InputError) as raised:
@@ -59,7 +59,7 @@ def test_interrupted_cases_of_another_version_start_anew(
         ("incomplete", ringwear_par.__version__)
     ]
     comm.Barrier()
-    for module in (ringwear_par, info, plan, workers):
+    for module in (ringwear_par, version, plan, workers):
         monkeypatch.setattr(module, "__version__", "99.0")
     read = []
     monkeypatch.setattr("ringwear_par.studies.execution.workers.open_result", read.append)

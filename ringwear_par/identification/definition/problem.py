@@ -3,8 +3,9 @@
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -39,14 +40,11 @@ class FittedParameter:
     """A case key whose value is sought.
 
     Its unknown is the value itself or, where ``log``, its natural logarithm.
-
-    Parameters
-    ----------
-    key : dotted case key.
-    start, bounds, prior : in the case's unit.
     """
 
+    #: dotted case key
     key: str
+    #: in the case's unit
     start: float
     bounds: tuple[float, float]
     log: bool = False
@@ -77,16 +75,12 @@ def reflected(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArr
 
 @dataclass(frozen=True)
 class Nuisance:
-    """Something linear that a measurement has besides what is measured.
+    """Something linear that a measurement has besides what is measured."""
 
-    Parameters
-    ----------
-    kind : "offset", "drift" (in total over the test), "compliance" (per kN), "level" or "tilt" (per
-        mm of radius).
-    prior, bounds : in the measurement's unit.
-    """
-
+    #: "offset", "drift" (in total over the test), "compliance" (per kN), "level" or "tilt" (per mm
+    #: of radius)
     kind: str
+    #: in the measurement's unit
     prior: Prior | None = None
     bounds: tuple[float, float] = (-np.inf, np.inf)
 
@@ -98,40 +92,36 @@ class Nuisance:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Readings of one quantity in one experiment.
+    """Readings of one quantity in one experiment."""
 
-    Parameters
-    ----------
-    name : unique within the experiment.
-    quantity : what was read.
-    x : (n,) s, or mm of a profile.
-    value, sd : (n,) mm, N mm, g or mm^3.
-    sd_fitted : whether ``sd`` is but a first guess.
-    unit, factor : the unit of the data, and how much it is in those above.
-    at : s, of a profile.
-    density : g/mm^3, of all that a mass is of; None: each layer has its own, which the case tells.
-    nuisances : what is fitted along.
-    correlation_time : s, of the noise; 0: it is white.
-    file, lines : where the readings stand; "" and none of a single value.
-    assumptions : sentences about units that nobody names, or that are likely wrong.
-    planned : whether nothing has been read yet; values are 0 then.
-    """
-
+    #: unique within the experiment
     name: str
+    #: what was read
     quantity: Quantity
+    #: (n,) s, or mm of a profile
     x: FloatArray
+    #: (n,) mm, N mm, g or mm^3
     value: FloatArray
     sd: FloatArray
+    #: whether ``sd`` is but a first guess
     sd_fitted: bool = False
+    #: the unit of the data, and how much it is in those above
     unit: str = "mm"
     factor: float = 1.0
+    #: s, of a profile
     at: float | None = None
+    #: g/mm^3, of all that a mass is of; None: each layer has its own, which the case tells
     density: float | None = 1.0
+    #: what is fitted along
     nuisances: tuple[Nuisance, ...] = ()
+    #: s, of the noise; 0: it is white
     correlation_time: float = 0.0
+    #: where the readings stand; "" and none of a single value
     file: str = ""
     lines: IntArray | None = None
+    #: sentences about units that nobody names, or that are likely wrong
     assumptions: tuple[str, ...] = ()
+    #: whether nothing has been read yet; values are 0 then
     planned: bool = False
 
     @property
@@ -166,42 +156,41 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Settings:
-    """How to fit.
+    """How to fit."""
 
-    Parameters
-    ----------
-    starts : how many; the first is that of the parameters.
-    method : "brgn" of TAO, or "lm" of SciPy.
-    intervals : "linear" ones, and those of the likelihood "profile" or of the "posterior" as well.
-    samples : of the posterior.
-    level : of the intervals.
-    loss : "gaussian", or "student" (with 4 degrees of freedom) where there are outliers.
-    """
-
+    #: how many; the first is that of the parameters
     starts: int = 8
+    #: "brgn" of TAO, or "lm" of SciPy
     method: Method = "brgn"
+    #: "linear" ones, and those of the likelihood "profile" or of the "posterior" as well
     intervals: tuple[str, ...] = ("linear",)
+    #: of the posterior
     samples: int = 4000
+    #: of the intervals
     level: float = 0.95
+    #: "gaussian", or "student" (with 4 degrees of freedom) where there are outliers
     loss: Loss = "gaussian"
+
+    @property
+    def missing_package(self) -> str:
+        """A sentence about a package that intervals need and that is missing, else ""."""
+        if "posterior" not in self.intervals or find_spec("emcee") is not None:
+            return ""
+        return 'fit.intervals: "posterior" needs emcee: pip install emcee, or leave it out'
 
 
 @dataclass(frozen=True)
 class DesignSpace:
-    """What ``[design]`` asks.
+    """What ``[design]`` asks."""
 
-    Parameters
-    ----------
-    criterion : "D", the determinant of the information; "A", the mean variance; "eig", the expected
-        gain of information.
-    ranges : lowest and highest value of each key that varies.
-    seconds : of all experiments together; None: no limit.
-    experiments : how many.
-    """
-
+    #: "D", the determinant of the information; "A", the mean variance; "eig", the expected gain of
+    #: information
     criterion: Criterion = "D"
+    #: lowest and highest value of each key that varies
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    #: of all experiments together; None: no limit
     seconds: float | None = None
+    #: how many
     experiments: int = 1
 
     @property
@@ -212,25 +201,21 @@ class DesignSpace:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What a fit file asks.
+    """What a fit file asks."""
 
-    Parameters
-    ----------
-    name : what messages call it.
-    text : the TOML text.
-    parameters : sought; the same in all experiments.
-    alternatives : other laws with parameters of their own, by name.
-    hashes : SHA-256 of the files of data, by their names in the fit file.
-    design : what tests may be made next.
-    """
-
+    #: what messages call it
     name: str
+    #: the TOML text
     text: str
     settings: Settings
+    #: sought; the same in all experiments
     parameters: tuple[FittedParameter, ...]
     experiments: tuple[Experiment, ...]
+    #: other laws with parameters of their own, by name
     alternatives: "Mapping[str, Problem]"
+    #: SHA-256 of the files of data, by their names in the fit file
     hashes: Mapping[str, str]
+    #: what tests may be made next
     design: DesignSpace
 
     @property
@@ -253,3 +238,21 @@ class Problem:
     def start(self) -> dict[str, float]:
         """The fitted keys at their starts."""
         return {parameter.key: parameter.start for parameter in self.parameters}
+
+    def unknowns(self, values: Sequence[float] | FloatArray) -> FloatArray:
+        """Return the unknowns (m,) of values of the fitted keys."""
+        return np.array([p.unknown(v) for p, v in zip(self.parameters, values, strict=True)])
+
+    def values(self, unknowns: FloatArray) -> FloatArray:
+        """Return the values (m,) of unknowns."""
+        return np.array([p.value(u) for p, u in zip(self.parameters, unknowns, strict=True)])
+
+    def slopes(self, values: Sequence[float] | FloatArray) -> FloatArray:
+        """Return the derivatives (m,) of values with respect to their unknowns."""
+        return np.array([p.slope(v) for p, v in zip(self.parameters, values, strict=True)])
+
+    @property
+    def unknown_bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Smallest and largest unknowns, (m,)."""
+        low, high = np.array([[p.unknown(b) for b in p.bounds] for p in self.parameters]).T
+        return low, high

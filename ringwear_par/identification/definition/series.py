@@ -1,99 +1,38 @@
 """``[[experiment.data]]``: from a table of a fit file to readings in the units of a case."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
-from scipy.ndimage import median_filter
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.cases.case import Case
+from ringwear_par.arrays import IntArray
+from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.cases.tables import TableReader
-from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import (
-    assumption,
-    factor,
-    has_unit,
     in_unit_where_right,
-    told_unit,
-    unit_of_anything,
-    unit_of_column,
 )
-from ringwear_par.cases.values import RejectedError
-from ringwear_par.errors import InputError, legible
-from ringwear_par.files.measurements import Measurements, and_more, read_measurements
-from ringwear_par.identification.definition.problem import BASE, Nuisance, Quantity, Series
-from ringwear_par.identification.definition.reading_limits import (
-    check_profile,
-    check_times,
-    density_of,
-)
-from ringwear_par.identification.definition.schema import DATA, NUISANCE, NUISANCES, SD
+from ringwear_par.errors import legible
+from ringwear_par.files.measurements import and_more
+from ringwear_par.identification.definition.data_sources import FileStore, read_noise, read_readings
+from ringwear_par.identification.definition.problem import Nuisance, Quantity, Series
+from ringwear_par.identification.definition.schema import DATA, DENSITIES, NUISANCE, NUISANCES
 
-#: what messages say of units
-_UNITS = {
-    "s": "a time, such as s, min or h", "mm": "a length, such as um, mm or inch",
-    "N mm": "a torque, such as N mm or N m", "g": "a mass, such as mg or g",
-    "mm^3": "a volume, such as mm^3 or um^3",
-}  # fmt: skip
-#: readings of which data are smoothed by their median
-_SMOOTH = 9
-#: of the largest reading: below it a relative error means nothing
-_NEAR_ZERO = 0.05
 #: of the test: noise that is correlated for longer is an offset
 _LONGEST_CORRELATION = 100.0
 #: readings of a record, and the share of the test: one that ends before may be in another unit
 _RECORD, _SHORT_RECORD = 3, 0.1
 #: of the test: times that are rounded, in minutes, say, may be so much later than its end
 _ROUNDED = 2e-4
-
-#: reads a table of measurements, once
-Files = Callable[[str], Measurements]
-
-
-class FileStore:
-    """The files of data, each read once.
-
-    Parameters
-    ----------
-    folder : from which their names count.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._read: dict[str, Measurements | InputError] = {}
-
-    def __call__(self, name: str) -> Measurements:
-        """Return a file's table.
-
-        Raises
-        ------
-        InputError : it cannot be read; every time it is asked for.
-        """
-        if name not in self._read:
-            try:
-                self._read[name] = read_measurements(self._folder / name)
-            except InputError as error:
-                self._read[name] = error
-        table = self._read[name]
-        if isinstance(table, InputError):
-            raise table
-        return table
-
-    @property
-    def hashes(self) -> dict[str, str]:
-        """SHA-256 of what has been read."""
-        return {k: v.sha256 for k, v in self._read.items() if isinstance(v, Measurements)}
+#: units of densities, in g/mm3
+_OTHER_UNITS = {"g/cm3": 1e-3, "kg/m3": 1e-6, "kg/mm3": 1e3, "t/mm3": 1e6}
 
 
 def read_series(
     said: str,
     table: Any,
     case: Case | None,
-    files: Files,
+    files: FileStore,
     faults: list[str],
     *,
     plans: bool = False,
@@ -121,19 +60,7 @@ def read_series(
     timed = next((key for key in ("file", "times") if key in reader), "")
     if at is not None and timed and kind != "profile":
         reader.wrong("at", f"must be absent beside {timed}, whose readings have their times")
-    where, once = ("r", ()) if kind == "profile" else ("times", ("value",))
-    single_key = next((key for key in ("file", *once) if key in reader), "")
-    if single_key and where in reader:
-        reader.raw(where)
-        reader.wrong(
-            where, f"must be absent beside {single_key}; it is for readings that are planned"
-        )
-    if "file" in reader:
-        readings = _from_file(reader, kind, files)
-    elif "value" in reader and kind != "profile":
-        readings = _single(reader, kind, end if at is None else at)
-    else:
-        readings = _planned(reader, kind, at, end, plans)
+    readings = read_readings(reader, kind, at, end, files, plans)
     if readings is None:
         return None
     x, value, unit, scale = readings.x, readings.value, readings.unit, readings.factor
@@ -144,7 +71,7 @@ def read_series(
     keep = np.ones(len(x), dtype=bool)
     for low, high in _intervals(reader, "mm" if kind == "profile" else "s"):
         keep &= (x < low) | (x > high)
-    sd, fitted = _sd(reader, readings, keep)
+    sd, fitted = read_noise(reader, readings, keep)
     nuisances = _nuisances(reader, kind, case)
     correlation = reader.read("correlation_time")
     if correlation > 0 and kind == "profile":
@@ -185,169 +112,6 @@ def read_series(
     return series if len(faults) == before else None
 
 
-@dataclass(frozen=True, eq=False)
-class _Readings:
-    """Readings and where they are from.
-
-    Parameters
-    ----------
-    x, value : (n,) as a series has them.
-    unit, factor : of the data, and how much it is in the units of a case.
-    assumptions : sentences about columns whose unit nobody names.
-    data, rows : the table and which of its rows have readings; None of others.
-    lines, where : of the readings; None and "" without a table.
-    planned : whether nothing has been read yet.
-    """
-
-    x: FloatArray
-    value: FloatArray
-    unit: str
-    factor: float
-    assumptions: tuple[str, ...] = ()
-    data: Measurements | None = None
-    rows: BoolArray | None = None
-    lines: IntArray | None = None
-    where: str = ""
-    planned: bool = False
-
-
-def _single(reader: TableReader, kind: str, at: float) -> _Readings | None:
-    single = reader.read("value")
-    unit, scale = _unit(reader, kind)
-    if single is None or scale is None:
-        return None
-    return _Readings(np.array([at]), np.array([scale * single]), unit, scale)
-
-
-def _planned(
-    reader: TableReader, kind: str, at: float | None, end: float, plans: bool
-) -> _Readings | None:
-    """Return readings that are to be taken, or why there are none in words."""
-    where = "r" if kind == "profile" else "times"
-    file_keys = {"columns", "units"} & reader.keys()
-    once = kind in ("mass", "volume") or (at is not None and kind != "profile")
-    usual = "value" if once else "file"
-    must = {
-        "mass": "must be a finite number", "volume": "must be a finite number",
-        "profile": "must be the name of a table of depths over radii",
-    }.get(kind, "must be the name of a table")  # fmt: skip
-    if file_keys or not (once or where in reader):
-        for key in file_keys:
-            reader.raw(key)
-        reader.wrong(
-            "file" if file_keys else usual,
-            f"{must}; or {where} of planned readings, for --dry-run and design",
-        )
-        return None
-    x = np.array([end if at is None else at])
-    if where in reader:
-        x = reader.read(where)
-    unit, scale = _unit(reader, kind)
-    if not plans:
-        reader.wrong(usual, f"{must}; planned readings are for --dry-run and ringwear design only")
-    if x is None or scale is None:
-        return None
-    return _Readings(x, np.zeros(len(x)), unit, scale, planned=True)
-
-
-def _unit(reader: TableReader, kind: str) -> tuple[str, float | None]:
-    unit = str(reader.raw("unit") or "")
-    return unit, _factor(reader, "unit", unit, BASE[kind])
-
-
-def _from_file(reader: TableReader, kind: str, files: Files) -> _Readings | None:
-    name = reader.read("file")
-    for key in ("value", "unit"):
-        if key in reader:
-            reader.raw(key)
-            reader.wrong(key, "must be absent beside file")
-    roles = ("r" if kind == "profile" else "time", "value")
-    columns, units = reader.raw("columns", {}), reader.raw("units", {})
-    for key, table in (("columns", columns), ("units", units)):
-        wrong = not isinstance(table, Mapping) or set(table) - set(roles)
-        if wrong or not all(isinstance(entry, str) for entry in table.values()):
-            reader.wrong(key, f"must be a table of texts, for {' and '.join(roles)}")
-            return None
-    if name is None:
-        return None
-    try:
-        data = files(name)
-    except InputError as error:
-        for fault in error.faults:
-            reader.fault(fault)
-        return None
-    column_names, units_by_role, factors = {}, {}, {}
-    assumed: list[str] = []  # roles
-    for role in roles:
-        column = columns.get(role, role)
-        if column not in data.columns:
-            reader.fault(
-                f"{data.name}: has no column {legible(column)} for {role}; must be one of "
-                f"{legible(', '.join(data.columns), 200)}"
-            )
-            continue
-        base = BASE[kind if role == "value" else role]
-        try:
-            unit = units.get(role) or told_unit(column, base) or ""
-        except RejectedError as reason:
-            reader.fault(
-                f"{data.name}: the column {legible(column)} {reason}; must be in the unit of "
-                f"{_UNITS[base]}, or units.{role} must be given"
-            )
-            continue
-        if not unit:
-            unit = base
-            assumed.append(role)
-        scale = _factor(reader, f"units.{role}", unit, base)
-        if scale is None:
-            continue
-        if named := _other_unit(column, unit):
-            reader.fault(
-                f"units.{role} = {shortened(unit)}: the column {legible(column)} of {data.name} is "
-                f"in {named} by its name; must be the same unit"
-            )
-        column_names[role], units_by_role[role], factors[role] = column, unit, scale
-    if len(column_names) < len(roles):
-        return None
-    rows = data.filled(*column_names.values())
-    hour = factor("h", "s") / factors["time"] if "time" in roles else None
-    x = factors[roles[0]] * _column(reader, data, column_names[roles[0]], rows, hour)
-    value = factors["value"] * _column(reader, data, column_names["value"], rows)
-    if "time" in assumed and data.names_seconds(column_names["time"], rows):
-        assumed.remove("time")
-    return _Readings(
-        x, value, units_by_role["value"], factors["value"],
-        tuple(assumption(column_names[role], units_by_role[role]) for role in assumed), data, rows,
-        data.lines[rows], data.name,
-    )  # fmt: skip
-
-
-def _other_unit(column: str, unit: str) -> str:
-    """Return the unit that a column's name ends with where it is not this one, else ""."""
-    named = unit_of_column(column, unit)
-    return "" if named is None or math.isclose(factor(named, unit), 1.0) else legible(named)
-
-
-def _column(
-    reader: TableReader, data: Measurements, name: str, rows: BoolArray, hour: float | None = None
-) -> FloatArray:
-    try:
-        return data.numbers(name, rows, hour)
-    except InputError as error:
-        for fault in error.faults:
-            reader.fault(fault)
-        return np.full(int(rows.sum()), np.nan)
-
-
-def _factor(reader: TableReader, key: str, unit: str, base: str) -> float | None:
-    try:
-        return factor(unit, base)
-    except RejectedError:
-        state = f"= {shortened(unit)}" if unit else "is missing"
-        reader.fault(f"{key} {state}: must be the unit of {_UNITS[base]}")
-        return None
-
-
 def _intervals(reader: TableReader, unit: str) -> list[tuple[float, float]]:
     """Return the intervals of ``exclude``, in a unit."""
     value = in_unit_where_right(reader.raw("exclude", []), unit)
@@ -362,88 +126,6 @@ def _intervals(reader: TableReader, unit: str) -> list[tuple[float, float]]:
         reader.wrong("exclude", "must be a list of increasing pairs (mm of a profile, else s)")
         return []
     return [(float(low), float(high)) for low, high in value]
-
-
-def _sd(reader: TableReader, readings: _Readings, keep: BoolArray) -> tuple[FloatArray, bool]:
-    """Return the standard deviation of each reading, and whether it is to be fitted."""
-    entry, value, data = reader.raw("sd"), readings.value, readings.data
-    unknown = np.full(len(value), np.nan)
-    named = isinstance(entry, str) and not has_unit(entry)
-    if readings.planned and (named or isinstance(entry, Mapping)):
-        reader.wrong("sd", "must be a number > 0, in unit, of readings that are planned")
-        return unknown, False
-    if named and entry != "fit":
-        if data is None:
-            reader.wrong("sd", "must be a number > 0 or { relative = x }")
-            return unknown, False
-        return _sd_column(reader, entry, readings), False
-    if entry == "fit":
-        if keep.sum() < _SMOOTH:
-            more = "" if keep.all() else " that are not excluded"
-            reader.wrong("sd", f'must be a number: "fit" needs {_SMOOTH} readings at least{more}')
-        return np.full(len(value), _scatter(value[keep])), True
-    if isinstance(entry, Mapping):
-        share = TableReader(f"{reader.place}: sd", entry, [], SD)
-        relative = share.read("relative")
-        if relative is None or set(entry) != {"relative"}:
-            reader.wrong("sd", "must be { relative = x }, a number > 0")
-            return unknown, False
-        if not len(value):  # which is told of all readings
-            return unknown, False
-        smooth = np.abs(median_filter(value, min(_SMOOTH, len(value)), mode="nearest"))
-        small = smooth <= _NEAR_ZERO * smooth.max(initial=0.0)
-        if small.any():
-            line = ""
-            if readings.lines is not None:
-                line = f"{readings.where}: line {readings.lines[np.flatnonzero(small)[0]]}: "
-            reader.wrong(
-                "sd", f"{line}must be in the data's unit where readings are near zero, as here"
-            )
-            return unknown, False
-        return relative * smooth, False
-    single = reader.read("sd", unit=readings.unit)
-    return np.full(len(value), math.nan if single is None else readings.factor * single), False
-
-
-def _sd_column(reader: TableReader, column: str, readings: _Readings) -> FloatArray:
-    """Return the standard deviations in a column of a table."""
-    data, rows, lines = readings.data, readings.rows, readings.lines
-    assert data is not None
-    assert rows is not None
-    assert lines is not None
-    unknown = np.full(len(readings.value), np.nan)
-    if column not in data.columns:
-        reader.wrong(
-            "sd", f'must be a number, "fit", {{ relative = x }} or a column of {data.name}'
-        )
-        return unknown
-    named = _other_unit(column, readings.unit)
-    if not named and unit_of_column(column, readings.unit) is None:
-        named = legible(unit_of_anything(column) or "")
-    if named:
-        reader.wrong(
-            "sd",
-            f"the column is in {named} by its name; must be in {readings.unit}, as the readings",
-        )
-        return unknown
-    filled = data.filled(column)[rows]
-    if not filled.all():
-        reader.fault(
-            f"{readings.where}: line {lines[~filled][0]}: {column} is empty; must be a number > 0"
-        )
-        return unknown
-    sd = readings.factor * _column(reader, data, column, rows)
-    if (wrong := np.flatnonzero(sd <= 0)).size:
-        values = f"{column} = {sd[wrong[0]] / readings.factor:g}{and_more(wrong.size, 'line')}"
-        reader.fault(f"{readings.where}: line {lines[wrong[0]]}: {values}: must be a number > 0")
-    return sd
-
-
-def _scatter(value: FloatArray) -> float:
-    """Return a guess of the noise of readings: what second differences scatter by."""
-    second = np.abs(np.diff(value, 2)) / math.sqrt(6.0)
-    guess = 1.4826 * float(np.median(second)) if len(second) else 0.0
-    return guess or 1e-3 * float(np.abs(value).max(initial=0.0)) or 1e-9
 
 
 def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisance, ...]:
@@ -465,3 +147,117 @@ def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisa
         if name == "compliance" and case is not None and case.load.force is None:
             entry_reader.fault('needs load.control = "force"')
     return tuple(nuisances)
+
+
+def density_of(reader: TableReader, quantity: str, case: Case | None) -> float | None:
+    """Return the density of all that is lost, g/mm3; None where each layer has its own.
+
+    Refuse one that is not known, or that nothing has, as that in another unit.
+
+    Parameters
+    ----------
+    quantity : "mass.lower" or "mass.upper".
+    case : of the experiment; None where that has faults itself.
+    """
+    body = quantity.partition(".")[2]
+    densities = (
+        (None,) if case is None else (case.lower if body == "lower" else case.upper).densities
+    )
+    case_density = densities[0] if len(set(densities)) == 1 else None
+    if reader.raw("density") is None and len(densities) > 1:
+        _check_densities(reader, body, densities)
+        return case_density
+    default = ... if case_density is None else case_density
+    density: float | None = reader.read("density", default)
+    if density is not None and (rule := _density_rule(density)):
+        reader.wrong("density", rule)
+    return density
+
+
+def _check_densities(reader: TableReader, body: str, known: Sequence[float | None]) -> None:
+    """Refuse a mass of a body some of whose layers have no density, or one that nothing has."""
+    keys = density_keys(body, len(known) - 1)
+    if missing := ", ".join(key for key, density in zip(keys, known, strict=True) if not density):
+        reader.wrong(
+            "density", f"must be that of all that is lost, or the case must have {missing} (g/mm3)"
+        )
+    for key, density in zip(keys, known, strict=True):
+        if density and (rule := _density_rule(density)):
+            reader.fault(f"{key} = {density:g}: {rule}")
+
+
+def _density_rule(density: float) -> str:
+    """Return the rule that a density (g/mm3) breaks, "" if it is one of a material."""
+    low, high = DENSITIES
+    if low <= density <= high:
+        return ""
+    hint = next(
+        (
+            f"; {density:g} {unit} would be {density * share:.6g}"
+            for unit, share in _OTHER_UNITS.items()
+            if low <= density * share <= high
+        ),
+        "",
+    )
+    return f"must be from {low:g} to {high:g} g/mm3, as of foams and metals{hint}"
+
+
+def check_times(reader: TableReader, series: Series, case: Case) -> None:
+    """Refuse times that do not increase, or that are outside the test."""
+    x, end = series.x, case.time.end
+    if (late := np.flatnonzero(np.diff(x) <= 0)).size:
+        i = int(late[0])
+        reader.fault(
+            f"{_line(series, i + 1)}time {x[i + 1]:g} s after {x[i]:g} s{_more(late)}: times must "
+            "increase"
+        )
+    if (outside := np.flatnonzero((x < 0) | (x > end))).size:
+        i = int(outside[0])
+        reader.fault(
+            f"{_line(series, i)}time {x[i]:g} s{_more(outside)}: must be within the test, from 0 "
+            f"to {end:g} s (time.end)"
+        )
+    if series.quantity != "torque":
+        _check_depths(reader, series, case)
+
+
+def check_profile(reader: TableReader, series: Series, case: Case) -> None:
+    """Refuse radii that are not those of the body."""
+    ring = getattr(case, series.body)
+    if (outside := np.flatnonzero((series.x < ring.r[0]) | (series.x > ring.r[1]))).size:
+        i, hint = int(outside[0]), ""
+        if ring.r[0] <= series.x[i] / 1e3 <= ring.r[1]:
+            hint = "; it is a thousand times too large: look at units.r"
+        reader.fault(
+            f"{_line(series, i)}r = {series.x[i]:g} mm{_more(outside)}: must be on the "
+            f"{series.body} body, from {ring.r[0]:g} to {ring.r[1]:g} mm{hint}"
+        )
+    a, b = case.contact
+    if not ((series.x >= a) & (series.x <= b)).any():
+        reader.fault(
+            f"{series.file or 'r'}: has no reading within the contact, {a:g} to {b:g} mm; must "
+            "have one at least"
+        )
+    _check_depths(reader, series, case)
+
+
+def _check_depths(reader: TableReader, series: Series, case: Case) -> None:
+    """Refuse depths that no body has."""
+    if series.quantity.startswith(("mass", "volume")):
+        return
+    highest = min(ring.z[1] - ring.z[0] for ring in case.rings)
+    i = int(np.argmax(np.abs(series.value)))
+    if abs(series.value[i]) > highest:
+        reader.fault(
+            f"{_line(series, i)}{series.value[i]:g} mm: must be less than the height of a body, "
+            f"{highest:g} mm; look at the unit"
+        )
+
+
+def _more(wrong: IntArray) -> str:
+    return and_more(len(wrong), "reading")
+
+
+def _line(series: Series, i: int) -> str:
+    """Return where a reading stands; "" of one that stands in no file."""
+    return "" if series.lines is None else f"{series.file}: line {series.lines[i]}: "

@@ -30,21 +30,17 @@ _MERE_PRIOR = 0.95
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """A fitted key.
-
-    Parameters
-    ----------
-    estimate, sd : in the case's unit; sd None where there is none to speak of.
-    interval : None on a side that is not limited.
-    verdict : whether the readings tell it.
-    direction : what they tell instead, "" where they tell it.
-    """
+    """A fitted key."""
 
     key: str
+    #: in the case's unit; sd None where there is none to speak of.
     estimate: float
     sd: float | None
+    #: None on a side that is not limited.
     interval: tuple[float | None, float | None]
+    #: whether the readings tell it.
     verdict: Verdict
+    #: what they tell instead, "" where they tell it.
     direction: str = ""
 
 
@@ -76,15 +72,11 @@ def without_nuisances(matrix: FloatArray, m: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """An information matrix taken apart.
+    """An information matrix taken apart."""
 
-    Parameters
-    ----------
-    size : (u,) square roots of its diagonal, 1 for none.
-    values, vectors : eigenvalues, increasing, and eigenvectors of the matrix with a unit diagonal.
-    """
-
+    #: (u,) square roots of its diagonal, 1 for none
     size: FloatArray
+    #: eigenvalues, increasing, and eigenvectors of the matrix with a unit diagonal
     values: FloatArray
     vectors: FloatArray
 

@@ -66,7 +66,7 @@ class MarginalLikelihood:
         square += rest @ rest
         square += sum(((values[j] - prior.mean) / prior.sd) ** 2 for j, prior in self._priors)
         # priors are densities of values, those sought here of unknowns
-        slopes = self._misfit.slopes(values)
+        slopes = self._misfit.problem.slopes(values)
         return float(sum(np.log(slopes[j]) for j, _ in self._priors) - 0.5 * square)
 
     def _nuisances(self, unadjusted: FloatArray, roots: FloatArray) -> FloatArray:

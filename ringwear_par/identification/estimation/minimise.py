@@ -8,9 +8,9 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.contact.tao import Guard
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
-from ringwear_par.identification.model.histories import HistoryError
-from ringwear_par.identification.model.lockstep import WaitFor
-from ringwear_par.identification.model.steps import bends_within
+from ringwear_par.identification.model.histories import HistoryError, bends_within
+from ringwear_par.identification.model.noise import NuisanceProjection
+from ringwear_par.identification.model.rounds import WaitFor
 from ringwear_par.options import FIT_PREFIX, set_from_options
 from ringwear_par.petsc import PETSc
 
@@ -29,29 +29,23 @@ _NO_GAIN = 1e-4
 _STILL, _NEAR = 4, 1e-2
 #: how much larger residuals are where there is no history
 _FAR = 1e3
-#: singular values of nuisances below it, over the largest: they are one
-_DEPENDENT = 1e-10
 #: relative to the Jacobian: keeps steps finite in directions that nothing is known of
 _REGULARISER = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """Where a minimiser ended.
+    """Where a minimiser ended."""
 
-    Parameters
-    ----------
-    x : (u,) unknowns.
-    evaluation : residuals there.
-    converged : whether the gradient within the bounds vanishes.
-    iterations : of the minimiser.
-    points : at which it has had histories computed.
-    """
-
+    #: (u,) unknowns.
     x: FloatArray
+    #: residuals there.
     evaluation: Evaluation
+    #: whether the gradient within the bounds vanishes.
     converged: bool
+    #: of the minimiser.
     iterations: int
+    #: at which it has had histories computed.
     points: int
 
 
@@ -186,15 +180,9 @@ class _Reduced:
                 evaluation.jacobian[:, self._nonlinear] * self._scale,
             )
             if self._linear.any():
-                columns = evaluation.jacobian[:, self._linear]
-                size = np.linalg.norm(columns, axis=0)
-                left, values, right = np.linalg.svd(columns / size, full_matrices=False)
-                left = left[:, values > _DEPENDENT * values[0]]
-                part = left.T @ residuals
-                solution = right[: len(part)].T @ (part / values[: len(part)])
-                x[self._linear] -= solution / size
-                residuals = residuals - left @ part
-                jacobian = jacobian - left @ (left.T @ jacobian)
+                projection = NuisanceProjection(evaluation.jacobian[:, self._linear])
+                x[self._linear] -= projection.solution(residuals)
+                residuals, jacobian = projection.rest(residuals), projection.rest(jacobian)
             self._last = y.tobytes(), residuals, jacobian, x
             self._judge(x, 0.5 * float(residuals @ residuals))
         return self._last

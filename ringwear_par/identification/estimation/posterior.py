@@ -12,9 +12,7 @@ nothing to the spread of the samples.
 import logging
 import time
 import zipfile
-from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +24,7 @@ from ringwear_par.files.writing import atomic_write
 from ringwear_par.identification.definition.problem import reflected
 from ringwear_par.identification.estimation.likelihood import MarginalLikelihood
 from ringwear_par.identification.estimation.misfit import Misfit
-from ringwear_par.identification.model.lockstep import StoppedError
-from ringwear_par.identification.model.rounds import Rounds
+from ringwear_par.identification.model.rounds import Rounds, StoppedError
 
 log = logging.getLogger(__name__)
 
@@ -41,35 +38,29 @@ _NEARER = 40
 #: s between two times that the chain is stored
 STORE_SECONDS = 10.0
 #: effective samples below which quantiles mean little
-FEW = 200.0
+_FEW = 200.0
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Samples of the fitted keys.
+    """Samples of the fitted keys."""
 
-    Parameters
-    ----------
-    samples : (s, m) values.
-    acceptance : of the walkers' moves.
-    effective : how many independent samples they are worth, by the slowest key.
-    """
-
+    #: (s, m) values.
     samples: FloatArray
+    #: of the walkers' moves.
     acceptance: float
+    #: how many independent samples they are worth, by the slowest key.
     effective: float
+
+    @property
+    def few(self) -> bool:
+        """Whether the samples are worth too few for their quantiles to mean much."""
+        return self.effective < _FEW
 
     def interval(self, level: float) -> FloatArray:
         """Return (2, m) ends of the central intervals."""
         ends: FloatArray = np.quantile(self.samples, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
         return ends
-
-
-def missing_package(intervals: Sequence[str]) -> str:
-    """Return a sentence about a package that intervals need and that is missing, else ""."""
-    if "posterior" not in intervals or find_spec("emcee") is not None:
-        return ""
-    return 'fit.intervals: "posterior" needs emcee: pip install emcee, or leave it out'
 
 
 def sample_posterior(

@@ -18,7 +18,7 @@ from ringwear_par.identification.estimation.intervals import ParameterEstimate
 from ringwear_par.identification.estimation.minimise import Optimum, minimise
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.model.histories import HistoryError
-from ringwear_par.identification.model.lockstep import WaitFor, side_by_side
+from ringwear_par.identification.model.rounds import WaitFor, side_by_side
 
 #: of the root of the growth of the sum of squares, at which a limit is found
 _CLOSE = 0.01
@@ -29,20 +29,16 @@ _BETTER = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Profiles:
-    """Likelihood profiles and their limits.
+    """Likelihood profiles and their limits."""
 
-    Parameters
-    ----------
-    estimates : with their limits.
-    tables : for each key (2, points): values of the parameter, increasing, and what twice the
-        objective grows by.
-    inexact_limits : keys of which a limit is not as close as it should be.
-    better : (u,) unknowns on the way that are better than the optimum; None: there are none.
-    """
-
+    #: with their limits.
     estimates: tuple[ParameterEstimate, ...]
+    #: for each key (2, points): values of the parameter, increasing, and what twice the objective
+    #: grows by.
     tables: Mapping[str, FloatArray]
+    #: keys of which a limit is not as close as it should be.
     inexact_limits: tuple[str, ...] = ()
+    #: (u,) unknowns on the way that are better than the optimum; None: there are none.
     better: FloatArray | None = None
 
 

@@ -1,7 +1,7 @@
 """Checks of single records: readings that cannot be what they are called, or oppose the model."""
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.stats import f as f_distribution
@@ -12,6 +12,7 @@ from ringwear_par.identification.definition.problem import Experiment, Series
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.estimation.starts import case_points
 from ringwear_par.identification.model.histories import HistoryError
+from ringwear_par.identification.model.noise import NuisanceProjection
 from ringwear_par.identification.model.readings import nuisance_columns
 
 #: blocks of a record, and readings less nuisances that it needs
@@ -35,20 +36,16 @@ _PARTS = 40
 
 @dataclass(frozen=True)
 class FitWarning:
-    """Something that speaks against taking the numbers of a fit as they are.
+    """Something that speaks against taking the numbers of a fit as they are."""
 
-    Parameters
-    ----------
-    code : the same for doubts of a kind.
-    text : a sentence.
-    experiments, keys : which it is of; none where it is of all.
-    values : numbers of the sentence, by name.
-    """
-
+    #: the same for doubts of a kind.
     code: str
+    #: a sentence.
     text: str
+    #: which it is of; none where it is of all.
     experiments: tuple[str, ...]
     keys: tuple[str, ...] = ()
+    #: numbers of the sentence, by name.
     values: dict[str, Any] = field(default_factory=dict)
 
 
@@ -61,12 +58,15 @@ def record_warnings(
 
 def _oppositions(misfit: Misfit, x: FloatArray) -> list[FitWarning]:
     """Return warnings about records that fall where the model's rise."""
-    warnings = []
-    for experiment, series, exclude in opposing_records(misfit, x):
+    model, warnings = misfit.model_readings(x), []
+    for experiment, series, rows in misfit.records:
+        record = _Record(experiment, series, misfit.sd[rows], model[rows])
+        if series.quantity == "torque" or series.profile or not record.opposes():
+            continue
         kinds = " and ".join(n.kind for n in series.nuisances)
         beside = f"beside its {kinds}, " if kinds else ""
         said = f"{series.name} ({experiment.name}): {beside}readings fall where the model's rise"
-        values: dict[str, Any] = {"series": series.name, "exclude": None}
+        exclude = record.exclude
         if exclude is None:
             said += "; look at their sign and at the test"
         else:
@@ -75,7 +75,7 @@ def _oppositions(misfit: Misfit, x: FloatArray) -> list[FitWarning]:
                 f", because of those from {first:.10g} to {last:.10g} s; if these show something "
                 f"else than wear, leave them out: exclude = [[{first:.10g}, {last:.10g}]]"
             )
-            values["exclude"] = [first, last]
+        values = {"series": series.name, "exclude": exclude and list(exclude)}
         warnings.append(FitWarning("readings-oppose", said, (experiment.name,), values=values))
     return warnings
 
@@ -83,24 +83,20 @@ def _oppositions(misfit: Misfit, x: FloatArray) -> list[FitWarning]:
 def _trends(misfit: Misfit, evaluation: Evaluation) -> list[FitWarning]:
     """Return warnings about records whose residuals are no noise."""
     warnings = []
-    for (experiment, series), part in zip(misfit.series, misfit.parts, strict=True):
-        probability = trend(series, -evaluation.noise[part])
-        if probability < _NO_NOISE:
-            warnings.append(_of_trend(experiment, series, probability))
+    for experiment, series, rows in misfit.records:
+        probability = trend(series, -evaluation.noise[rows])
+        if probability >= _NO_NOISE:
+            continue
+        differences = "what they differ by is not noise of their sd"
+        said = (
+            f"readings of {experiment.name}, {series.name}, trend away from the model "
+            f"(p = {probability:.1g}): "
+            f"{'their sd is not noise' if series.sd_fitted else differences}; intervals are too "
+            "narrow"
+        )
+        values = {"series": series.name, "p": probability}
+        warnings.append(FitWarning("residuals-trend", said, (experiment.name,), values=values))
     return warnings
-
-
-def _of_trend(experiment: Experiment, series: Series, probability: float) -> FitWarning:
-    said = (
-        f"readings of {experiment.name}, {series.name}, trend away from the model "
-        f"(p = {probability:.1g}): "
-    )
-    if series.sd_fitted:
-        said += "their sd is not noise; intervals are too narrow"
-    else:
-        said += "what they differ by is not noise of their sd; intervals are too narrow"
-    values = {"series": series.name, "p": probability}
-    return FitWarning("residuals-trend", said, (experiment.name,), values=values)
 
 
 def trend(series: Series, residuals: FloatArray) -> float:
@@ -142,7 +138,7 @@ def refuse_idle(misfit: Misfit, start: FloatArray) -> None:
         f'{misfit.problem.name}: experiment "{legible(experiment.name)}": {series.name}: does not '
         f"respond to any parameter at its start ({_start_values(misfit)}); must respond to one at "
         "least"
-        for (experiment, series), part in zip(misfit.series, misfit.parts, strict=True)
+        for experiment, series, part in misfit.records
         if np.linalg.norm(columns[part]) < _NO_RESPONSE
     ]
     faults += [
@@ -174,7 +170,7 @@ def _responding(misfit: Misfit, start: FloatArray) -> BoolArray:
             return np.ones(m, dtype=bool)
         rows = np.concatenate([evaluation.noise_jacobian, evaluation.jacobian[misfit.n :]])
         columns, nuisances = rows[:, :m], rows[:, m:]
-        columns = columns - nuisances @ np.linalg.lstsq(nuisances, columns, rcond=None)[0]
+        columns = NuisanceProjection(nuisances).rest(columns)
         responding: BoolArray = np.linalg.norm(columns[: misfit.n], axis=0) * reach > _NOT_FELT
         return responding
 
@@ -196,8 +192,8 @@ def _start_values(misfit: Misfit) -> str:
 def refuse_reversed(misfit: Misfit, start: FloatArray) -> None:
     """Refuse depths and masses that go against the model, but for their nuisances. Not collective.
 
-    Those that do so only beside a drift or a compliance may be right, with a part that is not:
-    ``opposing`` tells of it at the optimum.
+    Those that do so only beside a drift or a compliance may be right, with a part that is not, of
+    which a warning tells at the optimum.
 
     Raises
     ------
@@ -205,7 +201,7 @@ def refuse_reversed(misfit: Misfit, start: FloatArray) -> None:
     """
     model = misfit.model_readings(start)
     faults = []
-    for (experiment, series), part in zip(misfit.series, misfit.parts, strict=True):
+    for experiment, series, part in misfit.records:
         record = _Record(experiment, series, misfit.sd[part], model[part])
         if series.quantity != "torque" and record.opposes() and record.opposes(harmless=True):
             faults.append(
@@ -215,35 +211,6 @@ def refuse_reversed(misfit: Misfit, start: FloatArray) -> None:
             )
     if faults:
         raise InputError(*faults)
-
-
-class Opposition(NamedTuple):
-    """A record that falls where the model's rises, beside its nuisances.
-
-    Parameters
-    ----------
-    exclude : s, from when to when the readings are without which it does not; None: no part
-        shorter than half of the record.
-    """
-
-    experiment: Experiment
-    series: Series
-    exclude: tuple[float, float] | None
-
-
-def opposing_records(misfit: Misfit, x: FloatArray) -> list[Opposition]:
-    """Return records that go against the model at an optimum, for a part of them. Not collective.
-
-    Parameters
-    ----------
-    x : (u,) unknowns.
-    """
-    model, records = misfit.model_readings(x), []
-    for (experiment, series), part in zip(misfit.series, misfit.parts, strict=True):
-        record = _Record(experiment, series, misfit.sd[part], model[part])
-        if series.quantity != "torque" and not series.profile and record.opposes():
-            records.append(Opposition(experiment, series, record.exclude))
-    return records
 
 
 class _Record:
@@ -267,7 +234,7 @@ class _Record:
             if prior is not None:
                 columns = np.vstack([columns, np.eye(len(of))[column] / prior.sd])
                 both = np.vstack([both, [prior.mean / prior.sd, 0.0]])
-        both = both - columns @ np.linalg.lstsq(columns, both, rcond=None)[0]
+        both = NuisanceProjection(columns).rest(both)
         (data, wear), sizes = both.T, np.linalg.norm(both, axis=0)
         return bool(data @ wear < _OPPOSITE * sizes.prod() and -data @ wear > _SURE * sizes[1])
 

@@ -16,8 +16,7 @@ from ringwear_par.identification.estimation.likelihood import MarginalLikelihood
 from ringwear_par.identification.estimation.minimise import minimise
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.model.histories import Histories
-from ringwear_par.identification.model.lockstep import StoppedError, WaitFor, side_by_side
-from ringwear_par.identification.model.rounds import Rounds
+from ringwear_par.identification.model.rounds import Rounds, StoppedError, WaitFor, side_by_side
 
 log = logging.getLogger(__name__)
 
@@ -36,26 +35,22 @@ _MOST_TOGETHER = 64
 
 @dataclass(frozen=True)
 class StartOutcome:
-    """The outcome of one start.
+    """The outcome of one start."""
 
-    Parameters
-    ----------
-    number : of the start.
-    start, optimum : values of the fitted keys.
-    unknowns : at the optimum, nuisances included.
-    objective : half the sum of squares there.
-    histories : computed for it.
-    error : why there is no optimum, "" if there is.
-    """
-
+    #: of the start.
     number: int
+    #: values of the fitted keys.
     start: tuple[float, ...]
     optimum: tuple[float, ...]
+    #: at the optimum, nuisances included.
     unknowns: tuple[float, ...]
+    #: half the sum of squares there.
     objective: float
     converged: bool
     iterations: int
+    #: computed for it.
     histories: int
+    #: why there is no optimum, "" if there is.
     error: str = ""
 
 
@@ -163,7 +158,7 @@ def start_points(misfit: Misfit, histories: Histories) -> FloatArray:
     the best one left of the others. Not collective.
     """
     problem = misfit.problem
-    first = np.array([[p.unknown(p.start) for p in problem.parameters]])
+    first = problem.unknowns(list(problem.start.values()))[None]
     lots, m = problem.settings.starts - 1, first.shape[1]
     if not lots:
         return first
@@ -173,7 +168,7 @@ def start_points(misfit: Misfit, histories: Histories) -> FloatArray:
     moves, improbable = np.zeros((len(drawn), m)), np.full(len(drawn), np.inf)
     for i, response in enumerate(histories.responses(values, _COARSE)):
         if not isinstance(response, Exception):
-            slopes = misfit.whitened(response[:, 1:] * misfit.slopes(values[i]))
+            slopes = misfit.whitened(response[:, 1:] * problem.slopes(values[i]))
             moves[i] = np.linalg.norm(slopes, axis=0)
             improbable[i] = -marginal(values[i], response[:, 0])
     still = (moves <= _STILL * moves.max(axis=0)).sum(axis=1)  # parameters that move nothing there
@@ -279,15 +274,11 @@ def fill_planned(misfit: Misfit) -> None:
     ------
     ComputationError : a history.
     """
-    plans = [
-        (part, series)
-        for (_, series), part in zip(misfit.series, misfit.parts, strict=True)
-        if series.planned
-    ]
+    plans = [(part, series) for _, series, part in misfit.records if series.planned]
     if not plans:
         return
     m = len(misfit.problem.parameters)
-    start = [p.unknown(p.start) for p in misfit.problem.parameters]
+    start = misfit.problem.unknowns(list(misfit.problem.start.values()))
     x = np.concatenate([start, np.zeros(len(misfit.names) - m)])
     for j, prior in misfit.priors:
         if j >= m:

@@ -1,8 +1,9 @@
-"""How probable readings are beside the model: noise correlated in time, and the losses.
+"""How probable readings are beside the model: correlated noise, the losses, nuisances.
 
 A residual is a reading less the model's over its noise, without correlation (``whitened``). Each
 loss is what a residual adds to twice the negative logarithm of the likelihood, but for a constant.
-Other distributions of noise belong here.
+``NuisanceProjection`` leaves of residuals and their derivatives what nuisances cannot make. Other
+distributions of noise belong here.
 """
 
 import numpy as np
@@ -13,6 +14,8 @@ from ringwear_par.identification.definition.problem import Loss, Series
 
 #: degrees of freedom of the loss "student"
 _NU = 4.0
+#: singular values of nuisances below it, over the largest: they are one
+_DEPENDENT = 1e-10
 
 
 def whitened(series: Series, rows: FloatArray) -> FloatArray:
@@ -71,3 +74,30 @@ def log_constant(loss: Loss) -> float:
 def information_share(loss: Loss) -> float:
     """Return the Fisher information of a reading under a loss, over that of Gaussian noise."""
     return (_NU + 1.0) / (_NU + 3.0) if loss == "student" else 1.0
+
+
+class NuisanceProjection:
+    """Least squares over nuisances, of which those that do the same count once.
+
+    Parameters
+    ----------
+    columns : (n, k) float, what a unit of each adds to residuals.
+    """
+
+    def __init__(self, columns: FloatArray) -> None:
+        size = np.linalg.norm(columns, axis=0)
+        self._size = np.where(size > 0.0, size, 1.0)  # one that does nothing
+        basis, values, right = np.linalg.svd(columns / self._size, full_matrices=False)
+        independent = values > _DEPENDENT * values.max(initial=0.0)
+        self._basis, self._values = basis[:, independent], values[independent]
+        self._right = right[: len(self._values)]
+
+    def rest(self, rows: FloatArray) -> FloatArray:
+        """Return the rest of rows (n, ...) that nuisances cannot make."""
+        rest: FloatArray = rows - self._basis @ (self._basis.T @ rows)
+        return rest
+
+    def solution(self, residuals: FloatArray) -> FloatArray:
+        """Return the nuisances (k,) that make most of residuals (n,)."""
+        solution: FloatArray = self._right.T @ ((self._basis.T @ residuals) / self._values)
+        return solution / self._size

@@ -30,23 +30,20 @@ class Trajectory:
     """What is read of a history, at its steps, the start included.
 
     The last axis of all but ``time`` holds the value and, where there are any, its derivatives.
-
-    Parameters
-    ----------
-    time : (s,) s.
-    approach : (s, q) mm.
-    torque : (s, q) N mm.
-    volume : (2, s, q) mm^3, worn off lower and upper.
-    wear : (2, s, n, q) mm.
-    mass : (2, s, q) g, lost by lower and upper by the densities of their layers; NaN where these
-        are not known.
     """
 
+    #: (s,) s.
     time: FloatArray
+    #: (s, q) mm.
     approach: FloatArray
+    #: (s, q) N mm.
     torque: FloatArray
+    #: (2, s, q) mm^3, worn off lower and upper.
     volume: FloatArray
+    #: (2, s, n, q) mm.
     wear: FloatArray
+    #: (2, s, q) g, lost by lower and upper by the densities of their layers; NaN where these are
+    #: not known.
     mass: FloatArray
 
 

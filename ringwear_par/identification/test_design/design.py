@@ -17,7 +17,10 @@ from ringwear_par import outcomes
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.folders import DESIGN, MAP, NEXT
-from ringwear_par.identification.definition.candidates import (
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.problem import Criterion, Problem
+from ringwear_par.identification.fit_folder import check
+from ringwear_par.identification.test_design.candidates import (
     INSTANTS,
     LOADS,
     MOST_CANDIDATES,
@@ -25,18 +28,15 @@ from ringwear_par.identification.definition.candidates import (
     candidates,
     count_of,
 )
-from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.definition.prior_information import (
+from ringwear_par.identification.test_design.information import (
     PriorInformation,
+    information_of_tests,
     prior_information,
     with_noise,
 )
-from ringwear_par.identification.definition.problem import Criterion, Problem
-from ringwear_par.identification.fit_folder import check
-from ringwear_par.identification.test_design.information import information_of_tests
 from ringwear_par.identification.test_design.search import Design, Search
-from ringwear_par.info import versions
 from ringwear_par.parallel import on_first_rank
+from ringwear_par.version import versions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

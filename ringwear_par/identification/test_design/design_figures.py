@@ -9,7 +9,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.units import in_signs
-from ringwear_par.identification.definition.candidates import Candidate
+from ringwear_par.identification.test_design.candidates import Candidate
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.design_numbers import name_of_tests, sd_scales
 from ringwear_par.pictures.style import COLOURS, NotebookFigure

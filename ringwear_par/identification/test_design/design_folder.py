@@ -19,9 +19,9 @@ from ringwear_par.errors import legible
 from ringwear_par.files.folders import DESIGN, MAP, NEXT
 from ringwear_par.files.text import parse_toml
 from ringwear_par.files.writing import atomic_write
-from ringwear_par.identification.definition.candidates import LOADS, Candidate, last_profiles
 from ringwear_par.identification.definition.problem import Series
 from ringwear_par.identification.fit_folder import new_files, png, write_json
+from ringwear_par.identification.test_design.candidates import LOADS, Candidate, last_profiles
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.design_numbers import spreads
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.identification.definition.candidates import Candidate
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
+from ringwear_par.identification.test_design.candidates import Candidate
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.search import Design
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.identification.definition.candidates import Candidate
-from ringwear_par.identification.definition.prior_information import PriorInformation, widths
 from ringwear_par.identification.definition.problem import Problem
+from ringwear_par.identification.test_design.candidates import Candidate
+from ringwear_par.identification.test_design.information import PriorInformation, widths
 
 #: information, over the widths of bounds, that is none; and beside the largest
 _UNINFORMED, _ROUND_OFF = 1e-9, 1e-13
@@ -23,21 +23,17 @@ _NEAR = 200
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Tests to make together, and what they would tell.
+    """Tests to make together, and what they would tell."""
 
-    Parameters
-    ----------
-    tests : their candidates, by number.
-    score : by the criterion, larger is better.
-    sd : (m,) predicted standard deviations of the keys' values, as far as they are what they seem.
-    range : (2, m) smallest and largest over the draws.
-    correlation : (m, m).
-    """
-
+    #: their candidates, by number.
     tests: tuple[int, ...]
+    #: by the criterion, larger is better.
     score: float
+    #: (m,) predicted standard deviations of the keys' values, as far as they are what they seem.
     sd: FloatArray
+    #: (2, m) smallest and largest over the draws.
     range: FloatArray
+    #: (m, m).
     correlation: FloatArray
 
 
@@ -58,11 +54,11 @@ class Search:
         information: FloatArray,
         tests: Sequence[Candidate],
     ) -> None:
-        self._parameters, self._space = problem.parameters, problem.design
-        self._nominal = prior.nominal
+        self._space = problem.design
+        self._slopes = problem.slopes(prior.nominal.tolist())
         self._seconds = np.array([test.seconds for test in tests])
         self._kinds = [test.kind for test in tests]
-        self._widths = widths(self._parameters)
+        self._widths = widths(problem)
         scale = np.outer(self._widths, self._widths)
         # over the widths of bounds, and never singular
         self._before = prior.information * scale
@@ -165,8 +161,7 @@ class Search:
     def _natural(self, covariance: FloatArray) -> FloatArray:
         """Return standard deviations (..., m) of values; infinite beyond the bounds' widths."""
         share = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-        slopes = [p.slope(v) for p, v in zip(self._parameters, self._nominal.tolist(), strict=True)]
-        spread: FloatArray = np.where(share < 1.0, share * self._widths * slopes, np.inf)
+        spread: FloatArray = np.where(share < 1.0, share * self._widths * self._slopes, np.inf)
         return spread
 
     def singles(self) -> tuple[FloatArray, FloatArray]:

@@ -11,9 +11,9 @@ from ringwear_par.cases.files.law_trials import law_sources
 from ringwear_par.elasticity.bem.pair import BodyCost
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.history.physics import Physics
-from ringwear_par.info import versions
 from ringwear_par.results.variables import TIMES_THROUGH
 from ringwear_par.schedules import in_time, integral
+from ringwear_par.version import versions
 from ringwear_par.wear.layered import LayeredLaw
 
 

@@ -20,7 +20,6 @@ from mpi4py import MPI
 from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.elasticity.stress.recovery import load_stress_kernels
 from ringwear_par.errors import ComputationError, InputError, RingwearError
-from ringwear_par.info import versions
 from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads
 from ringwear_par.results.execution.progress import SweepProgress
 from ringwear_par.results.execution.stopping import StopSignals, name_of, remark
@@ -37,6 +36,7 @@ from ringwear_par.studies.storage.ensemble import read_ensemble
 from ringwear_par.studies.storage.index import DamagedError, Index
 from ringwear_par.studies.storage.results_file import RESULTS, TABLE
 from ringwear_par.studies.storage.store import reporting_unreadable
+from ringwear_par.version import versions
 
 log = logging.getLogger(__name__)
 

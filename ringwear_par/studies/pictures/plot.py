@@ -1,4 +1,4 @@
-"""``rw.plot``: the figure of some results, or of a sweep."""
+"""``rw.plot`` and ``ringwear plot``: the figure of some results, or of a sweep."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -55,3 +55,40 @@ def plot(
 
             return draw_sweep_and_surrogate(read_ensemble(Path(folders[0])))
     return figures.plot(results, panels or figures.DEFAULT, steps, profiles_of, times)
+
+
+def plot_stored(
+    results: Sequence[Path],
+    output: Path,
+    panels: str | None = None,
+    steps: str | None = None,
+    profiles_of: Sequence[Path] | None = None,
+    times: str | None = None,
+) -> None:
+    """Write the picture of result files, or of the folder of a sweep; see ``plot``. On one rank.
+
+    Parameters
+    ----------
+    output : its ending chooses the format.
+
+    Raises
+    ------
+    InputError : what cannot be drawn or written.
+    """
+    folders = [path for path in results if path.is_dir()]
+    if not folders:
+        panels = panels or figures.DEFAULT
+        figures.plot_files(results, output, panels, steps or "", profiles_of or (), times or "")
+        return
+    refuse_drawn(folders[0])
+    if len(results) > 1:
+        raise InputError(f"{folders[0]}: is a folder; must be the only thing to be drawn")
+    options = {"panels": panels, "steps": steps, "profiles-of": profiles_of, "times": times}
+    for name in (name for name, option in options.items() if option is not None):
+        raise InputError(
+            f"--{name}: must be absent where {folders[0]}, a folder, is "
+            "drawn; it is for result files"
+        )
+    from ringwear_par.studies.pictures.figures import plot_sweep
+
+    plot_sweep(folders[0], output)

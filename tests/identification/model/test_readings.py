@@ -11,13 +11,12 @@ import ringwear_par as rw
 from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Nuisance, Series
-from ringwear_par.identification.model.histories import Histories
+from ringwear_par.identification.model.histories import Histories, step_times
 from ringwear_par.identification.model.noise import log_volume, whitened
 from ringwear_par.identification.model.readings import (
     TimeInterpolation,
     nuisance_columns,
 )
-from ringwear_par.identification.model.steps import step_times
 
 SERIES = Series("a", "penetration", np.arange(1.0, 6.0), np.zeros(5), np.ones(5), factor=1e-3)
 

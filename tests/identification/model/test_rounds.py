@@ -13,16 +13,15 @@ import pytest
 from laboratory import FITTED, TRUTH, fit_tables, write_tests
 
 from ringwear_par.errors import ComputationError, LawError, RingwearError
-from ringwear_par.identification import fit_run as run_room
+from ringwear_par.identification import fit as run_room
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation import profile as profile_room
 from ringwear_par.identification.estimation.minimise import Optimum, minimise
 from ringwear_par.identification.fit import expected_result, fit, fit_problem
 from ringwear_par.identification.model import histories as histories_room
-from ringwear_par.identification.model import lockstep
+from ringwear_par.identification.model import rounds as rounds_room
 from ringwear_par.identification.model.histories import Histories, HistoryError
-from ringwear_par.identification.model.lockstep import StoppedError, side_by_side
-from ringwear_par.identification.model.rounds import Rounds
+from ringwear_par.identification.model.rounds import Rounds, StoppedError, side_by_side
 from ringwear_par.results.execution.stopping import StopSignals
 
 
@@ -206,6 +205,6 @@ def test_starts_are_where_all_parameters_are_felt(tables, comm):
 
 def test_threads_need_an_mpi_that_allows_them(monkeypatch):
     funneled = SimpleNamespace(Query_thread=lambda: 1, THREAD_SERIALIZED=2)
-    monkeypatch.setattr(lockstep, "MPI", funneled)
+    monkeypatch.setattr(rounds_room, "MPI", funneled)
     with pytest.raises(ComputationError, match="MPI_THREAD_SERIALIZED or more is needed"):
-        lockstep.side_by_side([lambda wait_for: None], lambda points: None)
+        rounds_room.side_by_side([lambda wait_for: None], lambda points: None)

@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 from mpi4py import MPI
 
 import ringwear_par as rw
-from ringwear_par.identification.definition.candidates import candidates
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fit import expected_result, fit
+from ringwear_par.identification.test_design.candidates import candidates
 from ringwear_par.identification.test_design.design import run_design
 from ringwear_par.identification.test_design.design_folder import FILES, next_tests
 from ringwear_par.results.execution.stopping import Stopped

@@ -9,8 +9,6 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.tables import TableReader
-from ringwear_par.identification.definition import schema
 from ringwear_par.identification.definition.problem import DesignSpace, Experiment, Series
 
 #: keys of the load, of which one may vary, and of all that may
@@ -31,20 +29,16 @@ _RECORD = 10
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One test that could be made.
+    """One test that could be made."""
 
-    Parameters
-    ----------
-    keys : of the case, with plain numbers; of several loads one after another a tuple.
-    profiles : s, when profiles are measured, if they are.
-    experiment : its case, and readings without data. Tests that differ in the instants of profiles
-        share their cases, and the series that both have.
-    instants_vary : whether tests differ in when profiles are measured.
-    """
-
+    #: of the case, with plain numbers; of several loads one after another a tuple.
     keys: Mapping[str, float | tuple[float, ...]]
+    #: s, when profiles are measured, if they are.
     profiles: tuple[float, ...]
+    #: its case, and readings without data. Tests that differ in the instants of profiles share
+    #: their cases, and the series that both have.
     experiment: Experiment
+    #: whether tests differ in when profiles are measured.
     instants_vary: bool = False
 
     @property
@@ -80,26 +74,6 @@ class Candidate:
     def changes(self) -> dict[str, Any]:
         """Return the case keys as a case file has them."""
         return _changes(self.keys, self.seconds)
-
-
-def read_space(said: str, table: Any, faults: list[str]) -> DesignSpace:
-    """Return the space of ``[design]``; add what is wrong with it to the faults."""
-    reader = TableReader(said, table, faults, schema.DESIGN)
-    criterion = reader.read("criterion")
-    vary, budget = (reader.raw(key, {}) for key in ("vary", "budget"))
-    reader.finish()
-    vary = TableReader(f"{said}.vary", vary, faults, schema.VARY)
-    values = {key: vary.read(key) for key in schema.VARY}
-    ranges = {key: value for key, value in values.items() if value is not None}
-    vary.finish()
-    if all(key in ranges for key in LOADS):
-        vary.fault("load.pressure and load.force: only one of them may vary")
-    if _STEPS in ranges and not any(key in ranges for key in LOADS):
-        vary.wrong(_STEPS, "needs load.pressure or load.force beside it, the range of the loads")
-    limits = TableReader(f"{said}.budget", budget, faults, schema.BUDGET)
-    seconds, count = limits.read("time.end"), limits.read("experiments")
-    limits.finish()
-    return DesignSpace(criterion, ranges, seconds, count)
 
 
 def count_of(space: DesignSpace) -> int:

@@ -1,0 +1,30 @@
+"""Types of the names that ``__init__.py`` loads when they are first used."""
+
+from ringwear_par.cases.case import Case as Case
+from ringwear_par.cases.files.reading import read_case as read_case
+from ringwear_par.elasticity.bem.pair import ContactPair as ContactPair
+from ringwear_par.errors import ComputationError as ComputationError
+from ringwear_par.errors import InputError as InputError
+from ringwear_par.history.elastic.pairs import assemble as assemble
+from ringwear_par.identification.fit import fit as fit
+from ringwear_par.identification.fit_result import FitResult as FitResult
+from ringwear_par.identification.test_design.design import DesignResult as DesignResult
+from ringwear_par.identification.test_design.design import design as design
+from ringwear_par.outcomes import save as save
+from ringwear_par.outcomes import summary as summary
+from ringwear_par.outcomes import to_dict as to_dict
+from ringwear_par.reports.report import report as report
+from ringwear_par.results.execution.simulate import simulate as simulate
+from ringwear_par.results.result import FailedResult as FailedResult
+from ringwear_par.results.result import Result as Result
+from ringwear_par.results.storage.result_files import open_result as open_result
+from ringwear_par.studies.analysis.surrogate import surrogate as surrogate
+from ringwear_par.studies.definition.study import Study as Study
+from ringwear_par.studies.definition.study import read_study as read_study
+from ringwear_par.studies.execution.many import simulate_all as simulate_all
+from ringwear_par.studies.execution.sweep import sweep as sweep
+from ringwear_par.studies.pictures.plot import plot as plot
+from ringwear_par.studies.storage.ensemble import open_ensemble as open_ensemble
+from ringwear_par.version import __version__ as __version__
+from ringwear_par.wear.law import WearLaw as WearLaw
+from ringwear_par.wear.local_state import LocalState as LocalState

@@ -1,0 +1,257 @@
+"""The commands: one table of their arguments, help texts and functions, and its parser.
+
+The function of a command is loaded when the command is run. Its parameters have the names of the
+arguments.
+"""
+
+import argparse
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NoReturn
+
+from ringwear_par.errors import InputError, legible
+from ringwear_par.version import __version__
+
+#: end of the message of a command that is stopped before it has results
+UNWRITTEN = "; nothing written"
+
+_EPILOG = """\
+Everything after -- goes to PETSc's options: -bem_... for the boundary element systems,
+-contact_... for the contact solver (-contact_tao_type python|tron|bnls, -contact_tao_monitor).
+Exit status: 0 done, 1 the computation failed or was stopped, 2 bad input.
+"""
+#: flags and options of ``add_argument``
+Argument = tuple[tuple[str, ...], dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command, in the order of ``ringwear --help``.
+
+    Parameters
+    ----------
+    summary : for its help.
+    function : module and name of what does it.
+    arguments : of it.
+    serial : whether the function runs on the first rank alone, and returns the text to be printed,
+        if any; others are collective, and take the communicator ``comm``.
+    solves : whether it needs PETSc.
+    stopped : end of the message where it is stopped before it has results.
+    """
+
+    summary: str
+    function: str
+    arguments: tuple[Argument, ...]
+    serial: bool = False
+    solves: bool = False
+    stopped: str = ""
+
+    def load(self) -> Callable[..., Any]:
+        """Return the function."""
+        module, name = self.function.split(":")
+        function: Callable[..., Any] = getattr(import_module(f"ringwear_par.{module}"), name)
+        return function
+
+
+def _slice(text: str) -> tuple[int, int]:
+    if not re.fullmatch(r"[0-9]{1,20}/[0-9]{1,20}", text):
+        raise argparse.ArgumentTypeError(f"{legible(text)}: must be I/N, such as 2/8")
+    first, _, last = text.partition("/")
+    return int(first), int(last)
+
+
+def _port(text: str) -> int:
+    if not (re.fullmatch("[0-9]{1,5}", text) and int(text) < 65536):
+        raise argparse.ArgumentTypeError(f"{legible(text)}: must be a whole number up to 65535")
+    return int(text)
+
+
+def _path(text: str) -> Path:
+    """Return a path that there is, or may be."""
+    try:
+        os.stat(text)
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise argparse.ArgumentTypeError(f"{legible(text)}: {reason}") from error
+    return Path(text)
+
+
+def _figure(text: str) -> Any:
+    """Return the picture of a run, of this name."""
+    return import_module("ringwear_par.pictures.figures").FigureFile(_path(text))
+
+
+def _argument(*flags: str, **options: Any) -> Argument:
+    return flags, options
+
+
+def _flag(name: str, help: str) -> Argument:
+    return (name,), {"action": "store_true", "help": help}
+
+
+def _output(metavar: str, help: str | None = None, dest: str = "output") -> Argument:
+    options = {"type": _path, "required": True, "metavar": metavar, "help": help, "dest": dest}
+    return ("-o", "--output"), options
+
+
+_CASE = (
+    _argument("path", type=_path, metavar="CASE.toml", help="case file"),
+    _argument(
+        "--set", action="extend", default=[], nargs="+", dest="overrides", metavar="KEY=VALUE",
+        help="override a key of the case file, such as load.pressure=50",
+    ),
+)  # fmt: skip
+_FIT_FILE = _argument("source", type=_path, metavar="FIT.toml", help="fit file")
+_FOLDER = _output("DIR", dest="folder")
+_NO_CACHE = _flag(
+    "--no-cache",
+    "assemble every shape, neither read nor write stored ones (ringwear info says where they are)",
+)
+
+COMMANDS = {
+    "run": Command("compute one wear history", "results.execution.run:run_case", (
+        _output("RUN.h5"),
+        *_CASE,
+        _flag("--restart",
+              "continue RUN.h5 where it was interrupted, or to a larger time.steps or time.end"),
+        _flag("--overwrite", "replace what RUN.h5 holds, an interrupted run too"),
+        _NO_CACHE,
+        _argument("--plot", type=_figure, dest="figure", metavar="FIG.png",
+                  help="draw the history at the end"),
+    ), solves=True, stopped=f" before the first step{UNWRITTEN}"),
+    "sweep": Command(
+        "compute every case of a study, or go on with it", "studies.execution.sweep:run_sweep", (
+        _argument("study", type=_path, metavar="STUDY.toml", help="study file"),
+        _FOLDER,
+        _argument("--ranks-per-case", type=int, default=1, metavar="M",
+                  help="ranks that share a case; must divide their number (default: %(default)s)"),
+        _argument("--slice", type=_slice, metavar="I/N", dest="part",
+                  help="compute the I-th of N slices only; without it, slices are merged"),
+        _flag("--retry-failed", "compute failed cases again as well"),
+        _flag("--mix-versions",
+              "go on where another version of this program has computed cases; the variable "
+              "version tells them apart"),
+        _flag("--dry-run",
+              "count cases and operators, estimate memory and time; write nothing"),
+        _NO_CACHE,
+    ), solves=True, stopped="; the same command goes on"),
+    "fit": Command(
+        "find parameters of the wear law from measurements, with intervals",
+        "identification.fit:run_fit", (
+        _FIT_FILE,
+        _FOLDER,
+        _flag("--dry-run", "print the intervals to be expected from the start; write nothing"),
+        _flag("--restart", "use the optima that an interrupted fit has stored"),
+        _flag("--compare", "fit the laws of [compare] as well"),
+        _NO_CACHE,
+    ), solves=True, stopped=f" before the first start{UNWRITTEN}"),
+    "design": Command(
+        "find the next tests that tell most, from [design] of a fit file",
+        "identification.test_design.design:run_design", (
+        _FIT_FILE,
+        _FOLDER,
+        _argument("--after", type=_path, metavar="DIR",
+                  help="folder of a fit whose information counts"),
+        _argument("--criterion", choices=("D", "A", "eig"), help="instead of that of the fit file"),
+        _NO_CACHE,
+    ), solves=True, stopped=UNWRITTEN),
+    "plot": Command(
+        "draw the figures of the paper from result files, or those of a sweep",
+        "studies.pictures.plot:plot_stored", (
+        _argument("results", type=_path, nargs="+", metavar="RUN.h5 or DIR"),
+        _output("FIG.png"),
+        _argument("--panels", metavar="LIST",
+                  help="any of wear, pressure, section, stress, depth, interfaces, mises, "
+                  "penetration, approach, force, torque, energy, volume, rate, pv, through, in "
+                  "this order (default: wear,penetration)"),
+        _argument("--steps", metavar="LIST",
+                  help="steps whose profiles are drawn, such as 1,50,100 (default: first and "
+                  "quarters)"),
+        _argument("--times", metavar="LIST",
+                  help="or times, nearest to which states are stored, in s or such as "
+                  '"0.5 h, 2 h"'),
+        _argument("--profiles-of", type=_path, nargs="+", metavar="RUN.h5",
+                  help="draw the profiles of these files only (default: of all)"),
+    ), serial=True, stopped=UNWRITTEN),
+    "export": Command(
+        "write a result file for ParaView or a spreadsheet", "results.storage.export:export", (
+        _argument("run", type=_path, metavar="RUN.h5"),
+        _output("OUT", ".vtkhdf: contours of both bodies at all stored times; .csv: histories"),
+        _argument("--revolve", type=int, dest="segments", metavar="N",
+                  help="write the surfaces, revolved in N segments, instead of the contours"),
+        _argument("--scale", type=float, metavar="S",
+                  help="add the displacements, S times magnified, to the points (default: 0)"),
+        _flag("--fields",
+              "write the fields along the contact line to .csv instead of the histories"),
+        _flag("--stress",
+              "write the stresses of [stress]: its grid to .vtkhdf, its points to .csv"),
+        _flag("--interfaces",
+              "write the stresses along the interfaces between layers to .vtkhdf or .csv"),
+    ), serial=True, stopped=UNWRITTEN),
+    "report": Command(
+        "write a page of stored results that opens in any browser", "reports.report:report", (
+        _argument("source", type=_path, metavar="RUN.h5 or DIR"),
+        _output("REPORT.html"),
+    ), serial=True, stopped=UNWRITTEN),
+    "explore": Command(
+        "serve a page on this machine with sliders for a case's numbers",
+        "explorer.server:explore", (
+        *_CASE,
+        _argument("--port", type=_port, default=0, metavar="N",
+                  help="of the address (default: any free one)"),
+        _argument("--no-browser", action="store_false", dest="browser",
+                  help="print the address, but open no browser"),
+        _NO_CACHE,
+    ), solves=True),
+    "laws": Command(
+        "print what the wear laws of a case do, and test their derivatives",
+        "cases.files.law_trials:check_laws", _CASE, serial=True),
+    "verify": Command(
+        "run the reference solutions; print error and observed order of each",
+        "verification.verify:verify", (), solves=True),
+    "info": Command("print versions, MPI and PETSc builds, ranks and threads", "info:print_info", (
+        _argument("--schema", nargs="*", metavar="WORD",
+                  help="print the keys of case, study and fit files, or of one of these: case, "
+                  "study or fit; behind it, or alone, a word of the rows to print, such as "
+                  "wear.lower"),
+    )),
+}  # fmt: skip
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaints are said once, not once per rank."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(
+            f"{legible(message, 300)} (see {self.prog} --help; PETSc's options go behind --)"
+        )
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of a command line."""
+    whole = _Parser(
+        prog="ringwear",
+        description="Wear histories of ring-on-ring and ring-on-disc tests by boundary elements.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    whole.add_argument("--version", action="version", version=f"ringwear {__version__}")
+    commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, command in COMMANDS.items():
+        summary = command.summary
+        arguments = commands.add_parser(
+            name,
+            help=summary,
+            description=f"{summary[0].upper()}{summary[1:]}.",
+            epilog=_EPILOG,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        for flags, options in command.arguments:
+            arguments.add_argument(*flags, **options)
+    return whole

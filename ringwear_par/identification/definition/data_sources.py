@@ -1,0 +1,339 @@
+"""``[[experiment.data]]``: where readings come from (a file, a value, a plan), and their noise."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.tables import TableReader
+from ringwear_par.cases.text import shortened
+from ringwear_par.cases.units import (
+    assumption,
+    factor,
+    has_unit,
+    told_unit,
+    unit_of_anything,
+    unit_of_column,
+)
+from ringwear_par.cases.values import RejectedError
+from ringwear_par.errors import InputError, legible
+from ringwear_par.files.measurements import Measurements, and_more, read_measurements
+from ringwear_par.identification.definition.problem import BASE
+from ringwear_par.identification.definition.schema import SD
+
+#: what messages say of units
+_UNITS = {
+    "s": "a time, such as s, min or h", "mm": "a length, such as um, mm or inch",
+    "N mm": "a torque, such as N mm or N m", "g": "a mass, such as mg or g",
+    "mm^3": "a volume, such as mm^3 or um^3",
+}  # fmt: skip
+#: readings of which data are smoothed by their median
+_SMOOTH = 9
+#: of the largest reading: below it a relative error means nothing
+_NEAR_ZERO = 0.05
+
+
+class FileStore:
+    """The files of data, each read once.
+
+    Parameters
+    ----------
+    folder : from which their names count.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._read: dict[str, Measurements | InputError] = {}
+
+    def __call__(self, name: str) -> Measurements:
+        """Return a file's table.
+
+        Raises
+        ------
+        InputError : it cannot be read; every time it is asked for.
+        """
+        if name not in self._read:
+            try:
+                self._read[name] = read_measurements(self._folder / name)
+            except InputError as error:
+                self._read[name] = error
+        table = self._read[name]
+        if isinstance(table, InputError):
+            raise table
+        return table
+
+    @property
+    def hashes(self) -> dict[str, str]:
+        """SHA-256 of what has been read."""
+        return {k: v.sha256 for k, v in self._read.items() if isinstance(v, Measurements)}
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Readings and where they are from."""
+
+    #: (n,) as a series has them.
+    x: FloatArray
+    value: FloatArray
+    #: of the data, and how much it is in the units of a case.
+    unit: str
+    factor: float
+    #: sentences about columns whose unit nobody names.
+    assumptions: tuple[str, ...] = ()
+    #: the table and which of its rows have readings; None of others.
+    data: Measurements | None = None
+    rows: BoolArray | None = None
+    #: of the readings; None and "" without a table.
+    lines: IntArray | None = None
+    where: str = ""
+    #: whether nothing has been read yet.
+    planned: bool = False
+
+
+def read_readings(
+    reader: TableReader, kind: str, at: float | None, end: float, files: FileStore, plans: bool
+) -> Readings | None:
+    """Return the readings of a table of a fit file; None, and faults, where there are none.
+
+    Parameters
+    ----------
+    reader : of the table.
+    kind : the first part of its quantity.
+    at, end : s, when it was read, and the end of the test.
+    plans : whether readings may be planned ones.
+    """
+    where, once = ("r", ()) if kind == "profile" else ("times", ("value",))
+    single_key = next((key for key in ("file", *once) if key in reader), "")
+    if single_key and where in reader:
+        reader.raw(where)
+        reader.wrong(
+            where, f"must be absent beside {single_key}; it is for readings that are planned"
+        )
+    if "file" in reader:
+        return _from_file(reader, kind, files)
+    if "value" in reader and kind != "profile":
+        return _single(reader, kind, end if at is None else at)
+    return _planned(reader, kind, at, end, plans)
+
+
+def _single(reader: TableReader, kind: str, at: float) -> Readings | None:
+    single = reader.read("value")
+    unit, scale = _unit(reader, kind)
+    if single is None or scale is None:
+        return None
+    return Readings(np.array([at]), np.array([scale * single]), unit, scale)
+
+
+def _planned(
+    reader: TableReader, kind: str, at: float | None, end: float, plans: bool
+) -> Readings | None:
+    """Return readings that are to be taken, or why there are none in words."""
+    where = "r" if kind == "profile" else "times"
+    file_keys = {"columns", "units"} & reader.keys()
+    once = kind in ("mass", "volume") or (at is not None and kind != "profile")
+    usual = "value" if once else "file"
+    must = {
+        "mass": "must be a finite number", "volume": "must be a finite number",
+        "profile": "must be the name of a table of depths over radii",
+    }.get(kind, "must be the name of a table")  # fmt: skip
+    if file_keys or not (once or where in reader):
+        for key in file_keys:
+            reader.raw(key)
+        reader.wrong(
+            "file" if file_keys else usual,
+            f"{must}; or {where} of planned readings, for --dry-run and design",
+        )
+        return None
+    x = np.array([end if at is None else at])
+    if where in reader:
+        x = reader.read(where)
+    unit, scale = _unit(reader, kind)
+    if not plans:
+        reader.wrong(usual, f"{must}; planned readings are for --dry-run and ringwear design only")
+    if x is None or scale is None:
+        return None
+    return Readings(x, np.zeros(len(x)), unit, scale, planned=True)
+
+
+def _unit(reader: TableReader, kind: str) -> tuple[str, float | None]:
+    unit = str(reader.raw("unit") or "")
+    return unit, _unit_factor(reader, "unit", unit, BASE[kind])
+
+
+def _from_file(reader: TableReader, kind: str, files: FileStore) -> Readings | None:
+    name = reader.read("file")
+    for key in ("value", "unit"):
+        if key in reader:
+            reader.raw(key)
+            reader.wrong(key, "must be absent beside file")
+    roles = ("r" if kind == "profile" else "time", "value")
+    columns, units = reader.raw("columns", {}), reader.raw("units", {})
+    for key, table in (("columns", columns), ("units", units)):
+        wrong = not isinstance(table, Mapping) or set(table) - set(roles)
+        if wrong or not all(isinstance(entry, str) for entry in table.values()):
+            reader.wrong(key, f"must be a table of texts, for {' and '.join(roles)}")
+            return None
+    if name is None:
+        return None
+    try:
+        data = files(name)
+    except InputError as error:
+        for fault in error.faults:
+            reader.fault(fault)
+        return None
+    column_names, units_by_role, factors = {}, {}, {}
+    assumed: list[str] = []  # roles
+    for role in roles:
+        column = columns.get(role, role)
+        if column not in data.columns:
+            reader.fault(
+                f"{data.name}: has no column {legible(column)} for {role}; must be one of "
+                f"{legible(', '.join(data.columns), 200)}"
+            )
+            continue
+        base = BASE[kind if role == "value" else role]
+        try:
+            unit = units.get(role) or told_unit(column, base) or ""
+        except RejectedError as reason:
+            reader.fault(
+                f"{data.name}: the column {legible(column)} {reason}; must be in the unit of "
+                f"{_UNITS[base]}, or units.{role} must be given"
+            )
+            continue
+        if not unit:
+            unit = base
+            assumed.append(role)
+        scale = _unit_factor(reader, f"units.{role}", unit, base)
+        if scale is None:
+            continue
+        if named := _other_unit(column, unit):
+            reader.fault(
+                f"units.{role} = {shortened(unit)}: the column {legible(column)} of {data.name} is "
+                f"in {named} by its name; must be the same unit"
+            )
+        column_names[role], units_by_role[role], factors[role] = column, unit, scale
+    if len(column_names) < len(roles):
+        return None
+    rows = data.filled(*column_names.values())
+    hour = factor("h", "s") / factors["time"] if "time" in roles else None
+    x = factors[roles[0]] * _column(reader, data, column_names[roles[0]], rows, hour)
+    value = factors["value"] * _column(reader, data, column_names["value"], rows)
+    if "time" in assumed and data.names_seconds(column_names["time"], rows):
+        assumed.remove("time")
+    return Readings(
+        x, value, units_by_role["value"], factors["value"],
+        tuple(assumption(column_names[role], units_by_role[role]) for role in assumed), data, rows,
+        data.lines[rows], data.name,
+    )  # fmt: skip
+
+
+def _other_unit(column: str, unit: str) -> str:
+    """Return the unit that a column's name ends with where it is not this one, else ""."""
+    named = unit_of_column(column, unit)
+    return "" if named is None or math.isclose(factor(named, unit), 1.0) else legible(named)
+
+
+def _column(
+    reader: TableReader, data: Measurements, name: str, rows: BoolArray, hour: float | None = None
+) -> FloatArray:
+    try:
+        return data.numbers(name, rows, hour)
+    except InputError as error:
+        for fault in error.faults:
+            reader.fault(fault)
+        return np.full(int(rows.sum()), np.nan)
+
+
+def _unit_factor(reader: TableReader, key: str, unit: str, base: str) -> float | None:
+    try:
+        return factor(unit, base)
+    except RejectedError:
+        state = f"= {shortened(unit)}" if unit else "is missing"
+        reader.fault(f"{key} {state}: must be the unit of {_UNITS[base]}")
+        return None
+
+
+def read_noise(reader: TableReader, readings: Readings, keep: BoolArray) -> tuple[FloatArray, bool]:
+    """Return the standard deviation of each reading, and whether it is to be fitted."""
+    entry, value, data = reader.raw("sd"), readings.value, readings.data
+    unknown = np.full(len(value), np.nan)
+    named = isinstance(entry, str) and not has_unit(entry)
+    if readings.planned and (named or isinstance(entry, Mapping)):
+        reader.wrong("sd", "must be a number > 0, in unit, of readings that are planned")
+        return unknown, False
+    if named and entry != "fit":
+        if data is None:
+            reader.wrong("sd", "must be a number > 0 or { relative = x }")
+            return unknown, False
+        return _sd_column(reader, entry, readings), False
+    if entry == "fit":
+        if keep.sum() < _SMOOTH:
+            more = "" if keep.all() else " that are not excluded"
+            reader.wrong("sd", f'must be a number: "fit" needs {_SMOOTH} readings at least{more}')
+        return np.full(len(value), _scatter(value[keep])), True
+    if isinstance(entry, Mapping):
+        share = TableReader(f"{reader.place}: sd", entry, [], SD)
+        relative = share.read("relative")
+        if relative is None or set(entry) != {"relative"}:
+            reader.wrong("sd", "must be { relative = x }, a number > 0")
+            return unknown, False
+        if not len(value):  # which is told of all readings
+            return unknown, False
+        smooth = np.abs(median_filter(value, min(_SMOOTH, len(value)), mode="nearest"))
+        small = smooth <= _NEAR_ZERO * smooth.max(initial=0.0)
+        if small.any():
+            line = ""
+            if readings.lines is not None:
+                line = f"{readings.where}: line {readings.lines[np.flatnonzero(small)[0]]}: "
+            reader.wrong(
+                "sd", f"{line}must be in the data's unit where readings are near zero, as here"
+            )
+            return unknown, False
+        return relative * smooth, False
+    single = reader.read("sd", unit=readings.unit)
+    return np.full(len(value), math.nan if single is None else readings.factor * single), False
+
+
+def _sd_column(reader: TableReader, column: str, readings: Readings) -> FloatArray:
+    """Return the standard deviations in a column of a table."""
+    data, rows, lines = readings.data, readings.rows, readings.lines
+    assert data is not None
+    assert rows is not None
+    assert lines is not None
+    unknown = np.full(len(readings.value), np.nan)
+    if column not in data.columns:
+        reader.wrong(
+            "sd", f'must be a number, "fit", {{ relative = x }} or a column of {data.name}'
+        )
+        return unknown
+    named = _other_unit(column, readings.unit)
+    if not named and unit_of_column(column, readings.unit) is None:
+        named = legible(unit_of_anything(column) or "")
+    if named:
+        reader.wrong(
+            "sd",
+            f"the column is in {named} by its name; must be in {readings.unit}, as the readings",
+        )
+        return unknown
+    filled = data.filled(column)[rows]
+    if not filled.all():
+        reader.fault(
+            f"{readings.where}: line {lines[~filled][0]}: {column} is empty; must be a number > 0"
+        )
+        return unknown
+    sd = readings.factor * _column(reader, data, column, rows)
+    if (wrong := np.flatnonzero(sd <= 0)).size:
+        values = f"{column} = {sd[wrong[0]] / readings.factor:g}{and_more(wrong.size, 'line')}"
+        reader.fault(f"{readings.where}: line {lines[wrong[0]]}: {values}: must be a number > 0")
+    return sd
+
+
+def _scatter(value: FloatArray) -> float:
+    """Return a guess of the noise of readings: what second differences scatter by."""
+    second = np.abs(np.diff(value, 2)) / math.sqrt(6.0)
+    guess = 1.4826 * float(np.median(second)) if len(second) else 0.0
+    return guess or 1e-3 * float(np.abs(value).max(initial=0.0)) or 1e-9
