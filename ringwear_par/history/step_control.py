@@ -141,7 +141,11 @@ class FixedSteps:
         return self.ends[np.arange(len(self.ends)), progress.steps]
 
     def decide(self, before: State, step: Step, progress: Progress) -> Decision:
-        """Accept every step, and every part of one that ends at an interface of layers."""
+        """Accept every step, and every part of one that ends at an interface of layers.
+
+        Such an end is found by a try of what is left of the step, so that histories whose numbers
+        differ a little step alike.
+        """
         iterations = progress.tried_iterations + step.state.contact.iterations
         accepted = np.logical_not(step.too_far) & np.ones(len(self.length), dtype=bool)
         complete = accepted & (step.state.time == self._end(progress))
@@ -153,7 +157,7 @@ class FixedSteps:
                 steps=progress.steps + complete,
                 iterations=progress.iterations + np.where(complete, iterations, 0),
                 tried_iterations=np.where(complete, 0, iterations),
-                interface=step.interface + np.zeros(len(accepted)),
+                interface=np.where(accepted, np.inf, step.interface),
             ),
         )
 

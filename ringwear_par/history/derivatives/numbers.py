@@ -125,6 +125,8 @@ class Sensitivity:
 
     def __init__(self, keys: Sequence[str], cases: Sequence[Case], pair: ContactPair) -> None:
         self.keys, self._arm = tuple(keys), pair.line.arm
+        #: whether a last row is that of the end of the step, which then may be an interface's
+        self.moving_ends = any(isinstance(law, LayeredLaw) for law in cases[0].laws)
         rows = {key: row for row, key in enumerate(keys)}
         #: rows and names of the parameters of the laws of lower and upper
         self._laws = tuple(
@@ -151,7 +153,7 @@ class Sensitivity:
             if row is not None
         }
         #: (P, ...) derivatives of the force, N, or of the displacement, mm
-        self.load = np.zeros((len(keys), len(cases)))
+        self.load = self.zeros(len(cases))
         for key, row in rows.items():
             if key == "load.pressure":
                 self.load[row] = [case.area for case in cases]
@@ -161,16 +163,17 @@ class Sensitivity:
         self.elastic = [
             (row, _Elastic.of(cases, pair, key)) for key, row in rows.items() if key in elastic
         ]
+        rows_of_keys = [*keys, ""][: len(self)]
         #: of bodies with layers, (layers, P), which number is the thickness of which layer
         self.thicknesses = {
-            i: np.array([[key == f"{body}.layers[{j}].thickness" for key in keys]
+            i: np.array([[key == f"{body}.layers[{j}].thickness" for key in rows_of_keys]
                          for j in range(len(ring.layers))], dtype=float)
             for i, (body, ring) in enumerate(zip(BODIES, cases[0].rings, strict=True))
             if ring.layers
         }  # fmt: skip
 
     def __len__(self) -> int:
-        return len(self.keys)
+        return len(self.keys) + self.moving_ends
 
     def take(self, histories: IntArray) -> "Sensitivity":
         """Return the sensitivity of some of B histories."""

@@ -27,7 +27,7 @@ def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: Fl
     if not physics.inputs.steady_speed:
         rates = physics.rates(state.time, omega, state.wear, p)
     depths, volumes = columns(length) * rates, length * physics.integrals(rates)
-    along = along_step(physics, contacts, state)
+    along = along_step(physics, contacts, state, end)
     if along is not None:
         along.explicit(physics.increment(state.time, omega, state.wear, length), p)
         along.work(length, omega, p, along.pressure)
@@ -45,7 +45,7 @@ def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: F
     length = end - state.time
     omega = mean(physics.inputs.omega, state.time, end)
     during = physics.increment(end, omega, state.wear, length)
-    along = along_step(physics, contacts, state)
+    along = along_step(physics, contacts, state, end)
     contact = contacts.solve(
         physics.contact_inputs(end, state.wear, during), state.contact.pressure, along=along
     )

@@ -58,7 +58,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         None if closing is None else closing.closing(GAMMA * length, np.ones_like(closing.gap))
     )
     first = physics.increment(middle, speeds[1], state.wear, GAMMA * length, gap_closing)
-    along = along_step(physics, contacts, state, closing)
+    along = along_step(physics, contacts, state, end, closing)
     stage = contacts.solve(
         physics.contact_inputs(middle, state.wear, first), state.contact.pressure, along=along
     )

@@ -37,6 +37,7 @@ class Along:
     physics : with its ``sensitivity``.
     contacts : of the histories.
     before : at the start of the step; None: there is no step, and nothing was worn.
+    length : (B,) s, of the step, if there is one.
     closing : the elements that wear may bring into contact in it.
     """
 
@@ -45,6 +46,7 @@ class Along:
         physics: Physics,
         contacts: CorrectedContacts,
         before: Tangent | None,
+        length: FloatArray | None = None,
         closing: ClosingElements | None = None,
     ) -> None:
         assert physics.sensitivity is not None
@@ -55,9 +57,17 @@ class Along:
         if before is None:
             before = Tangent(
                 np.stack([zeros(*shape)] * 2), zeros(*shape[:-1]), zeros(*shape),
-                zeros(*shape), zeros(*shape[:-1]),
+                zeros(*shape), *[zeros(*shape[:-1])] * 3,
             )  # fmt: skip
         self._before = before
+        #: (P, ...) of the length of the step, over it; None: it stays
+        self._stretch: FloatArray | None = None
+        if self._numbers.moving_ends and length is not None:
+            ends = np.zeros_like(before.time)
+            ends[-1] = 1.0
+            self._stretch = (ends - before.time) / length
+        #: (P, ...) s, see ``Tangent``
+        self._interface = zeros(*shape[:-1])
         #: (2, P, ..., n) mm, of the wear that a stage starts from
         self.wear = before.wear
         #: (P, ..., n) MPa and (P, ...) mm, of the last contact
@@ -91,7 +101,7 @@ class Along:
         self._numbers.add_gap(gap, contacts.products, p, at)
         slope: FloatArray | None = None
         if during is not None:
-            linearised = self._linearise(during, p, self._step, instant=False)
+            linearised = self._linearise(during, p, self._d_step(during), instant=False)
             worn, slope = linearised.in_contact_problem(p, self._closes)
             gap += worn
             self._linearised = linearised
@@ -107,6 +117,13 @@ class Along:
             self._gap[:, histories] = gap[:, histories]
             self.pressure[:, histories], self.approach[:, histories] = solved
         self._near = self.pressure
+
+    def _d_step(self, increment: WearIncrement) -> FloatArray | None:
+        """Return derivatives of the steps of elements, (P, ..., n) s; None: 0."""
+        if self._stretch is None:
+            return self._step
+        d_step = increment.step * self._stretch[..., None]
+        return d_step if self._step is None else d_step + self._step
 
     def _linearise(
         self, increment: WearIncrement, p: FloatArray, d_step: FloatArray | None, instant: bool
@@ -128,7 +145,7 @@ class Along:
 
     def explicit(self, increment: WearIncrement, p: FloatArray) -> None:
         """Wear off what an explicit step does at the pressure of its start."""
-        linearised = self._linearise(increment, p, None, instant=True)
+        linearised = self._linearise(increment, p, self._d_step(increment), instant=True)
         self._last = self._before.pressure
         self._wear_off(linearised.depths(self._before.pressure))
 
@@ -217,6 +234,7 @@ class Along:
         ends = np.zeros_like(self.wear)
         for body in second[1].bodies:
             ends[body.side] += self._numbers.layer_starts(body.side, body.law)
+        self._interface = _interface(crossing, since, self.wear - ends)
         reached = np.where(crossing[:, None], ends, self.wear)
         here, below = (
             linearise(increment, p, self._numbers, d_wear, None, instant=True).depths(self._last)
@@ -233,6 +251,8 @@ class Along:
         power = omega * d_torque(self._physics, p, d_p)
         if self._numbers.omega is not None:
             power[self._numbers.omega] += self._physics.torque(p)
+        if self._stretch is not None:
+            power += self._stretch * (omega * self._physics.torque(p))
         self._energy = self._energy + lasts * power
 
     @property
@@ -242,7 +262,10 @@ class Along:
 
     def reached(self, contact: ContactState) -> Tangent:
         """Return the derivatives of the state at the end, whose contact is the last one."""
-        return Tangent(self.wear, self._energy, self.pressure, self._d_gap(contact), self.approach)
+        return Tangent(
+            self.wear, self._energy, self.pressure, self._d_gap(contact), self.approach,
+            np.zeros_like(self._interface), self._interface,
+        )  # fmt: skip
 
     def _d_gap(self, contact: ContactState) -> FloatArray:
         """Return derivatives of the gap: 0 in contact."""
@@ -260,10 +283,35 @@ def along_step(
     physics: Physics,
     contacts: CorrectedContacts,
     state: State,
+    end: FloatArray,
     closing: ClosingElements | None = None,
 ) -> Along | None:
-    """Return the derivatives along a step from a state; None where there are none."""
-    return None if physics.sensitivity is None else Along(physics, contacts, state.tangent, closing)
+    """Return the derivatives along a step from a state to a time; None where there are none."""
+    if physics.sensitivity is None:
+        return None
+    return Along(physics, contacts, state.tangent, end - state.time, closing)
+
+
+def _interface(crossing: BoolArray, since: FloatArray, d_beyond: FloatArray) -> FloatArray:
+    """Return derivatives of the end of a step, (P, B) s, at which an element keeps where it is.
+
+    The one that came to the end of its layer first; 0 where none did.
+
+    Parameters
+    ----------
+    crossing, since : (2, B, n), see ``Along.cross``.
+    d_beyond : (2, P, B, n) mm, of how far elements are beyond the ends of layers; the last row is
+        with respect to the end of the step.
+    """
+    _, count, n = crossing.shape
+    first = np.where(crossing, since, -np.inf).transpose(1, 0, 2).reshape(count, -1).argmax(axis=1)
+    histories, which = np.arange(count), (first // n, slice(None), np.arange(count), first % n)
+    d_first = d_beyond[which]  # (B, P)
+    rate = d_first[:, -1]
+    crosses = crossing[first // n, histories, first % n] & (rate > 0.0)
+    moved = np.divide(-d_first.T, rate, out=np.zeros_like(d_first.T), where=crosses)
+    moved[-1] = 0.0
+    return moved
 
 
 # -- what is stored --------------------------------------------------------------------------------
@@ -279,7 +327,7 @@ def variables(physics: Physics, state: State) -> dict[str, Any]:
         return {}
     p, d_p = state.contact.pressure, tangent.pressure
     volumes = physics.integrals(tangent.wear)
-    return {
+    values = {
         "d_approach": tangent.approach,
         "d_force": numbers.load
         if physics.inputs.force is not None
@@ -294,6 +342,7 @@ def variables(physics: Physics, state: State) -> dict[str, Any]:
         "d_wear_lower": tangent.wear[0],
         "d_wear_upper": tangent.wear[1],
     }
+    return {name: value[: len(numbers.keys)] for name, value in values.items()}
 
 
 def d_torque(physics: Physics, p: FloatArray, d_p: FloatArray) -> FloatArray:
