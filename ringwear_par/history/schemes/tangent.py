@@ -13,6 +13,8 @@ Derivatives with respect to P numbers are (P, ..., n) of fields, (P, ...) of a h
 and (2, P, ..., n) of what both bodies have.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,7 @@ from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.closing_elements import ClosingElements
 from ringwear_par.history.state import State, Tangent
 from ringwear_par.wear.increment import WearIncrement, total_of
+from ringwear_par.wear.law import Law, WearLaw
 from ringwear_par.wear.linearised import LinearisedIncrement, linearise
 
 # -- along one step --------------------------------------------------------------------------------
@@ -213,6 +216,28 @@ class Along:
             return {}
         return self._linearised.depths(self.pressure, share, d_share)
 
+    def _ends(self, laws: Sequence[WearLaw | Law | None]) -> FloatArray:
+        """Return derivatives of the ends of layers, (2, P, ..., n) mm, from the next laws."""
+        ends = np.zeros_like(self.wear)
+        for i, law in enumerate(laws):
+            if isinstance(law, Law):
+                ends[i] += self._numbers.layer_starts(i, law)
+        return ends
+
+    def end_at_interface(
+        self, tangent: Tangent | None, laws: Sequence[WearLaw | Law | None], left: FloatArray
+    ) -> Tangent:
+        """Return the derivatives at the end of a step with those of an end at an interface.
+
+        Parameters
+        ----------
+        laws : of lower and upper, of the next layers.
+        left : (2, ..., n) s, until elements are at the ends of their layers.
+        """
+        assert tangent is not None
+        self._interface = _moved_ends(left, self._ends(laws) - self.wear)
+        return replace(tangent, interface=self._interface)
+
     def cross(
         self,
         crossing: BoolArray,
@@ -231,10 +256,7 @@ class Along:
         since : (2, ..., n) s, for how long they have lost it.
         faster : (2, ..., n), rates in the next layer over those before it.
         """
-        ends = np.zeros_like(self.wear)
-        for body in second[1].bodies:
-            ends[body.side] += self._numbers.layer_starts(body.side, body.law)
-        self._interface = _interface(crossing, since, self.wear - ends)
+        ends = self._ends(second[1].laws)
         reached = np.where(crossing[:, None], ends, self.wear)
         here, below = (
             linearise(increment, p, self._numbers, d_wear, None, instant=True).depths(self._last)
@@ -292,24 +314,23 @@ def along_step(
     return Along(physics, contacts, state.tangent, end - state.time, closing)
 
 
-def _interface(crossing: BoolArray, since: FloatArray, d_beyond: FloatArray) -> FloatArray:
-    """Return derivatives of the end of a step, (P, B) s, at which an element keeps where it is.
+def _moved_ends(left: FloatArray, d_left: FloatArray) -> FloatArray:
+    """Return derivatives of the end of a step, (P, B) s, that keep an element where it is.
 
-    The one that came to the end of its layer first; 0 where none did.
+    That is the nearest one to the end of its layer.
 
     Parameters
     ----------
-    crossing, since : (2, B, n), see ``Along.cross``.
-    d_beyond : (2, P, B, n) mm, of how far elements are beyond the ends of layers; the last row is
-        with respect to the end of the step.
+    left : (2, B, n) s, until elements are at the ends of their layers; infinite where never.
+    d_left : (2, P, B, n) mm, of what is left of layers; the last row is with respect to the end of
+        the step.
     """
-    _, count, n = crossing.shape
-    first = np.where(crossing, since, -np.inf).transpose(1, 0, 2).reshape(count, -1).argmax(axis=1)
-    histories, which = np.arange(count), (first // n, slice(None), np.arange(count), first % n)
-    d_first = d_beyond[which]  # (B, P)
-    rate = d_first[:, -1]
-    crosses = crossing[first // n, histories, first % n] & (rate > 0.0)
-    moved = np.divide(-d_first.T, rate, out=np.zeros_like(d_first.T), where=crosses)
+    _, count, n = left.shape
+    first, histories = left.transpose(1, 0, 2).reshape(count, -1).argmin(axis=1), np.arange(count)
+    body, e = first // n, first % n
+    d_first = d_left[body, :, histories, e].T
+    moves = np.isfinite(left[body, histories, e]) & (d_first[-1] < 0.0)
+    moved = np.divide(-d_first, d_first[-1], out=np.zeros_like(d_first), where=moves)
     moved[-1] = 0.0
     return moved
 
