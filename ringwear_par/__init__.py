@@ -2,8 +2,8 @@
 
 Rooms follow the paper (Serre, Bonnet and Pradeilles-Duval 2001): ``elasticity`` eq. (5),
 ``contact`` (3), ``wear`` (4), ``history`` section 3; around them ``cases``, ``results``,
-``studies``, ``identification``, ``reports``, ``explorer`` and ``verification``. Units: mm, N, MPa,
-s, rad; energies N mm.
+``studies``, ``identification``, ``measuring``, ``reports``, ``explorer`` and ``verification``.
+Units: mm, N, MPa, s, rad; energies N mm.
 
     import ringwear_par as rw
 
@@ -30,25 +30,27 @@ _PUBLIC = {
     "FitResult": "identification.fit_result",
     "InputError": "errors",
     "LocalState": "wear.local_state",
+    "MeasureResult": "measuring.measure_result",
     "Result": "results.result",
     "Study": "studies.definition.study",
     "WearLaw": "wear.law",
     "assemble": "history.elastic.pairs",
     "design": "identification.test_design.design",
     "fit": "identification.fit",
+    "measure": "measuring.measure",
     "open_ensemble": "studies.storage.ensemble",
     "open_result": "results.storage.result_files",
     "plot": "studies.pictures.plot",
     "read_case": "cases.files.reading",
     "read_study": "studies.definition.study",
     "report": "reports.report",
-    "save": "outcomes",
+    "save": "results.outcomes",
     "simulate": "results.execution.simulate",
     "simulate_all": "studies.execution.many",
-    "summary": "outcomes",
+    "summary": "results.outcomes",
     "surrogate": "studies.analysis.surrogate",
     "sweep": "studies.execution.sweep",
-    "to_dict": "outcomes",
+    "to_dict": "results.outcomes",
 }
 __all__ = [*_PUBLIC]
 

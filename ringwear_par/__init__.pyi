@@ -10,11 +10,13 @@ from ringwear_par.identification.fit import fit as fit
 from ringwear_par.identification.fit_result import FitResult as FitResult
 from ringwear_par.identification.test_design.design import DesignResult as DesignResult
 from ringwear_par.identification.test_design.design import design as design
-from ringwear_par.outcomes import save as save
-from ringwear_par.outcomes import summary as summary
-from ringwear_par.outcomes import to_dict as to_dict
+from ringwear_par.measuring.measure import measure as measure
+from ringwear_par.measuring.measure_result import MeasureResult as MeasureResult
 from ringwear_par.reports.report import report as report
 from ringwear_par.results.execution.simulate import simulate as simulate
+from ringwear_par.results.outcomes import save as save
+from ringwear_par.results.outcomes import summary as summary
+from ringwear_par.results.outcomes import to_dict as to_dict
 from ringwear_par.results.result import FailedResult as FailedResult
 from ringwear_par.results.result import Result as Result
 from ringwear_par.results.storage.result_files import open_result as open_result

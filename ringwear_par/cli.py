@@ -33,7 +33,7 @@ _ISOLATED = {
     "OMPI_MCA_io": "^romio321",
 }
 #: message between ranks: why the command ends is said
-_SAID = 1
+_REPORTED = 1
 
 
 def _check_launch(size: int) -> None:
@@ -53,7 +53,7 @@ class _World:
         self.comm: Any = None
         #: a communicator of their own, to fail together
         self.together: Any = None
-        self._said = False
+        self._reported = False
         self._notices: list[Any] = []  # on their way, which must not be freed
 
     @property
@@ -86,11 +86,11 @@ class _World:
 
     def _say(self, message: str) -> None:
         """Say it once: what ends a command on one rank has the launcher stop the others, too."""
-        if not self._said and not self._said_elsewhere():
-            self._said = True
+        if not self._reported and not self._reported_elsewhere():
+            self._reported = True
             if self.together is not None:
                 self._notices = [
-                    self.together.isend(None, rank, _SAID)
+                    self.together.isend(None, rank, _REPORTED)
                     for rank in range(self.comm.size)
                     if rank != self.comm.rank
                 ]
@@ -98,13 +98,13 @@ class _World:
                 lines = "\n".join(f"ringwear: {line}" for line in message.splitlines())
                 print(lines, file=sys.stderr, flush=True)
 
-    def _said_elsewhere(self) -> bool:
+    def _reported_elsewhere(self) -> bool:
         """Tell whether another rank has said why the command ends."""
         if self.together is None:
             return False
         from mpi4py import MPI
 
-        return bool(self.together.Iprobe(MPI.ANY_SOURCE, _SAID))
+        return bool(self.together.Iprobe(MPI.ANY_SOURCE, _REPORTED))
 
 
 def _place(error: BaseException) -> str:
@@ -113,7 +113,7 @@ def _place(error: BaseException) -> str:
     return f"{last.filename}, line {last.lineno}"
 
 
-def _why_untold() -> str:
+def _output_fault() -> str:
     """Return why standard output takes nothing, "" if it does."""
     try:
         print(flush=True)
@@ -228,10 +228,10 @@ def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
             sentence = str(as_ours(error))
             traceback.clear_frames(error.__traceback__)
             return world.end(sentence, 1, GRACE_SECONDS)
-        untold = _why_untold() if isinstance(error, OSError) else ""
-        if untold:
+        output_fault = _output_fault() if isinstance(error, OSError) else ""
+        if output_fault:
             with suppress(OSError):
-                print(f"ringwear: standard output: {untold}", file=sys.stderr, flush=True)
+                print(f"ringwear: standard output: {output_fault}", file=sys.stderr, flush=True)
             _mute()
         else:
             traceback.print_exc()

@@ -161,6 +161,16 @@ COMMANDS = {
         _argument("--criterion", choices=("D", "A", "eig"), help="instead of that of the fit file"),
         _NO_CACHE,
     ), solves=True, stopped=UNWRITTEN),
+    "measure": Command(
+        "compute steady wear rates and friction from a rig's own files, by no model",
+        "measuring.measure:run_measure", (
+        _argument("sources", type=_path, nargs="+", metavar="W.csv or MEASURE.toml",
+                  help="records of one rig, or a measure file alone"),
+        _FOLDER,
+        _argument("--case", type=_path, metavar="RIG.toml",
+                  help="case file of the rig, of records: rings, load, speed, densities"),
+        _argument("--masses", type=_path, metavar="M.csv", help="weighings, of records"),
+    ), serial=True, stopped=UNWRITTEN),
     "plot": Command(
         "draw the figures of the paper from result files, or those of a sweep",
         "studies.pictures.plot:plot_stored", (
@@ -217,9 +227,9 @@ COMMANDS = {
         "verification.verify:verify", (), solves=True),
     "info": Command("print versions, MPI and PETSc builds, ranks and threads", "info:print_info", (
         _argument("--schema", nargs="*", metavar="WORD",
-                  help="print the keys of case, study and fit files, or of one of these: case, "
-                  "study or fit; behind it, or alone, a word of the rows to print, such as "
-                  "wear.lower"),
+                  help="print the keys of case, study, measure and fit files, or of one of these: "
+                  "case, study, measure or fit; behind it, or alone, a word of the rows to print, "
+                  "such as wear.lower"),
     )),
 }  # fmt: skip
 

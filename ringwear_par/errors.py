@@ -75,7 +75,7 @@ class InputError(RingwearError):
 
     def __init__(self, *faults: str) -> None:
         more = len(faults) - MOST_FAULTS
-        if more > 0:
+        if more > 1:  # one more than that is the sentence that there are more
             faults = (*faults[:MOST_FAULTS], f"and {more} faults more")
         self.faults = tuple(legible(fault, LONGEST_SENTENCE) for fault in faults)
         Exception.__init__(self, "\n".join(self.faults))

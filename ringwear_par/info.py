@@ -3,7 +3,6 @@
 import os
 import sys
 from collections.abc import Sequence
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
 from ringwear_par.errors import InputError, legible
@@ -14,6 +13,8 @@ if TYPE_CHECKING:
 
 
 def _optional(package: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version(package)
     except PackageNotFoundError:
@@ -51,29 +52,33 @@ def _print_installation(comm: "MPI.Comm") -> None:
     print(f"  petsc scalar: {PETSc.ScalarType.__name__}, integer: {PETSc.IntType.__name__}")
     launched = os.environ.get("OMPI_COMM_WORLD_SIZE") or os.environ.get("PMI_SIZE") or "no launcher"
     print(f"  ranks: {comm.size} (launcher says: {launched}), cores: {os.cpu_count()}")
-    where = pair_cache.folder()
-    if where is None:
+    folder = pair_cache.folder()
+    if folder is None:
         print(f"  assembled pairs: not kept ({pair_cache.VARIABLE} is empty)")
     else:
-        pairs, size = pair_cache.size(where)
+        pairs, size = pair_cache.size(folder)
         print(
             f"  assembled pairs: {pairs}, {size / 1e6:.3g} of {pair_cache.LIMIT / 1e6:g} MB, "
-            f"in {where}"
+            f"in {folder}"
         )
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         print(f"  {name}: {os.environ.get(name, 'not set')}")
 
 
 def _print_keys(words: Sequence[str]) -> None:
-    """Print the keys of case, study and fit files, or of one of these; a row a key."""
+    """Print the keys of case, study, fit and measure files, or of one of these; a row a key."""
     from ringwear_par.cases import schema as cases
+    from ringwear_par.cases.tables import key_table
     from ringwear_par.identification.definition import schema as fits
+    from ringwear_par.measuring.definition import schema as measures
     from ringwear_par.studies.definition import schema as studies
 
-    schemas = {"case": cases.KEYS, "study": studies.KEYS, "fit": fits.KEYS}
+    schemas = {
+        "case": cases.KEYS, "study": studies.KEYS, "measure": measures.KEYS, "fit": fits.KEYS,
+    }  # fmt: skip
     kinds = words[:1] if words and words[0] in schemas else list(schemas)
     phrase = " ".join(words[1:] if words[:1] == kinds else words)
-    tables = {kind: cases.key_table(schemas[kind], phrase) for kind in kinds}
+    tables = {kind: key_table(schemas[kind], phrase) for kind in kinds}
     if not any(tables.values()):
         files = " or ".join(kinds)
         raise InputError(f"--schema {legible(phrase)}: is in no row of the keys of {files} files")

@@ -99,9 +99,9 @@ def _listening() -> Iterator[list[str]]:
             heard.append(file.read().decode(errors="replace"))
 
 
-def _reason(said: str) -> str:
+def _reason(report: str) -> str:
     """Return the reason in PETSc's report of an error, "" for none."""
-    lines = [line.partition("PETSC ERROR: ")[2] for line in said.splitlines()]
+    lines = [line.partition("PETSC ERROR: ")[2] for line in report.splitlines()]
     start = next((i for i, line in enumerate(lines) if "Error Message" in line), len(lines))
     reason = itertools.takewhile(
         lambda line: line and not line.startswith(("WARNING!", "See ")), lines[start + 1 :]

@@ -38,7 +38,8 @@ from mpi4py import MPI
 
 import ringwear_par as rw
 from ringwear_par.cases.case import Case, Stepping
-from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.contact.engine import ContactEngine
+from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.elasticity import pair_cache
 from ringwear_par.elasticity.bem.assembly import assemble
 from ringwear_par.elasticity.bem.body import body_zones
@@ -126,8 +127,9 @@ def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     moving = replace(case, mesh=Mesh(n, geometry="updated"))
 
     def first_contact() -> None:
-        with ContactSolver(matrix, area) as solver:
-            solver.solve(np.zeros(n), force=case.load.force)
+        compliances = ScaledCompliances.of(matrix[None], area)
+        with ContactEngine(compliances, np.zeros(1, dtype=np.int64)) as engine:
+            engine.solve(np.zeros((1, n)), force=np.array([case.load.force]))
 
     def history(case: Case) -> None:
         simulate_one(case, comm, pair=pair)

@@ -143,7 +143,7 @@ def test_run_with_checkpoints(full, runs):
         assert names(left) == ["run.h5"]
         steps = read_status(left / "run.h5")[1]
         assert f"it holds the steps up to {steps}, and --restart goes on from there" in said[-1]
-        assert open_result(left / "run.h5").checkpoint.numbers["step"] == steps
+        assert open_result(left / "run.h5").checkpoint.progress.steps == steps
         reached.add(steps)
     assert reached
     assert status == 0

@@ -1,7 +1,8 @@
 """Pages made of the code when the site is built: a page for each wear law, and those of keys.
 
-They are written to ``docs/generated``. Roles ``key``, ``studykey`` and ``fitkey`` link to
-a key's entry. A law without a case in ``scripts/cases`` is an error, for its page shows one.
+They are written to ``docs/generated``. Roles ``key``, ``studykey``, ``fitkey`` and ``measurekey``
+link to a key's entry. A law without a case in ``scripts/cases`` is an error, for its page shows
+one.
 """
 
 import inspect
@@ -22,6 +23,7 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.units import in_signs
 from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition.schema import KEYS as FIT_KEYS
+from ringwear_par.measuring.definition.schema import KEYS as MEASURE_KEYS
 from ringwear_par.pictures.style import COLOURS, DASHES, STYLE
 from ringwear_par.schedules import value
 from ringwear_par.studies.definition.schema import KEYS as STUDY_KEYS
@@ -39,6 +41,7 @@ KEYS: Mapping[str, tuple[str, str, Sequence[Any]]] = {
     "case_keys": ("casekey", "Keys of a case file", CASE_KEYS),
     "study_keys": ("studykey", "Keys of a study file", STUDY_KEYS),
     "fit_keys": ("fitkey", "Keys of a fit file", FIT_KEYS),
+    "measure_keys": ("measurekey", "Keys of a measure file", MEASURE_KEYS),
 }
 #: steps in the picture of the first case
 FIRST_STEPS = "0,1,3,5"
@@ -255,5 +258,6 @@ def setup(app: "Sphinx") -> dict[str, bool]:
     app.add_object_type("casekey", "key", objname="case key")
     app.add_object_type("studykey", "studykey", objname="study key")
     app.add_object_type("fitkey", "fitkey", objname="fit key")
+    app.add_object_type("measurekey", "measurekey", objname="measure key")
     app.connect("builder-inited", _made)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

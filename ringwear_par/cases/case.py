@@ -15,6 +15,7 @@ from ringwear_par.cases.stress import Stress
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.geometry.profiles import CLOSE
 from ringwear_par.elasticity.geometry.sections import Grip, Polyline, Section
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, breakpoints
 from ringwear_par.wear.checked_law import complete
@@ -223,6 +224,27 @@ class Case:
     def rings(self) -> tuple[Ring, Ring]:
         """Lower and upper."""
         return self.lower, self.upper
+
+    @property
+    def materials(self) -> dict[str, Ring | RingLayer]:
+        """Each body and its layers by table of keys: "lower", "lower.layers[0]"."""
+        materials: dict[str, Ring | RingLayer] = {}
+        for body, ring in zip(BODIES, self.rings, strict=True):
+            materials[body] = ring
+            materials |= {f"{body}.layers[{i}]": layer for i, layer in enumerate(ring.layers)}
+        return materials
+
+    @property
+    def laws_by_table(self) -> dict[str, WearLaw | None]:
+        """Wear laws of bodies, and of layers that do not wear as their body, by table of keys."""
+        laws: dict[str, WearLaw | None] = {}
+        body_laws = self.wear_lower, self.wear_upper
+        for body, ring, law in zip(BODIES, self.rings, body_laws, strict=True):
+            laws[f"wear.{body}"] = law
+            for i, layer in enumerate(ring.layers):
+                if layer.wear is not None:
+                    laws[f"{body}.layers[{i}].wear"] = layer.wear
+        return laws
 
     @property
     def laws(self) -> tuple[Law | None, Law | None]:

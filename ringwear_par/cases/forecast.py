@@ -72,7 +72,7 @@ def _coefficient(law: WearLaw | None) -> float:
 
 
 def unit_question(case: Case, wear: FloatArray) -> str:
-    """Return a question about the unit of k where much is worn off, or to be; "" for none.
+    """Return a sentence about the unit of k where much is worn off, or to be; "" for none.
 
     Parameters
     ----------
@@ -90,23 +90,19 @@ def unit_question(case: Case, wear: FloatArray) -> str:
         ]
         if coefficients and depth > DEEP * (ring.z[1] - ring.z[0]):
             k, key = max(coefficients)
-            return f'; {key} = {k:g} is in 1/MPa: if it is in mm3/(N m), write "{k:g} mm3/(N m)"'
+            return f'. {key} = {k:g} is in 1/MPa: if it is in mm3/(N m), write "{k:g} mm3/(N m)"'
     return ""
 
 
 def _strata(case: Case) -> list[list[tuple[str, WearLaw | None, float]]]:
     """Return table, law and thickness (mm) of the layers of lower and upper and what is below."""
     strata = []
-    for body, ring, itself in zip(
-        BODIES, case.rings, (case.wear_lower, case.wear_upper), strict=True
-    ):
-        layers: list[tuple[str, WearLaw | None, float]] = [
-            (f"wear.{body}", itself, layer.thickness)
-            if layer.wear is None
-            else (f"{body}.layers[{i}].wear", layer.wear, layer.thickness)
-            for i, layer in enumerate(ring.layers)
-        ]
-        strata.append([*layers, (f"wear.{body}", itself, math.inf)])
+    laws = case.laws_by_table
+    for body, ring in zip(BODIES, case.rings, strict=True):
+        tables = [f"{body}.layers[{i}].wear" for i in range(len(ring.layers))]
+        tables = [table if table in laws else f"wear.{body}" for table in (*tables, "")]
+        thicknesses = [*(layer.thickness for layer in ring.layers), math.inf]
+        strata.append([(t, laws[t], h) for t, h in zip(tables, thicknesses, strict=True)])
     return strata
 
 

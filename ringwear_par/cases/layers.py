@@ -12,7 +12,6 @@ from typing import Any
 
 from ringwear_par.cases.schema import LAYER_LAWS, MOST_LAYERS, key_of, layer_entry
 from ringwear_par.cases.text import shortened
-from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.wear.catalogue import LAWS
@@ -129,7 +128,7 @@ def layers_in_full(path: str, layers: Any) -> Any:
                 key = key_of(f"{name}.{entry}")
                 if key is not None and isinstance(value, str | list | dict):
                     with suppress(RejectedError):
-                        table[entry] = without_units(key, value)
+                        table[entry] = key.without_units(value)
     return copies
 
 

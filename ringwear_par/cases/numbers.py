@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.cases.case import Case, Ring
+from ringwear_par.cases.case import Case, Ring, RingLayer
 from ringwear_par.cases.laws import make_law
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, key_of
@@ -68,9 +68,9 @@ def number_faults(case: Case, name: str) -> list[str]:
     name : what messages call the case.
     """
     numbers = [
-        (f"{body}.layers[{i}].{key.path}", key, getattr(layer, key.path, None))
-        for body, ring in zip(("lower", "upper"), case.rings, strict=True)
-        for i, layer in enumerate(ring.layers)
+        (f"{table}.{key.path}", key, getattr(layer, key.path, None))
+        for table, layer in case.materials.items()
+        if isinstance(layer, RingLayer)
         for key in LAYER_KEYS
     ]
     for path, (part, attribute) in _PLACES.items():
@@ -108,17 +108,10 @@ def needs_reading(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray
     displacement = numbers.get(("load.displacement", None))
     if displacement is not None:
         refused |= case.interpenetration > displacement
-    for table, law in _laws(case).items():
-        refused |= _refused_by(law, table, numbers, len(refused))
+    for table, law in case.laws_by_table.items():
+        if isinstance(law, Law):
+            refused |= _refused_by(law, table, numbers, len(refused))
     return refused
-
-
-def _laws(case: Case) -> dict[str, Law]:
-    """Return the laws of bodies, and of layers, by their tables of keys."""
-    laws = {"wear.lower": case.wear_lower, "wear.upper": case.wear_upper}
-    for body, ring in zip(("lower", "upper"), case.rings, strict=True):
-        laws |= {f"{body}.layers[{i}].wear": layer.wear for i, layer in enumerate(ring.layers)}
-    return {table: law for table, law in laws.items() if isinstance(law, Law)}
 
 
 def _refused_by(

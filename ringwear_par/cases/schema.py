@@ -3,17 +3,12 @@
 import itertools
 import math
 import re
-import textwrap
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
-from typing import Any
 
-from ringwear_par.cases.text import toml_value
+from ringwear_par.cases.tables import Key
 from ringwear_par.cases.values import (
-    Interval,
-    Kind,
-    Reader,
     Values,
     chamfer,
     choice,
@@ -42,34 +37,6 @@ from ringwear_par.wear.parameters import Parameter, parameters_of
 MOST_LAYERS, MOST_ON_A_SIDE = 1000, 10_000
 
 FIELDS = ("pressure", "gap", "wear_lower", "wear_upper")
-
-
-@dataclass(frozen=True)
-class Key:
-    """One key of the case file.
-
-    Parameters
-    ----------
-    path : its dotted name.
-    kind, read, allowed, numbers : its values, see ``values.Values``.
-    unit, meaning : as ``info --schema`` prints them.
-    default : ... where the key must be given.
-    """
-
-    path: str
-    kind: Kind
-    read: Reader
-    allowed: str
-    numbers: Interval | None
-    unit: str
-    meaning: str
-    default: Any = ...
-
-    @property
-    def rule(self) -> str:
-        """What a message says of the values allowed, with their unit."""
-        unit = "" if self.unit in ("-", "1") else f" ({self.unit})"
-        return f"must be {self.allowed}{unit}"
 
 
 def _ring_keys(ring: str, name: str) -> list[Key]:
@@ -330,40 +297,3 @@ def unit_of(name: str) -> str:
     if key.path.endswith(".profile"):  # of which each shape has its own
         return SHAPE_UNITS.get(entry, "")
     return key.unit
-
-
-def key_table(keys: Iterable[Key], words: str = "") -> str:
-    """Return a table of keys: path, unit, default, meaning, and the allowed values below.
-
-    Parameters
-    ----------
-    words : in the rows of the table, in letters of either case; "": all rows.
-
-    Returns
-    -------
-    str : "" where no row has the words.
-    """
-    rows = [row for key in keys if words.lower() in " ".join(row := _cells(key)).lower()]
-    if not rows:
-        return ""
-    lines = [("key", "unit", "default", "meaning, and what is allowed")]
-    for path, unit, default, meaning, allowed in rows:
-        first = textwrap.wrap(meaning, 90)
-        below = [f"    {line}" for line in textwrap.wrap(allowed, 86)]
-        if len(default) > 20:  # a line of its own
-            below.insert(0, f"    default: {default}")
-            default = "below"
-        lines.append((path, unit, default, first[0]))
-        lines += [("", "", "", line) for line in first[1:] + below]
-    widths = [max(len(line[i]) for line in lines) for i in range(3)]
-    return "\n".join(
-        "  ".join([*(c.ljust(w) for c, w in zip(line, widths, strict=False)), line[3]]).rstrip()
-        for line in lines
-    )
-
-
-def _cells(key: Key) -> tuple[str, str, str, str, str]:
-    default = "required" if key.default is ... else "-"
-    if key.default is not ... and key.default is not None:
-        default = toml_value(key.default)
-    return key.path, key.unit, default, key.meaning, key.allowed

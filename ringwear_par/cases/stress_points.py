@@ -72,10 +72,10 @@ def check_stress(name: str, case: Case) -> None:
         for body, ring in zip(BODIES, case.rings, strict=True)
         if grid.body in ("both", body)
     ):
-        which = "both bodies" if grid.body == "both" else grid.body
+        bodies = "both bodies" if grid.body == "both" else grid.body
         faults.append(
             f"{name}: stress.grid.r = {list(grid.r)}, stress.grid.z = {list(grid.z)}: lie outside "
-            f"{which}; must have a part of it (mm)"
+            f"{bodies}; must have a part of it (mm)"
         )
     most = min(max(ring.r[1] - ring.r[0], ring.z[1] - ring.z[0]) for ring in case.rings)
     if case.stress.exclude >= most:
@@ -92,24 +92,24 @@ def _point_faults(case: Case, points: Sequence[tuple[float, float, Side]]) -> It
     around, size = edges(case), _size(case)
     before: dict[tuple[float, float, Side], int] = {}
     for i, (r, z, side) in enumerate(points):
-        said = f"stress.points[{i}] = {shortened([r, z, side] if side else [r, z])}"
+        subject = f"stress.points[{i}] = {shortened([r, z, side] if side else [r, z])}"
         first = before.setdefault((r, z, side), i)
         without, bodies = _bodies_at(case, r, z, ""), _bodies_at(case, r, z, side)
         if first < i:
-            yield f"{said}: is stress.points[{first}] as well; must be another point"
+            yield f"{subject}: is stress.points[{first}] as well; must be another point"
         elif np.hypot(*(around - [r, z]).T).min() <= _ON * size:
-            yield f"{said}: lies on an edge; must be beside it, as stress is not defined"
+            yield f"{subject}: lies on an edge; must be beside it, as stress is not defined"
         elif not without:
-            yield f"{said}: lies outside both bodies; must be in one of them (mm)"
+            yield f"{subject}: lies outside both bodies; must be in one of them (mm)"
         elif len(without) > 1 and not side:
             yield (
-                f'{said}: lies on the faces of both bodies; must have its side, "below" for lower '
-                'or "above" for upper'
+                f'{subject}: lies on the faces of both bodies; must have its side, "below" for '
+                'lower or "above" for upper'
             )
         elif not bodies:
-            yield f'{said}: lies on a face with no body {side} it; must be without "{side}"'
+            yield f'{subject}: lies on a face with no body {side} it; must be without "{side}"'
         elif not side and _on_interface(case, bodies[0], z):
-            yield f'{said}: lies between two layers; must have its side, "above" or "below"'
+            yield f'{subject}: lies between two layers; must have its side, "above" or "below"'
 
 
 def _overlaps(one: tuple[float, float], other: tuple[float, float]) -> bool:

@@ -1,14 +1,106 @@
-"""Tables of study and fit files, read by their keys; faults are collected."""
+"""The schema of files: keys of cases, studies and fits, how they are read and how they are shown.
+
+Each kind of file has a list of its keys, in a file ``schema.py``.
+"""
 
 import difflib
+import textwrap
 from collections.abc import Iterable, Mapping, Set
+from dataclasses import dataclass
 from typing import Any
 
-from ringwear_par.cases.schema import Key
-from ringwear_par.cases.text import shortened
+from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.units import in_unit
-from ringwear_par.cases.values import RejectedError
+from ringwear_par.cases.values import Interval, Kind, Reader, RejectedError
+from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS
 from ringwear_par.errors import MOST_FAULTS, legible
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of a case, study or fit file.
+
+    Parameters
+    ----------
+    path : its dotted name.
+    kind, read, allowed, numbers : its values, see ``values.Values``.
+    unit, meaning : as ``info --schema`` prints them; "data's": a unit that the key does not tell.
+    default : ... where the key must be given.
+    """
+
+    path: str
+    kind: Kind
+    read: Reader
+    allowed: str
+    numbers: Interval | None
+    unit: str
+    meaning: str
+    default: Any = ...
+
+    @property
+    def rule(self) -> str:
+        """What a message says of the values allowed, with their unit."""
+        unit = "" if self.unit in ("-", "1") else f" ({self.unit})"
+        return f"must be {self.allowed}{unit}"
+
+    def without_units(self, value: Any, entry: str | None = None, unit: str | None = None) -> Any:
+        """Return a raw value with numbers in the key's unit where they had one of their own.
+
+        Parameters
+        ----------
+        entry : of the key, such as a shape's name, whose value it is; None: it is the key's.
+        unit : in the place of the key's.
+
+        Raises
+        ------
+        RejectedError : a unit is that of something else.
+        """
+        unit = self.unit if unit is None else unit
+        match self.kind:
+            case "points" if entry is not None:
+                return _shape(entry, value)
+            case "points" if isinstance(value, Mapping):  # a shape with a name
+                return {name: _shape(name, size) for name, size in value.items()}
+            case "points":
+                first, _, second = unit.partition(" and ")
+                return _pairs(value, first, second or first)
+            case "schedule" | "quantity" if isinstance(value, Mapping):
+                return {axis: _pairs(profile, "mm", unit) for axis, profile in value.items()}
+            case "schedule" | "quantity" if isinstance(value, list):
+                return _pairs(value, "s", unit)
+            case "whole" | "counts" | "choice" | "names" | "text" | "parameters" | "layers":
+                return value
+        if entry is not None or (self.kind == "times" and isinstance(value, str)):
+            return value
+        return in_unit(value, "" if "'" in unit else unit)
+
+    def value(self, raw: Any, unit: str | None = None) -> Any:
+        """Return the value of a key as it is read, see ``without_units``.
+
+        Raises
+        ------
+        RejectedError : it is not allowed, perhaps with the reason.
+        """
+        value = self.without_units(raw, unit=unit)
+        return self.read(list(value) if isinstance(value, tuple) else value)
+
+
+def _shape(name: str, size: Any) -> Any:
+    """Return the size of a shape, or the points of a trace, without units."""
+    if name == "trace":
+        return _pairs(size, "mm", "mm")
+    return in_unit(size, SHAPE_UNITS.get(name, ""))
+
+
+def _pairs(value: Any, first: str, second: str) -> Any:
+    if not isinstance(value, list):
+        return value
+    return [
+        [in_unit(entry[0], first), in_unit(entry[1], second)]
+        if isinstance(entry, list) and len(entry) == 2
+        else entry
+        for entry in value
+    ]
 
 
 def keys_of_table(keys: Iterable[Key], table: str) -> dict[str, Key]:
@@ -76,13 +168,11 @@ class TableReader:
             if default is ...:
                 self.wrong(name, f"must be {key.allowed}")
             return fallback
-        unit = key.unit if unit is None else unit
         try:
-            value = in_unit(value, "" if "'" in unit else unit)  # "data's" is not known yet
-            return key.read(list(value) if isinstance(value, tuple) else value)
+            return key.value(value, unit)
         except RejectedError as reason:
-            why = f" ({reason})" if str(reason) else ""
-            self.wrong(name, f"must be {key.allowed}{why}")
+            hint = f" ({reason})" if str(reason) else ""
+            self.wrong(name, f"must be {key.allowed}{hint}")
             return fallback
 
     def finish(self) -> None:
@@ -94,3 +184,40 @@ class TableReader:
                 near = difflib.get_close_matches(name.lower(), known, n=1) if few else []
                 hint = f" (did you mean {near[0]}?)" if near else ""
                 self.fault(f"{legible(name)}: unknown key{hint}; must be one of {', '.join(known)}")
+
+
+def key_table(keys: Iterable[Key], words: str = "") -> str:
+    """Return a table of keys: path, unit, default, meaning, and the allowed values below.
+
+    Parameters
+    ----------
+    words : in the rows of the table, in letters of either case; "": all rows.
+
+    Returns
+    -------
+    str : "" where no row has the words.
+    """
+    rows = [row for key in keys if words.lower() in " ".join(row := _cells(key)).lower()]
+    if not rows:
+        return ""
+    lines = [("key", "unit", "default", "meaning, and what is allowed")]
+    for path, unit, default, meaning, allowed in rows:
+        first = textwrap.wrap(meaning, 90)
+        below = [f"    {line}" for line in textwrap.wrap(allowed, 86)]
+        if len(default) > 20:  # a line of its own
+            below.insert(0, f"    default: {default}")
+            default = "below"
+        lines.append((path, unit, default, first[0]))
+        lines += [("", "", "", line) for line in first[1:] + below]
+    widths = [max(len(line[i]) for line in lines) for i in range(3)]
+    return "\n".join(
+        "  ".join([*(c.ljust(w) for c, w in zip(line, widths, strict=False)), line[3]]).rstrip()
+        for line in lines
+    )
+
+
+def _cells(key: Key) -> tuple[str, str, str, str, str]:
+    default = "required" if key.default is ... else "-"
+    if key.default is not ... and key.default is not None:
+        default = toml_value(key.default)
+    return key.path, key.unit, default, key.meaning, key.allowed

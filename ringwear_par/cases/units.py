@@ -3,14 +3,10 @@
 import re
 from collections.abc import Mapping
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ringwear_par.cases.values import RejectedError
-from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS
 from ringwear_par.errors import legible
-
-if TYPE_CHECKING:
-    from ringwear_par.cases.schema import Key
 
 #: more is no unit, and slow to look at
 _LONGEST = 40
@@ -196,41 +192,6 @@ def number_in(value: str, base: str) -> float:
         raise RejectedError(f"{legible(unit)} is no unit of {base}{hint}") from error
 
 
-def without_units(key: "Key", value: Any, entry: str | None = None) -> Any:
-    """Return a key's raw value with numbers in the key's unit where they had one of their own.
-
-    Parameters
-    ----------
-    entry : of the key, whose value it is; None: it is the key's.
-
-    Raises
-    ------
-    RejectedError : a unit is that of something else.
-    """
-    if entry is not None:
-        return _shape(entry, value) if key.kind == "points" else value
-    if key.kind in ("number", "pair", "chamfer", "places"):
-        return in_unit(value, key.unit)
-    if key.kind == "times":
-        return in_unit(value, "s") if isinstance(value, list) else value
-    if key.kind in ("schedule", "quantity"):
-        if isinstance(value, Mapping):
-            return {axis: _pairs(entry, "mm", key.unit) for axis, entry in value.items()}
-        return _pairs(value, "s", key.unit) if isinstance(value, list) else in_unit(value, key.unit)
-    if key.kind == "points":
-        if isinstance(value, Mapping):  # a shape with a name
-            return {name: _shape(name, entry) for name, entry in value.items()}
-        first, _, second = key.unit.partition(" and ")
-        return _pairs(value, first, second or first)
-    return value
-
-
-def _shape(name: str, value: Any) -> Any:
-    if name == "trace":
-        return _pairs(value, "mm", "mm")
-    return in_unit(value, SHAPE_UNITS.get(name, ""))
-
-
 def in_unit(value: Any, unit: str) -> Any:
     """Return a raw value, or lists and tables of some, with numbers in a unit that had their own.
 
@@ -251,14 +212,3 @@ def in_unit_where_right(value: Any, unit: str) -> Any:
         return in_unit(value, unit)
     except RejectedError:
         return value
-
-
-def _pairs(value: Any, first: str, second: str) -> Any:
-    if not isinstance(value, list):
-        return value
-    return [
-        [in_unit(entry[0], first), in_unit(entry[1], second)]
-        if isinstance(entry, list) and len(entry) == 2
-        else entry
-        for entry in value
-    ]

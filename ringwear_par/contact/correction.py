@@ -7,18 +7,17 @@ cent of the error, and within a history the pressures of the step before are mos
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
 from ringwear_par.batched import concat
+from ringwear_par.contact.engine import ContactEngine
 from ringwear_par.contact.problem import ContactInputs, ContactState, WarmStart
+from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.wear.increment import WearIncrement
-
-if TYPE_CHECKING:
-    from ringwear_par.contact.batch import BatchSolver
 
 #: errors at which pressures count as those of the collocated equations, relative to themselves or
 #: to the mean pressure, whichever is larger: within steps, the next of which corrects what this one
@@ -49,20 +48,12 @@ class Tangents(Protocol):
         ...
 
 
-def _alone(change: FloatArray, stiffness: FloatArray, p: FloatArray, mean: Any) -> FloatArray:
-    """Return errors of pressures, each element being alone: in few operations, (..., n).
-
-    Relative to the pressure or to its mean, whichever is larger.
-    """
-    return np.abs(change) * stiffness / np.maximum(p, mean)
-
-
-def _unsettled(error: float, element: int, most: float) -> str:
+def _unsettled(error: float, element: int, largest_allowed: float) -> str:
     """Return why a contact that was corrected in vain is none."""
     return (
         f"contact: after {_CORRECTIONS} corrections for the asymmetry of the compliance the "
         f"pressure of element {element} is off by {error:.2g} of itself or of the mean (allowed "
-        f"{most:g}); a finer mesh (mesh.contact_elements) or thicker layers are needed"
+        f"{largest_allowed:g}); a finer mesh (mesh.contact_elements) or thicker layers are needed"
     )
 
 
@@ -71,30 +62,26 @@ class CorrectedContacts:
 
     Parameters
     ----------
-    solver : of the symmetric compliances.
-    excess : (m, n, n) float, mm/MPa, of each compliance.
-    which : (B,) int, the compliance of each history.
-    stiffness : (m, n) float, MPa/mm, of each element alone.
+    engine : solves with the symmetric compliances.
     """
 
-    def __init__(
-        self, solver: "BatchSolver", excess: FloatArray, which: IntArray, stiffness: FloatArray
-    ) -> None:
-        self.solver, self._excess, self._which = solver, excess, which
-        self._transposed = np.ascontiguousarray(excess.transpose(0, 2, 1))
-        self._stiffness = stiffness
-        count = len(which)
-        self._every, self._total = np.arange(count), float(solver.area.sum())
+    def __init__(self, engine: ContactEngine) -> None:
+        self.engine, self._products = engine, RowProducts(engine.which)
+        count = len(engine.which)
+        self._every, self._total = np.arange(count), float(engine.compliances.area.sum())
         #: (B,) the largest errors that were left, and their elements
         self.largest_errors = np.zeros(count), np.zeros(count, dtype=np.int64)
         self._shift_at: tuple[FloatArray, FloatArray] | None = None
-        self._warm: WarmStart | None = None  # once the solver is freed
 
     def _shift(self, p: FloatArray) -> FloatArray:
         """Return the gap that the excess opens at pressures, (B, n) mm; remembered."""
         if self._shift_at is None or self._shift_at[0] is not p:
-            self._shift_at = p, self.solver.products(self._transposed, self._which, p)
+            self._shift_at = p, self.gap_of_excess(p)
         return self._shift_at[1]
+
+    def gap_of_excess(self, p: FloatArray) -> FloatArray:
+        """Return the gap that the excess opens at pressures (..., B, n), or changes of both."""
+        return self._products.of(p, self.engine.compliances.transposed_excess)
 
     def __enter__(self) -> "CorrectedContacts":
         return self
@@ -103,24 +90,22 @@ class CorrectedContacts:
         self.close()
 
     def close(self) -> None:
-        """Free the solver; where it would start stays known. Not collective."""
-        if self._warm is None:
-            self._warm = self.solver.warm
-            self.solver.destroy()
+        """Free what is PETSc's; where it would start stays known. Not collective."""
+        self.engine.destroy()
 
     @property
     def warm(self) -> WarmStart:
         """Where the next solutions start, also after ``close``."""
-        return self.solver.warm if self._warm is None else self._warm
+        return self.engine.warm
 
     @warm.setter
     def warm(self, warm: WarmStart) -> None:
-        self.solver.warm = warm
+        self.engine.warm = warm
 
     def solve(
         self,
         inputs: ContactInputs,
-        near: FloatArray,
+        pressure_guess: FloatArray,
         *,
         exact: bool = False,
         already_solved: tuple[BoolArray, ContactState] | None = None,
@@ -131,7 +116,7 @@ class CorrectedContacts:
         Parameters
         ----------
         inputs : gaps, loads, and the wear of an implicit step.
-        near : (B, n) float, MPa, pressures near the solution.
+        pressure_guess : (B, n) float, MPa, pressures near the solution.
         exact : whether to correct until no more than 1e-4 is left.
         already_solved : which histories have their solution already, and it.
         along : takes every correction.
@@ -141,94 +126,81 @@ class CorrectedContacts:
         ComputationError : one was not solved, or not corrected well enough; HistoriesError of
             several histories.
         """
-        gap, wear = inputs.gap, inputs.wear
-        most = _EXACT if exact else _NEAR_ENOUGH
-        active = self._every if already_solved is None else np.flatnonzero(~already_solved[0])
-        shift, iterations = self._shift(near), np.zeros(len(gap), dtype=np.int64)
+        gap, wear, at = inputs.gap, inputs.wear, pressure_guess
+        largest_allowed = _EXACT if exact else _NEAR_ENOUGH
+        count = len(gap)
+        shift, iterations, residual = self._shift(at), np.zeros(count, np.int64), np.zeros(count)
+        errors, elements = np.zeros(count), np.zeros(count, np.int64)
+        not_converged = self._every
         if already_solved is not None:
-            iterations[already_solved[0]] = already_solved[1].iterations[already_solved[0]]
-        residual, errors = np.zeros(len(gap)), np.zeros(len(gap))
-        elements = np.zeros(len(gap), dtype=np.int64)
+            solved, solution = already_solved
+            not_converged = np.flatnonzero(~solved)
+            iterations[solved] = solution.iterations[solved]
+            residual[solved] = solution.residual[solved]
         for _ in range(1 + _CORRECTIONS):
-            state = self.solver.solve(
+            state = self.engine.solve(
                 gap - shift,
                 force=inputs.force,
                 approach=inputs.approach,
                 wear=wear,
-                histories=active,
+                histories=not_converged,
             )
             if along is not None:
-                along.solved(wear, state, near, active)
-                near = state.pressure
-            iterations[active] += state.iterations[active]
-            residual[active] = state.residual[active]
+                along.solved(wear, state, at, not_converged)
+                at = state.pressure
+            iterations[not_converged] += state.iterations[not_converged]
+            residual[not_converged] = state.residual[not_converged]
             before, shift = shift, self._shift(state.pressure)
-            off, e = self._errors(state, shift - before, most)
-            errors[active], elements[active] = off[active], e[active]
-            active = active[~(off[active] <= most)]
-            if not len(active):
+            error, element = self._errors(state, shift - before, largest_allowed)
+            errors[not_converged] = error[not_converged]
+            elements[not_converged] = element[not_converged]
+            not_converged = not_converged[~(error[not_converged] <= largest_allowed)]
+            if not len(not_converged):
                 break
         else:
-            if len(gap) == 1:
-                raise ComputationError(_unsettled(float(off[0]), int(e[0]), most))
-            which = np.zeros(len(gap), dtype=bool)
-            which[active] = True
+            if count == 1:
+                raise ComputationError(
+                    _unsettled(float(error[0]), int(element[0]), largest_allowed)
+                )
+            which = np.zeros(count, dtype=bool)
+            which[not_converged] = True
             raise HistoriesError(which)
-        if already_solved is not None:
-            residual[already_solved[0]] = already_solved[1].residual[already_solved[0]]
-        worse = errors > self.largest_errors[0]
         before_errors, before_elements = self.largest_errors
+        worse = errors > before_errors
         self.largest_errors = (
             np.where(worse, errors, before_errors), np.where(worse, elements, before_elements)
         )  # fmt: skip
         return replace(state, iterations=iterations, residual=residual)
 
     def _errors(
-        self, solution: ContactState, change: FloatArray, most: float
+        self, solution: ContactState, change: FloatArray, largest_allowed: float
     ) -> tuple[FloatArray, IntArray]:
-        """Return about how far pressures are off for changes of the shift, (B, n) mm, and where."""
-        p, rows = solution.pressure, self._every
+        """Return the errors of pressures for changes of the shift, (B, n) mm, and their elements.
+
+        Of the worst element of each history, relative to its pressure or to the mean, whichever is
+        larger. As if each element were alone, in few operations; where that is too large, by the
+        response of all.
+        """
+        p, compliances, which = solution.pressure, self.engine.compliances, self.engine.which
         mean = np.maximum(np.divide(solution.force, self._total), _TINY)[:, None]
-        errors = _alone(change, self._stiffness[self._which], p, mean)
+        errors = np.abs(change) * compliances.stiffness[which] / np.maximum(p, mean)
         elements = errors.argmax(axis=1)
-        worst = errors[rows, elements]
-        if not (worst > most).any():
-            return worst, elements
+        largest = errors[self._every, elements]
+        too_large = largest > largest_allowed
+        if not too_large.any():
+            return largest, elements
         touching = p > 0.0
-        carrying = inner(self.solver.area, touching.astype(float))
+        carrying = inner(compliances.area, touching.astype(float))
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = np.maximum(p, np.divide(solution.force, carrying)[:, None])
-            response = np.abs(self.solver.response(change)) / scale
-        errors = np.where(touching, response, 0.0)
-        again = errors.argmax(axis=1)
+            errors = np.where(
+                touching, np.abs(self.engine.derivatives.response(change)) / scale, 0.0
+            )
+        worst = errors.argmax(axis=1)
         # where nothing touches the gap must be that of no pressure
-        left = np.where(carrying > 0.0, errors[rows, again], np.inf)
-        again = np.where(carrying > 0.0, again, elements)
-        return np.where(worst > most, left, worst), np.where(worst > most, again, elements)
-
-    def take_shift(self, d_gap: FloatArray, d_p: FloatArray) -> None:
-        """Take what the excesses make of derivatives of pressures, (P, B, n), from gaps'."""
-        d_gap -= self.solver.products(self._transposed, self._which, d_p)
-
-    def products(self, matrices: FloatArray, which: IntArray, p: FloatArray) -> FloatArray:
-        """Return the products of transposed matrices (m, n, n), one a history, and p (B, n)."""
-        return self.solver.products(matrices, which, p)
-
-    def deflections(self, d_p: FloatArray) -> FloatArray:
-        """Return the changes of gaps, mm, with those of pressures, (P, B, n) MPa, symmetric."""
-        return self.solver.deflections(d_p)
-
-    def tangents(
-        self,
-        solution: ContactState,
-        d_gap: FloatArray,
-        d_force: FloatArray | None,
-        d_approach: FloatArray | None,
-        slope: FloatArray | None,
-        histories: IntArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return derivatives of pressures and approaches, see ``BatchSolver.tangents``."""
-        return self.solver.tangents(solution, d_gap, d_force, d_approach, slope, histories)
+        response = np.where(carrying > 0.0, errors[self._every, worst], np.inf)
+        worst = np.where(carrying > 0.0, worst, elements)
+        return np.where(too_large, response, largest), np.where(too_large, worst, elements)
 
     def start_from(self, *before: "CorrectedContacts") -> None:
         """Start where others would, whose histories follow each other here."""
@@ -238,13 +210,7 @@ class CorrectedContacts:
 
     def take(self, histories: IntArray) -> "CorrectedContacts":
         """Return the contacts of some of the histories."""
-        used, which = np.unique(self._which[histories], return_inverse=True)
-        taken = CorrectedContacts(
-            self.solver.take(histories), self._excess[used], which, self._stiffness[used]
-        )
-        taken.largest_errors = self.largest_errors[0][histories], self.largest_errors[1][histories]
+        errors, elements = self.largest_errors
+        taken = CorrectedContacts(self.engine.take(histories))
+        taken.largest_errors = errors[histories], elements[histories]
         return taken
-
-    def response(self, gap: FloatArray) -> FloatArray:
-        """Return changes of the last pressures, MPa, with small growths (..., B, n) mm of gaps."""
-        return self.solver.response(gap)

@@ -1,30 +1,35 @@
 """The Hessians of B contact problems, A of each history and what its wear adds, and their inverses.
 
-They are diagonal in bases that histories share (see ``bases``). Where the slope of wear over
-pressure has another shape, such a basis preconditions conjugate gradients. Wear that gets through
-layers, non-local wear and large systems have Cholesky factors of their own.
+They are diagonal in bases that histories share (see ``scaled_compliances``). Where the slope of
+wear over pressure has another shape, such a basis preconditions conjugate gradients. Wear that gets
+through layers, non-local wear and large systems have Cholesky factors of their own.
 """
 
-from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
-from ringwear_par.contact.bases import Bases, Basis, RowGroups
+from ringwear_par.contact.basis_stack import BROKEN, BasisStack
+from ringwear_par.contact.row_products import RowProducts
+from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.petsc import PETSc
+from ringwear_par.wear.increment import WearIncrement
 
 #: largest systems that have bases: a basis takes as long as 26 to 31 factors (0.67, 3.1 and 14.8 ms
 #: with 64, 128 and 256 elements), and as much memory as two
 LARGEST_WITH_BASES = 256
 #: what slopes may differ by from their shape, relative: round-off
 _ROUND_OFF = 1e-12
-#: instead of the number of a basis: a factor of its own, and what is not positive definite
-_FACTOR, _BROKEN = -1, -2
+#: instead of the number of a basis: a factor of its own
+_FACTOR = -1
 #: residuals, relative to the first, at which conjugate gradients end: within Newton's method, whose
 #: next step corrects what this one left, and of solutions
 NEAR, SOLVED = 1e-6, 1e-13
 _MOST_ITERATIONS = 200
+#: where nothing touches
+_NO_FACTOR = np.zeros((0, 0))
 
 
 class Hessians:
@@ -32,24 +37,15 @@ class Hessians:
 
     Parameters
     ----------
-    matrices : (m, n, n) float, scaled compliances.
-    bases : (m,) of these.
-    speed : (m, n) float, the shape of the slope of most wear on all elements, see ``bases``.
-    which : (B,) int, the matrix of each history.
-    weights : (B, n) float, what the approach has in the gradient.
+    compliances : of the contact line.
+    which : (B,) int, the compliance of each history.
     """
 
-    def __init__(
-        self,
-        matrices: FloatArray,
-        bases: Sequence[Bases],
-        speed: FloatArray,
-        which: IntArray,
-        weights: FloatArray,
-    ) -> None:
+    def __init__(self, compliances: ScaledCompliances, which: IntArray) -> None:
+        self._compliances, self._matrices, self._which = compliances, compliances.matrices, which
+        self._weights = weights = compliances.weights[which]
         count, n = weights.shape
-        self._matrices, self._bases, self._which = matrices, bases, which
-        self._per_speed, self._weights = 1.0 / speed, weights
+        self._per_speed = 1.0 / compliances.speed
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
         #: (B, n, n) what non-local wear adds, its diagonal included in it; (0, n, n): wear is local
@@ -62,38 +58,63 @@ class Hessians:
         self._valid = np.zeros(count, dtype=bool)
         #: packed bits of the elements in contact and of those that wear
         self._sets = np.zeros((count, -(-2 * n // 8)), dtype=np.uint8)
-        #: bases by their matrices and sets, the number of that of each history
-        self._numbers: dict[tuple[int, bytes], int] = {}
-        #: (m, n, n) and (m, n) each, of the bases, room for more included; see ``Basis``
-        self._psi, self._mu, self._force = np.empty((0, n, n)), np.empty((0, n)), np.empty((0, n))
-        self._count = 0
-        self._number = np.full(count, _BROKEN)
+        #: bases, and the number of that of each history
+        self._stack, self._number = BasisStack(compliances), np.full(count, BROKEN)
         #: (B, n) inverses in the bases, exact where the slope has the shape, else preconditioners
         self._inverse, self._regular = np.ones((count, n)), np.ones(count, dtype=bool)
-        #: (B, n) inverses times the force in the bases, and (B,) the force that these carry
-        self._border, self._stiffness = np.zeros((count, n)), np.zeros(count)
+        #: (B, n) in the bases, what unknowns grow by with the approach, and (B,) the force with it
+        self._response, self._stiffness = np.zeros((count, n)), np.zeros(count)
         self._factors: dict[int, FloatArray] = {}
         self._rows: tuple[IntArray, _Rows] | None = None
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Set y to H x."""
         q = x.getArray(readonly=True).reshape(self.slope.shape)
-        product = RowGroups(self._which).products(q, self._matrices) + self.slope * q
+        product = RowProducts(self._which).of(q, self._matrices) + self.slope * q
         if len(self.coupling):
             product += np.einsum("bij,bj->bi", self.coupling, q)
         y.getArray()[:] = product.ravel()
+
+    def pose(self, wear: WearIncrement | None) -> None:
+        """Make room for what the wear of an implicit step adds; none adds nothing."""
+        if wear is None:
+            self.slope[:] = 0.0
+        self.through_layers = wear is not None and wear.layered
+        coupled, (count, n) = wear is not None and not wear.local, self.slope.shape
+        if coupled != bool(len(self.coupling)):
+            self.coupling = np.zeros((count if coupled else 0, n, n))
+
+    def set_slopes(
+        self, rows: IntArray | slice, slope: FloatArray, coupling: FloatArray | None
+    ) -> None:
+        """Set what wear adds in some rows, see ``ContactProblem.slopes``."""
+        self.slope[rows] = slope
+        if coupling is not None:
+            self.coupling[rows] = coupling
+
+    def matrix(self, history: int) -> FloatArray:
+        """Return the Hessian of a history, (n, n)."""
+        block = self._matrices[self._which[history]].copy()
+        if len(self.coupling):
+            block += self.coupling[history]
+        block[np.diag_indices(len(block))] += self.slope[history]
+        return block
 
     def forget(self, histories: IntArray) -> None:
         """Let nothing touch in some histories."""
         self._free[histories], self._valid[histories] = False, False
         self._number[histories], self._rows = _FACTOR, None
         for history in histories.tolist():
-            self._factors[history] = np.zeros((0, 0))
+            self._factors[history] = _NO_FACTOR
 
-    def refresh(self, histories: IntArray, free: BoolArray) -> None:
+    def refresh(self, histories: IntArray, free: BoolArray, in_bases: bool = True) -> None:
         """Invert the blocks of those histories that have changed, on their free elements, (B, n).
 
         What is not positive definite has NaN as its solutions.
+
+        Parameters
+        ----------
+        in_bases : whether sets are worth a basis; those that come and go are not.
         """
         slope, touching = self.slope[histories], free[histories]
         new = ~self._valid[histories]
@@ -108,7 +129,7 @@ class Hessians:
             histories, slope, touching = histories[new], slope[new], touching[new]
         self._slope[histories], self._free[histories] = slope, touching
         self._valid[histories] = not coupled
-        if coupled or slope.shape[1] > LARGEST_WITH_BASES:
+        if coupled or not in_bases or slope.shape[1] > LARGEST_WITH_BASES:
             self._factorise(histories)
             return
         rate = np.where(touching, slope * self._per_speed[self._which[histories]], 0.0)
@@ -137,9 +158,12 @@ class Hessians:
         if numbers.min() < 0:
             valid = numbers >= 0
             histories, most, numbers = histories[valid], most[valid], numbers[valid]
-        inverse, force = 1.0 / (1.0 + most[:, None] * self._mu[numbers]), self._force[numbers]
-        self._inverse[histories], border = inverse, inverse * force
-        self._border[histories], self._stiffness[histories] = border, inner(force, border)
+        inverse, force = (
+            1.0 / (1.0 + most[:, None] * self._stack.mu[numbers]),
+            self._stack.force[numbers],
+        )
+        self._inverse[histories], response = inverse, inverse * force
+        self._response[histories], self._stiffness[histories] = response, inner(force, response)
 
     def _choose_bases(self, histories: IntArray, free: BoolArray, wearing: BoolArray) -> None:
         """Take the bases of the sets of histories, (h, n)."""
@@ -150,52 +174,21 @@ class Hessians:
         self._sets[histories], self._rows = sets, None
         for place in np.flatnonzero(new).tolist():
             history = int(histories[place])
-            name = int(self._which[history]), sets[place].tobytes()
-            number = self._numbers.get(name)
-            if number is None:
-                basis = self._bases[name[0]].basis(free[place], wearing[place])
-                number = self._numbers[name] = _BROKEN if basis is None else self._add(basis)
-            self._number[history] = number
-
-    def _add(self, basis: Basis) -> int:
-        """Add a basis to those of the histories; return its number."""
-        if self._count == len(self._mu):
-            self._make_room()
-        number, self._count = self._count, self._count + 1
-        self._psi[number], self._mu[number], self._force[number] = basis
-        return number
-
-    def _make_room(self) -> None:
-        """Forget the bases that no history has any more, and make room for as many again."""
-        used = np.unique(self._number[self._number >= 0])
-        room = max(4, len(used))
-        self._psi, self._mu, self._force = (
-            np.concatenate([values[used], np.empty((room, *values.shape[1:]))])
-            for values in (self._psi, self._mu, self._force)
-        )
-        new = {int(number): place for place, number in enumerate(used)}
-        self._numbers = {
-            name: new.get(number, number)
-            for name, number in self._numbers.items()
-            if number in new or number < 0
-        }
-        modal = self._number >= 0
-        self._number[modal] = np.searchsorted(used, self._number[modal])
-        self._count, self._rows = len(used), None
+            if self._stack.is_full:
+                self._number = self._stack.make_room(self._number)
+            self._number[history] = self._stack.number_of(
+                int(self._which[history]), sets[place].tobytes(), free[place], wearing[place]
+            )
 
     def _factorise(self, histories: IntArray) -> None:
         """Factor blocks one by one."""
         self._rows = None
         for history in histories.tolist():
-            block = self._matrices[self._which[history]].copy()
-            if len(self.coupling):
-                block += self.coupling[history]
-            block[np.diag_indices(len(block))] += self._slope[history]
-            free = self._free[history]
+            block, free = self.matrix(history), self._free[history]
             if not free.all():
                 block = block[np.ix_(free, free)]
             self._factors[history], info = dpotrf(block, lower=1, clean=0)
-            self._number[history] = _FACTOR if info == 0 else _BROKEN
+            self._number[history] = _FACTOR if info == 0 else BROKEN
 
     def _rows_of(self, histories: IntArray) -> "_Rows":
         """Return how some histories are solved, remembered for the same ones."""
@@ -205,30 +198,16 @@ class Hessians:
             whole = len(modal) == len(every)
             numbers = every if whole else every[modal]
             places = slice(None) if whole else modal
-            ours: IntArray | slice = histories[places]
-            if len(numbers) == len(self._number):
-                ours = slice(None)
-            self._rows = histories, _Rows(places, ours, numbers, self._force[numbers])
+            ours = slice(None) if len(numbers) == len(self._number) else histories[places]
+            self._rows = (
+                histories,
+                _Rows(places, ours, numbers, self._stack.force[numbers], RowProducts(numbers)),
+            )
         return self._rows[1]
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
         """Return H^-1 right, (..., h, n), of some histories; 0 off their sets."""
         return -self.steps(histories, right, None, SOLVED)[0]
-
-    @property
-    def _psi_t(self) -> FloatArray:
-        return self._psi.transpose(0, 2, 1)
-
-    def _solve_factored(self, histories: IntArray, right: FloatArray, out: FloatArray) -> None:
-        """Set the solutions of histories that have factors of their own."""
-        for place, history in enumerate(histories.tolist()):
-            if self._number[history] == _BROKEN:
-                out[..., place, :] = np.nan
-            elif self._number[history] == _FACTOR and len(self._factors[history]):
-                free, factor = self._free[history], self._factors[history]
-                sides = right[..., place, :][..., free]
-                solved = dpotrs(factor, sides.reshape(-1, len(factor)).T, lower=1)[0].T
-                out[..., place, free] = solved.reshape(sides.shape)
 
     def steps(
         self,
@@ -248,19 +227,19 @@ class Hessians:
         tolerance : of the residual, relative to the first, where steps are iterated for.
         """
         rows = self._rows_of(histories)
-        products = rows.groups.products
+        products = rows.groups.of
         if len(rows.numbers) == len(histories):
-            modal = products(gradient, self._psi)
+            modal = products(gradient, self._stack.psi)
             solved, approach = self._modal_steps(rows, modal, missing, tolerance)
-            return products(solved, self._psi_t), approach
+            return products(solved, self._stack.psi_t), approach
         steps, approach = np.zeros_like(gradient), np.zeros(gradient.shape[:-1])
         if len(rows.numbers):
             places = rows.places
-            modal = products(gradient[..., places, :], self._psi)
+            modal = products(gradient[..., places, :], self._stack.psi)
             solved, approach[..., places] = self._modal_steps(
                 rows, modal, None if missing is None else missing[..., places], tolerance
             )
-            steps[..., places, :] = products(solved, self._psi_t)
+            steps[..., places, :] = products(solved, self._stack.psi_t)
         self._set_factored(histories, gradient, missing, (steps, approach))
         return steps, approach
 
@@ -268,18 +247,18 @@ class Hessians:
         self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None, tolerance: float
     ) -> tuple[FloatArray, FloatArray]:
         """Return steps in the bases, (..., h, n), and of approaches, (..., h)."""
-        solved = modal * self._inverse[rows.ours]
+        solved = modal * self._inverse[rows.histories]
         if missing is None:
             change = np.zeros(modal.shape[:-1])
             np.negative(solved, out=solved)
         else:
-            change = _divided(missing + inner(rows.force, solved), self._stiffness[rows.ours])
-            solved = change[..., None] * self._border[rows.ours] - solved
-        irregular = np.flatnonzero(~self._regular[rows.ours])
+            change = _divided(missing + inner(rows.force, solved), self._stiffness[rows.histories])
+            solved = change[..., None] * self._response[rows.histories] - solved
+        irregular = np.flatnonzero(~self._regular[rows.histories])
         if len(irregular):
             sides = modal[..., irregular, :]
             many = np.broadcast_to(
-                np.arange(len(self._number))[rows.ours][irregular], sides.shape[:-1]
+                np.arange(len(self._number))[rows.histories][irregular], sides.shape[:-1]
             )
             x, more = self._iterate(
                 many.ravel(),
@@ -303,13 +282,18 @@ class Hessians:
         weights, sides = self._weights[histories[places]], gradient[..., places, :]
         right = np.concatenate([sides.reshape(-1, *weights.shape), weights[None]])
         solved = np.zeros_like(right)
-        self._solve_factored(histories[places], right, solved)
-        by_gradient, border = solved[:-1].reshape(sides.shape), solved[-1]
+        for place, history in enumerate(histories[places].tolist()):
+            free, factor = self._free[history], self._factors.get(history, _NO_FACTOR)
+            if self._number[history] == BROKEN:
+                solved[:, place] = np.nan
+            elif len(factor):
+                solved[:, place, free] = dpotrs(factor, right[:, place, free].T, lower=1)[0].T
+        by_gradient, response = solved[:-1].reshape(sides.shape), solved[-1]
         change = np.zeros(sides.shape[:-1])
         if missing is not None:
-            carried, stiffness = inner(weights, by_gradient), inner(weights, border)
+            carried, stiffness = inner(weights, by_gradient), inner(weights, response)
             change = _divided(missing[..., places] + carried, stiffness)
-        out[0][..., places, :] = change[..., None] * border - by_gradient
+        out[0][..., places, :] = change[..., None] * response - by_gradient
         out[1][..., places] = change
 
     def _iterate(
@@ -327,24 +311,24 @@ class Hessians:
         """
         numbers, count = self._number[histories], len(histories)
         slope, inverse = self._slope[histories], self._inverse[histories]
-        force, border = self._force[numbers], self._border[histories]
-        groups, psi, psi_t = RowGroups(numbers), self._psi, self._psi_t
+        force, response = self._stack.force[numbers], self._response[histories]
+        groups, psi, psi_t = RowProducts(numbers), self._stack.psi, self._stack.psi_t
         solutions, multipliers = np.zeros_like(right), np.zeros(count)
         stiffness, multiplier = self._stiffness[histories], np.zeros(count)
 
         def apply(x: FloatArray) -> FloatArray:
-            return x + groups.products(slope * groups.products(x, psi_t), psi)
+            return x + groups.of(slope * groups.of(x, psi_t), psi)
 
         def project(r: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
             z = inverse * r
             if missing is None:
                 return r, z, multiplier
             more = _divided(inner(force, z), stiffness)
-            return r - force * more[:, None], z - border * more[:, None], multiplier + more
+            return r - force * more[:, None], z - response * more[:, None], multiplier + more
 
         rows, x, r = np.arange(count), np.zeros_like(right), right
         if missing is not None:
-            x = border * _divided(missing, stiffness)[:, None]
+            x = response * _divided(missing, stiffness)[:, None]
             r = r - apply(x)
         r, z, multiplier = project(r)
         direction, size = z, inner(r, z)
@@ -358,10 +342,10 @@ class Hessians:
                 rows, x, r, direction, size, small, multiplier, numbers = (
                     a[going] for a in (rows, x, r, direction, size, small, multiplier, numbers)
                 )
-                slope, inverse, force, border, stiffness = (
-                    a[going] for a in (slope, inverse, force, border, stiffness)
+                slope, inverse, force, response, stiffness = (
+                    a[going] for a in (slope, inverse, force, response, stiffness)
                 )
-                groups = RowGroups(numbers)
+                groups = RowProducts(numbers)
             product = apply(direction)
             length = (size / inner(direction, product))[:, None]
             x, r = x + length * direction, r - length * product
@@ -373,22 +357,23 @@ class Hessians:
         return solutions, multipliers
 
 
-class _Rows:
+class _Rows(NamedTuple):
     """Which rows are solved in bases, and in which.
 
     Parameters
     ----------
-    places : of these rows among those asked for.
-    ours : their histories.
+    places : of these rows among those that are solved.
+    histories : of them.
     numbers : (h,) int, of their bases.
     force : (h, n) float, see ``Basis``.
+    groups : of the rows by basis.
     """
 
-    def __init__(
-        self, places: IntArray | slice, ours: IntArray | slice, numbers: IntArray, force: FloatArray
-    ) -> None:
-        self.places, self.ours, self.numbers, self.force = places, ours, numbers, force
-        self.groups = RowGroups(numbers)
+    places: IntArray | slice
+    histories: IntArray | slice
+    numbers: IntArray
+    force: FloatArray
+    groups: RowProducts
 
 
 def _divided(force: FloatArray, stiffness: FloatArray) -> FloatArray:

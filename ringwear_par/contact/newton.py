@@ -1,40 +1,47 @@
-"""A primal-dual active-set Newton method as a TAO solver (type "python").
+"""A primal-dual active-set Newton method for B contact problems at once, as a TAO solver.
 
 For min f(x), x >= 0, with f convex and its gradient piecewise linear, as in contact with a
 threshold wear law: on each guess of the active set the Newton step is exact, so the method ends
-in a few steps, in one where the set of the last solve still holds. The Cholesky factor is kept for
-as long as the Hessian and the active set stay the same.
+in a few steps, in one where the set of the last solve still holds. Each history has its own sets.
+Under a given force the approach is one more unknown: the step is that of the Hessian bordered by
+the weights of the gap, so that the force is met, to round-off, by every step.
 
-Hintermueller, Ito and Kunisch, SIAM J. Optim. 13 (2002) 865-888; the damped iteration that takes
-over if the sets cycle is Bertsekas' projected Newton method, SIAM J. Control Optim. 20 (1982).
+Hintermueller, Ito and Kunisch, SIAM J. Optim. 13 (2002) 865-888. A history whose sets cycle is
+left for the damped iteration at given approaches, of one history at a time: Bertsekas' projected
+Newton method, SIAM J. Control Optim. 20 (1982).
 """
 
-import math
-
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotrs
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
+from ringwear_par.contact.hessians import NEAR, SOLVED, Hessians
+from ringwear_par.contact.problem import FORCE_TOLERANCE, GRADIENT_TOLERANCE, ContactProblem
 from ringwear_par.contact.tao import Method
 from ringwear_par.petsc import PETSc
 
 PLAIN_ITERATIONS = 25
 ROUND_OFF = 1e-13
+#: share of the slope at the start of a damped step that is left at its end, and the shortest step
+_SLOPE_LEFT, _SHORTEST = 1e-8, 1e-10
 
 
 class ActiveSetNewton(Method):
-    """Context of a TAO of type "python" on one rank, with a dense Hessian and lower bounds 0.
+    """Context of a TAO of type "python" over the (B, n) unknowns of B problems, lower bounds 0.
 
-    Converged when the active set repeats and the natural residual min(g, diag(H) x) is below the
-    TAO's absolute gradient tolerance, or at the round-off of x.
+    Parameters
+    ----------
+    problem : the problems; those at work are solved.
+    hessians : of them.
+    iterations : (B,) int, which become those of plain steps.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, problem: ContactProblem, hessians: Hessians, iterations: IntArray) -> None:
         super().__init__()
-        self._factor: FloatArray | None = None
-        self._free: BoolArray = np.empty(0, dtype=bool)
-        self._diagonal: FloatArray | float = 1.0
-        self._state = -1
+        self._problem, self._hessians, self._iterations = problem, hessians, iterations
+        #: whether the damped iteration is wanted, of the one history that is at work
+        self.damped = False
+        #: (B,) which histories did not end
+        self.unsolved: BoolArray = np.zeros(len(problem.every), dtype=bool)
         self._monitored = False
 
     def setUp(self, tao: PETSc.TAO) -> None:
@@ -42,128 +49,171 @@ class ActiveSetNewton(Method):
         super().setUp(tao)
         self._monitored = PETSc.Options(tao.getOptionsPrefix()).hasName("tao_monitor")
 
-    def destroy(self, tao: PETSc.TAO) -> None:
-        """Forget the factor, and what is the TAO's."""
-        self._factor, self._state = None, -1
-        super().destroy(tao)
-
     def solve(self, tao: PETSc.TAO) -> None:
-        """Minimise from the solution vector's present value.
+        """Solve the problems at work from the present values.
 
-        At the end the TAO's gradient vector holds the gradient at the solution.
+        At the end solution and gradient vector hold what they have there.
         """
-        x = self._x.getArray(readonly=True).copy()
-        free = x > 0.0
-        tolerance = tao.getTolerances()[0]
-        limit = tao.getMaximumIterations()
-        if not free.all():
-            if not free.any():
-                free = self._evaluate(tao, np.zeros_like(x)) < 0.0
-            x[~free] = 0.0
-        gradient = self._evaluate(tao, x)
-        for iteration in range(1, limit + 1):
-            if iteration <= PLAIN_ITERATIONS:
-                if free.all():  # the same in fewer operations: most steps of most histories
-                    x += self._newton_step(tao, gradient, free)
-                    gradient = self._evaluate(tao, x)
-                    keep = x > 0.0
-                    settled = bool(keep.all())
-                else:
-                    x[free] += self._newton_step(tao, gradient[free], free)
-                    gradient = self._evaluate(tao, x)
-                    keep = np.where(free, x > 0.0, gradient < 0.0)
-                    settled = bool((keep == free).all())
-                if not settled:
-                    x[~keep] = 0.0
-                    gradient = self._evaluate(tao, x)
-                    free = keep
-            else:
-                x = np.maximum(x, 0.0)
-                gradient = self._evaluate(tao, x)
-                free = (x > 0.0) | (gradient < 0.0)
-                step = np.zeros_like(x)
-                step[free] = self._newton_step(tao, gradient[free], free)
-                x, gradient = self._search(tao, x, gradient, step)
-                settled = bool((gradient[x == 0.0] >= 0.0).all())
-                free = x > 0.0
-            defect = np.minimum(gradient, x * self._diagonal)
-            residual = math.sqrt(defect @ defect)
+        shape = self._problem.weights.shape
+        q, g = (vector.getArray().reshape(shape) for vector in (self._x, self._g))
+        iterate = self._iterate_damped if self.damped else self._iterate
+        self.unsolved[:] = False
+        left, iterations = iterate(tao, q, g)
+        self.unsolved[left] = True
+        tao.setIterationNumber(iterations)
+        reasons = PETSc.TAO.Reason
+        ended = not self.damped or not len(left)  # plain steps have damped ones to follow them
+        tao.setConvergedReason(reasons.CONVERGED_GATOL if ended else reasons.DIVERGED_MAXITS)
+
+    def _iterate(self, tao: PETSc.TAO, q: FloatArray, g: FloatArray) -> tuple[IntArray, int]:
+        """Take plain steps; return the histories that did not end, and the number of steps."""
+        problem, hessians, weights = self._problem, self._hessians, self._problem.weights
+        broken = problem.at_work[:0]
+        free = q > 0.0
+        self._begin(tao, q, g, free)
+        self._evaluate(tao)
+        iteration, limit = 0, min(PLAIN_ITERATIONS, tao.getMaximumIterations())
+        while len(problem.at_work) and iteration < limit:
+            iteration += 1
+            histories, rows = problem.at_work, problem.rows
+            tao.computeHessian(self._x, self._hessian)
+            stop_if_ended(tao)
+            hessians.refresh(histories, free)
+            missing = None
+            if problem.forces is not None:
+                missing = problem.forces[rows] - inner(weights[rows], q[rows])
+            steps, changes = hessians.steps(histories, g[rows], missing, NEAR)
+            problem.approaches[rows] += changes
+            q[rows] += steps
+            self._evaluate(tao)
+            self._iterations[histories] = iteration
             if self._monitored:
-                tao.monitor(iteration, tao.computeObjective(self._x), residual)
-            # where wear makes the diagonal large, round-off in x is more than the tolerance in g
-            if settled and (
-                residual <= tolerance
-                or np.abs(defect / self._diagonal).max() <= ROUND_OFF * x.max(initial=0.0)
-            ):
-                tao.setIterationNumber(iteration)
-                tao.setConvergedReason(PETSc.TAO.Reason.CONVERGED_GATOL)
-                return
-        tao.setIterationNumber(limit)
-        tao.setConvergedReason(PETSc.TAO.Reason.DIVERGED_MAXITS)
+                self._monitor(tao, iteration)
+            lost, cleared = self._settle(q, g, free)
+            broken = np.concatenate([broken, lost])
+            if cleared and len(problem.at_work):
+                self._evaluate(tao)
+        return np.concatenate([broken, problem.at_work]), iteration
 
-    def _evaluate(self, tao: PETSc.TAO, x: FloatArray) -> FloatArray:
-        self._x.setArray(x)
-        tao.computeGradient(self._x, self._g)
-        stop_if_told(tao)
-        return self._g.getArray(readonly=True).copy()
+    def _settle(self, q: FloatArray, g: FloatArray, free: BoolArray) -> tuple[IntArray, bool]:
+        """Let histories that have settled rest, and the others go on with the sets of the signs.
 
-    def _newton_step(self, tao: PETSc.TAO, gradient: FloatArray, free: BoolArray) -> FloatArray:
-        if not len(gradient):
-            return np.empty(0)
-        hessian = self._hessian
-        tao.computeHessian(self._x, hessian)
-        stop_if_told(tao)
-        state = hessian.stateGet()
-        if self._factor is None or state != self._state or (free != self._free).any():
-            block = hessian.getDenseArray(readonly=True)
-            self._diagonal = block.diagonal().copy()
-            if not free.all():
-                block = block[np.ix_(free, free)]
-            self._factor, info = dpotrf(block, lower=1, clean=0)
-            if info != 0:  # not positive definite: the caller sees the failure
-                self._factor = None
-                return np.full(np.count_nonzero(free), np.nan)
-            self._state, self._free = state, free.copy()
-        step, _ = dpotrs(self._factor, gradient, lower=1)
-        return -step
-
-    def response(self, right: FloatArray) -> FloatArray | None:
-        """Return H^-1 right, (n,) or (n, k), on the active set of the last Newton step, else 0.
-
-        None where there is no factor.
+        Unknowns that leave their set become 0. Return the histories whose unknowns are no numbers,
+        and whether any unknowns of others became 0.
         """
-        if self._factor is None:
-            return None
-        if self._free.all():
-            return dpotrs(self._factor, right, lower=1)[0]
-        x = np.zeros_like(right)
-        x[self._free], _ = dpotrs(self._factor, right[self._free], lower=1)
-        return x
+        problem = self._problem
+        histories, rows = problem.at_work, problem.rows
+        x, slopes = q[rows], g[rows]
+        before = free[rows]
+        keep = np.where(before, x > 0.0, slopes < 0.0)
+        same = (keep == before).all(axis=1)
+        fine, broken = self._optimal(x, slopes)
+        if same.all() and fine.all() and not broken.any():
+            problem.at_work = histories[:0]
+            return histories[:0], False
+        leaving = ~same & ~broken
+        free[rows] = np.where(leaving[:, None], keep, before)
+        cleared = (leaving[:, None] & ~keep & (x != 0.0)) | broken[:, None]
+        q[rows] = np.where(cleared, 0.0, x)
+        problem.at_work = histories[~((same & fine) | broken)]
+        return histories[broken], bool(cleared[~broken].any())
+
+    def _optimal(self, x: FloatArray, gradient: FloatArray) -> tuple[BoolArray, BoolArray]:
+        """Return who of the histories at work is optimal on its sets, (h,), and whose x is broken.
+
+        That is where the natural residual min(g, diag(H) x) is small against the overlap, or at the
+        round-off of x, and the force is met.
+        """
+        problem, rows = self._problem, self._problem.rows
+        weights = problem.weights[rows]
+        diagonal = 1.0 + self._hessians.slope[rows]
+        defect = np.minimum(gradient, x * diagonal)
+        square = inner(defect, defect)
+        overlap = np.maximum(problem.approaches[rows][:, None] - problem.gaps[rows], 0.0) * weights
+        fine = np.sqrt(square) <= GRADIENT_TOLERANCE * np.sqrt(inner(overlap, overlap))
+        if not fine.all():
+            # where wear makes the diagonal large, round-off in q is more than the tolerance in g
+            largest = np.maximum(x.max(axis=1), 0.0)
+            fine |= np.abs(defect / diagonal).max(axis=1) <= ROUND_OFF * largest
+        carried = inner(weights, x)
+        if problem.forces is not None:
+            force = problem.forces[rows]
+            fine &= np.abs(carried - force) <= FORCE_TOLERANCE * force
+        return fine, ~np.isfinite(square + carried)
+
+    def _begin(self, tao: PETSc.TAO, q: FloatArray, g: FloatArray, free: BoolArray) -> None:
+        """Let the sets be those of the present values; where nothing touches, guess."""
+        histories = self._problem.at_work
+        none = histories[~free[histories].any(axis=1)]
+        if len(none):
+            q[none] = 0.0
+            if self._problem.forces is not None:
+                free[none] = True
+            else:
+                self._evaluate(tao)
+                free[none] = g[none] < 0.0
+        q[histories] = np.where(free[histories], q[histories], 0.0)
+
+    def _iterate_damped(self, tao: PETSc.TAO, q: FloatArray, g: FloatArray) -> tuple[IntArray, int]:
+        """Take damped steps of the history at work; return it if it did not end, and their number.
+
+        Its approach is given.
+        """
+        histories = self._problem.at_work
+        row, free = int(histories[0]), np.zeros(q.shape, dtype=bool)
+        q[row] = np.maximum(q[row], 0.0)
+        self._evaluate(tao)
+        limit = tao.getMaximumIterations()
+        for iteration in range(1, limit + 1):
+            free[row] = (q[row] > 0.0) | (g[row] < 0.0)
+            tao.computeHessian(self._x, self._hessian)
+            stop_if_ended(tao)
+            self._hessians.refresh(histories, free, in_bases=False)
+            (step,), _ = self._hessians.steps(histories, g[[row]], None, SOLVED)
+            self._search(tao, q[row], g[row], step)
+            if self._monitored:
+                self._monitor(tao, iteration)
+            fine, broken = self._optimal(q[[row]], g[[row]])
+            if broken[0]:
+                break
+            if fine[0] and (g[row][q[row] == 0.0] >= 0.0).all():
+                return histories[:0], iteration
+        return histories, iteration
 
     def _search(
-        self,
-        tao: PETSc.TAO,
-        x: FloatArray,
-        gradient: FloatArray,
-        step: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Shorten the projected step until the objective, being convex, is sure to fall.
+        self, tao: PETSc.TAO, x: FloatArray, gradient: FloatArray, step: FloatArray
+    ) -> None:
+        """Take the projected step from x (n,), so short that the convex objective is sure to fall.
 
         It does where the gradient at the end still points along the way there; gradients are far
-        cheaper than objectives.
+        cheaper than objectives. Both x and gradient become those at the end.
         """
-        length = 1.0
+        start, length, slope_at_start = x.copy(), 1.0, gradient.copy()
         while True:
-            trial = np.maximum(x + length * step, 0.0)
-            after = self._evaluate(tao, trial)
-            way = trial - x
-            before, slope = float(gradient @ way), float(after @ way)
-            if slope <= -1e-8 * before or length < 1e-10:
-                return trial, after
-            length *= max(0.1, before / (before - slope))  # where a straight line would vanish
+            x[:] = np.maximum(start + length * step, 0.0)
+            self._evaluate(tao)
+            way = x - start
+            before, after = float(slope_at_start @ way), float(gradient @ way)
+            if after <= -_SLOPE_LEFT * before or length < _SHORTEST:
+                return
+            length *= max(0.1, before / (before - after))  # where a straight line would vanish
+
+    def _monitor(self, tao: PETSc.TAO, iteration: int) -> None:
+        """Let whoever watches see objective and projected gradient of the histories at work."""
+        rows, shape = self._problem.rows, self._problem.weights.shape
+        x, gradient = (
+            vector.getArray(readonly=True).reshape(shape)[rows] for vector in (self._x, self._g)
+        )
+        residual = float(np.linalg.norm(np.where(x > 0.0, gradient, np.minimum(gradient, 0.0))))
+        tao.monitor(iteration, tao.computeObjective(self._x), residual)
+
+    def _evaluate(self, tao: PETSc.TAO) -> None:
+        """Compute the gradient at the present unknowns."""
+        tao.computeGradient(self._x, self._g)
+        stop_if_ended(tao)
 
 
-def stop_if_told(tao: PETSc.TAO) -> None:
+def stop_if_ended(tao: PETSc.TAO) -> None:
     """Leave a solution that a callback has ended.
 
     Raises

@@ -1,4 +1,4 @@
-"""Unilateral contact, eq. (3) of the paper, as a bound-constrained problem.
+"""Unilateral contact, eq. (3) of the paper, as bound-constrained problems of B histories.
 
 With K the area-weighted compliance of the contact line, m the element areas and g the gap of the
 undeformed, worn profiles, the pressure minimises at an approach delta
@@ -10,18 +10,24 @@ where ``depth`` is the wear of an implicit step (absent otherwise).
 The unknowns are scaled so that K has a unit diagonal: ``q = s p``, ``A = K / (s s')``.
 """
 
-import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, Numbers
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, inner
+from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.wear.increment import WearIncrement
+
+if TYPE_CHECKING:
+    from ringwear_par.contact.scaled_compliances import ScaledCompliances
 
 #: largest relative KKT residual of an accepted solution
 KKT_TOLERANCE = 1e-9
 #: norm of the gradient at which a solver ends, relative to that of the overlap
 GRADIENT_TOLERANCE = 1e-12
+#: relative force balance at which a solver ends, and that it may not exceed
+FORCE_TOLERANCE, FORCE_LIMIT = 1e-12, 1e-10
 
 
 @dataclass(frozen=True)
@@ -78,113 +84,158 @@ class WarmStart:
 
 
 class ContactProblem:
-    """The contact problem of one contact line at a given approach.
+    """The contact problems of B histories on one contact line, each at an approach of its own.
 
-    All that a solver's callbacks know: the linear term, the wear and what they did to the Hessian.
-    The products with A are the caller's.
+    Unknowns, gradients and Hessians are of the histories at work, (h, n).
 
     Parameters
     ----------
-    compliance : (n, n) float, mm^3/MPa, symmetric area-weighted compliance K.
-    area : (n,) float, mm^2.
+    compliances : of the contact line.
+    which : (B,) int, the compliance of each history.
     """
 
-    def __init__(self, compliance: FloatArray, area: FloatArray) -> None:
-        self.area, self._linear = area, np.zeros_like(area)
-        self._wear: WearIncrement | None = None
-        #: whether no pressure is needed: nothing overlaps
-        self.apart = True
-        self.take(compliance)
+    def __init__(self, compliances: "ScaledCompliances", which: IntArray) -> None:
+        self.compliances, self.which = compliances, which
+        self.area = compliances.area
+        #: (B, n) 1/MPa, pressure times this is the unknown; gap times the weights the gradient
+        self.scale, self.weights = compliances.scale[which], compliances.weights[which]
+        self.every = np.arange(len(which))
+        #: (h,) the histories at work
+        self.at_work: IntArray = self.every
+        #: (B, n) mm, and (B,) mm
+        self.gaps, self.approaches = np.zeros_like(self.scale), np.zeros(len(which))
+        #: (B,) N, where approaches are those that carry given forces
+        self.forces: FloatArray | None = None
+        self.wear: WearIncrement | None = None
+        self._wear_at_work: tuple[IntArray, WearIncrement] | None = None
+        self._products: tuple[IntArray, RowProducts] | None = None
 
-    def take(self, compliance: FloatArray) -> None:
-        """Take another compliance of the same contact line."""
-        #: (n,), pressure times this is the unknown
-        self.scale = np.sqrt(np.diag(compliance))
-        #: (n,), gap times this is the gradient
-        self.weights = self.area / self.scale
-        self._slope_weight = self.weights / self.scale
-        # what wear adds to the diagonal of the Hessian, and whether it adds more than that
-        self._slope, self._coupled = np.zeros_like(self.area), False
-        self._coupling: FloatArray | float = 0.0
-
-    def scaled(self, compliance: FloatArray) -> FloatArray:
-        """Return A."""
-        return compliance / (self.scale[:, None] * self.scale)
-
-    def pose(self, gap: FloatArray, approach: float, wear: WearIncrement | None) -> None:
-        """Set the problem.
+    def pose(
+        self,
+        gap: FloatArray,
+        force: FloatArray | None,
+        approach: FloatArray | None,
+        wear: WearIncrement | None,
+        histories: IntArray,
+    ) -> BoolArray:
+        """Pose the problems of some histories; return which need no pressure, (B,).
 
         Parameters
         ----------
-        gap : (n,) float, mm.
-        approach : mm.
-        wear : wear of an implicit step.
+        gap : (B, n) float, mm.
+        force, approach : (B,) float, N or mm, one of them.
+        wear : of an implicit step of all histories.
+        histories : (h,) int; those of them that need pressure are at work from now on.
         """
-        self.apart = bool(gap.min() >= approach)
-        self._linear, self._wear = self.weights * (gap - approach), wear
+        self.gaps, self.forces, self.wear, self._wear_at_work = gap, force, wear, None
+        if approach is not None:
+            self.approaches[histories] = approach[histories]
+            apart = gap.min(axis=1) >= approach
+        elif force is not None:
+            apart = force == 0.0  # the bodies just touch
+            touching = histories[apart[histories]]
+            self.approaches[touching] = gap[touching].min(axis=1)
+        else:
+            raise ValueError("force or approach must be given")
+        self.at_work = histories[~apart[histories]] if apart.any() else histories
+        return apart
 
-    def tolerance(self, gap: FloatArray, approach: float) -> float:
-        """Return the norm of the gradient at which a solver may end."""
-        overlap = self.weights * np.maximum(approach - gap, 0.0)
-        return GRADIENT_TOLERANCE * math.sqrt(overlap @ overlap)
-
-    def gradient_apart(self) -> FloatArray:
-        """Return the gradient where no pressure is needed: the weighted gap."""
-        return self._linear
-
-    def add_gradient(self, q: FloatArray, product: FloatArray) -> None:
-        """Make of A q, in place, the gradient."""
-        product += self._linear
-        if self._wear is not None:
-            product += self.weights * self._wear.depth(q / self.scale)
-
-    def objective(self, q: FloatArray, product: FloatArray) -> tuple[float, FloatArray]:
-        """Return the objective, and the gradient; ``product`` is A q."""
-        linear = self._linear
-        value = q @ (0.5 * product + linear)
-        if self._wear is not None:
-            p = q / self.scale
-            value += self.area @ self._wear.potential(p)
-            linear = linear + self.weights * self._wear.depth(p)
-        return float(value), product + linear
-
-    def _slope_at(self, q: FloatArray) -> FloatArray:
-        if self._wear is None:
-            return np.zeros_like(self._slope)
-        return self._wear.d_depth_dp(q / self.scale) * self._slope_weight
-
-    def linearise(self, q: FloatArray) -> tuple[bool, bool]:
-        """Take the Hessian at q; return whether it changed, and whether by more than its diagonal.
-
-        Where by more, it is now A and what ``add_coupling`` adds; its diagonal
-        is ``diagonal`` in any case.
-        """
-        slope, coupled = self._slope_at(q), self._wear is not None and not self._wear.local
-        whole = coupled or self._coupled  # all entries change, or are put back
-        changed = whole or bool((slope != self._slope).any())
-        self._slope, self._coupled = slope, coupled
-        return changed, whole
+    def rows_of(self, histories: IntArray) -> IntArray | slice:
+        """Return the rows of some histories; of all a slice, which is quicker."""
+        return slice(None) if len(histories) == len(self.every) else histories
 
     @property
-    def diagonal(self) -> FloatArray:
-        """Diagonal of the Hessian."""
-        return 1.0 + self._slope
+    def rows(self) -> IntArray | slice:
+        """The rows of the histories at work."""
+        return self.rows_of(self.at_work)
 
-    def add_coupling(self, q: FloatArray, hessian: FloatArray) -> None:
-        """Add the slopes of non-local wear to the Hessian."""
-        if self._wear is not None and self._coupled:
-            derivative = self._wear.jacobian(q / self.scale)
-            self._coupling = self.weights[:, None] * derivative / self.scale
-            hessian += self._coupling
+    def _increment(self) -> WearIncrement | None:
+        """Return the wear of the histories at work."""
+        histories = self.at_work
+        if self.wear is None or len(histories) == len(self.every):
+            return self.wear
+        if self._wear_at_work is None or self._wear_at_work[0] is not histories:
+            self._wear_at_work = histories, self.wear.take(histories)
+        return self._wear_at_work[1]
 
-    def defect(self, q: FloatArray, gradient: FloatArray) -> tuple[float, float]:
-        """Return the natural KKT residual, infinite where it is no number, and the largest q."""
-        worst, largest = _natural(q, gradient, self.diagonal), float(q.max(initial=0.0))
-        if worst > KKT_TOLERANCE * largest:  # at a kink of the law either side's slope will do
-            worst = _natural(q, gradient, 1.0 + np.maximum(self._slope, self._slope_at(q)))
-        return worst, largest
+    def _terms(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the linear term of the gradient, and A q, (h, n)."""
+        rows = self.rows
+        linear = self.gaps[rows] - self.approaches[rows, None]
+        linear *= self.weights[rows]
+        if self._products is None or self._products[0] is not self.at_work:
+            self._products = self.at_work, RowProducts(self.which[rows])
+        return linear, self._products[1].of(q, self.compliances.matrices)
+
+    def gradient(self, q: FloatArray) -> FloatArray:
+        """Return the gradient (h, n): the weighted gap of the deformed, worn profiles."""
+        gradient, product = self._terms(q)
+        gradient += product
+        wear = self._increment()
+        if wear is not None:
+            rows = self.rows
+            gradient += self.weights[rows] * wear.depth(q / self.scale[rows])
+        return gradient
+
+    def objective(self, q: FloatArray) -> float:
+        """Return the sum of the objectives, N mm."""
+        linear, product = self._terms(q)
+        objectives, wear = inner(q, 0.5 * product + linear), self._increment()
+        if wear is not None:
+            objectives = objectives + inner(self.area, wear.potential(q / self.scale[self.rows]))
+        return float(objectives.sum())
+
+    def slopes(self, q: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+        """Return the slopes that wear adds to the Hessians: on diagonals, (h, n), and off them.
+
+        The second part is (h, n, n) of non-local wear, and does not have the first in it; of local
+        wear it is None.
+        """
+        wear, rows = self._increment(), self.rows
+        if wear is None:
+            return np.zeros_like(q), None
+        p = q / self.scale[rows]
+        diagonal = self.scaled_slopes(wear.d_depth_dp(p), rows)
+        if wear.local:
+            return diagonal, None
+        coupling = self.scaled_slopes(wear.jacobian(p), rows)
+        places = np.arange(q.shape[1])
+        coupling[:, places, places] -= diagonal
+        return diagonal, coupling
+
+    def scaled_slopes(self, slopes: FloatArray, rows: IntArray | slice) -> FloatArray:
+        """Return slopes of the gradient over the unknowns, from those of depths over pressures.
+
+        (h, n) mm/MPa, or of non-local wear (h, n, n).
+        """
+        weights, scale = self.weights[rows], self.scale[rows]
+        if slopes.ndim == weights.ndim:
+            return slopes * (weights / scale)
+        return weights[..., None] * slopes / scale[:, None, :]
+
+    def residuals(
+        self, histories: IntArray, q: FloatArray, gradient: FloatArray, slope: FloatArray
+    ) -> FloatArray:
+        """Return natural KKT residuals of some histories, (h,), relative to their largest unknowns.
+
+        Infinite where they are no numbers, or nothing touches.
+
+        Parameters
+        ----------
+        q, gradient : (B, n) float.
+        slope : (B, n) float, that wear adds to the diagonals of the Hessians.
+        """
+        rows = self.rows_of(histories)
+        largest = np.maximum(q[rows].max(axis=1), 0.0)
+        worst = _natural(q[rows], gradient[rows], slope[rows])
+        if self.wear is not None and not (worst <= KKT_TOLERANCE * largest).all():
+            # at a kink of the law either side's slope will do
+            other = self.scaled_slopes(self.wear.d_depth_dp(q / self.scale), slice(None))
+            worst = _natural(q[rows], gradient[rows], np.maximum(slope, other)[rows])
+        return np.divide(worst, largest, out=np.full(len(histories), np.inf), where=largest > 0.0)
 
 
-def _natural(q: FloatArray, gradient: FloatArray, diagonal: FloatArray) -> float:
-    worst = float(np.abs(np.minimum(q, gradient / diagonal)).max(initial=0.0))
-    return worst if math.isfinite(worst) else math.inf
+def _natural(q: FloatArray, gradient: FloatArray, slope: FloatArray) -> FloatArray:
+    """Return natural KKT residuals of (h, n), infinite where there is none."""
+    worst = np.abs(np.minimum(q, gradient / (1.0 + slope))).max(axis=1)
+    return np.where(np.isfinite(worst), worst, np.inf)

@@ -9,7 +9,9 @@ PETSc has options for, are not kept.
 
 They are in ``RINGWEAR_CACHE`` (empty: nothing is kept), or else among the user's caches. Numbers of
 a pair go into results unseen, so that only a folder and files are used that belong to the user and
-that nobody else may write to. Whatever is wrong with folder or file, the pair is assembled.
+that nobody else may write to. Whatever is wrong with folder or file, the pair is assembled. What
+the user's own programs put there is believed, with a checksum of theirs: no row of a compliance can
+be recomputed from it without the solution on the whole boundary, which is most of an assembly.
 """
 
 import errno

@@ -5,7 +5,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ringwear_par.cases.layers import expanded
-from ringwear_par.cases.schema import BY_PATH, Key, key_of
+from ringwear_par.cases.schema import BY_PATH, key_of
+from ringwear_par.cases.tables import Key
 from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import Interval
 from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS

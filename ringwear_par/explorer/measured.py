@@ -161,7 +161,7 @@ def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
         )
     along = _TIME.match(first) is None
     base = BASE["r" if along else "time"]
-    unit = _unit(name, first, base)
+    unit = _unit(name, table.label(first), base)
     share = factor(unit or base, base)
     x_assumption = ""
     if not (unit or (not along and table.names_seconds(first, table.filled(first)))):
@@ -175,8 +175,12 @@ def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
             continue
         x = share * table.numbers(first, rows, None if along else factor("h", "s") / share)
         order = np.argsort(x, kind="stable")
-        raw, quantity = table.numbers(column, rows)[order], _quantity(column, along, case)
-        columns.append(Laid(name, column, quantity, along, x[order], raw, x_assumption))
+        raw, quantity = (
+            table.numbers(column, rows)[order],
+            _quantity(table.label(column), along, case),
+        )
+        label = table.label(column)
+        columns.append(Laid(name, label, quantity, along, x[order], raw, x_assumption))
     if not columns:
         raise InputError(f"{name}: has no readings beside {legible(first)}; must have some")
     return columns

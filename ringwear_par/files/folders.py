@@ -1,13 +1,61 @@
-"""The folders of fits and of designs: what their files are called, and what draws them."""
+"""The folders of outcomes: what their files are called, how they are written, what draws them."""
 
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
-from ringwear_par.errors import InputError
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.files.writing import atomic_write, check_writable
 
 #: of a fit: its outcome, which is written the last, its readings and two figures
 FIT, READINGS, CURVES, ESTIMATES = "fit.json", "results.h5", "fit.png", "parameters.png"
 #: of a design: its outcome, which is written the last, the best tests and the map of all
 DESIGN, NEXT, MAP = "design.json", "next.toml", "design.png"
+#: of measured tests: their numbers, which are written the last, a row a test, the records
+MEASURE, MEASURED_ROWS, RECORDS = "measure.json", "measure.csv", "measure.png"
+
+
+def check_folder(folder: Path, files: Sequence[str]) -> None:
+    """Refuse a folder where files cannot be written, before any work. On one rank.
+
+    Raises
+    ------
+    InputError, ComputationError : why not.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; must be a folder, or new")
+    if folder.is_dir():
+        for name in files:
+            check_writable(folder / name)
+    else:  # made with its parents; the first of them that is missing tells
+        missing = [folder, *folder.parents]
+        existing = next((i for i, path in enumerate(missing) if path.exists()), len(missing))
+        check_writable(missing[max(existing - 1, 0)])
+
+
+@contextmanager
+def new_files(folder: Path, files: Sequence[str]) -> Iterator[None]:
+    """Make a folder, if files can be written there, and report the disk's errors. On one rank.
+
+    Raises
+    ------
+    InputError, ComputationError : the folder or the disk.
+    """
+    check_folder(folder, files)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
+    except OSError as error:
+        name = error.filename or folder
+        raise ComputationError(f"{name}: {error.strerror or error}") from error
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write numbers that all JSON readers know."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def refuse_drawn(folder: Path) -> None:
@@ -17,12 +65,13 @@ def refuse_drawn(folder: Path) -> None:
     ------
     InputError : it is one; with the pictures that are there.
     """
-    for outcome, of, pictures in (
+    for outcome, kind, pictures in (
         (FIT, "fit", f"pictures {CURVES} and {ESTIMATES} are"),
         (DESIGN, "design", f"picture {MAP} is"),
+        (MEASURE, "measurement", f"picture {RECORDS} is"),
     ):
         if (folder / outcome).exists():
             raise InputError(
-                f"{folder}: is the folder of a {of}, whose {pictures} there already (a page of it "
-                "is made by ringwear report); must be that of a sweep, or a result file"
+                f"{folder}: is the folder of a {kind}, whose {pictures} there already (a page of "
+                "it is made by ringwear report); must be that of a sweep, or a result file"
             )

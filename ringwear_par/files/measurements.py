@@ -1,10 +1,10 @@
 """Tables of measurements: text files as laboratories have them."""
 
-import csv
 import hashlib
 import re
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,17 +12,25 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.ordinary import read_bytes
+from ringwear_par.files.stamps import (
+    StampError,
+    across_midnight,
+    clock_time,
+    has_hours,
+    is_clock,
+    is_stamp,
+    seconds_of,
+)
+from ringwear_par.files.table_text import EMPTY, NUMBER, decode, table_in
 
-#: read one way only, so that the time of long cells is linear in their length
-_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-#: h:mm:ss, or two of them
-_CLOCK = re.compile(r"(?:(\d+):(?=[0-5]\d:))?(\d+):([0-5]\d(?:\.\d*)?)", re.ASCII)
-#: what Excel writes above a table
-_SEPARATOR = re.compile(r'"?sep=([,;\t])"?', re.IGNORECASE)
-#: cells that say that there is nothing
-_EMPTY = frozenset({"", "nan"})
 #: columns of a table: loggers have hundreds of channels, files with more are something else
 MOST_COLUMNS = 1000
+#: numbers whose digits are perhaps in groups of three
+_GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?", re.ASCII)
+_GROUPED_BY_POINTS = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d*)?", re.ASCII)
+_GROUPED_BY_OTHERS = re.compile(
+    r"[+-]?\d{1,3}(?:['\u2019 \u00a0\u202f]\d{3})+(?:[.,]\d*)?", re.ASCII
+)
 
 
 @dataclass(frozen=True)
@@ -32,9 +40,10 @@ class Measurements:
     Parameters
     ----------
     name : of the file, as messages call it.
-    columns : names in the first line.
+    columns : names in the line of names.
     lines : (rows,) int, numbers of the lines.
     sha256 : of the file.
+    units : of the columns, in the row below their names; () where there is none.
     """
 
     name: str
@@ -42,12 +51,25 @@ class Measurements:
     rows: tuple[tuple[str, ...], ...] = field(repr=False)
     lines: IntArray = field(repr=False)
     sha256: str = ""
+    units: tuple[str, ...] = ()
+
+    def label(self, name: str) -> str:
+        """Return the name of a column with its unit, where that is in the row below."""
+        unit = self.units[self.columns.index(name)] if self.units else ""
+        bare = unit.strip("[]() ") if unit[:1] in ("[", "(") else unit
+        return f"{name} [{bare}]" if bare not in ("", "-", "1", "hh:mm:ss") else name
+
+    def column(self, place: int) -> "Measurements":
+        """Return the table of one column, for names that several columns have."""
+        rows = tuple((row[place],) for row in self.rows)
+        units = self.units[place : place + 1]
+        return Measurements(self.name, (self.columns[place],), rows, self.lines, self.sha256, units)
 
     def filled(self, *names: str) -> BoolArray:
         """(rows,) bool, where none of some columns is empty."""
         places = [self.columns.index(name) for name in names]
         return np.array(
-            [all(row[i].lower() not in _EMPTY for i in places) for row in self.rows], dtype=bool
+            [all(row[i].lower() not in EMPTY for i in places) for row in self.rows], dtype=bool
         )
 
     def numbers(self, name: str, rows: BoolArray, hour: float | None = None) -> FloatArray:
@@ -55,44 +77,121 @@ class Measurements:
 
         Parameters
         ----------
-        hour : in the column's unit, which may have clock times then: h:mm:ss, or min:s, or h:min
-            where the unit is the hour.
+        hour : in the column's unit, which may have stamps then, that count from the first of the
+            table; or clock times: h:mm:ss, over midnight too, or min:s, or h:min where the unit is
+            the hour.
 
         Raises
         ------
-        InputError : cells that are none; the first is shown.
+        InputError : cells that are none; the first is shown. Stamps that go back.
         """
         place = self.columns.index(name)
         values, wrong = np.full(len(self.rows), np.nan), []
+        clocks, stamps, grouped = [], [], []
         for i in np.flatnonzero(rows).tolist():
-            cell = self.rows[i][place].replace(",", ".")
-            if _NUMBER.fullmatch(cell) and np.isfinite(float(cell)):
+            written = self.rows[i][place]
+            cell = written.replace(",", ".")
+            if NUMBER.fullmatch(cell) and np.isfinite(float(cell)):
                 values[i] = float(cell)
-            elif hour is not None and (clock := _CLOCK.fullmatch(cell)):
-                values[i] = _clock_time(clock, hour)
+                if "," in written and _GROUPED.fullmatch(written):
+                    grouped.append((i, True))
+                elif "." in written and _GROUPED_BY_POINTS.fullmatch(written):
+                    grouped.append((i, False))
+            elif hour is not None and is_clock(written):
+                values[i] = clock_time(written, hour)
+                if has_hours(written):
+                    clocks.append(i)
+            elif hour is not None and is_stamp(written):
+                stamps.append(i)
             else:
                 wrong.append(i)
+        if stamps and hour is not None:
+            values[rows] = hour / 3600.0 * self._stamps(name, rows)
+            wrong = []
         if wrong:
-            raise InputError(
-                f"{self.name}: line {self.lines[wrong[0]]}: {legible(name)} = "
-                f"{legible(self.rows[wrong[0]][place])}{and_more(len(wrong), 'line')}: must be a "
-                f"number{'' if hour is None else ' or a clock time (h:mm:ss)'}, or empty"
-            )
+            self._refuse(name, wrong, hour is not None)
+        for i, by_commas in grouped:
+            if self._decimals["." if by_commas else ","]:
+                self._refuse_groups(name, i)
+        if clocks and hour is not None:
+            values[clocks] = across_midnight(values[clocks], 24.0 * hour)
         return values[rows]
 
-    def names_seconds(self, name: str, rows: BoolArray) -> bool:
-        """Tell whether a column has clock times with seconds in some of the rows, and no others."""
+    def _stamps(self, name: str, rows: BoolArray) -> FloatArray:
+        """Return the seconds of stamps in some of the rows, from the first of the table."""
         place = self.columns.index(name)
-        clocks = [_CLOCK.fullmatch(self.rows[i][place]) for i in np.flatnonzero(rows).tolist()]
-        return all(clock is not None and clock[1] is not None for clock in clocks)
+        every = np.flatnonzero(self.filled(name))
+        try:
+            seconds = seconds_of([self.rows[i][place] for i in every.tolist()])
+        except StampError as error:
+            i = int(every[error.row])
+            raise InputError(
+                f"{self.name}: line {self.lines[i]}: {legible(name)} = "
+                f"{legible(self.rows[i][place])}: {error}"
+            ) from error
+        back = np.flatnonzero(np.diff(seconds) < 0.0)
+        if len(back):
+            before, i = int(every[back[0]]), int(every[back[0] + 1])
+            raise InputError(
+                f"{self.name}: line {self.lines[i]}: {legible(name)} = "
+                f"{legible(self.rows[i][place])}{and_more(len(back), 'line')}: goes back, line "
+                f"{self.lines[before]} has {legible(self.rows[before][place])}; must not fall"
+            )
+        values = np.full(len(self.rows), np.nan)
+        values[every] = seconds - seconds[0]
+        return values[rows]
 
+    def _refuse(self, name: str, wrong: list[int], in_time: bool) -> None:
+        cell = self.rows[wrong[0]][self.columns.index(name)]
+        hint = ""
+        for pattern in (_GROUPED, _GROUPED_BY_POINTS, _GROUPED_BY_OTHERS):
+            if pattern.fullmatch(cell):
+                hint = "; thousands must not be separated"
+        raise InputError(
+            f"{self.name}: line {self.lines[wrong[0]]}: {legible(name)} = "
+            f"{legible(cell)}{and_more(len(wrong), 'line')}: must be a "
+            f"number{' or a clock time (h:mm:ss)' if in_time else ''}, or empty{hint}"
+        )
 
-def _clock_time(clock: re.Match[str], hour: float) -> float:
-    """Return a clock time in the unit of which an hour is ``hour``."""
-    hours, minutes, seconds = float(clock[1] or 0), float(clock[2]), float(clock[3])
-    if clock[1] is None and hour == 1.0:
-        hours, minutes, seconds = minutes, seconds, 0.0
-    return hour * (hours + minutes / 60.0 + seconds / 3600.0)
+    def _refuse_groups(self, name: str, row: int) -> None:
+        cell = self.rows[row][self.columns.index(name)]
+        mark, other = ("comma", "points") if "," in cell else ("point", "commas")
+        raise InputError(
+            f"{self.name}: line {self.lines[row]}: {legible(name)} = {legible(cell)}: has a {mark} "
+            f"where other numbers have decimal {other}; must be without separators of thousands, "
+            "or with the same decimal mark"
+        )
+
+    @cached_property
+    def _decimals(self) -> dict[str, bool]:
+        """Whether any number has a decimal point, and a decimal comma, that groups no digits."""
+        marks = {".": False, ",": False}
+        for cell in (cell for row in self.rows for cell in row):
+            for mark, grouped in ((".", _GROUPED_BY_POINTS), (",", _GROUPED)):
+                if mark in cell and not marks[mark] and NUMBER.fullmatch(cell.replace(mark, ".")):
+                    marks[mark] = not grouped.fullmatch(cell)
+        return marks
+
+    def first_stamps(self, name: str, rows: BoolArray) -> BoolArray:
+        """(rows,) bool, some rows without those whose stamp is that of the row before."""
+        place, first, before = self.columns.index(name), rows.copy(), ""
+        for i in np.flatnonzero(rows).tolist():
+            cell = self.rows[i][place]
+            first[i] = cell != before or not is_stamp(cell)
+            before = cell
+        return first
+
+    def begins_with_stamp(self, name: str) -> bool:
+        """Tell whether the first filled cell of a column is a stamp or a clock time h:mm:ss."""
+        place = self.columns.index(name)
+        cell = next((row[place] for row in self.rows if row[place].lower() not in EMPTY), "")
+        return is_stamp(cell) or has_hours(cell)
+
+    def names_seconds(self, name: str, rows: BoolArray) -> bool:
+        """Tell whether a column has stamps or clock times with seconds in the rows, no others."""
+        place = self.columns.index(name)
+        cells = [self.rows[i][place] for i in np.flatnonzero(rows).tolist()]
+        return all(has_hours(cell) for cell in cells) or all(is_stamp(cell) for cell in cells)
 
 
 def and_more(count: int, noun: str) -> str:
@@ -115,80 +214,57 @@ def read_measurements(path: Path) -> Measurements:
     return measurements_in(content, str(path))
 
 
-def measurements_in(content: bytes, path: str) -> Measurements:
+def measurements_in(content: bytes, path: str, *, labelled: bool = False) -> Measurements:
     """Return a table: a line of names, then numbers; between them commas, semicolons or tabs.
 
-    Lines that begin with # and empty ones are skipped; so is ``sep=;`` above the names, which says
-    what is between them. Decimal commas are read where semicolons, tabs or quotes are around them.
+    Above it there may be anything, and a row of units below the names. Decimal commas are read
+    where semicolons, tabs or quotes are around them.
 
     Parameters
     ----------
     content : of a file.
     path : what messages call it.
+    labelled : whether the first column has names of what the numbers behind them are of; several
+        columns may have one name then.
 
     Raises
     ------
     InputError : it is no such table.
     """
-    numbered = [
-        (number, line)
-        for number, line in enumerate(_text(path, content).splitlines(), start=1)
-        if line.strip(" \t,;") and not line.lstrip().startswith("#")
-    ]
-    separator = _SEPARATOR.fullmatch(numbered[0][1].strip(" ")) if numbered else None
-    if separator is not None:
-        del numbered[0]
-    if not numbered:
-        raise InputError(f"{path}: is empty; must be a line of column names, and lines of numbers")
-    delimiter = next((c for c in "\t;" if c in numbered[0][1]), ",")
-    if separator is not None:
-        delimiter = separator[1]
-    try:
-        cells = list(csv.reader((line for _, line in numbered), delimiter=delimiter))
-    except csv.Error as error:
-        raise InputError(f"{path}: is not a table: {error}") from error
-    lines = np.array([number for number, _ in numbered])
-    if len(cells) != len(lines):
-        raise InputError(f"{path}: a quoted cell goes on over several lines; must be on one")
-    columns = tuple(cell.strip() for cell in cells[0])
+    table = table_in(decode(path, content), path, labelled=labelled)
+    columns, first = tuple(table.names), table.first
     if len(columns) > MOST_COLUMNS:
         raise InputError(
-            f"{path}: line {lines[0]}: names {len(columns)} columns; must be at most {MOST_COLUMNS}"
+            f"{path}: line {first}: names {len(columns)} columns; must be at most {MOST_COLUMNS}"
         )
-    if any(_NUMBER.fullmatch(name.replace(",", ".")) for name in columns):
+    if any(NUMBER.fullmatch(name.replace(",", ".")) for name in columns):
         raise InputError(
-            f"{path}: line {lines[0]}: {legible(', '.join(columns))}: must be the names of the "
+            f"{path}: line {first}: {legible(', '.join(columns))}: must be the names of the "
             "columns, not numbers"
         )
+    if len(columns) == 1:
+        raise InputError(
+            f"{path}: line {first}: {legible(columns[0])}: is one column; must be two at least, "
+            "with commas, semicolons or tabs between them"
+        )
     faults = [
-        f"{path}: line {lines[0]}: {legible(name)}: names two columns; must be one"
+        f"{path}: line {first}: {legible(name)}: names two columns; must be one"
         for name, count in Counter(columns).items()
-        if name and count > 1
+        if name and count > 1 and not labelled
     ]
-    rows = [tuple(cell.strip() for cell in row) for row in cells[1:]]
+    rows = table.rows
     wrong = [i for i, row in enumerate(rows) if len(row) < len(columns) or any(row[len(columns) :])]
     if wrong:
         count = len(rows[wrong[0]])
         hint = "; decimal commas need semicolons or tabs between columns"
         faults.append(
-            f"{path}: line {lines[1 + wrong[0]]}: has {count} values"
-            f"{and_more(len(wrong), 'line')}; must have {len(columns)}, as the first line"
-            f"{hint if delimiter == ',' and count > len(columns) else ''}"
+            f"{path}: line {table.lines[wrong[0]]}: has {count} values"
+            f"{and_more(len(wrong), 'line')}; must have {len(columns)}, as "
+            f"{f'line {first}' if table.preamble else 'the first line'}"
+            f"{hint if table.delimiter == ',' and count > len(columns) else ''}"
         )
     if faults:
         raise InputError(*faults)
-    rows = [row[: len(columns)] for row in rows]
-    return Measurements(path, columns, tuple(rows), lines[1:], hashlib.sha256(content).hexdigest())
-
-
-def _text(path: str, content: bytes) -> str:
-    """Return the text of a file in UTF-8, in UTF-16 with its mark, or as older Windows writes."""
-    marked = content.startswith((b"\xff\xfe", b"\xfe\xff"))
-    for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):
-        try:
-            text = content.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-        if "\0" not in text:
-            return text
-    raise InputError(f"{path}: is not a text file")
+    cells = tuple(tuple(row[: len(columns)]) for row in rows)
+    lines, sha256 = np.array(table.lines, dtype=int), hashlib.sha256(content).hexdigest()
+    return Measurements(path, columns, cells, lines, sha256, tuple(table.units))

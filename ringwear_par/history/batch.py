@@ -262,7 +262,7 @@ class Batch:
         if not accepted.all():
             state = batched.where(accepted, state, _with_entries_of(before.state, state))
         self._present = replace(before, state=state, progress=progress)
-        new = decision.complete
+        new = accepted & decision.complete
         finished = new & control.finished(state, progress)
         return [
             *snapshots,
@@ -361,8 +361,8 @@ class Batch:
         case, state = self._ensemble.cases[int(self.numbers[0])], present.state
         why = f"{self._failure}, {NO_STEP}" if self._failure else str(error)
         named = type(error)(
-            f"{why}{unit_question(case, state.wear[:, 0])}; in step "
-            f"{int(present.progress.steps[0]) + 1}, from time {state.time[0]:g} s"
+            f"{why}; in step {int(present.progress.steps[0]) + 1}, from time {state.time[0]:g} s"
+            f"{unit_question(case, state.wear[:, 0])}"
         )
         named.__cause__ = error
         return named

@@ -90,7 +90,7 @@ class MovingGeometry:
         physics = physics.with_compliances(Compliances.of_each([compliance]), pair.cost)
         contacts.close()
         following = physics.contacts()
-        rescaled = following.solver.scale / contacts.solver.scale
+        rescaled = following.engine.scale / contacts.engine.scale
         warm = contacts.warm
         following.warm = WarmStart(warm.scaled_pressure * rescaled, warm.approach)
         following.largest_errors = contacts.largest_errors

@@ -132,7 +132,7 @@ class Start:
 
     Parameters
     ----------
-    state : the last one, of one history.
+    state : the last one, of one history (B = 1).
     progress : of step control.
     warm : where the contact solver starts.
     updates : how often the elements were assembled again to follow the wear.
@@ -141,4 +141,4 @@ class Start:
     state: State
     progress: Progress
     warm: WarmStart
-    updates: int = 0
+    updates: int = field(default=0, metadata=along(None))

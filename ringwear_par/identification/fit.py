@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError, reason_of
+from ringwear_par.files.folders import check_folder
 from ringwear_par.identification import fit_folder
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem
@@ -117,7 +118,7 @@ def run_fit(
             print(prediction(expected))
         return
     problem = on_first_rank(comm, lambda: _read_complete(source))
-    on_first_rank(comm, lambda: fit_folder.check(folder))
+    on_first_rank(comm, lambda: check_folder(folder, fit_folder.FILES))
     if restart and on_first_rank(
         comm, lambda: fit_folder.complete(folder, problem, compare=compare)
     ):

@@ -1,21 +1,25 @@
 """The folder of a fit: its outcome, its readings and two figures, each there once it is whole."""
 
 import io
-import json
 import logging
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 
-from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.folders import CURVES, ESTIMATES, FIT, READINGS
+from ringwear_par.errors import InputError
+from ringwear_par.files.folders import (
+    CURVES,
+    ESTIMATES,
+    FIT,
+    READINGS,
+    new_files,
+    write_json,
+)
 from ringwear_par.files.text import parse_json, read_text
-from ringwear_par.files.writing import atomic_write, check_writable
+from ringwear_par.files.writing import atomic_write
 from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import BASE, Problem
 from ringwear_par.identification.estimation.starts import PROGRESS
@@ -29,24 +33,6 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 FILES = (FIT, READINGS, CURVES, ESTIMATES)
-
-
-def check(folder: Path, files: Sequence[str] = FILES) -> None:
-    """Refuse a folder where files cannot be written, before any work. On one rank.
-
-    Raises
-    ------
-    InputError, ComputationError : why not.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is a file; must be a folder, or new")
-    if folder.is_dir():
-        for name in files:
-            check_writable(folder / name)
-    else:  # made with its parents; the first of them that is missing tells
-        missing = [folder, *folder.parents]
-        existing = next((i for i, path in enumerate(missing) if path.exists()), len(missing))
-        check_writable(missing[max(existing - 1, 0)])
 
 
 def refuse_interrupted(folder: Path) -> None:
@@ -98,34 +84,11 @@ def save(fit: FitResult, folder: Path) -> None:
         write_json(folder / FIT, fit.to_dict())
 
 
-@contextmanager
-def new_files(folder: Path, files: Sequence[str]) -> Iterator[None]:
-    """Make a folder, if files can be written there, and report the disk's errors. On one rank.
-
-    Raises
-    ------
-    InputError, ComputationError : the folder or the disk.
-    """
-    check(folder, files)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        yield
-    except OSError as error:
-        name = error.filename or folder
-        raise ComputationError(f"{name}: {error.strerror or error}") from error
-
-
 def png(figure: "Figure") -> bytes:
     """Return a figure as a picture: drawing takes long, and who is killed leaves no file."""
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=130)
     return picture.getvalue()
-
-
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write numbers that all JSON readers know."""
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def _write(file: h5py.File, fit: FitResult) -> None:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.stats import chi2
 
-from ringwear_par import outcomes
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.estimation.intervals import (
@@ -24,6 +23,7 @@ from ringwear_par.identification.estimation.posterior import Posterior
 from ringwear_par.identification.estimation.record_checks import FitWarning, record_warnings
 from ringwear_par.identification.estimation.starts import StartOutcome
 from ringwear_par.identification.model.histories import MOST_SHIFT_SD
+from ringwear_par.results import outcomes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

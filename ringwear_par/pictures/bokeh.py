@@ -38,7 +38,7 @@ KINDS = {
     "lines": _LINE,
     "dots": ("x", "y", "colour"),
     "points": ("x", "y", "label", "colour", "fill", "size", "opacity", "marker", "case", "words"),
-    "labels": ("x", "y", "text", "baseline"),
+    "labels": ("x", "y", "text", "baseline", "align"),
 }
 #: those with an entry in the legend, in its order
 _IN_LEGEND = ("lines", "asides", "points", "bars", "ribbons")
@@ -113,7 +113,9 @@ def _add_marks(plot: Any, kind: str, source: Any) -> Any:
             return plot.segment("x0", "y0", "x1", "y1", line_color="colour", source=source)
         case "labels":
             style = {"x_offset": 3, "text_font_size": "11px", "text_color": "#444444"}
-            return plot.text("x", "y", text_baseline="baseline", **style, source=source)
+            return plot.text(
+                "x", "y", text_baseline="baseline", text_align="align", **style, source=source
+            )
         case "dots":
             return plot.scatter("x", "y", size=4.0, color="colour", source=source)
         case "points":
@@ -221,12 +223,16 @@ def _range(axis: Axis, values: FloatArray) -> list[float]:
 
 def columns_of(panel: Panel) -> dict[str, dict[str, list[Any]]]:
     """Return the columns of the sources of all kinds of marks."""
-    curves = [curve for curve in panel.curves if not curve.hidden]
-    marked = [curve for curve in panel.curves if curve.marked or curve.hidden]
+    marked = [curve for curve in panel.curves if curve.marked and curve.cases is None]
+    of_cases = [
+        Points(c.x, c.y, c.legend or c.name, c.colour, cases=c.cases)
+        for c in panel.curves
+        if c.cases is not None
+    ]
     ends = [curve for band in panel.bands for curve in _ends(band)]
     rows: dict[str, list[tuple[Any, ...]]] = {
         "ribbons": [(*_ribbon(band), band.name, band.colour, band.opacity) for band in panel.bands],
-        "asides": [_line(curve) for curve in curves if not curve.tabulated],
+        "asides": [_line(curve) for curve in panel.curves if not curve.tabulated],
         "ends": [_line(curve) for curve in ends],
         "levels": [(level,) for level in panel.levels],
         "uprights": [(upright,) for upright in panel.uprights],
@@ -236,15 +242,21 @@ def columns_of(panel: Panel) -> dict[str, dict[str, list[Any]]]:
             for place, value in zip(bars.places.tolist(), bars.values.tolist(), strict=True)
         ],
         "whiskers": [*_whiskers(panel)],
-        "lines": [_line(curve) for curve in curves if curve.tabulated],
+        "lines": [_line(curve) for curve in panel.curves if curve.tabulated],
         "dots": [
             (x, y, curve.colour)
             for curve in marked
             for x, y in zip(curve.x.tolist(), curve.y.tolist(), strict=True)
         ],
-        "points": [row for points in panel.points for row in _points(points)],
+        "points": [row for points in (*of_cases, *panel.points) for row in _points(points)],
         "labels": [
-            (label.x, label.y, label.words, "top" if label.below else "bottom")
+            (
+                label.x,
+                label.y,
+                label.words,
+                "top" if label.below else "bottom",
+                "center" if label.centred else "left",
+            )
             for label in panel.labels
         ],
     }

@@ -2,11 +2,11 @@
 
 import logging
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -19,15 +19,16 @@ from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.elasticity.stress.fields import StressState
 from ringwear_par.errors import InputError, legible
 from ringwear_par.pictures import runs
-from ringwear_par.pictures.interfaces import interface_drawings
 from ringwear_par.pictures.matplotlib import draw, draw_labels
 from ringwear_par.pictures.panels import Panel
 from ringwear_par.pictures.runs import HISTORY_PANELS
 from ringwear_par.pictures.sections import draw_section
 from ringwear_par.pictures.stresses import (
     along_height,
+    along_interfaces,
     draw_map,
     highest,
     largest,
@@ -54,34 +55,133 @@ from ringwear_par.results.storage.stored_stresses import (
 log = logging.getLogger(__name__)
 
 Source = Result | str | Path
-#: a panel, or what draws one that matplotlib alone draws
+#: a panel, or a function that draws what matplotlib alone draws
 Drawing = Panel | partial[None]
 
-#: panels along the radius, one a result
+
+class _Item(NamedTuple):
+    """A result to be drawn.
+
+    Parameters
+    ----------
+    label : that sets it apart.
+    rows : its stored states whose profiles or stresses are drawn.
+    chosen : whether the user chose these, by steps or times.
+    """
+
+    result: Result
+    label: str
+    rows: Sequence[int]
+    chosen: bool
+
+
+def _worn_faces(items: Sequence[_Item]) -> Iterator[Drawing]:
+    for result, label, rows, _ in items:
+        yield _titled(runs.worn_faces(result, None, rows), label)
+
+
+def _pressures(items: Sequence[_Item]) -> Iterator[Drawing]:
+    top = max(
+        pressure_peak(result).top(float(result.profiles["pressure"][list(rows)].max()))
+        for result, _, rows, _ in items
+    )
+    for result, label, rows, _ in items:
+        yield _titled(runs.pressure(result, rows, top), label)
+
+
+def _titled(panel: Panel, label: str) -> Panel:
+    return replace(panel, legend="\n".join(filter(None, (label, panel.note))))
+
+
+def _sections(items: Sequence[_Item]) -> Iterator[Drawing]:
+    for item in items:
+        yield partial(draw_section, result=item.result, label=item.label)
+
+
+def _states(item: _Item) -> list[StressState]:
+    """Return the states nearest to which stresses are drawn, the last one if none is chosen."""
+    times = item.result.histories["time"][list(item.rows)].tolist() if item.chosen else []
+    return nearest_states(stresses(item.result).states, times)
+
+
+def _maps(items: Sequence[_Item]) -> Iterator[Drawing]:
+    top = highest([state for item in items for state in _states(item)])
+    for item in items:
+        for state in _states(item):
+            yield partial(draw_map, result=item.result, label=item.label, state=state, top=top)
+
+
+def _depths(items: Sequence[_Item]) -> Iterator[Drawing]:
+    for item in items:
+        yield along_height(item.result, item.label, _states(item))
+
+
+def _interfaces(items: Sequence[_Item]) -> Iterator[Drawing]:
+    for item in items:
+        yield from along_interfaces(item.result, item.label, _states(item))
+
+
+def _shared(panel: Callable[[Sequence[Result], Sequence[str]], Panel]) -> Any:
+    """Return a function that draws one panel of all results; a single one needs no label."""
+
+    def draw_all(items: Sequence[_Item]) -> list[Drawing]:
+        labels = [item.label * (len(items) > 1) for item in items]
+        return [panel([item.result for item in items], labels)]
+
+    return draw_all
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of panel.
+
+    Parameters
+    ----------
+    drawings : returns those of results.
+    needs : raises InputError where a result does not hold what it shows.
+    rows : whether it shows stored states, which steps and times choose.
+    apart : whether results without it are left out alone, or else all of them.
+    shared : whether results share it, those too whose profiles are not drawn.
+    """
+
+    drawings: Callable[[Sequence[_Item]], Iterable[Drawing]]
+    needs: Callable[[Result], Any]
+    rows: bool = True
+    apart: bool = False
+    shared: bool = False
+
+
+_KINDS = {
+    "wear": _Kind(
+        _worn_faces, lambda result: [runs.stored_field(result, f"wear_{body}") for body in BODIES],
+        apart=True,
+    ),
+    "pressure": _Kind(
+        _pressures, lambda result: runs.stored_field(result, "pressure"), apart=True
+    ),
+    "section": _Kind(
+        _sections, lambda result: boundary_states(result)[-1], rows=False, apart=True
+    ),
+    "stress": _Kind(_maps, check_grid),
+    "depth": _Kind(_depths, check_grid),
+    "interfaces": _Kind(_interfaces, interfaces_of),
+    "mises": _Kind(_shared(largest), stresses, rows=False, shared=True),
+    **{
+        name: _Kind(
+            _shared(partial(runs.history, quantity=name)), panel.curves, rows=False, shared=True
+        )
+        for name, panel in HISTORY_PANELS.items()
+    },
+}  # fmt: skip
+#: panels of profiles, which have one scale
 _PROFILES = ("wear", "pressure")
-#: panels of stresses, one a result or more
-_STRESSES = ("stress", "depth", "interfaces")
-#: panels that all results share
-_OF_ALL = ("mises", *HISTORY_PANELS)
-PANELS = (*_PROFILES, "section", *_STRESSES, *_OF_ALL)
 #: panels with the same scale along both axes and a bar of colours, and how much larger they are
 _SECTIONS, _LARGER = {"section", "stress"}, 1.15
-#: what is drawn where nothing else is asked for
+#: drawn by default
 DEFAULT = "wear,penetration"
 _MOST_COLUMNS = 3
 #: of a time that is asked for: how far off that of the state shown may be unsaid
 _NOTICED = 0.01
-#: what panels need of a result: refused where it is not stored
-_NEEDED: dict[str, Callable[[Result], Any]] = {
-    "wear": lambda result: [runs.stored_field(result, f"wear_{body}") for body in BODIES],
-    "pressure": lambda result: runs.stored_field(result, "pressure"),
-    "section": lambda result: boundary_states(result)[-1],
-    "stress": check_grid,
-    "depth": check_grid,
-    "interfaces": interfaces_of,
-    "mises": stresses,
-    **{name: panel.curves for name, panel in HISTORY_PANELS.items()},
-}
 
 
 def plot(
@@ -208,33 +308,31 @@ def _drawn_panels(
         if source not in sources:
             name = source.name if isinstance(source, Result) else source
             raise InputError(f"--profiles-of {name}: must be one of the result files to be drawn")
-    labelled = list(zip(results, _labels(results), strict=True))
-    profiled = [
-        both
-        for source, both in zip(sources, labelled, strict=True)
-        if not chosen or source in chosen
-    ]
     for panel in panels:
-        if panel not in PANELS:
+        if panel not in _KINDS:
             raise InputError(
                 f"--panels {legible(','.join(panels))}: {legible(panel)!r} must be one of "
-                f"{', '.join(PANELS)}"
+                f"{', '.join(_KINDS)}"
             )
-    rows: list[list[int]] = []
-    if not {*_PROFILES, *_STRESSES}.isdisjoint(panels):
-        rows = [_at_times(r, times) if times else _rows(r, steps) for r, _ in profiled]
+    need_rows = any(_KINDS[panel].rows for panel in panels)
+    items, profiled = [], []
+    for source, result, label in zip(sources, results, _labels(results), strict=True):
+        rows: list[int] = []
+        if not chosen or source in chosen:
+            if need_rows:
+                rows = _at_times(result, times) if times else _rows(result, steps)
+            profiled.append(_Item(result, label, rows, bool(steps or times)))
+        items.append(_Item(result, label, rows, bool(steps or times)))
     drawings: list[tuple[str, Drawing]] = []
     left_out: list[tuple[str, str]] = []
     for panel in panels:
-        if panel in _OF_ALL:
-            drawn, faults = _of_all(panel, labelled)
-        elif panel in _STRESSES:
-            wished = rows if steps or times else [[]] * len(profiled)
-            drawn, faults = _of_stresses(panel, profiled, wished)
-        else:
-            drawn, faults = _of_each(panel, profiled, rows)
-        drawings += [(panel, drawing) for drawing in drawn]
-        left_out += [(panel, fault) for fault in faults]
+        kind = _KINDS[panel]
+        scope = items if kind.shared else profiled
+        faults = {id(item): _faults(kind, item.result) for item in scope}
+        left_out += [(panel, fault) for of_item in faults.values() for fault in of_item]
+        good = [item for item in scope if not faults[id(item)]]
+        if good and (kind.apart or len(good) == len(scope)):
+            drawings += [(panel, drawing) for drawing in kind.drawings(good)]
     if not drawings:
         raise InputError(*(fault for _, fault in left_out))
     for panel, fault in left_out:
@@ -244,6 +342,15 @@ def _drawn_panels(
     if len(titles) == 1:
         figure.suptitle(plain(titles.pop()), fontsize=8.0)
     return figure
+
+
+def _faults(kind: _Kind, result: Result) -> tuple[str, ...]:
+    """Return the sentences about what a panel needs of a result that it does not hold."""
+    try:
+        kind.needs(result)
+    except InputError as error:
+        return error.faults
+    return ()
 
 
 def _laid_out(drawings: Sequence[tuple[str, Drawing]]) -> Figure:
@@ -261,81 +368,25 @@ def _laid_out(drawings: Sequence[tuple[str, Drawing]]) -> Figure:
     layout: Any = "compressed" if set(names) <= _SECTIONS else "constrained"
     figure = NotebookFigure(figsize=(3.6 * sum(widths), 3.3 * sum(heights)), layout=layout)
     grid = figure.add_gridspec(lines, columns, width_ratios=widths, height_ratios=heights)
-    shared: dict[str, list[tuple[Any, Panel]]] = {panel: [] for panel in _PROFILES}
-    for number, (name, drawing) in enumerate(drawings):
+    all_axes = []
+    for number, (_, drawing) in enumerate(drawings):
         axes = figure.add_subplot(grid[number // columns, number % columns])
         # else taken when the figure is drawn, where another style may hold
         axes.tick_params(labelsize=STYLE["font.size"])
-        if not isinstance(drawing, Panel):
-            drawing(axes)
-            continue
-        draw(axes, drawing)
-        if name in shared:
-            shared[name].append((axes, drawing))
-    for alike in shared.values():  # one scale, or one cannot compare
-        if alike:
-            low, high = zip(*(axes.get_ylim() for axes, _ in alike), strict=True)
-            for axes, panel in alike:
-                axes.set_ylim(min(low), max(high))
-                draw_labels(axes, panel)
-    return figure
-
-
-def _not_stored(panel: str, results: Iterable[Result]) -> list[str]:
-    """Return the sentences about results that do not hold what a panel needs."""
-    faults: list[str] = []
-    for result in results:
-        try:
-            _NEEDED[panel](result)
-        except InputError as error:
-            faults += error.faults
-    return faults
-
-
-def _of_all(panel: str, labelled: Sequence[tuple[Result, str]]) -> tuple[list[Drawing], list[str]]:
-    """Return the panel that results with their labels share, and why there is none."""
-    results = [result for result, _ in labelled]
-    labels = [label * (len(results) > 1) for _, label in labelled]
-    if faults := _not_stored(panel, results):
-        return [], faults
-    if panel in HISTORY_PANELS:
-        return [runs.history(results, labels, panel)], []
-    return [largest(results, labels)], []
-
-
-def _of_each(
-    panel: str, profiled: Sequence[tuple[Result, str]], rows: Sequence[Sequence[int]]
-) -> tuple[list[Drawing], list[str]]:
-    """Return a profile or section of each result, and why some have none.
-
-    Parameters
-    ----------
-    rows : of each result, the stored states whose profiles are drawn.
-    """
-    drawn: list[Drawing] = []
-    left_out: list[str] = []
-    results = [result for result, _ in profiled]
-    top = 0.0
-    if panel == "pressure":
-        tops = [
-            pressure_peak(result).top(float(result.profiles["pressure"][list(own_rows)].max()))
-            for result, own_rows in zip(results, rows, strict=True)
-            if not _not_stored(panel, [result])
-        ]
-        top = max(tops, default=0.0)
-    for number, (result, label) in enumerate(profiled):
-        if faults := _not_stored(panel, [result]):
-            left_out += faults
-        elif panel == "section":
-            drawn.append(partial(draw_section, result=result, label=label))
+        if isinstance(drawing, Panel):
+            draw(axes, drawing)
         else:
-            profile = (
-                runs.worn_faces(result, None, rows[number])
-                if panel == "wear"
-                else runs.pressure(result, rows[number], top)
-            )
-            drawn.append(replace(profile, legend="\n".join(filter(None, (label, profile.note)))))
-    return drawn, left_out
+            drawing(axes)
+        all_axes.append(axes)
+    for profile in _PROFILES:  # one scale, or one cannot compare
+        alike = [axes for axes, name in zip(all_axes, names, strict=True) if name == profile]
+        ends = [axes.get_ylim() for axes in alike]
+        for axes in alike:
+            axes.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
+    for axes, (_, drawing) in zip(all_axes, drawings, strict=True):
+        if isinstance(drawing, Panel):
+            draw_labels(axes, drawing)
+    return figure
 
 
 def _rows(result: Result, steps: str) -> list[int]:
@@ -375,36 +426,6 @@ def _at_times(result: Result, times: str) -> list[int]:
             )  # fmt: skip
         rows.add(row)
     return sorted(rows)
-
-
-def _of_stresses(
-    panel: str, profiled: Sequence[tuple[Result, str]], rows: Sequence[Sequence[int]]
-) -> tuple[list[Drawing], list[str]]:
-    """Return maps, one a state and on one scale, courses along depth, or interfaces of results.
-
-    And why there are none.
-
-    Parameters
-    ----------
-    rows : of each result, the stored states nearest to which stresses are drawn; none: the last.
-    """
-    if faults := _not_stored(panel, (result for result, _ in profiled)):
-        return [], faults
-    states = [
-        nearest_states(stresses(result).states, result.histories["time"][list(of_result)].tolist())
-        for (result, _), of_result in zip(profiled, rows, strict=True)
-    ]
-    top = highest([state for some in states for state in some]) if panel == "stress" else 0.0
-    drawn: list[Drawing] = []
-    for (result, label), some in zip(profiled, states, strict=True):
-        if panel == "interfaces":
-            drawn += interface_drawings(result, label, some)
-        elif panel == "depth":
-            drawn.append(along_height(result, label, some))
-        else:
-            of = partial(draw_map, result=result, label=label, top=top)
-            drawn += [partial(of, state=state) for state in some]
-    return drawn, []
 
 
 def _labels(results: Sequence[Result]) -> list[str]:

@@ -1,21 +1,28 @@
 """Panels in files, drawn by matplotlib."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from ringwear_par.pictures.panels import Axis, Curve, Label, Panel
-from ringwear_par.pictures.style import DASHES, plain, set_legend
+from ringwear_par.pictures.style import DASHES, number_text, plain, set_legend
 
 #: letters of the labels in a line of a legend, with what is beside each, and its most columns
 _LETTERS, _GLYPH, _MOST_COLUMNS = 54, 5, 3
 #: widths of lines of a page, in those of a figure; of sizes of points
 _WIDTH, _SIZE = 0.65, 0.7
+#: so many points are a picture in drawings, whose files would be large
+_MANY = 200
 #: share of a panel's height that a label takes
 _LABEL = 0.06
 #: of an axis beyond 0, over what is drawn
 _ROOM = 1.05
+#: words of categories beside each other, and their letters from which on they are slanted
+_MOST_CATEGORIES, _LEVEL_LETTERS = 12, 34
 
 
 def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
@@ -41,6 +48,7 @@ def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
             color=points.colour, markersize=_SIZE * points.size, alpha=points.opacity,
             markerfacecolor="none" if points.hollow else points.colour, label=plain(points.name),
             markeredgewidth=1.0 if points.hollow or points.level else 0.0,
+            rasterized=len(points.x) > _MANY, zorder=2.0 if points.cases is None else 1.5,
         )  # fmt: skip
         if points.errors is not None:
             axes.errorbar(
@@ -90,11 +98,54 @@ def _set_axis(axes: Any, name: str, axis: Axis) -> None:
     elif axis.zero and low >= 0.0 and not axis.log:
         getattr(axes, f"set_{name}lim")(0.0, _ROOM * high if high > 0.0 else 1.0)
     if axis.categories:
-        words = [plain(word) for word in axis.categories]
-        getattr(axes, f"set_{name}lim")(-0.6, len(words) - 0.4)
-        getattr(axes, f"set_{name}ticks")(range(len(words)), words)
+        _set_categories(axes, name, axis.categories)
+    elif axis.log:
+        _label_decades(getattr(axes, f"{name}axis"))
     if axis.reversed:
         getattr(axes, f"invert_{name}axis")()
+
+
+def _set_categories(axes: Any, name: str, categories: Sequence[str]) -> None:
+    """Write the words of categories, or some of them where there are many."""
+    every = -(-len(categories) // _MOST_CATEGORIES) if name == "x" else 1
+    places = range(0, len(categories), every)
+    words = [plain(categories[i]) for i in places]
+    getattr(axes, f"set_{name}lim")(-0.6, len(categories) - 0.4)
+    getattr(axes, f"set_{name}ticks")(places, words)
+    if name == "x" and sum(len(word) + 2 for word in words) > _LEVEL_LETTERS:
+        axes.tick_params(axis="x", rotation=35.0)
+        for text in axes.get_xticklabels():
+            text.set_horizontalalignment("right")
+
+
+def _label_decades(axis: Any) -> None:
+    """Label more than the decades of a logarithmic axis that has few of them."""
+    low, high = axis.get_view_interval()
+    decades = math.log10(high / low)
+    if decades >= 3.0:
+        return
+    few = MaxNLocator(4, steps=[1, 2, 5, 10])
+    subs = (1.0, 2.0, 5.0) if decades < 1.2 else (1.0, 3.0)
+    axis.set_major_locator(few if decades < 0.7 else LogLocator(subs=subs))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value, 6)))
+    axis.set_minor_locator(NullLocator())
+
+
+def legend_shape(panel: Panel, letters: int = _LETTERS, most: int | None = None) -> tuple[int, int]:
+    """Return the columns of a panel's legend, as even as may be, and its lines with its title.
+
+    Parameters
+    ----------
+    letters : that a line has room for.
+    most : columns, None for as many as there is room for.
+    """
+    labels = {curve.legend or curve.name for curve in panel.curves}
+    labels |= {mark.name for marks in (panel.bands, panel.points, panel.bars) for mark in marks}
+    labels -= {""}
+    widest = max(map(len, labels), default=0) + _GLYPH
+    columns = max(1, min(most or len(labels), letters // widest))
+    lines = -(-len(labels) // columns)
+    return -(-len(labels) // max(lines, 1)), lines + len(panel.legend.splitlines())
 
 
 def add_legend(axes: Any, title: str = "", columns: int = _MOST_COLUMNS) -> None:
@@ -122,6 +173,7 @@ def draw_labels(axes: Any, panel: Panel) -> None:
                 labels.append(label)
         for label in labels:
             axes.text(
-                label.x, label.y, f" {label.words}", color="0.3", fontsize=7.0,
-                va="top" if below else "bottom",
+                label.x, label.y, label.words if label.centred else f" {label.words}", color="0.3",
+                fontsize=7.0, va="top" if below else "bottom",
+                ha="center" if label.centred else "left",
             )  # fmt: skip

@@ -42,10 +42,11 @@ class Curve:
     x, y : (n,) float; of means between points of x, y is shorter by one, and the line has steps.
     name : of the legend and of the table of numbers.
     dash : number of its dashes, 0 for none.
-    marked : whether its points are; hidden : whether the line itself is not drawn.
+    marked : whether its points are.
     tabulated : whether a table of the panel's numbers has it.
     words : at the pointer, before its numbers.
     legend : the name in the legend, if another one.
+    cases : (n,) int, of marked points, see ``Points``.
     """
 
     x: FloatArray
@@ -56,15 +57,15 @@ class Curve:
     width: float = 1.6
     opacity: float = 1.0
     marked: bool = False
-    hidden: bool = False
     tabulated: bool = True
     words: str = ""
     legend: str = ""
+    cases: IntArray | None = None
 
 
 @dataclass(frozen=True)
 class Label:
-    """Words to the right of a place.
+    """Words at a place, to its right or centred.
 
     Parameters
     ----------
@@ -75,6 +76,7 @@ class Label:
     y: float
     words: str
     below: bool = False
+    centred: bool = False
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,8 @@ class Points:
     size : pixels of a page.
     hollow : whether only their outlines are drawn; level : whether they are short level lines.
     errors : (n,) float, half-lengths of upright bars.
-    cases : (n,) int, rows of a list of words that are at the pointer; several panels share it.
+    cases : (n,) int, rows of a list of words that are at the pointer, which panels share, or -1;
+        files have such points behind curves.
     """
 
     x: FloatArray

@@ -1,6 +1,7 @@
-"""Panels of stresses: a map in the section, along depth, and the largest in time."""
+"""Pictures of stresses: a map in the section, panels along depth, interfaces and time."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,17 +9,17 @@ from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.cases.files.reading import Outline, outlines
+from ringwear_par.cases.files.key_values import Outline, outlines
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.elasticity.stress.fields import StressState
-from ringwear_par.elasticity.stress.measures import mises
-from ringwear_par.pictures.panels import FEW_POINTS, Axis, Curve, Panel
-from ringwear_par.pictures.runs import stage
+from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES, mises
+from ringwear_par.pictures.panels import FEW_POINTS, Axis, Band, Curve, Label, Panel
+from ringwear_par.pictures.runs import RADIUS, stage
 from ringwear_par.pictures.sections import magnification
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.instants import time_unit, time_words
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.stored_stresses import stresses
+from ringwear_par.results.storage.stored_stresses import Interface, interfaces_of, stresses
 
 #: colours of a map, and the share of its values that the scale holds: edges would take them all
 _LEVELS, _TICKS, _SHARE = 24, 7, 0.99
@@ -30,6 +31,19 @@ _LEAST, _STRETCHED = 0.25, 0.5
 #: mm, within which a point of the grid lies on a face
 _ON_FACE = 1e-9
 _MISES = "von Mises stress (MPa)"
+#: of the components that both sides of an interface share, words for a legend
+_TRACTIONS = {
+    "zz": "normal \N{GREEK SMALL LETTER SIGMA}zz (+ opens)",
+    "rz": "shear \N{GREEK SMALL LETTER TAU}rz",
+    "tz": "friction's \N{GREEK SMALL LETTER TAU}tz",
+}
+#: how far beside the contact interfaces are drawn, over its width
+_BESIDE = 0.5
+#: share of the highest values that is left above and below them
+_ROOM = 0.05
+#: share of the radii drawn from which on a part that is worn through is told in words, and where
+_WIDE, _TEXT_HEIGHT = 0.2, 0.6
+_DARK, _PALE = "#666666", "#999999"
 
 
 def highest(states: Sequence[StressState]) -> float:
@@ -213,3 +227,88 @@ def largest(results: Sequence[Result], labels: Sequence[str]) -> Panel:
         Axis(f"time ({unit})", zero=True), Axis(title, zero=True), title, excluded, curves=curves,
         legend=excluded,
     )  # fmt: skip
+
+
+def along_interfaces(result: Result, label: str, states: Sequence[StressState]) -> Iterator[Panel]:
+    """Yield the tractions along each interface at some states, then von Mises' on both sides.
+
+    Panels of one interface have one scale.
+    """
+    chosen = [COMPONENTS.index(name) for name in _TRACTIONS]
+    sides = [f"just {side}" for side in SIDES]
+    for interface in interfaces_of(result):
+        values = [interface.stress(state)[0][:, chosen].T for state in states]
+        for panel in _along(result, label, interface, states, values, [*_TRACTIONS.values()]):
+            yield replace(panel, y=replace(panel.y, label="traction on the interface (MPa)"))
+    for interface in interfaces_of(result):
+        values = [mises(interface.stress(state)) for state in states]
+        for panel in _along(result, label, interface, states, values, sides):
+            low, high = panel.y.ends or (0.0, 1.0)
+            yield replace(panel, y=Axis(_MISES, ends=(max(low, 0.0), high)))
+
+
+def _along(
+    result: Result, label: str, interface: Interface, states: Sequence[StressState],
+    values: Sequence[FloatArray], names: Sequence[str],
+) -> Iterator[Panel]:  # fmt: skip
+    """Yield the panel of each state: curves under the contact and beside it, free edges shaded.
+
+    Parameters
+    ----------
+    values : (c, m) MPa, by state; on the scale of all, but for what is beside free edges.
+    names : of the c curves.
+    """
+    r, contact, exclude = interface.r, result.line.edges[[0, -1]], stresses(result).exclude
+    contour = outlines(result.case, result.name)[interface.body].contour[:, 0]
+    beside = _BESIDE * float(np.ptp(contact))
+    low = max(float(contour.min()), contact[0] - beside)
+    high = min(float(contour.max()), contact[1] + beside)
+    free = [end for end in (contour.min(), contour.max()) if low <= end <= high and end > 0.0]
+    scaled = (r >= low) & (r <= high)
+    for end in free:
+        scaled &= np.abs(r - end) >= exclude
+    extent = np.concatenate([of_state[:, scaled].ravel() for of_state in values])
+    extent = np.append(extent[np.isfinite(extent)], 0.0)
+    room = _ROOM * float(np.ptp(extent)) or 1.0
+    bottom, top = float(extent.min()) - room, float(extent.max()) + room
+    upright = np.array([bottom, top, np.nan])
+    edges = Curve(
+        np.repeat(contact, 3), np.tile(upright, 2), "edges of contact", _PALE, 3, 1.2,
+        tabulated=False,
+    )  # fmt: skip
+    zero = Curve(np.array([low, high]), np.zeros(2), "", _DARK, 0, 1.0, tabulated=False)
+    shades = [
+        Band(
+            end + exclude * np.array([-1.0, 1.0]), np.full(2, bottom), np.full(2, top), "",
+            ("", ""), "#000000", 0.1,
+        )
+        for end in free
+    ]  # fmt: skip
+    note = f"shaded: {exclude:g} mm beside free edges, where stress is infinite"
+    note = note if exclude and free else ""
+    end_time = float(result.histories["time"][-1])
+    for state, of_state in zip(states, values, strict=True):
+        curves = [
+            Curve(r, curve, name, COLOURS[number], number)
+            for number, (curve, name) in enumerate(zip(of_state, names, strict=True))
+        ]
+        time = time_words(state.time, end_time)
+        lines = [": ".join(filter(None, (label, time))), interface.name, note]
+        yield Panel(
+            Axis(RADIUS, ends=(low, high)), Axis("", ends=(bottom, top)),
+            f"{interface.name}, {time}", note, curves=[*curves, edges, zero], bands=shades,
+            legend="\n".join(filter(None, lines)),
+            labels=_worn_through(r, of_state, (low, high), bottom + _TEXT_HEIGHT * (top - bottom)),
+        )  # fmt: skip
+
+
+def _worn_through(
+    r: FloatArray, values: FloatArray, ends: tuple[float, float], height: float
+) -> list[Label]:
+    """Return words in the widest part of an interface that has no stress, if it is wide."""
+    known = np.isfinite(values).all(axis=0)
+    gone = np.ma.clump_masked(np.ma.array(r, mask=~known))
+    first, last = max(((r[part][0], r[part][-1]) for part in gone), key=np.ptp, default=(0.0, 0.0))
+    if last - first < _WIDE * (ends[1] - ends[0]):
+        return []
+    return [Label(0.5 * float(first + last), height, "worn through", centred=True)]

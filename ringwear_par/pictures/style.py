@@ -1,6 +1,7 @@
 """What all figures share: one style, colours that stay apart, words for values."""
 
 import io
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -65,6 +66,11 @@ def stage_colour(number: int, count: int) -> Any:
 def plain(text: str) -> str:
     """Return a text of a user as matplotlib draws it, letter by letter, on one line."""
     return legible(text, 200).replace("$", r"\$")
+
+
+def number_text(value: float, digits: int) -> str:
+    """Return a number in so many digits, its exponent short."""
+    return re.sub(r"e([+-])0*", lambda e: "e" + e[1].strip("+"), f"{value:.{digits}g}")
 
 
 def in_words(value: Any, unit: str = "") -> str:

@@ -47,19 +47,19 @@ def fit_page(folder: Path) -> Page:
     sections: list[Section] = []
     title = f"Fit: {legible(folder.resolve().name)}"
     if (folder / folders.FIT).exists():
-        with _stored_outcome(folder / folders.FIT, "the outcome of ringwear fit") as outcome:
+        with stored_outcome(folder / folders.FIT, "the outcome of ringwear fit") as outcome:
             sections += _fitted(folder, outcome)
     else:
         title = f"Design: {legible(folder.resolve().name)}"
     if (folder / folders.DESIGN).exists():
-        with _stored_outcome(folder / folders.DESIGN, "the outcome of ringwear design") as outcome:
+        with stored_outcome(folder / folders.DESIGN, "the outcome of ringwear design") as outcome:
             sections.insert(max(len(sections) - 1, 0), _designed(folder, outcome))
     kind = "Fit of a wear law" if title.startswith("Fit") else "Design of the next tests"
     return Page(kind, title, sections)
 
 
 @contextmanager
-def _stored_outcome(path: Path, kind: str) -> Iterator[dict[str, Any]]:
+def stored_outcome(path: Path, kind: str) -> Iterator[dict[str, Any]]:
     """Yield the content of a JSON file; whoever misses something in it says that it is damaged."""
     fault, text = f"{path}: is not {kind}, or is damaged", read_file(path)
     try:
@@ -74,7 +74,7 @@ def _stored_outcome(path: Path, kind: str) -> Iterator[dict[str, Any]]:
         raise InputError(fault) from error
 
 
-def _picture(title: str, path: Path, alt: str) -> Picture:
+def stored_picture(title: str, path: Path, alt: str) -> Picture:
     """Return a picture of the folder.
 
     Raises
@@ -104,7 +104,7 @@ def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:
             "Relative likelihood of each fitted key, and confidence ellipses of each pair of them; "
             "estimates, intervals and correlations are in the table above"
         )
-        estimates = _picture("Fitted keys", picture, alt)
+        estimates = stored_picture("Fitted keys", picture, alt)
         sections.append(Section("Likelihoods and ellipses", [estimates]))
     if outcome["alternatives"]:
         sections.append(Section("Other laws", [_alternatives(outcome)]))
@@ -264,7 +264,7 @@ def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
     picture, following = folder / folders.MAP, folder / folders.NEXT
     if picture.exists():
         alt = "Predicted standard deviations of the fitted keys over the tests; numbers above"
-        blocks.append(_picture("Map of the tests", picture, alt))
+        blocks.append(stored_picture("Map of the tests", picture, alt))
     if following.exists():
         blocks.append(Source("The best tests, as tables of a fit file", read_file(following)))
     return Section("The next tests", blocks)

@@ -1,4 +1,4 @@
-"""``ringwear report``: a page of a run, or of the folder of a sweep or a fit, in one file."""
+"""``ringwear report``: a page of a run, a sweep, a fit or a measurement, in one file."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -24,7 +24,7 @@ def report(source: Result | str | Path, output: str | Path) -> str:
 
     Parameters
     ----------
-    source : a result, its file, or the folder of a sweep, a fit or a design.
+    source : a result, its file, or the folder of a sweep, a fit, a design or a measurement.
     output : the page's file, .html.
 
     Raises
@@ -68,14 +68,18 @@ def _page(source: Result | str | Path) -> Page:
         from ringwear_par.reports.fit_page import fit_page
 
         return fit_page(folder)
+    if (folder / folders.MEASURE).exists():
+        from ringwear_par.reports.measure_page import measure_page
+
+        return measure_page(folder)
     if (folder / RESULTS).exists():
         from ringwear_par.reports.sweep_page import sweep_page
 
         return sweep_page(folder)
     raise InputError(
-        f"{folder}: holds none of {folders.FIT}, {folders.DESIGN} and {RESULTS}; must be a "
-        "result file, or a folder that ringwear sweep (without --slice), fit or design has "
-        "completed"
+        f"{folder}: holds none of {folders.FIT}, {folders.DESIGN}, {folders.MEASURE} and "
+        f"{RESULTS}; must be a result file, or a folder that ringwear sweep (without --slice), "
+        "fit, design or measure has completed"
     )
 
 

@@ -10,7 +10,7 @@ from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.pictures import runs
 from ringwear_par.pictures.figures import plot
-from ringwear_par.pictures.stresses import along_height, largest
+from ringwear_par.pictures.stresses import along_height, along_interfaces, largest
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -36,11 +36,6 @@ from ringwear_par.results.storage.stored_stresses import nearest_states
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES
 
 _TABULATED = [v for name, v in HISTORIES.items() if name not in ("twist", "contact_iterations")]
-#: pictures of stresses, in words for those who do not see them
-_STRESS_PICTURES = {
-    "stress": "map of von Mises stress in the section",
-    "interfaces": "tractions along interfaces, von Mises stress on both sides",
-}
 #: most instants of a slider
 _SLIDER = 120
 #: instants of the table of histories
@@ -163,19 +158,23 @@ def _stresses(result: Result) -> list[Section]:
     if result.stress is None or not result.stress.states:
         return []
     states = result.stress.states
-    gridded, label = len(result.stress.grid[0]) > 0, "Line chart: von Mises stress"
+    gridded, last = len(result.stress.grid[0]) > 0, nearest_states(states, [])
+    label = "Line chart: von Mises stress"
     blocks: list[Block] = []
-    pictures = ["stress"] * gridded
-    pictures += ["interfaces"] * any(len(of.z) for of in result.stress.interfaces)
-    if pictures:
-        content = io.BytesIO()
-        plot(result, pictures).savefig(content, format="png", dpi=150)
-        alt = ", ".join(_STRESS_PICTURES[name] for name in pictures)
-        blocks.append(Picture("Stress inside", content.getvalue(), "image/png", alt))
     charts = []
     if gridded:
-        along = along_height(result, "", nearest_states(states, []))
+        content = io.BytesIO()
+        plot(result, "stress").savefig(content, format="png", dpi=150)
+        alt = "Map of von Mises stress in the section"
+        blocks.append(Picture("Stress inside", content.getvalue(), "image/png", alt))
+        along = along_height(result, "", last)
         charts.append(Chart("depth", along, f"{label} along the height at {along.legend}"))
+    if any(len(of.z) for of in result.stress.interfaces):
+        blocks.append(Lines(["Beside von Mises stress: tractions along interfaces of layers."]))
+        charts += [
+            Chart(f"interface-{number}", panel, f"Line chart: {panel.y.label}, {panel.title}")
+            for number, panel in enumerate(along_interfaces(result, "", last), start=1)
+        ]
     if len(states) > 1:  # one is no history
         charts.append(Chart("mises", largest([result], [""]), f"{label}, the largest over time"))
     if charts:

@@ -23,12 +23,13 @@ from ringwear_par.reports.blocks import (
     Table,
     software,
 )
-from ringwear_par.studies.analysis.sensitivity import done_cases
+from ringwear_par.studies.analysis.responses import done_cases
+from ringwear_par.studies.analysis.sensitivity import Indices, sensitivity_indices
 from ringwear_par.studies.analysis.surrogate import surrogate
 from ringwear_par.studies.definition.variations import own_key
-from ringwear_par.studies.pictures import panels as sweeps
 from ringwear_par.studies.pictures.choice import Choice, choose
-from ringwear_par.studies.pictures.index_bars import IndexBars, index_bars
+from ringwear_par.studies.pictures.effects import effects, index_panels, pointed_cases
+from ringwear_par.studies.pictures.histories import case_words, histories
 from ringwear_par.studies.storage.end_values import entry_of, final_name
 from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.storage.results_file import count_flags
@@ -54,13 +55,13 @@ def sweep_page(folder: Path) -> Page:
             regressions, why = surrogate(ensemble), ""
         except InputError as error:
             regressions, why = None, f"No surrogate: {error}"
-        bars = index_bars(ensemble, regressions)
-        chosen = choose(ensemble, regressions, bars)
-        sections.append(Section("Histories", [_histories(ensemble, chosen)]))
-        sections.append(Section("Final values", _effects(ensemble, chosen, why)))
+        indices = sensitivity_indices(ensemble, regressions)
+        choice = choose(ensemble, regressions, indices)
+        sections.append(Section("Histories", [_histories(ensemble, choice)]))
+        sections.append(Section("Final values", _effects(ensemble, choice, why)))
         absence = "No indices: they need two varied numbers, and a design of enough cases."
-        blocks: list[Block] = [_index_charts(bars) if bars else Lines([absence])]
-        sections.append(Section("Sensitivity", [*blocks, *map(_indices, bars)]))
+        blocks: list[Block] = [_index_charts(indices) if indices else Lines([absence])]
+        sections.append(Section("Sensitivity", [*blocks, *map(_index_table, indices)]))
     sections.append(Section("Cases", [_cases(ensemble)]))
     sections.append(_reproduced(ensemble))
     return Page("Sweep of a study", f"Sweep: {legible(folder.resolve().name)}", sections)
@@ -130,58 +131,57 @@ def _number(value: float) -> str:
     return f"{value:.{_DIGITS}g}" if np.isfinite(value) else ""
 
 
-def _histories(ensemble: Ensemble, chosen: Choice) -> Charts:
-    panel = sweeps.histories(ensemble, chosen)
+def _histories(ensemble: Ensemble, choice: Choice) -> Charts:
+    panel = histories(ensemble, choice)
     label = f"Line chart: {panel.y.label} over {panel.x.label}"
     return Charts([Chart("histories", panel, label, 440, wide=True)])
 
 
-def _index_charts(bars: Sequence[IndexBars]) -> Charts:
+def _index_charts(indices: Sequence[Indices]) -> Charts:
     charts = []
-    for name, panel in sweeps.all_indices(bars).items():
+    for output, panel in index_panels(indices).items():
         label = f"Bar chart: {panel.title}; the table has the numbers"
-        charts.append(Chart(_name(name), panel, label, 160 + 55 * len(panel.y.categories)))
+        height = 160 + 55 * len(panel.y.categories)
+        charts.append(Chart(_name("indices", output), panel, label, height))
     return Charts(charts)
 
 
-def _name(text: str) -> str:
+def _name(*words: str) -> str:
     """Return the name of an element."""
-    return text.replace("_", "-").replace(".", "-")
+    return "-".join(words).replace("_", "-").replace(".", "-")
 
 
-def _effect_charts(ensemble: Ensemble, chosen: Choice) -> Charts:
+def _effects(ensemble: Ensemble, choice: Choice, why: str) -> list[Block]:
     charts = [
-        Chart(_name(name), panel, f"Chart: {panel.title}, a point each case")
-        for name, panel in sweeps.effects(ensemble, chosen).items()
+        Chart(_name("effect", *names), panel, f"Chart: {panel.title}, a point each case")
+        for names, panel in effects(ensemble, choice).items()
     ]
-    cases = sweeps.drawn_cases(chosen)
-    return Charts(charts, points=sweeps.words_of(ensemble, chosen, cases))
-
-
-def _effects(ensemble: Ensemble, chosen: Choice, why: str) -> list[Block]:
-    drawn = _effect_charts(ensemble, chosen)
-    lines = [f"{chosen.told}: a point each case, named where the pointer is."]
-    if len(drawn.points) < len(chosen.cases):
+    cases = pointed_cases(choice)
+    lines = [f"{choice.counts}: a point each case, named where the pointer is."]
+    if len(cases) < len(choice.cases):
         lines.append(
-            f"{len(drawn.points)} of {len(chosen.cases)} cases are drawn, chosen at random; "
-            "medians are of all."
+            f"{len(cases)} of {len(choice.cases)} cases are drawn, chosen at random; medians are "
+            "of all."
         )
-    if chosen.responses is not None:
-        lines.append("; ".join(chosen.responses.said))
+    if choice.responses is not None:
+        lines.append("; ".join(choice.responses.remarks))
     elif why:
         lines.append(why)
-    return [Lines(lines), drawn]
+    return [Lines(lines), Charts(charts, points=case_words(ensemble, choice, cases))]
 
 
-def _indices(bars: IndexBars) -> Table:
-    header = ["key", *bars.names]
-    widths = [w for w in bars.widths if w is not None]
+def _index_table(indices: Indices) -> Table:
+    columns = [indices.first, indices.influence]
+    widths = [w for w in (indices.first_width, indices.influence_width) if w is not None]
+    header = ["key", *indices.names]
     header += ["half-width of the first (95 %)", "of the second"][: len(widths)]
-    columns = [*bars.values, *widths]
-    rows = [(key, *(f"{column[i]:.3f}" for column in columns)) for i, key in enumerate(bars.keys)]
-    source = " ".join(bars.source.split())
-    noise = f"; of a key without influence {bars.noise:.3f}" if bars.noise else ""
-    return Table(f"Sensitivity of {final_name(bars.output)}: {source}{noise}", header, rows)
+    rows = [
+        (key, *(f"{column[i]:.3f}" for column in (*columns, *widths)))
+        for i, key in enumerate(indices.keys)
+    ]
+    source = " ".join(indices.source.split())
+    noise = f"; of a key without influence {indices.noise:.3f}" if indices.noise else ""
+    return Table(f"Sensitivity of {final_name(indices.output)}: {source}{noise}", header, rows)
 
 
 def _cases(ensemble: Ensemble) -> Table:

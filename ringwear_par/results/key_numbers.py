@@ -1,15 +1,16 @@
 """The key numbers of a run: one table, which the summary, the report and the explorer print."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ringwear_par.cases.case import density_keys
+from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
+from ringwear_par.history.state import State
 from ringwear_par.results.layer_ends import worn_through
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
@@ -82,12 +83,13 @@ def key_numbers(result: Result) -> list[KeyNumber]:
     """
     if result.checkpoint is None:
         raise InputError(f"{result.name}: holds no last state; must be one of a run")
+    state = result.checkpoint.state
     return [
-        *_penetration(result, result.checkpoint.arrays),
-        *(number for i in (0, 1) for number in _worn(result, result.checkpoint.arrays, i)),
+        *_penetration(result, state),
+        *(number for i in (0, 1) for number in _worn(result, state, i)),
         *(number for body in BODIES for number in _layers(result, body)),
-        *_pressures(result, result.checkpoint.arrays["pressure"]),
-        *_loads(result, result.checkpoint.numbers),
+        *_pressures(result, state.contact),
+        *_loads(result, state.contact),
         *_stresses(result),
     ]
 
@@ -97,22 +99,22 @@ def nominal_area(result: Result) -> float:
     return float(result.attributes["nominal_area"])
 
 
-def _penetration(result: Result, state: Mapping[str, Any]) -> Iterator[KeyNumber]:
+def _penetration(result: Result, state: State) -> Iterator[KeyNumber]:
     """Give the penetration and its parts.
 
     The worn part is the mean of both depths over what presses, the elastic one the rest. Where a
     face is not flat the approach also closes gaps: then there are no parts.
     """
-    group, load = "penetration", state["pressure"] * result.line.area
+    group, load = "penetration", state.contact.pressure * result.line.area
     total = 1e3 * float(result.histories["penetration"][-1])
     yield KeyNumber("penetration", group, "total", total, "um")
     if not {"face_lower", "face_upper"} & result.attributes.keys() and load.sum() > 0:
-        worn = 1e3 * float(load @ state["wear"].sum(axis=0) / load.sum())
+        worn = 1e3 * float(load @ state.wear.sum(axis=0) / load.sum())
         yield KeyNumber("worn_off", group, "worn off", worn, "um")
         yield KeyNumber("elastic", group, "elastic", total - worn, "um", ".3g")
 
 
-def _worn(result: Result, state: Mapping[str, Any], i: int) -> Iterator[KeyNumber]:
+def _worn(result: Result, state: State, i: int) -> Iterator[KeyNumber]:
     """Give the wear of a body, nothing of one that does not wear."""
     body, about, line = BODIES[i], result.attributes, result.line
     if not about[f"law_{body}"]:
@@ -124,12 +126,12 @@ def _worn(result: Result, state: Mapping[str, Any], i: int) -> Iterator[KeyNumbe
     volume = float(result.histories[f"worn_volume_{body}"][-1])
     hours = float(result.histories["time"][-1]) / 3600.0
     energy, area = float(result.histories["dissipated_energy"][-1]), nominal_area(result)
-    yield number("deepest_wear", "deepest wear", 1e3 * state["wear"][i].max(), "um")
+    yield number("deepest_wear", "deepest wear", 1e3 * state.wear[i].max(), "um")
     yield number("worn_volume", "worn volume", volume, "mm3")
     yield from _mass(result, body, volume)
     if hours > 0:
         yield number("mean_rate", "mean rate", 1e3 * volume / area / hours, "um/h", ".4g")
-        now = 3.6e6 * float(state["rates"][i] @ line.area) / area
+        now = 3.6e6 * float(state.rates[i] @ line.area) / area
         yield number("last_rate", "rate at the end", now, "um/h", ".4g")
     if about["friction"] and energy > 0:
         # load times sliding distance of every place, which is energy over friction
@@ -189,11 +191,10 @@ def _layers(result: Result, body: Which) -> Iterator[KeyNumber]:
     yield number("most_left", "largest thickness left", left.max(), "um")
 
 
-def _pressures(result: Result, p: Any) -> Iterator[KeyNumber]:
+def _pressures(result: Result, contact: ContactState) -> Iterator[KeyNumber]:
     """Give the contact pressures."""
-    assert result.checkpoint is not None
-    group, n = "pressure", result.line.n
-    mean, touching = result.checkpoint.numbers["force"] / nominal_area(result), (p > 0.0).sum()
+    group, n, p = "pressure", result.line.n, contact.pressure
+    mean, touching = contact.force / nominal_area(result), (p > 0.0).sum()
     label = "mean over the nominal annulus"
     yield KeyNumber("mean_pressure", group, label, mean, "MPa", ".4g")
     if touching:
@@ -208,17 +209,17 @@ def _pressures(result: Result, p: Any) -> Iterator[KeyNumber]:
     yield KeyNumber("touching", group, "elements in contact", int(touching), spec="d", note=note)
 
 
-def _loads(result: Result, reached: Mapping[str, Any]) -> Iterator[KeyNumber]:
+def _loads(result: Result, contact: ContactState) -> Iterator[KeyNumber]:
     """Give approach, force, torque and energy, and the sliding at the mean radius."""
     about = result.attributes
     last = {name: float(values[-1]) for name, values in result.histories.items()}
-    yield KeyNumber("force", "load", "force", reached["force"], "N")
+    yield KeyNumber("force", "load", "force", contact.force, "N")
     yield KeyNumber("torque", "load", "torque", 1e-3 * last["torque"], "N m")
     energy = 1e-3 * last["dissipated_energy"]
     yield KeyNumber("dissipated_energy", "load", "dissipated energy", energy, "J")
-    yield KeyNumber("approach", "load", "approach", reached["approach"], "mm", ".7g")
+    yield KeyNumber("approach", "load", "approach", contact.approach, "mm", ".7g")
     group, radius = "sliding at the mean radius", about["mean_radius"]
-    speed, mean = about["omega"] * radius, reached["force"] / nominal_area(result)
+    speed, mean = about["omega"] * radius, contact.force / nominal_area(result)
     yield KeyNumber("speed", group, "speed", speed, "mm/s", ".4g")
     yield KeyNumber("p_v", group, "p V", mean * speed, "MPa mm/s", ".4g")
     yield KeyNumber("distance", group, "distance", 1e-3 * about["angle"] * radius, "m", ".4g")
@@ -229,9 +230,9 @@ def _stresses(result: Result) -> Iterator[KeyNumber]:
     if result.stress is None or not result.stress.states:
         return
     state, exclude = result.stress.states[-1], result.stress.exclude
-    last = result.checkpoint
-    assert last is not None
-    beside_edge = edge_elements(last.arrays["pressure"]) & (state.time == last.numbers["time"])
+    assert result.checkpoint is not None
+    last = result.checkpoint.state
+    beside_edge = edge_elements(last.contact.pressure) & (state.time == last.time)
     group = "largest von Mises stress"
     if state.time != result.histories["time"][-1]:
         group += f" at t = {state.time:g} s"

@@ -6,7 +6,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, share
 from ringwear_par.cases.case import CHANGED
-from ringwear_par.cases.files.reading import outlines
+from ringwear_par.cases.files.key_values import outlines
 from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
 from ringwear_par.results.result import Result
 
@@ -83,9 +83,8 @@ def worn_through(result: Result, body: Which) -> list[WornThrough]:
     assert result.checkpoint is not None
     wear, times = result.profiles.get(f"wear_{body}"), result.histories["time"]
     if wear is None or wear.ndim == 1:
-        last = result.checkpoint
-        wear = last.arrays["wear"][BODIES.index(body)][None]
-        times = np.array([last.numbers["time"]])
+        last = result.checkpoint.state
+        wear, times = last.wear[BODIES.index(body)][None], np.array([last.time])
     layers, area = [], result.line.area
     for end in layer_ends(result, body):
         gone = wear >= end.depth * (1.0 - _ON)

@@ -3,18 +3,21 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par import outcomes
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.batched import one
 from ringwear_par.elasticity.geometry.mesh import ContactLine
 from ringwear_par.elasticity.stress.boundary_fields import BoundaryState
 from ringwear_par.elasticity.stress.fields import StressHistory
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.files.text import parse_toml
+from ringwear_par.history.state import Progress, Start, State
+from ringwear_par.results import outcomes
 from ringwear_par.results import variables as table
 from ringwear_par.results.stress_variables import stress_coordinates, stress_variables
 from ringwear_par.results.variables import Variable, edge_elements, layer_axis
@@ -27,19 +30,28 @@ _BALANCE = "balance_"
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """A state to go on from, as files hold it: it is of no use but to ``restored``.
+    """The last state of a history, with all that it takes to continue.
 
     Parameters
     ----------
-    numbers : by name; ``step``, ``time`` (s) and ``pending_iterations``, those of the contact
-        solver since the last stored state, among them.
-    arrays : by name, over bodies and elements.
+    start : where the history continues.
+    pending_iterations : of the contact solver since the last stored state.
     worst : of the history so far, see ``WorstStates.history``.
     """
 
-    numbers: Mapping[str, Any]
-    arrays: Mapping[str, FloatArray]
+    start: Start
+    pending_iterations: int
     worst: Mapping[str, Sequence[float]]
+
+    @cached_property
+    def state(self) -> State:
+        """The state, without the axis of histories."""
+        return one(self.start.state, 0)
+
+    @cached_property
+    def progress(self) -> Progress:
+        """Its steps, without the axis of histories."""
+        return one(self.start.progress, 0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,8 @@ def stress_coordinates(history: StressHistory) -> tuple[str, ...]:
     of_points = tuple(name for name, _ in _points(history))
     of_interfaces = (
         names
-        for of, v in zip(history.interfaces, table.INTERFACES, strict=True)
-        if len(of.z)
+        for lines, v in zip(history.interfaces, table.INTERFACES, strict=True)
+        if len(lines.z)
         for names in (v.r.name, v.z.name)
     )
     return (table.STRESS_TIME.name, *of_points, *of_interfaces)
@@ -57,16 +57,16 @@ def stress_variables(history: StressHistory) -> list[tuple[Variable, Any]]:
         ]
     for i, variable in enumerate(table.SURFACE_STRESS):
         pairs.append((variable, np.array([state.surface[i] for state in states])))
-    if any(len(of.z) for of in history.interfaces):
+    if any(len(lines.z) for lines in history.interfaces):
         pairs.append((table.SIDE, list(SIDES)))
-    for i, (of, names) in enumerate(zip(history.interfaces, table.INTERFACES, strict=True)):
-        if len(of.z):
+    for i, (lines, names) in enumerate(zip(history.interfaces, table.INTERFACES, strict=True)):
+        if len(lines.z):
             stress = np.array([state.interfaces[i] for state in states])
             pairs += [
-                (names.number, np.arange(len(of.z))),
-                (names.element, np.arange(len(of.r))),
-                (names.r, of.r),
-                (names.z, of.z),
+                (names.number, np.arange(len(lines.z))),
+                (names.element, np.arange(len(lines.r))),
+                (names.r, lines.r),
+                (names.z, lines.z),
                 (names.stress, stress),
                 (names.mises, mises(stress)),
             ]
@@ -157,5 +157,5 @@ def side_numbers(words: Any) -> FloatArray:
 
 
 def _columns(variables: tuple[Variable, ...], places: list[Largest]) -> list[tuple[Variable, Any]]:
-    rows = zip(*((of.mises, of.r, of.z, of.layer) for of in places), strict=True)
+    rows = zip(*((place.mises, place.r, place.z, place.layer) for place in places), strict=True)
     return [(v, np.array(row, v.dtype)) for v, row in zip(variables, rows, strict=True)]

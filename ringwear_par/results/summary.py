@@ -17,7 +17,7 @@ from ringwear_par.results.key_numbers import (
     in_groups,
     key_numbers,
 )
-from ringwear_par.results.result import Result
+from ringwear_par.results.result import Checkpoint, Result
 
 
 def summary(result: Result) -> str:
@@ -29,14 +29,14 @@ def summary(result: Result) -> str:
     """
     numbers = key_numbers(result)
     assert result.checkpoint is not None
-    about, reached = result.attributes, result.checkpoint.numbers
+    about, last = result.attributes, result.checkpoint
     title = str(about.get("title", ""))
-    steps, iterations = int(reached["step"]), reached["iterations"]
+    steps, iterations = int(last.progress.steps), last.progress.iterations
     checks = in_groups(check_numbers(result))
     time_steps = checks.pop(TIME_STEPS, None)
     lines = [
         *([title] if title else []),
-        *(f"WARNING: {text}" for text in (*_unfinished(about, reached), *result.doubts)),
+        *(f"WARNING: {text}" for text in (*_unfinished(about, last), *result.doubts)),
         *(f"{group}: {', '.join(map(str, them))}" for group, them in in_groups(numbers).items()),
         *_wearing(about),
         *(
@@ -45,10 +45,10 @@ def summary(result: Result) -> str:
             for body in BODIES
             if (key := f"{noun}_{body}") in about
         ),
-        f"{_steps(about, reached)}, {result.line.n} contact elements, "
+        f"{_steps(about, last)}, {result.line.n} contact elements, "
         f"{iterations / max(steps, 1):.1f} TAO iterations a step",
-        *([f"elements assembled anew {reached['assemblies']} times to follow the wear"]
-          if reached["assemblies"] else []),
+        *([f"elements assembled anew {last.start.updates} times to follow the wear"]
+          if last.start.updates else []),
         *(f"{group}: {', '.join(map(str, them))}" for group, them in checks.items()),
     ]  # fmt: skip
     if time_steps is not None:
@@ -79,22 +79,22 @@ def to_dict(result: Result) -> dict[str, Any]:
     }
 
 
-def _steps(about: Mapping[str, Any], reached: Mapping[str, Any]) -> str:
+def _steps(about: Mapping[str, Any], last: Checkpoint) -> str:
     """Return the steps of a run in words."""
-    steps, scheme = int(reached["step"]), about["scheme"]
+    steps, scheme = int(last.progress.steps), about["scheme"]
     if scheme in ("implicit", "explicit"):
         return f"{steps} of {about['time_steps']} {scheme} steps of {about['time_step']:g} s"
-    repeated = f" (and {reached['rejected']} repeated)" if reached["rejected"] else ""
-    return f"{steps} {scheme} steps{repeated} to {reached['time']:g} s"
+    repeated = f" (and {last.progress.rejected} repeated)" if last.progress.rejected else ""
+    return f"{steps} {scheme} steps{repeated} to {last.state.time:g} s"
 
 
-def _unfinished(about: Mapping[str, Any], reached: Mapping[str, Any]) -> list[str]:
+def _unfinished(about: Mapping[str, Any], last: Checkpoint) -> list[str]:
     """Return how far a history is that has not come to its end, nothing if it has."""
     if about["status"] == "complete":
         return []
-    where = f"t = {reached['time']:g} of {about['time_end']:g} s"
+    where = f"t = {last.state.time:g} of {about['time_end']:g} s"
     if about["scheme"] in ("implicit", "explicit"):
-        where = f"step {int(reached['step'])} of {about['time_steps']}"
+        where = f"step {int(last.progress.steps)} of {about['time_steps']}"
     if about.get("error"):
         return [f"failed after {where}: {about['error']}"]
     return [f"stopped after {where}: ringwear run --restart continues it"]

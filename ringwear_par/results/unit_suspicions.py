@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import Case, Ring, RingLayer
 from ringwear_par.cases.forecast import DEEP, forecasts
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.schedules import largest
@@ -55,17 +55,13 @@ def unit_suspicions(case: Case) -> tuple[ValidityWarning, ...]:
     Its mean pressures are those of the nominal annulus.
     """
     texts: list[str] = []
-    for name, ring in zip(BODIES, case.rings, strict=True):
-        texts += _in_pascals(f"{name}.young", ring.young)
-        texts += _too_dense(f"{name}.density", ring.density)
-        if max(ring.r[1], ring.z[1] - ring.z[0]) > _LARGEST:
-            texts.append(
-                f"{name} measures {max(ring.r[1], ring.z[1] - ring.z[0]):g} mm: in um? lengths "
-                "are in mm"
-            )
-        for i, layer in enumerate(ring.layers):
-            texts += _in_pascals(f"{name}.layers[{i}].young", layer.young)
-            texts += _too_dense(f"{name}.layers[{i}].density", layer.density)
+    for name, material in case.materials.items():
+        texts += _in_pascals(f"{name}.young", material.young)
+        texts += _too_dense(f"{name}.density", material.density)
+        if isinstance(material, Ring):
+            size = max(material.r[1], material.z[1] - material.z[0])
+            if size > _LARGEST:
+                texts.append(f"{name} measures {size:g} mm: in um? lengths are in mm")
     if too_much_load(case):
         texts.append(
             f"the mean pressure of {_load(case):.3g} MPa is more than a tenth of a Young's "
@@ -93,8 +89,7 @@ def deep_wear(case: Case) -> list[ValidityWarning]:
 
 def smallest_modulus(case: Case) -> float:
     """Return the smallest Young's modulus of both bodies and their layers, MPa."""
-    moduli = [ring.young for ring in case.rings]
-    return min(moduli + [layer.young for ring in case.rings for layer in ring.layers])
+    return min(material.young for material in case.materials.values())
 
 
 def too_much_load(case: Case) -> bool:
@@ -125,37 +120,31 @@ def but_varied(flags: Sequence[str], case: Case, varied: Sequence[str]) -> tuple
 
 def _too_thin(case: Case) -> Iterator[tuple[str, str]]:
     """Give the layers, key and sentence, whose thickness is likely in m."""
-    for body, ring in zip(BODIES, case.rings, strict=True):
-        for i, layer in enumerate(ring.layers):
-            if layer.thickness < _THINNEST:
-                key, thickness = f"{body}.layers[{i}].thickness", layer.thickness
-                text = (
-                    f"{key} = {thickness:g} mm is {1e6 * thickness:g} nm, thinner than coatings "
-                    f'that wear; if it is in m, write "{thickness:g} m", which is '
-                    f"{1e6 * thickness:g} um"
-                )
-                yield key, text
+    for name, layer in case.materials.items():
+        if isinstance(layer, RingLayer) and layer.thickness < _THINNEST:
+            key, thickness = f"{name}.thickness", layer.thickness
+            text = (
+                f"{key} = {thickness:g} mm is {1e6 * thickness:g} nm, thinner than coatings that "
+                f'wear; if it is in m, write "{thickness:g} m", which is {1e6 * thickness:g} um'
+            )
+            yield key, text
 
 
 def _too_fast(case: Case) -> Iterator[tuple[str, str]]:
     """Give the wear coefficients, key and sentence, by which no material wears."""
-    body_laws = (case.wear_lower, case.wear_upper)
-    for body, ring, law in zip(BODIES, case.rings, body_laws, strict=True):
-        laws = {f"wear.{body}": law}
-        laws |= {f"{body}.layers[{i}].wear": layer.wear for i, layer in enumerate(ring.layers)}
-        for table, wear in laws.items():
-            share = case.friction if isinstance(wear, AboveThreshold) else 1.0
-            names = ("k", "k_start") if isinstance(wear, AboveThreshold | ArchardLaw) else ()
-            for name in names:
-                k = largest(getattr(wear, name, 0.0))
-                if share * k > _FASTEST:
-                    text = (
-                        f"{table}.{name} = {k:g} 1/MPa is a specific wear rate of "
-                        f"{1e3 * share * k:g} mm3/(N m), more than that of any material in dry "
-                        f"sliding, {1e3 * _FASTEST:g}; if it is in mm3/(N m), "
-                        f'write "{k:g} mm3/(N m)"'
-                    )
-                    yield f"{table}.{name}", text
+    for table, wear in case.laws_by_table.items():
+        share = case.friction if isinstance(wear, AboveThreshold) else 1.0
+        names = ("k", "k_start") if isinstance(wear, AboveThreshold | ArchardLaw) else ()
+        for name in names:
+            k = largest(getattr(wear, name, 0.0))
+            if share * k > _FASTEST:
+                text = (
+                    f"{table}.{name} = {k:g} 1/MPa is a specific wear rate of "
+                    f"{1e3 * share * k:g} mm3/(N m), more than that of any material in dry "
+                    f"sliding, {1e3 * _FASTEST:g}; if it is in mm3/(N m), "
+                    f'write "{k:g} mm3/(N m)"'
+                )
+                yield f"{table}.{name}", text
 
 
 def _too_deep(case: Case) -> Iterator[tuple[str, str]]:
@@ -177,18 +166,16 @@ def _too_deep(case: Case) -> Iterator[tuple[str, str]]:
 
 def _in_gigapascals(case: Case) -> Iterator[tuple[str, str]]:
     """Give the moduli, key and sentence, that are likely in GPa; not those under too much load."""
-    for body, ring in zip(BODIES, case.rings, strict=True):
-        moduli = {f"{body}.young": (ring.young, ring.poisson)}
-        for i, layer in enumerate(ring.layers):
-            moduli[f"{body}.layers[{i}].young"] = layer.young, layer.poisson
-        for key, (young, poisson) in moduli.items():
-            soft = young < _SOFTEST or (young < _SOFT and _load(case) > _PRESSED * young)
-            if poisson < _RUBBERY and soft and _load(case) <= MOST_PRESSED * young:
-                text = (
-                    f"{key} = {young:g} MPa is softer than any solid but rubber, which has a "
-                    f"Poisson's ratio near 0.5, not {poisson:g}{_or_gigapascals(young)}"
-                )
-                yield key, text
+    for name, material in case.materials.items():
+        young, poisson = material.young, material.poisson
+        soft = young < _SOFTEST or (young < _SOFT and _load(case) > _PRESSED * young)
+        if poisson < _RUBBERY and soft and _load(case) <= MOST_PRESSED * young:
+            key = f"{name}.young"
+            text = (
+                f"{key} = {young:g} MPa is softer than any solid but rubber, which has a "
+                f"Poisson's ratio near 0.5, not {poisson:g}{_or_gigapascals(young)}"
+            )
+            yield key, text
 
 
 def _or_gigapascals(young: float) -> str:

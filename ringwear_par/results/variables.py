@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.elasticity.stress.boundary_fields import BODIES, FACES
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.elasticity.stress.measures import SIDES
 
 #: what files say they were written by
@@ -65,7 +65,8 @@ class Variable:
         return self.at_last_step() if last else self
 
 
-def _table(*variables: Variable) -> dict[str, Variable]:
+def variable_table(*variables: Variable) -> dict[str, Variable]:
+    """Return variables by their names."""
     return {variable.name: variable for variable in variables}
 
 
@@ -83,12 +84,12 @@ EDGE = Variable("edge", ("edge",), "1", "end of a contact element", integer=True
 EDGES = Variable("edges", ("edge",), "mm", "radius of the end of a contact element")
 
 #: the contact line
-LINE = _table(
+LINE = variable_table(
     Variable("r", ("element",), "mm", "radius of the element's mid-point"),
     Variable("width", ("element",), "mm", "radial length of the element"),
 )
 #: numbers at each stored state
-HISTORIES = _table(
+HISTORIES = variable_table(
     Variable("time", ("step",), "s", "time"),
     Variable("approach", ("step",), "mm", "downward displacement of the upper ring's top"),
     Variable("penetration", ("step",), "mm", "penetration depth: approach since the start"),
@@ -111,16 +112,24 @@ DISPLAY_UNITS = {
     "dissipated_energy": ("J", 1e-3),
 }
 #: fields along the contact line at each stored state, or at the last one (``at_last_step``)
-PROFILES = _table(
-    Variable("pressure", ("step", "element"), "MPa", "contact pressure, normal to the faces"),
-    Variable("gap", ("step", "element"), "mm", "gap between the deformed profiles, along the axis"),
+PROFILES = variable_table(
     Variable(
-        "wear_lower", ("step", "element"), "mm", "depth worn off the lower ring, along the axis"
+        "pressure", ("step", "element"), "MPa",
+        "contact pressure, normal to the faces, mean over the element",
     ),
     Variable(
-        "wear_upper", ("step", "element"), "mm", "depth worn off the upper ring, along the axis"
+        "gap", ("step", "element"), "mm",
+        "gap between the deformed profiles at the element's mid-point, along the axis",
     ),
-)
+    Variable(
+        "wear_lower", ("step", "element"), "mm",
+        "depth worn off the lower ring at the element's mid-point, along the axis",
+    ),
+    Variable(
+        "wear_upper", ("step", "element"), "mm",
+        "depth worn off the upper ring at the element's mid-point, along the axis",
+    ),
+)  # fmt: skip
 #: by which the pressure of such an element may be off, relative to the largest (docs/accuracy.md)
 EDGE_ERROR = 0.28
 #: of every pressure that is stored, see ``edge_elements``
@@ -155,7 +164,7 @@ def _of_both(
 ) -> dict[str, Variable]:
     """Return the variables of lower and upper, whose names and meanings have the body's."""
     of_bodies = (dimensions, tuple("layer_upper" if of == "layer" else of for of in dimensions))
-    return _table(
+    return variable_table(
         *(
             Variable(name.format(body), axes, units, meaning.format(body))
             for body, axes in zip(BODIES, of_bodies, strict=True)
@@ -179,7 +188,7 @@ LAYER_VOLUMES = _of_both(
     "volume lost by each layer of the {} ring, and by the ring itself",
 )  # fmt: skip
 #: of a history, s; an attribute of its file
-TIMES_THROUGH = _table(
+TIMES_THROUGH = variable_table(
     *(
         Variable(
             f"time_through_{body}", (), "s",
@@ -212,12 +221,21 @@ def derivative_of(variable: Variable) -> Variable:
 
 
 #: derivatives of numbers at each stored state, and of fields
-D_HISTORIES = _table(
+D_HISTORIES = variable_table(
     *(derivative_of(v) for name, v in HISTORIES.items() if name not in _NOT_DIFFERENTIATED)
 )
-D_PROFILES = _table(*map(derivative_of, PROFILES.values()))
+D_PROFILES = variable_table(*map(derivative_of, PROFILES.values()))
 #: all of them
 DERIVATIVES = {**D_HISTORIES, **D_PROFILES}
+
+
+#: all variables of a row
+VARIABLES = {**HISTORIES, **PROFILES, **LAYERS, **DERIVATIVES}
+
+
+def derivative_names(fields: Sequence[str]) -> tuple[str, ...]:
+    """Return the derivatives that are stored where these fields are."""
+    return tuple(name for name in DERIVATIVES if name in D_HISTORIES or name[2:] in fields)
 
 
 def layer_names(bodies: tuple[bool, bool]) -> tuple[str, ...]:
@@ -228,66 +246,6 @@ def layer_names(bodies: tuple[bool, bool]) -> tuple[str, ...]:
 
 #: coordinates of the result file that are no dimensions; it may lack the last
 COORDINATES = ("time", *LINE, PARAMETER_UNIT.name)
-
-# -- groups boundary/lower and boundary/upper ------------------------------------------------------
-# dimensions of their own: those of the contact line have other sizes
-
-BOUNDARY_DIMENSIONS = _table(
-    Variable(
-        "boundary_step", ("boundary_step",), "1", "number of the stored boundary state",
-        integer=True,
-    ),
-    Variable("boundary_node", ("boundary_node",), "1", "node of the boundary", integer=True),
-    Variable(
-        "boundary_element", ("boundary_element",), "1",
-        "element of the boundary; its outward normal lies to the right of its direction",
-        integer=True,
-    ),
-    Variable(
-        "corner", ("corner",), "1", "first, middle and last node of an element", integer=True
-    ),
-)  # fmt: skip
-BOUNDARY_TIME = replace(HISTORIES["time"], dimensions=("boundary_step",))
-BOUNDARY_STEPS_MADE = replace(STEPS_MADE, dimensions=("boundary_step",))
-#: nodes of the elements, and the face that each belongs to: the same at all times
-BOUNDARY_MESH = _table(
-    Variable("nodes", ("boundary_element", "corner"), "1", "nodes of the element", integer=True),
-    Variable(
-        "face", ("boundary_element",), "1",
-        "face of the body: " + ", ".join(f"{i} {name}" for i, name in enumerate(FACES)),
-        integer=True,
-    ),
-)  # fmt: skip
-
-
-def _components(
-    name: str, axes: tuple[str, ...], dimension: str, unit: str, meaning: str
-) -> tuple[Variable, ...]:
-    return tuple(
-        Variable(name.format(axis), ("boundary_step", dimension), unit, meaning.format(axis))
-        for axis in axes
-    )
-
-
-_AXES = ("r", "z", "theta")
-#: variables of the columns of each array of BoundaryFields
-BOUNDARY_FIELDS: dict[str, tuple[Variable, ...]] = {
-    "nodes": _components(
-        "{}", _AXES[:2], "boundary_node", "mm", "{} of the worn, undeformed body"
-    ),
-    "displacement": _components(
-        "displacement_{}", _AXES, "boundary_node", "mm", "displacement along {}"
-    ),
-    "traction": _components(
-        "traction_{}", _AXES, "boundary_element", "MPa", "traction along {}"
-    ),
-    "pressure": _components(
-        "pressure", ("",), "boundary_element", "MPa", "contact pressure, 0 elsewhere"
-    ),
-    "wear": _components(
-        "wear", ("",), "boundary_element", "mm", "worn depth along the axis, 0 off the contact"
-    ),
-}  # fmt: skip
 
 # -- stresses --------------------------------------------------------------------------------------
 

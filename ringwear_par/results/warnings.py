@@ -20,7 +20,7 @@ from ringwear_par.history.observers.worst_states import (
     worn_share,
 )
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.history.validity.stable_steps import stable_steps
+from ringwear_par.history.validity.stable_steps import missed_corner, stable_steps
 from ringwear_par.results.unit_suspicions import (
     MOST_PRESSED,
     ValidityWarning,
@@ -114,170 +114,176 @@ def validity_warnings(
     ----------
     worst : the worst of its history, see ``Warnings.worst``.
     """
-    warnings = list(unit_suspicions(case))
-    height = min(ring.z[1] - ring.z[0] for ring in case.rings)
-    moved, when, *_ = worst["moved"]
-    if moved > _MOST_MOVED * height:
-        # one warning for one thing: wear that much was forecast for is there
-        forecast = deep_wear(case)
-        warnings = [warning for warning in warnings if warning not in forecast]
-        warnings.append(
-            ValidityWarning(
-                "large_displacement",
-                f"approach or wear of {moved:.3g} mm at t = {when:g} s is more than 5 % of a "
-                "body's height: small displacements and the mesh of the unworn rings no longer "
-                "describe it" + "".join(f". {warning.text}" for warning in forecast),
-            )
-        )
-    approach, when, *_ = worst["approach"]
-    if any(case.open_ends) and approach > case.smallest_gaps[1]:
-        warnings.append(
-            ValidityWarning(
-                "contact_beyond_mesh",
-                f"the approach of {approach:.6g} mm at t = {when:g} s exceeds the smallest gap, "
-                f"{case.smallest_gaps[1]:.6g} mm, of the faces that mesh.contact leaves out: they "
-                "may touch there too, which is not computed",
-            )
-        )
-    warnings += [*_high_pressure(case, worst), *_few_elements(case, worst)]
-    layered = any(ring.layers for ring in case.rings)
-    reactions, asymmetry = worst.get("reactions", (0.0, 0.0)), worst["symmetry_defect"]
-    measures = [reactions] if layered else [reactions, asymmetry]
-    if reactions[0] > _MOST_DEFECT or (not layered and asymmetry[0] > _MOST_ASYMMETRIC):
-        defect, when, *_ = max(measures, key=lambda entries: entries[0])
-        warnings.append(
-            ValidityWarning(
-                "coarse_mesh",
-                f"the boundary elements' own balances are wrong by {defect:.2g} at worst, at "
-                f"t = {when:g} s: a finer mesh (mesh.contact_elements) or thicker bodies are "
-                "needed",
-            )
-        )
-    elif layered and asymmetry[0] > _MOST_FILM_DEFECT:
-        warnings.append(
-            ValidityWarning(
-                "coarse_film",
-                f"the compliance of bodies with layers is asymmetric by "
-                f"{asymmetry[0]:.2g}, as of thin films that are soft or nearly "
-                "incompressible: pressures may be wrong by three times as much; compare with a "
-                "finer mesh (mesh.contact_elements)",
-            )
-        )
     return (
-        *warnings,
+        *_deep_wear(case, worst),
+        *_contact_beyond_mesh(case, worst),
+        *_missed_corner(case),
+        *_high_pressure(case, worst),
+        *_few_elements(case, worst),
+        *_coarse_mesh(case, worst),
         *_other_stack(case, worst),
         *_unlike_slopes(case, worst),
         *_asymmetric(worst),
     )
 
 
-def _high_pressure(case: Case, worst: Mapping[str, Sequence[float]]) -> list[ValidityWarning]:
-    """Return whether a pressure was too high for linear elasticity."""
-    pressure, when, *_ = worst["mean_pressure"]
+def _missed_corner(case: Case) -> Iterator[ValidityWarning]:
+    """Yield whether fixed steps passed over a corner of the load."""
+    corner = missed_corner(case)
+    if corner is None:
+        return
+    time, load, straight = corner
+    noun, unit = ("force", "N") if case.load.displacement is None else ("displacement", "mm")
+    yield ValidityWarning(
+        "missed_corner",
+        f"steps of {case.time.step:g} s pass over the corner of the load at t = {time:g} s: the "
+        f"{noun} is {load:.6g} {unit} there, between the ends of the step {straight:.6g} {unit}; "
+        'a step must end there, which time.scheme = "adaptive" sees to',
+    )
+
+
+def _deep_wear(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
+    """Yield suspicious units, and whether wear or approach were too large for small displacements.
+
+    One warning for one thing: wear that much was forecast for is there.
+    """
+    moved, time, *_ = worst["moved"]
+    if moved <= _MOST_MOVED * min(ring.z[1] - ring.z[0] for ring in case.rings):
+        yield from unit_suspicions(case)
+        return
+    forecast = deep_wear(case)
+    yield from (warning for warning in unit_suspicions(case) if warning not in forecast)
+    yield ValidityWarning(
+        "large_displacement",
+        f"approach or wear of {moved:.3g} mm at t = {time:g} s is more than 5 % of a body's "
+        "height: small displacements and the mesh of the unworn rings no longer describe it"
+        + "".join(f". {warning.text}" for warning in forecast),
+    )
+
+
+def _contact_beyond_mesh(
+    case: Case, worst: Mapping[str, Sequence[float]]
+) -> Iterator[ValidityWarning]:
+    """Yield whether faces may have touched where mesh.contact leaves them out."""
+    approach, time, *_ = worst["approach"]
+    if any(case.open_ends) and approach > case.smallest_gaps[1]:
+        yield ValidityWarning(
+            "contact_beyond_mesh",
+            f"the approach of {approach:.6g} mm at t = {time:g} s exceeds the smallest gap, "
+            f"{case.smallest_gaps[1]:.6g} mm, of the faces that mesh.contact leaves out: they "
+            "may touch there too, which is not computed",
+        )
+
+
+def _coarse_mesh(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
+    """Yield whether the boundary elements' balances and symmetry ask for a finer mesh."""
+    reactions, asymmetry = worst.get("reactions", (0.0, 0.0)), worst["symmetry_defect"]
+    layered = any(ring.layers for ring in case.rings)
+    measures = [reactions] if layered else [reactions, asymmetry]
+    if reactions[0] > _MOST_DEFECT or (not layered and asymmetry[0] > _MOST_ASYMMETRIC):
+        defect, time, *_ = max(measures, key=lambda entries: entries[0])
+        yield ValidityWarning(
+            "coarse_mesh",
+            f"the boundary elements' own balances are wrong by {defect:.2g} at worst, at "
+            f"t = {time:g} s: a finer mesh (mesh.contact_elements) or thicker bodies are needed",
+        )
+    elif layered and asymmetry[0] > _MOST_FILM_DEFECT:
+        yield ValidityWarning(
+            "coarse_film",
+            f"the compliance of bodies with layers is asymmetric by {asymmetry[0]:.2g}, as of "
+            "thin films that are soft or nearly incompressible: pressures may be wrong by three "
+            "times as much; compare with a finer mesh (mesh.contact_elements)",
+        )
+
+
+def _high_pressure(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
+    """Yield whether a pressure was too high for linear elasticity."""
+    pressure, time, *_ = worst["mean_pressure"]
     young = smallest_modulus(case)
-    if pressure <= MOST_PRESSED * young or too_much_load(case):
-        return []
-    return [
-        ValidityWarning(
+    if pressure > MOST_PRESSED * young and not too_much_load(case):
+        yield ValidityWarning(
             "high_pressure",
-            f"the mean pressure in contact, {pressure:.3g} MPa at t = {when:g} s, is more than a "
+            f"the mean pressure in contact, {pressure:.3g} MPa at t = {time:g} s, is more than a "
             f"tenth of a Young's modulus, {young:g} MPa: no linear elasticity",
         )
-    ]
 
 
-def _few_elements(case: Case, worst: Mapping[str, Sequence[float]]) -> list[ValidityWarning]:
-    """Return whether few elements bore a load that counts among those of the history."""
+def _few_elements(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
+    """Yield whether few elements bore a load that counts among those of the history."""
     most = worst["force"][0]
     for count in range(1, FEW_ELEMENTS):
-        force, when, *_ = worst.get(force_on(count), (0.0, 0.0))
+        force, time, *_ = worst.get(force_on(count), (0.0, 0.0))
         if force > _SLIGHT_LOAD * most:
-            return [
-                ValidityWarning(
-                    "few_elements_in_contact",
-                    f"{count} of {case.line.n} elements are in contact at t = {when:g} s, under "
-                    f"{force:.4g} N: too few to resolve it; more of them "
-                    "(mesh.contact_elements) do, or mesh.contact = [r1, r2], which puts them "
-                    "where contact is",
-                )
-            ]
-    return []
+            yield ValidityWarning(
+                "few_elements_in_contact",
+                f"{count} of {case.line.n} elements are in contact at t = {time:g} s, under "
+                f"{force:.4g} N: too few to resolve it; more of them (mesh.contact_elements) do, "
+                "or mesh.contact = [r1, r2], which puts them where contact is",
+            )
+            return
 
 
-def _other_stack(case: Case, worst: Mapping[str, Sequence[float]]) -> list[ValidityWarning]:
-    """Return whether layers of another modulus were worn that elasticity still has."""
-    warnings = []
+def _other_stack(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
+    """Yield which layers of another modulus were worn that elasticity still has."""
     for i, (body, ring) in enumerate(zip(BODIES, case.rings, strict=True)):
         for number, layer in enumerate(ring.layers):
             below = [*(under.young for under in ring.layers), ring.young][number + 1]
-            share, when, *_ = worst.get(worn_share(i, number), (0.0, 0.0))
+            share, time, *_ = worst.get(worn_share(i, number), (0.0, 0.0))
             if share > _MOST_OF_LAYER and abs(layer.young / below - 1.0) > _OTHER_MODULUS:
-                warnings.append(
-                    ValidityWarning(
-                        "worn_layer",
-                        f"{100.0 * share:.0f} % of {body}.layers[{number}] is worn off where it "
-                        f"bears load at t = {when:g} s. Its modulus, {layer.young:g} MPa, is not "
-                        f"the {below:g} MPa under it, and the computed elasticity is that of the "
-                        'unworn layers. mesh.geometry = "updated" follows their wear',
-                    )
+                yield ValidityWarning(
+                    "worn_layer",
+                    f"{100.0 * share:.0f} % of {body}.layers[{number}] is worn off where it bears "
+                    f"load at t = {time:g} s. Its modulus, {layer.young:g} MPa, is not the "
+                    f"{below:g} MPa under it, and the computed elasticity is that of the unworn "
+                    'layers. mesh.geometry = "updated" follows their wear',
                 )
-    return warnings
 
 
-def _unlike_slopes(case: Case, worst: Mapping[str, Sequence[float]]) -> list[ValidityWarning]:
-    """Return whether faces that touched sloped by different angles, or from what elements have."""
-    share, when, r, lower, upper, acts = worst["unlike_slopes"]
-    if share <= _LOAD_ASIDE:
-        return []
-    return [
-        ValidityWarning(
+def _unlike_slopes(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
+    """Yield whether faces that touched sloped by different angles, or from what elements have."""
+    share, time, r, lower, upper, acts = worst["unlike_slopes"]
+    if share > _LOAD_ASIDE:
+        yield ValidityWarning(
             "unlike_slopes",
-            f"{100.0 * share:.2g} % of the load at t = {when:g} s is borne where the pressure acts "
+            f"{100.0 * share:.2g} % of the load at t = {time:g} s is borne where the pressure acts "
             f"along a normal more than {MOST_ANGLE:g} degrees off that of a face: at "
             f"r = {r:.6g} mm lower slopes by {lower:.3g}, upper by {upper:.3g} degrees, and the "
             f"pressure is that on a face of {acts:.3g} degrees"
             + ('; mesh.geometry = "updated" follows the worn faces' * (not case.follows_wear)),
-        ),
-    ]
+        )
 
 
-def _asymmetric(worst: Mapping[str, Sequence[float]]) -> list[ValidityWarning]:
-    """Return whether making the compliance symmetric spoiled pressures."""
-    error, when, r, *_ = worst["asymmetry"]
-    if error <= _MOST_ASYMMETRY:
-        return []
-    return [
-        ValidityWarning(
+def _asymmetric(worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
+    """Yield whether making the compliance symmetric spoiled pressures."""
+    error, time, r, *_ = worst["asymmetry"]
+    if error > _MOST_ASYMMETRY:
+        yield ValidityWarning(
             "asymmetric_compliance",
             f"a pressure at r = {r:.6g} mm was about {error:.2g} off that of the collocated "
-            f"equations at t = {when:g} s, whose matrix was made symmetric: a finer mesh or a "
+            f"equations at t = {time:g} s, whose matrix was made symmetric: a finer mesh or a "
             "milder grading is needed",
         )
-    ]
 
 
 def _infinite_stress(
     history: StressHistory, worst: Mapping[str, Sequence[float]]
-) -> tuple[ValidityWarning, ...]:
-    """Return whether the largest stress was where it would be infinite."""
-    mises, when, r, *_ = worst["infinite_stress"]
-    if mises == 0.0 or when not in [state.time for state in history.states]:
-        return ()
-    return (
-        ValidityWarning(
+) -> Iterator[ValidityWarning]:
+    """Yield whether the largest stress was where it would be infinite."""
+    largest, time, r, *_ = worst["infinite_stress"]
+    if largest and time in [state.time for state in history.states]:
+        yield ValidityWarning(
             "infinite_stress",
-            f"the largest von Mises stress at t = {when:g} s, {mises:.5g} MPa, is found beside the "
-            f"edge of contact at r = {r:.6g} mm, where it is infinite as long as no wear has "
-            f"rounded the edge: what is found grows as stress.exclude, now {history.exclude:g} mm, "
-            "is made smaller",
-        ),
-    )
+            f"the largest von Mises stress at t = {time:g} s, {largest:.5g} MPa, is found beside "
+            f"the edge of contact at r = {r:.6g} mm, where it is infinite as long as no wear has "
+            "rounded the edge: what is found grows as stress.exclude, now "
+            f"{history.exclude:g} mm, is made smaller",
+        )
 
 
 def _worn_points(
     case: Case, history: StressHistory, places: CaseStresses, wear: FloatArray | None
-) -> tuple[ValidityWarning, ...]:
-    """Return whether points of stress lie where wear has been at the last of its states.
+) -> Iterator[ValidityWarning]:
+    """Yield whether points of stress lie where wear has been at the last of its states.
 
     Points on faces are of the faces as they are, and points in layers that are worn through have no
     stress: they are left out.
@@ -287,27 +293,25 @@ def _worn_points(
     wear : (2, n) mm, at the last state of stress; None where it is not known.
     """
     if wear is None or not wear.any() or case.follows_wear:
-        return ()
+        return
     assert case.stress is not None
     state, under = history.states[-1], case.line.element_at(history.points[:, 0])
     bodies, depths = places.of_points, places.depths
     worn = np.where(under >= 0, wear[bodies, under], 0.0)
-    known = np.isfinite(state.points).all(axis=1)
-    points = np.flatnonzero(known & (depths > 0.0) & (worn > depths)).tolist()
+    computed = np.isfinite(state.points).all(axis=1)
+    points = np.flatnonzero(computed & (depths > 0.0) & (worn > depths)).tolist()
     if not points:
-        return ()
+        return
     first, *more = points
     r, z, _ = case.stress.points[first]
-    return (
-        ValidityWarning(
-            "worn_points",
-            f"stress.points[{first}], at r = {r:.6g}, z = {z:.6g} mm, lies {depths[first]:.4g} mm "
-            f"under the face of {BODIES[bodies[first]]}, of which {worn[first]:.4g} mm is worn off "
-            f"there at t = {state.time:g} s"
-            + (f" ({len(more)} more of stress.points likewise)" if more else "")
-            + ': with mesh.geometry = "fixed" stresses are those of the unworn shape, with '
-            '"updated" there is none where nothing is left',
-        ),
+    yield ValidityWarning(
+        "worn_points",
+        f"stress.points[{first}], at r = {r:.6g}, z = {z:.6g} mm, lies {depths[first]:.4g} mm "
+        f"under the face of {BODIES[bodies[first]]}, of which {worn[first]:.4g} mm is worn off "
+        f"there at t = {state.time:g} s"
+        + (f" ({len(more)} more of stress.points likewise)" if more else "")
+        + ': with mesh.geometry = "fixed" stresses are those of the unworn shape, with '
+        '"updated" there is none where nothing is left',
     )
 
 

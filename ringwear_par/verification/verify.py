@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from mpi4py import MPI
 
@@ -17,21 +17,30 @@ from ringwear_par.verification.histories import history_checks
 from ringwear_par.verification.layers import layer_checks
 from ringwear_par.verification.paper import paper_checks
 from ringwear_par.verification.slopes import slope_checks
+from ringwear_par.verification.tao_types import tao_checks
 
 _WIDTH = 78
 
 
+#: what there is, in the order of the table that is printed
+CHECKS: tuple[Callable[[MPI.Comm], Iterator[Check]], ...] = (
+    elasticity_checks,
+    half_space_checks,
+    sphere_checks,
+    paper_checks,
+    layer_checks,
+    stress_checks,
+    edge_checks,
+    slope_checks,
+    tao_checks,
+    history_checks,
+)
+
+
 def checks(comm: MPI.Comm) -> Iterator[Check]:
     """Run all checks, one after another. Collective on comm."""
-    yield from elasticity_checks(comm)
-    yield from half_space_checks(comm)
-    yield from sphere_checks(comm)
-    yield from paper_checks(comm)
-    yield from layer_checks(comm)
-    yield from stress_checks(comm)
-    yield from edge_checks(comm)
-    yield from slope_checks(comm)
-    yield from history_checks(comm)
+    for checks_of_one_kind in CHECKS:
+        yield from checks_of_one_kind(comm)
 
 
 def verify(comm: MPI.Comm) -> None:

@@ -17,7 +17,9 @@ from ringwear_par.schedules import (
     Stacked,
     breakpoints,
     history,
+    largest,
     quantity_text,
+    smallest,
     take,
     value,
 )
@@ -247,7 +249,15 @@ class Law:
         table : what their names begin with, "wear.lower.".
         values : by name; None for one that is not given, none at all for one that is wrong itself.
         """
-        return []
+        faults = []
+        for name, parameter in parameters_of(cls).items():
+            quantity, least = values.get(name), values.get(parameter.at_least)
+            if quantity is not None and least is not None and smallest(quantity) < largest(least):
+                faults.append(
+                    f"{table}{name} = {quantity_text(quantity)}: must be at least "
+                    f"{table}{parameter.at_least} = {quantity_text(least)}"
+                )
+        return faults
 
 
 def stack_laws(laws: Sequence[Law | None]) -> Law | None:

@@ -26,6 +26,7 @@ class Parameter:
         a number only, pairs (p V, rate), the name of a Python file, a table of quantities.
     low, high : between which numbers may lie.
     ends : whether they may be these too.
+    at_least : the parameter of the same law that it is never less than, "" for none.
     local : whether the rate at a place depends on it, and has a derivative with respect to it.
     name, default : of the field that declares it; the default is ... where it must be given.
     """
@@ -36,6 +37,7 @@ class Parameter:
     low: float = 0.0
     high: float = math.inf
     ends: bool = True
+    at_least: str = ""
     local: bool = True
     name: str = ""
     default: Any = ...

@@ -9,7 +9,8 @@ import pytest
 from paths import PAPER
 
 from ringwear_par.cases.files.reading import parse_case, read_case
-from ringwear_par.cases.schema import KEYS, key_table
+from ringwear_par.cases.schema import KEYS
+from ringwear_par.cases.tables import key_table
 from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic.bodies import operator_key

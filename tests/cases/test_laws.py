@@ -9,7 +9,8 @@ from paths import CASES, PAPER
 
 from ringwear_par.cases.files.law_trials import check_laws
 from ringwear_par.cases.files.reading import parse_case, read_case
-from ringwear_par.cases.schema import BY_PATH, KEYS, key_table
+from ringwear_par.cases.schema import BY_PATH, KEYS
+from ringwear_par.cases.tables import key_table
 from ringwear_par.errors import InputError
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of

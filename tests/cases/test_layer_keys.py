@@ -12,7 +12,8 @@ from ringwear_par.cases.case import Case, RingLayer
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.cases.numbers import interval_of, with_numbers
-from ringwear_par.cases.schema import KEYS, key_table, unit_of
+from ringwear_par.cases.schema import KEYS, unit_of
+from ringwear_par.cases.tables import key_table
 from ringwear_par.elasticity.geometry.sections import Material
 from ringwear_par.history.elastic.bodies import bodies, operator_key
 from ringwear_par.history.validity.case_limits import check_mesh

@@ -3,6 +3,7 @@
 import difflib
 import json
 import os
+import pickle
 
 import numpy as np
 import pytest
@@ -67,6 +68,14 @@ def test_keys_too_deep_and_too_long():
     told = refusal(parse_case, many + TEXT, "case.toml").splitlines()
     assert len(told) == 101
     assert told[-1] == "and 900 faults more"
+
+
+def test_faults_that_are_raised_again_keep_their_number():
+    """Every command raises those of a file on all ranks."""
+    first = InputError(*(f"fault {number}" for number in range(1000)))
+    assert first.faults[-1] == "and 900 faults more"
+    assert InputError(*first.faults).faults == first.faults
+    assert pickle.loads(pickle.dumps(first)).faults == first.faults
 
 
 @pytest.mark.parametrize("source", ["law", "override"])

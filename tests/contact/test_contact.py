@@ -3,10 +3,12 @@
 import active_set
 import numpy as np
 import pytest
+from one_contact import OneContact
 from petsc4py import PETSc
 from wearing import step_wear
 
-from ringwear_par.contact.solver import TAO_TYPES, ContactSolver
+from ringwear_par.contact import newton
+from ringwear_par.contact.engine import TAO_TYPES
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.wear.laws.threshold import ThresholdLaw
@@ -57,7 +59,7 @@ def tao_type(request):
 def test_every_type_agrees_with_the_independent_solver(problem, comm, tao_type, shape):
     line, stiffness = problem
     gap = gaps(N)[shape]
-    with ContactSolver(stiffness, line.area) as solver:
+    with OneContact(stiffness, line.area) as solver:
         state = solver.solve(gap, force=FORCE)
         p, delta = active_set.solve(stiffness, line.area, gap, force=FORCE)
         assert np.abs(state.pressure - p).max() <= 1e-8 * p.max()
@@ -78,7 +80,7 @@ def test_implicit_wear_of_two_bodies(problem, comm, tao_type, shape):
     gap, power = gaps(N)[shape], 0.35 * line.arm
     laws = ThresholdLaw(1e-6, 40.0), ThresholdLaw(2e-6, 85.0)
     rise = [20.0 * law.k * power for law in laws]
-    with ContactSolver(stiffness, line.area) as solver:
+    with OneContact(stiffness, line.area) as solver:
         state = solver.solve(gap, force=FORCE, wear=step_wear(laws, power, 20.0))
     p, delta = active_set.solve(
         stiffness, line.area, gap, force=FORCE, laws=[40.0, 85.0], rise=rise
@@ -89,22 +91,30 @@ def test_implicit_wear_of_two_bodies(problem, comm, tao_type, shape):
     assert state.approach == pytest.approx(delta, rel=1e-8)
 
 
-def test_random_problems(problem, comm):
+@pytest.mark.parametrize("plain", [newton.PLAIN_ITERATIONS, 0], ids=["plain", "damped"])
+def test_random_problems(problem, comm, monkeypatch, plain):
+    """By plain steps, or by those of histories whose sets cycle."""
+    monkeypatch.setattr(newton, "PLAIN_ITERATIONS", plain)
     line, stiffness = problem
     rng = np.random.default_rng(11)
-    with ContactSolver(stiffness, line.area) as solver:
-        for _ in range(60):
+    with OneContact(stiffness, line.area) as solver:
+        for number in range(60):
             gap = rng.choice([0.0, 0.01, 0.1]) * rng.random(N)
             laws = tuple(ThresholdLaw(10 ** rng.uniform(-8, -5), rng.uniform(0, 150)) for _ in "ab")
             power, step = 0.35 * line.arm, 10 ** rng.uniform(-1, 2)
             force = 10 ** rng.uniform(2, 5)
-            state = solver.solve(gap, force=force, wear=step_wear(laws, power, step))
+            wear = step_wear(laws, power, step)
+            state = solver.solve(gap, force=force, wear=wear)
             p, delta = active_set.solve(
                 stiffness, line.area, gap, force=force,
                 laws=[law.p0 for law in laws], rise=[step * law.k * power for law in laws],
             )  # fmt: skip
             assert np.abs(state.pressure - p).max() <= 1e-8 * p.max()
             assert state.approach == pytest.approx(delta, rel=1e-8)
+            assert abs(state.force / force - 1) <= 1e-10
+            if number % 10 == 0:
+                again = solver.solve(gap, approach=delta, wear=wear)
+                assert np.abs(again.pressure - p).max() <= 1e-8 * p.max()
 
 
 @pytest.mark.parametrize("tao_type", TAO_TYPES, indirect=True)
@@ -112,7 +122,7 @@ def test_random_problems(problem, comm):
 def test_light_loads_between_wide_gaps(problem, comm, tao_type, shape):
     line, stiffness = problem
     gap = gaps(N)[shape]
-    with ContactSolver(stiffness, line.area) as solver:
+    with OneContact(stiffness, line.area) as solver:
         for force in (1e-6, 1e-3, 1.0):
             p, _ = active_set.solve(stiffness, line.area, gap, force=force)
             state = solver.solve(gap, force=force)
@@ -123,7 +133,7 @@ def test_light_loads_between_wide_gaps(problem, comm, tao_type, shape):
 def test_violent_wear(problem, comm):
     line, stiffness = problem
     wear = step_wear((ThresholdLaw(1e3),), 0.35 * line.arm, 1.0)
-    with ContactSolver(stiffness, line.area) as solver:
+    with OneContact(stiffness, line.area) as solver:
         state = solver.solve(np.zeros(N), force=FORCE, wear=wear)
     # elasticity is nothing against this: all elements wear alike, p r is constant
     steady = FORCE / (line.area / line.arm).sum()
@@ -132,7 +142,7 @@ def test_violent_wear(problem, comm):
 
 def test_linear_in_the_load_while_all_is_in_contact(problem, comm):
     line, stiffness = problem
-    with ContactSolver(stiffness, line.area) as solver:
+    with OneContact(stiffness, line.area) as solver:
         one = solver.solve(np.zeros(N), force=1.0)
         many = solver.solve(np.zeros(N), force=1e6)
     assert many.pressure == pytest.approx(1e6 * one.pressure, rel=1e-12)
@@ -141,7 +151,7 @@ def test_linear_in_the_load_while_all_is_in_contact(problem, comm):
 
 def test_no_contact_at_a_small_approach(problem, comm):
     line, stiffness = problem
-    with ContactSolver(stiffness, line.area) as solver:
+    with OneContact(stiffness, line.area) as solver:
         state = solver.solve(np.full(N, 0.1), approach=0.05)
     assert state.force == 0.0
     assert state.gap == pytest.approx(np.full(N, 0.05))
@@ -153,7 +163,7 @@ def test_failure_is_an_error_that_names_reason_and_residual(problem, comm):
     options["contact_tao_max_it"] = 1
     try:
         with (
-            ContactSolver(stiffness, line.area) as solver,
+            OneContact(stiffness, line.area) as solver,
             pytest.raises(
                 ComputationError, match=r"reason \w+ \(-?\d+\) after 1 iterations.*residual"
             ),
@@ -169,7 +179,7 @@ def test_unknown_tao_type_is_refused(problem, comm):
     options["contact_tao_type"] = "blmvm"
     try:
         with pytest.raises(InputError, match="must be one of python, tron, bnls"):
-            ContactSolver(stiffness, line.area)
+            OneContact(stiffness, line.area)
     finally:
         del options["contact_tao_type"]
 
@@ -177,7 +187,7 @@ def test_unknown_tao_type_is_refused(problem, comm):
 def test_warm_steps_take_one_iteration(paper_pair, comm):
     case, pair = paper_pair
     matrix = pair.compliance(young(case)).matrix
-    with ContactSolver(matrix, pair.line.area) as solver:
+    with OneContact(matrix, pair.line.area, pair.line.arm) as solver:
         gap = np.zeros(pair.line.n)
         wear = step_wear((case.wear_lower,), case.friction * case.load.omega * pair.line.arm, 1.0)
         counts = []

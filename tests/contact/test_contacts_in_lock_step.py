@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from one_contact import OneContact
 
-from ringwear_par.contact import hessians
-from ringwear_par.contact.bases import Bases, RowGroups
-from ringwear_par.contact.batch import BatchSolver
+from ringwear_par.contact import hessians, newton
+from ringwear_par.contact.engine import TAO_TYPES, ContactEngine
 from ringwear_par.contact.problem import KKT_TOLERANCE, WarmStart
-from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.contact.row_products import RowProducts
+from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.errors import HistoriesError
 from ringwear_par.wear.averaging import averaging
 from ringwear_par.wear.increment import WearIncrement
@@ -49,19 +50,23 @@ def wear_of(name):
                          (average, None))  # fmt: skip
 
 
+def engine_of(which, tao_type=None):
+    """An engine of histories that have these compliances."""
+    return ContactEngine(ScaledCompliances.of(COMPLIANCES, AREA), which, tao_type)
+
+
 @pytest.fixture
 def solver():
-    made = BatchSolver(COMPLIANCES, WHICH, AREA)
-    yield made
-    made.destroy()
+    with engine_of(WHICH) as engine:
+        yield engine
 
 
 @pytest.mark.parametrize("name", LAWS)
 def test_the_gradient_is_that_of_the_objective(solver, name):
     """Through TAO's own calls, by central differences at the approaches of the solution."""
     solver.solve(GAP, force=FORCE, wear=wear_of(name))
-    tao, newton = solver._tao, solver._newton
-    newton.at_work = np.arange(B)
+    tao = solver._tao
+    solver._problem.at_work = np.arange(B)
     x, g = tao.getSolution().duplicate(), tao.getSolution().duplicate()
     q = RNG.uniform(0.5, 2.0, B * N) * solver.warm.scaled_pressure.max()
     x.setArray(q)
@@ -82,14 +87,15 @@ def test_the_gradient_is_that_of_the_objective(solver, name):
 def test_the_hessian_is_the_derivative_of_the_gradient(solver, name):
     """As TAO is given it: a product with a direction against differences of gradients."""
     solver.solve(GAP, force=FORCE, wear=wear_of(name))
-    tao, newton = solver._tao, solver._newton
-    newton.at_work = np.arange(B)
+    tao = solver._tao
+    solver._problem.at_work = np.arange(B)
     x, g, d, y = (tao.getSolution().duplicate() for _ in "xgdy")
     q = RNG.uniform(0.5, 2.0, B * N) * solver.warm.scaled_pressure.max()
     x.setArray(q)
     d.setArray(direction := RNG.normal(size=B * N))
-    tao.computeHessian(x, solver._h)
-    solver._h.mult(d, y)
+    hessian = tao.getHessian()[0]
+    tao.computeHessian(x, hessian)
+    hessian.mult(d, y)
     h, sides = 1e-5 * q.min(), []
     for sign in (1.0, -1.0):
         x.setArray(q + sign * h * direction)
@@ -99,17 +105,24 @@ def test_the_hessian_is_the_derivative_of_the_gradient(solver, name):
     assert found == pytest.approx(y.getArray(), rel=1e-4, abs=1e-4 * np.abs(found).max())
 
 
+def load_of(control):
+    return {control: {"force": FORCE, "approach": np.linspace(-1e-3, 4e-3, B)}[control]}
+
+
 @pytest.mark.parametrize("name", [None, *LAWS])
 @pytest.mark.parametrize("control", ["force", "approach"])
-@pytest.mark.parametrize("small", [True, False], ids=["bases", "factors"])
-def test_every_history_meets_its_conditions(monkeypatch, comm, name, control, small):
-    """Pressures >= 0, gaps >= 0, one of them 0, the load; and as the single solver finds them."""
-    if not small:
+@pytest.mark.parametrize("way", ["bases", "factors", "damped", *TAO_TYPES[1:]])
+def test_every_history_meets_its_conditions(monkeypatch, comm, name, control, way):
+    """Pressures >= 0, gaps >= 0, one of them 0, the load; and as it is found alone."""
+    if way == "factors":
         monkeypatch.setattr(hessians, "LARGEST_WITH_BASES", 0)
-    wear = None if name is None else wear_of(name)
-    given = {"force": FORCE, "approach": np.linspace(-1e-3, 4e-3, B)}[control]
-    solver = BatchSolver(COMPLIANCES, WHICH, AREA)
-    found = solver.solve(GAP, **{control: given}, wear=wear)
+    if way == "damped":
+        monkeypatch.setattr(newton, "PLAIN_ITERATIONS", 0)
+    ours = way not in TAO_TYPES
+    wear, load = None if name is None else wear_of(name), load_of(control)
+    with engine_of(WHICH, None if ours else way) as engine:
+        found = engine.solve(GAP, **load, wear=wear)
+    monkeypatch.undo()
     touched = 0
     for i in range(B):
         own = None if wear is None else wear.history(i)
@@ -123,37 +136,60 @@ def test_every_history_meets_its_conditions(monkeypatch, comm, name, control, sm
         assert np.abs(found.gap[i] - gap).max() <= 1e-9 * size
         touched += 0 < np.count_nonzero(p) < N
         if control == "force":
-            assert AREA @ p == pytest.approx(FORCE[i], rel=1e-12)
-        with ContactSolver(COMPLIANCES[WHICH[i]], AREA) as single:
-            exact = single.solve(GAP[i], **{control: float(given[i])}, wear=own)
-        assert np.abs(p - exact.pressure).max() <= 1e-11 * max(exact.pressure.max(), 1e-300)
-        assert found.approach[i] == pytest.approx(exact.approach, rel=1e-11)
+            assert AREA @ p == pytest.approx(FORCE[i], rel=1e-12 if ours else 1e-10)
+        with OneContact(COMPLIANCES[WHICH[i]], AREA) as single:
+            exact = single.solve(GAP[i], **{control: load[control][i]}, wear=own)
+        error = 1e-11 if ours else 1e-9
+        assert np.abs(p - exact.pressure).max() <= error * max(exact.pressure.max(), 1e-300)
+        assert found.approach[i] == pytest.approx(exact.approach, rel=error)
     assert touched > 2  # some are in partial contact
     assert found.residual.max() <= KKT_TOLERANCE
-    solver.destroy()
+
+
+@pytest.mark.parametrize("control", ["force", "approach"])
+@pytest.mark.parametrize("way", ["damped", *TAO_TYPES[1:]])
+def test_what_follows_a_solution_does_not_depend_on_the_way_to_it(
+    monkeypatch, solver, control, way
+):
+    """Its response to gaps, and the solution of the next problem."""
+    wear, change = wear_of("threshold"), RNG.uniform(0.0, 1e-5, (B, N))
+    exact = solver.solve(GAP, **load_of(control), wear=wear), solver.derivatives.response(change)
+    if way == "damped":
+        monkeypatch.setattr(newton, "PLAIN_ITERATIONS", 0)
+    with engine_of(WHICH, way if way in TAO_TYPES else None) as engine:
+        found = (
+            engine.solve(GAP, **load_of(control), wear=wear),
+            engine.derivatives.response(change),
+        )
+        monkeypatch.undo()
+        again = engine.solve(GAP, **load_of(control), wear=wear)
+    size = exact[0].pressure.max(axis=1, keepdims=True)
+    for state in (found[0], again):
+        assert (np.abs(state.pressure - exact[0].pressure) <= 1e-9 * size).all()
+    assert found[1] == pytest.approx(exact[1], rel=1e-9, abs=1e-9 * np.abs(exact[1]).max())
 
 
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("control", ["force", "approach"])
 def test_digits_do_not_depend_on_the_company(solver, name, control):
     """Nor does the response: among others, alone, in another order, with some left out."""
-    given, wear = {"force": FORCE, "approach": np.linspace(-1e-3, 4e-3, B)}[control], wear_of(name)
+    given, wear = load_of(control)[control], wear_of(name)
     change = RNG.uniform(0.0, 1e-5, (B, N))
     every = solver.solve(GAP, **{control: given}, wear=wear)
-    response = solver.response(change)
+    response = solver.derivatives.response(change)
     for part in (np.array([3]), np.array([10, 0, 5]), np.arange(B)[::-1]):
-        taken = BatchSolver(COMPLIANCES, WHICH[part], AREA)
+        taken = engine_of(WHICH[part])
         own = taken.solve(GAP[part], **{control: given[part]}, wear=wear.take(part))
         for what, value in vars(own).items():
             assert np.array_equal(value, getattr(every, what)[part]), what
-        assert np.array_equal(taken.response(change[part]), response[part])
+        assert np.array_equal(taken.derivatives.response(change[part]), response[part])
         taken.destroy()
     some = np.array([1, 4, 9])
     again = solver.take(np.arange(B))
     solver.solve(2.0 * GAP, **{control: given}, wear=wear, histories=some)
     left = np.setdiff1d(np.arange(B), some)
     assert np.array_equal(solver.warm.scaled_pressure[left], again.warm.scaled_pressure[left])
-    assert np.array_equal(solver.response(change)[left], response[left])
+    assert np.array_equal(solver.derivatives.response(change)[left], response[left])
     again.destroy()
 
 
@@ -165,7 +201,7 @@ def test_no_force_is_no_pressure(solver):
         assert found.force == pytest.approx(given, rel=1e-12)
     assert found.approach[4] == GAP[4].min()
     assert not found.pressure[4].any()
-    assert not solver.response(GAP)[4].any()
+    assert not solver.derivatives.response(GAP)[4].any()
 
 
 def test_who_cannot_be_solved_is_named(solver):
@@ -195,15 +231,14 @@ def test_what_a_law_raises_comes_out_as_it_is(solver):
 def hessians_of(n, count):
     """Hessians of two compliances, n elements, with slopes in proportion to speeds on some."""
     base = np.exp(-np.abs(np.subtract.outer(np.arange(n), np.arange(n))) / 5.0)
-    matrices, speed = np.array([base, 2.0 * base]), 1.0 + np.arange(n) / n
-    weights = RNG.uniform(1.0, 2.0, (count, n))
-    made = hessians.Hessians(
-        matrices, [Bases(a, speed, w) for a, w in zip(matrices, weights[:2], strict=True)],
-        np.array([speed, speed]), np.arange(count) % 2, weights[np.arange(count) % 2],
-    )  # fmt: skip
-    made.slope[:] = np.where(RNG.uniform(size=(count, n)) < 0.7, speed, 0.0)
+    area, which = RNG.uniform(1.0, 2.0, n), np.arange(count) % 2
+    speed = RNG.uniform(1.0, 2.0, (2, n))
+    compliances = ScaledCompliances.of(np.array([base, 2.0 * base]), area, speed)
+    made = hessians.Hessians(compliances, which)
+    shape = compliances.speed[which]
+    made.slope[:] = np.where(RNG.uniform(size=(count, n)) < 0.7, shape, 0.0)
     made.slope[::3] *= RNG.uniform(0.0, 1e3, (len(made.slope[::3]), 1))
-    return made, matrices, weights[np.arange(count) % 2]
+    return made, compliances.matrices, compliances.weights[which]
 
 
 @pytest.mark.parametrize("n", [1, 7, 8, 37, 64])
@@ -251,21 +286,40 @@ def test_bases_that_no_history_has_any_more_are_forgotten():
             block = matrices[i % 2] + np.diag(made.slope[i])
             exact = np.linalg.solve(block[np.ix_(on, on)], right[i, on])
             assert out[i, on] == pytest.approx(exact, rel=1e-9, abs=1e-10)
-    assert len(made._psi) <= 12
+    assert len(made._stack.psi) <= 12
 
 
 def test_bases_are_those_of_sets_and_are_kept():
-    matrix = np.eye(5) + 0.5
-    bases = Bases(matrix, np.arange(1.0, 6.0), np.ones(5))
+    symmetric, area, speed = np.eye(5) + 0.5, np.arange(1.0, 6.0), np.arange(2.0, 7.0)
+    compliances = ScaledCompliances.of(symmetric[None], area, speed[None])
     free, wearing = np.array([1, 1, 0, 1, 1], bool), np.array([0, 1, 1, 1, 1], bool)
-    basis = bases.basis(free, wearing)
-    assert bases.basis(free, wearing & free) is basis
-    assert Bases(matrix.copy(), np.arange(1.0, 6.0), np.ones(5)).basis(free, wearing) is basis
-    assert Bases(matrix, np.ones(5), np.ones(5)).basis(free, wearing) is not basis
-    worn = np.diag(np.arange(1.0, 6.0) * (free & wearing))
+    basis = compliances.basis(0, free, wearing)
+    assert compliances.basis(0, free, wearing & free) is basis
+    assert compliances.take(np.array([0])).basis(0, free, wearing) is basis
+    again = ScaledCompliances.of(symmetric[None].copy(), area, speed[None])
+    assert again.basis(0, free, wearing) is basis
+    other = ScaledCompliances.of(symmetric[None], area)
+    assert other.basis(0, free, wearing) is not basis
+    (matrix,), (shape,), (weights,) = compliances.matrices, compliances.speed, compliances.weights
+    worn = np.diag(shape * (free & wearing))
     assert basis.psi.T @ matrix @ basis.psi == pytest.approx(np.diag([1, 1, 1, 1, 0]), abs=1e-14)
     assert basis.psi.T @ worn @ basis.psi == pytest.approx(np.diag(basis.mu), abs=1e-14)
-    assert Bases(-matrix, np.ones(5), np.ones(5)).basis(free, wearing) is None
+    assert basis.force == pytest.approx(weights @ basis.psi)
+    indefinite = ScaledCompliances.of(np.full((1, 5, 5), 2.0) - np.eye(5), area)
+    assert indefinite.basis(0, free, wearing) is None
+
+
+def test_compliances_are_scaled_and_taken():
+    excess = RNG.normal(size=COMPLIANCES.shape)
+    every = ScaledCompliances.of(COMPLIANCES, AREA, excess=excess)
+    assert np.diagonal(every.matrices, axis1=1, axis2=2) == pytest.approx(1.0, rel=1e-15)
+    scale = every.scale[:, :, None] * every.scale[:, None, :]
+    assert every.matrices * scale == pytest.approx(COMPLIANCES)
+    assert np.array_equal(every.transposed_excess, excess.transpose(0, 2, 1))
+    taken = every.take(np.array([1]))
+    assert taken.area is AREA
+    assert np.array_equal(taken.matrices, every.matrices[1:])
+    assert taken.names[0] == every.names[1] != every.names[0]
 
 
 @pytest.mark.parametrize("n", [12, 37, 64, 65, 100])
@@ -274,7 +328,7 @@ def test_digits_of_products_do_not_depend_on_the_other_rows(n):
     matrices, rows = RNG.normal(size=(3, n, n)), RNG.normal(size=(41, n))
 
     def products(rows, which):
-        return RowGroups(np.asarray(which)).products(rows, matrices)
+        return RowProducts(np.asarray(which)).of(rows, matrices)
 
     every = products(rows, np.full(41, 1))
     assert every == pytest.approx(rows @ matrices[1], abs=1e-10)

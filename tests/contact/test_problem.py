@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from ringwear_par.contact.problem import ContactProblem
+from ringwear_par.contact.scaled_compliances import ScaledCompliances
 
-N = 12
+N, B = 12, 3
 
 
 class _Cubic:
@@ -18,101 +19,100 @@ class _Cubic:
         self.local, self.average = average is None, np.eye(N) if average is None else average
 
     def depth(self, p):
-        return 1e-3 * self.average @ (self.average @ p) ** 3
+        return 1e-3 * (p @ self.average.T) ** 3 @ self.average.T
 
     def d_depth_dp(self, p):
-        return np.diag(self.jacobian(p))
+        return np.diagonal(self.jacobian(p), axis1=-2, axis2=-1)
 
     def jacobian(self, p):
-        return 1e-3 * (self.average * 3.0 * (self.average @ p) ** 2) @ self.average
+        slope = 3.0 * (p @ self.average.T) ** 2
+        return 1e-3 * (self.average * slope[..., None, :]) @ self.average
 
     def potential(self, p):
-        return 1e-3 * (self.average @ p) ** 4 / 4.0
+        return 1e-3 * (p @ self.average.T) ** 4 / 4.0
+
+    def take(self, histories):
+        return self
 
 
 @pytest.fixture
-def parts():
+def problem():
     rng = np.random.default_rng(2)
-    root, area = rng.random((N, N)), rng.uniform(1.0, 2.0, N)
+    roots, area = rng.random((2, N, N)), rng.uniform(1.0, 2.0, N)
+    symmetric = 0.05 * roots @ roots.transpose(0, 2, 1) + np.eye(N)
+    posed = ContactProblem(ScaledCompliances.of(symmetric, area), np.array([0, 1, 0]))
+    posed.symmetric = symmetric
+    return posed
+
+
+def wear_of(name, problem):
+    """Wear of a step by name."""
+    if name == "none":
+        return None
     # area integrals of averages are those of the values: diag(area) times the average is symmetric
     near = np.exp(-((np.arange(N)[:, None] - np.arange(N)) ** 2))
-    average = near / area[:, None]
-    return 0.05 * root @ root.T + np.eye(N), area, rng.random(N), average, rng.uniform(0.5, 1.5, N)
-
-
-def hessian_of(problem, scaled, q):
-    """The Hessian as the solver puts it together."""
-    problem.linearise(q)
-    hessian = scaled.copy()
-    problem.add_coupling(q, hessian)
-    hessian[np.diag_indices(N)] = problem.diagonal
-    return hessian
+    return _Cubic(near / problem.area[:, None] if name == "non-local" else None)
 
 
 @pytest.mark.parametrize("wear", ["none", "local", "non-local"])
-def test_gradient_and_hessian_are_derivatives(parts, wear):
-    compliance, area, gap, average, q = parts
-    problem = ContactProblem(compliance, area)
-    assert np.diag(problem.scaled(compliance)) == pytest.approx(np.ones(N), rel=1e-15)
-    growth = {"none": None, "local": _Cubic(), "non-local": _Cubic(average)}[wear]
-    problem.pose(gap, 0.7, growth)
-    scaled = problem.scaled(compliance)
-
-    def objective(q):
-        return problem.objective(q, scaled @ q)[0]
-
-    def gradient(q):
-        product = scaled @ q
-        problem.add_gradient(q, product)
-        return product
-
-    assert gradient(q) == pytest.approx(problem.objective(q, scaled @ q)[1], rel=1e-14)
-    hessian, h = hessian_of(problem, scaled, q), 1e-5
-    for e in range(N):
-        step = h * np.eye(N)[e]
-        slope = (objective(q + step) - objective(q - step)) / (2 * h)
-        assert slope == pytest.approx(gradient(q)[e], abs=1e-7 * np.abs(gradient(q)).max())
-        column = (gradient(q + step) - gradient(q - step)) / (2 * h)
-        assert column == pytest.approx(hessian[:, e], abs=1e-8 * np.abs(hessian).max())
+@pytest.mark.parametrize("at_work", [[0, 1, 2], [2, 1]], ids=["all", "some"])
+def test_gradient_and_hessian_are_derivatives(problem, wear, at_work):
+    rng = np.random.default_rng(3)
+    gap, q = rng.random((B, N)), rng.uniform(0.5, 1.5, (len(at_work), N))
+    approach = np.array([0.7, 0.9, 1.1])
+    problem.pose(gap, None, approach, wear_of(wear, problem), np.array(at_work))
+    gradient, h = problem.gradient(q), 1e-5
+    slope, coupling = problem.slopes(q)
+    assert (coupling is None) == (wear != "non-local")
+    hessians = problem.compliances.matrices[problem.which[at_work]] + slope[..., None] * np.eye(N)
+    hessians = hessians if coupling is None else hessians + coupling
+    for place in range(len(at_work)):
+        for e in range(N):
+            step = np.zeros_like(q)
+            step[place, e] = h
+            difference = (problem.objective(q + step) - problem.objective(q - step)) / (2 * h)
+            assert difference == pytest.approx(gradient[place, e], abs=1e-7 * abs(gradient).max())
+            column = (problem.gradient(q + step) - problem.gradient(q - step)) / (2 * h)
+            assert column[place] == pytest.approx(
+                hessians[place, :, e], abs=1e-8 * abs(hessians).max()
+            )
+            assert not np.delete(column, place, axis=0).any()
 
 
-def test_the_hessian_changes_only_when_it_does(parts):
-    compliance, area, gap, average, q = parts
-    problem = ContactProblem(compliance, area)
-    problem.pose(gap, 0.7, None)
-    assert problem.linearise(q) == (False, False)
-    problem.pose(gap, 0.7, _Cubic())
-    assert problem.linearise(q) == (True, False)
-    assert problem.linearise(q) == (False, False)
-    problem.pose(gap, 0.7, _Cubic(average))
-    assert problem.linearise(q) == (True, True)
-    assert problem.linearise(q) == (True, True)
-    problem.pose(gap, 0.7, None)
-    assert problem.linearise(q) == (True, True)  # all entries are put back
-    assert problem.linearise(q) == (False, False)
+def test_residuals_of_solutions_and_of_none(problem):
+    every, area = np.arange(B), problem.area
+    gap = np.where(np.arange(N) < 6, 0.0, 9.0) * np.ones((B, 1))
+    apart = problem.pose(gap, None, np.ones(B), None, every)
+    assert not apart.any()
+    touching, q = gap[0] == 0.0, np.zeros((B, N))
+    for i, compliance in enumerate(problem.symmetric[problem.which]):
+        p = np.linalg.solve(compliance[np.ix_(touching, touching)], area[touching])
+        assert (p > 0).all()
+        q[i, touching] = problem.scale[i, touching] * p
+    gradient, no_slope = problem.gradient(q), np.zeros((B, N))
+    p = q / problem.scale
+    opening = np.einsum("bij,bj->bi", problem.symmetric[problem.which], p) / area + gap - 1.0
+    assert gradient / problem.weights == pytest.approx(opening, abs=1e-12)
+    assert problem.residuals(every, q, gradient, no_slope).max() <= 1e-14
+    assert problem.residuals(every, 1.01 * q, gradient + 0.01, no_slope).min() > 1e-3
+    gradient[1] *= np.nan
+    residuals = problem.residuals(np.array([1, 2]), q, gradient, no_slope)
+    assert residuals[0] == np.inf
+    assert residuals[1] <= 1e-14
+    assert (problem.residuals(every, no_slope, no_slope, no_slope) == np.inf).all()
 
 
-def test_residual_of_a_solution_and_of_none(parts):
-    compliance, area, _, _, _ = parts
-    problem = ContactProblem(compliance, area)
-    gap = np.where(np.arange(N) < 6, 0.0, 9.0)
-    problem.pose(gap, 1.0, None)
-    assert not problem.apart
-    touching, p = gap == 0.0, np.zeros(N)
-    p[touching] = np.linalg.solve(compliance[np.ix_(touching, touching)], area[touching])
-    assert (p[touching] > 0).all()
-    q = problem.scale * p
-    gradient = problem.scaled(compliance) @ q
-    problem.add_gradient(q, gradient)
-    assert gradient / problem.weights == pytest.approx(compliance @ p / area + gap - 1.0, abs=1e-12)
-    problem.linearise(q)
-    worst, largest = problem.defect(q, gradient)
-    assert largest == q.max()
-    assert worst <= 1e-14 * largest
-    assert problem.defect(1.01 * q, gradient + 0.01)[0] > 1e-3
-    assert problem.defect(q, gradient * np.nan)[0] == np.inf
-    problem.pose(gap + 2.0, 1.0, None)
-    assert problem.apart
+def test_histories_that_need_no_pressure_are_not_at_work(problem):
+    gap = np.ones((B, N)) * np.array([[0.5], [2.0], [0.5]])
+    some = np.array([1, 2])
+    apart = problem.pose(gap, None, np.ones(B), None, some)
+    assert apart.tolist() == [False, True, False]
+    assert problem.at_work.tolist() == [2]
+    apart = problem.pose(gap, np.array([0.0, 0.0, 5.0]), None, None, some)
+    assert apart.tolist() == [True, True, False]
+    assert problem.approaches[1] == 2.0
+    with pytest.raises(ValueError, match="force or approach"):
+        problem.pose(gap, None, None, None, some)
 
 
 @pytest.mark.serial

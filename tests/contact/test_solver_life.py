@@ -8,12 +8,14 @@ import weakref
 import numpy as np
 import pytest
 from commands import SHELL_ENVIRONMENT
+from one_contact import engine_of
 from paths import ROOT
 from petsc4py import PETSc
 
-from ringwear_par.contact import solver as module
+from ringwear_par.contact import engine as module
 from ringwear_par.contact import tao
-from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.contact.engine import ContactEngine
+from ringwear_par.contact.problem import WarmStart
 from ringwear_par.errors import ComputationError, LawError
 
 pytestmark = pytest.mark.serial
@@ -21,12 +23,13 @@ pytestmark = pytest.mark.serial
 N = 8
 COMPLIANCE = np.eye(N) + 0.1
 AREA = np.ones(N)
+FLAT, THREE = np.zeros((1, N)), np.array([3.0])
 
 
 class _Failing:
     """Wear whose law fails."""
 
-    local, nearly_discontinuous = True, False
+    local, layered, nearly_discontinuous = True, False, False
 
     def __init__(self, error):
         self.error = error
@@ -42,23 +45,22 @@ class _Failing:
 
 def start_anew(solver):
     """Let the next solve start as a new solver would."""
-    solver._x.set(0.0)
-    solver._search.restart()
+    solver.warm = WarmStart(np.zeros((1, N)), np.zeros(1))
 
 
 @pytest.mark.parametrize(
     "error", [LawError("wear.lower: the law failed"), ZeroDivisionError("of a law")], ids=repr
 )
 def test_an_error_of_a_law_comes_out_as_it_is(error):
-    with ContactSolver(COMPLIANCE, AREA) as solver:
-        before = solver.solve(np.zeros(N), force=3.0)
+    with engine_of(COMPLIANCE, AREA) as solver:
+        before = solver.solve(FLAT, force=THREE)
         start_anew(solver)
         with pytest.raises(type(error)) as caught:
-            solver.solve(np.zeros(N), force=3.0, wear=_Failing(error))
+            solver.solve(FLAT, force=THREE, wear=_Failing(error))
         assert caught.value is error
         # and the solver goes on as if nothing had been
         start_anew(solver)
-        after = solver.solve(np.zeros(N), force=3.0)
+        after = solver.solve(FLAT, force=THREE)
         assert np.array_equal(after.pressure, before.pressure)
 
 
@@ -69,23 +71,23 @@ def test_what_is_made_is_freed_if_the_rest_cannot_be_made(monkeypatch):
         made.extend(part for part in parts if isinstance(part, PETSc.Object))
         raise MemoryError
 
-    monkeypatch.setattr(module, "_Callbacks", too_large)
+    monkeypatch.setattr(module, "set_from_options", too_large)
     with pytest.raises(MemoryError):
-        ContactSolver(COMPLIANCE, AREA)
+        engine_of(COMPLIANCE, AREA)
     assert made
     assert not any(part.handle for part in made)
 
 
 def test_what_is_left_is_freed_in_the_order_of_making(monkeypatch):
     """Ranks that free shared objects in different orders wait for each other."""
-    made = [ContactSolver(COMPLIANCE, AREA) for _ in range(20)]
-    freed, destroy = [], ContactSolver.destroy
+    made = [engine_of(COMPLIANCE, AREA) for _ in range(20)]
+    freed, destroy = [], ContactEngine.destroy
 
     def recorded(solver):
         freed.append(solver)
         destroy(solver)
 
-    monkeypatch.setattr(ContactSolver, "destroy", recorded)
+    monkeypatch.setattr(ContactEngine, "destroy", recorded)
     tao._destroy_open()
     assert [solver for solver in freed if solver in made] == made
     assert not any(solver._tao.handle for solver in made)
@@ -119,7 +121,7 @@ def solver_of(kind):
     options = PETSc.Options()
     options["contact_tao_type"] = kind
     try:
-        return ContactSolver(COMPLIANCE, AREA)
+        return engine_of(COMPLIANCE, AREA)
     finally:
         options.delValue("contact_tao_type")
 
@@ -129,14 +131,14 @@ def solver_of(kind):
 @pytest.mark.parametrize("error", RAISED, ids=repr)
 def test_what_is_raised_inside_tao_comes_out_as_it_is(kind, error, wrapped, monkeypatch):
     """Of a law, of what is around it in a callback, of a solver of our own; at any time."""
-    gap = np.linspace(0.0, 0.3, N) ** 2
+    gap, force = np.linspace(0.0, 0.3, N)[None] ** 2, np.array([0.05])
     with solver_of(kind) as solver:
-        before = solver.solve(gap, force=0.05)
+        before = solver.solve(gap, force=force)
         if wrapped:
             monkeypatch.setattr(solver, "_tao", _Wrapping(solver._tao))
-        places = [(solver._problem, "add_gradient"), (solver._problem, "linearise")]
+        places = [(solver._problem, "gradient"), (solver._problem, "slopes")]
         if kind == "python":
-            places.append((solver._newton, "_newton_step"))
+            places.append((solver._hessians, "steps"))
         for place, name in places:
             works, left = getattr(place, name), 0
 
@@ -153,12 +155,12 @@ def test_what_is_raised_inside_tao_comes_out_as_it_is(kind, error, wrapped, monk
                 with monkeypatch.context() as patch:
                     patch.setattr(place, name, fails)
                     with pytest.raises(type(error)) as caught:
-                        solver.solve(gap, force=0.05)
+                        solver.solve(gap, force=force)
                 assert caught.value is error
                 assert caught.value.__cause__ is None
         # and the solver goes on as if nothing had been
         start_anew(solver)
-        after = solver.solve(gap, force=0.05)
+        after = solver.solve(gap, force=force)
         assert np.array_equal(after.pressure, before.pressure)
 
 
@@ -168,22 +170,22 @@ def test_an_error_of_petsc_itself_is_told(monkeypatch):
 
     with solver_of("python") as solver:
         monkeypatch.setattr(solver, "_tao", _Wrapping(solver._tao))
-        monkeypatch.setattr(solver._newton, "_newton_step", fails)
+        monkeypatch.setattr(solver._hessians, "steps", fails)
         with pytest.raises(ComputationError, match=r"TAO python failed \(PETSc error 73\)"):
-            solver.solve(np.zeros(N), force=3.0)
+            solver.solve(FLAT, force=THREE)
 
 
 def test_destroying_twice_is_harmless(comm):
-    with ContactSolver(COMPLIANCE, AREA) as solver:
-        solver.solve(np.zeros(N), force=3.0)
+    with engine_of(COMPLIANCE, AREA) as solver:
+        solver.solve(FLAT, force=THREE)
     solver.destroy()
     solver.destroy()
 
 
 def test_the_last_reference_frees_the_solver(comm):
     """Callbacks know neither the TAO nor the solver, so no collection of garbage is waited for."""
-    solver = ContactSolver(COMPLIANCE, AREA)
-    solver.solve(np.zeros(N), force=3.0)
+    solver = engine_of(COMPLIANCE, AREA)
+    solver.solve(FLAT, force=THREE)
     tao, alive = solver._tao, weakref.ref(solver)
     assert tao.handle
     del solver
@@ -195,15 +197,16 @@ PROGRAM = """
 import sys
 import numpy as np
 from mpi4py import MPI
-from ringwear_par.contact import solver as module
-from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.contact.engine import ContactEngine
+from ringwear_par.contact.scaled_compliances import ScaledCompliances
 
 how = sys.argv[1]
 
 def made():
-    both = [ContactSolver(np.eye(8) + 0.1, np.ones(8)) for _ in "ab"]
+    compliances = ScaledCompliances.of(np.eye(8)[None] + 0.1, np.ones(8))
+    both = [ContactEngine(compliances, np.zeros(1, dtype=int)) for _ in "ab"]
     for solver in both:
-        solver.solve(np.zeros(8), force=3.0)
+        solver.solve(np.zeros((1, 8)), force=np.array([3.0]))
     return both
 
 kept = made()

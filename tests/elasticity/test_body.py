@@ -183,13 +183,13 @@ def resident_megabytes():
 @pytest.mark.ranks
 def test_memory_stays_flat(comm):
     """Over 100 solves and contact solvers; a TAO that is not freed is 160 to 280 kB."""
-    from ringwear_par.contact.solver import ContactSolver
+    from one_contact import OneContact
 
     def once():
         body = condensed(LOWER, Mesh(32), comm)
         line = contact_line(CONTACT, Mesh(32))
         weighted = line.area[:, None] * body.normal
-        with ContactSolver(0.5 * (weighted + weighted.T), line.area) as solver:
+        with OneContact(0.5 * (weighted + weighted.T), line.area) as solver:
             solver.solve(np.zeros(32), force=1.0)
 
     for _ in range(20):

@@ -52,7 +52,7 @@ def test_equilibrium_and_bodies_that_meet(case, overrides, shared_path, comm):
     run_case(CASES / case, path, overrides, comm=comm)
     problem = read_case(CASES / case, overrides)
     result = open_result(path)
-    shape = result.checkpoint.arrays.get("shape")
+    shape = result.checkpoint.state.meshed_wear
     if shape is None:
         pair = assemble(problem, comm)
     else:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.definition.variations import column_of
+from ringwear_par.studies.definition.variations import Column
 from ringwear_par.studies.storage.blocks import Block, Record
 from ringwear_par.studies.storage.dataset import Listing, write_ensemble
 from ringwear_par.studies.storage.ensemble import read_ensemble
@@ -46,7 +46,7 @@ def write(
     with Shard(folder / "all_0000.blocks") as shard:
         shard.add(Block.of(list(records())))
     index = read_shard(folder / "all_0000.blocks").index
-    columns = tuple(map(column_of, map(list, zip(*rows, strict=True))))
+    columns = tuple(map(Column.of, map(list, zip(*rows, strict=True))))
     ids, entry = np.array([f"{n:016x}".encode() for n in range(count)]), np.full(count, -1)
     entry[stored] = np.arange(len(stored))
     listing = Listing(

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import random_cases
 from mpi4py import MPI
+from one_contact import OneContact
 from paths import CASES
 from stored import assert_same
 
 from ringwear_par.cases.case import Load, Stepping
 from ringwear_par.cases.files.reading import make_case, read_case
 from ringwear_par.contact import correction
-from ringwear_par.contact.batch import BatchSolver
-from ringwear_par.contact.solver import ContactSolver
+from ringwear_par.contact.engine import ContactEngine
 from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
@@ -65,7 +65,7 @@ def errors(found, exact, area):
 
 def plain_pressure(case, pair, gap, comm, time=0.0):
     """Of the symmetric compliance alone."""
-    with ContactSolver(pair.compliance(young(case)).matrix, pair.line.area) as solver:
+    with OneContact(pair.compliance(young(case)).matrix, pair.line.area) as solver:
         return solver.solve(gap, **loads(case, time)).pressure
 
 
@@ -105,13 +105,13 @@ def test_each_correction_leaves_a_fraction(cases, number, comm):
 
 def test_corrections_end_once_there_is_nothing_to_correct(cases, comm, monkeypatch):
     case, pair = cases[12]
-    solve, calls = BatchSolver.solve, []
+    solve, calls = ContactEngine.solve, []
 
     def counted(self, *args, **kwargs):
         calls.append(1)
         return solve(self, *args, **kwargs)
 
-    monkeypatch.setattr(BatchSolver, "solve", counted)
+    monkeypatch.setattr(ContactEngine, "solve", counted)
     nothing, start = np.zeros((2, 1, pair.line.n)), np.zeros(1)
     physics = Physics.of([case], pair)
     with physics.contacts() as contacts:
@@ -206,7 +206,7 @@ def test_explicit_steps_are_corrected_each(comm):
     pair = assemble(case, comm)
     history = trace(case, comm, pair=pair)
     m, matrix = pair.line.area, weighted(case, pair)
-    plain = ContactSolver(pair.compliance(young(case)).matrix, m)
+    plain = OneContact(pair.compliance(young(case)).matrix, m)
     before, uncorrected = np.zeros_like(m), []
     with plain:
         for state in history.states:

@@ -267,15 +267,15 @@ def test_charts_of_a_sweep_name_cases_and_their_values(folder, pages):
 
 
 def test_few_cases_have_a_line_each_and_many_a_few(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("ringwear_par.studies.pictures.panels._LINES", 3)
-    monkeypatch.setattr("ringwear_par.studies.pictures.panels._POINTS", 7)
+    monkeypatch.setattr("ringwear_par.studies.pictures.histories._LINES", 3)
+    monkeypatch.setattr("ringwear_par.studies.pictures.effects._POINTS", 7)
     rw.report(folder / "sweep", tmp_path / "page.html")
     page = Read((tmp_path / "page.html").read_text())
     assert "quantiles of 20 cases, and 3 of the cases" in page.text
     assert "7 of 20 cases are drawn" in page.text
     assert len(points(page)) == 7
     assert page.charts["histories"].columns["asides"]["label"] == ["3 of the cases"] * 3
-    monkeypatch.setattr("ringwear_par.studies.pictures.panels.FEW", 20)
+    monkeypatch.setattr("ringwear_par.studies.pictures.histories.FEW", 20)
     rw.report(folder / "sweep", tmp_path / "page.html")
     drawn = Read((tmp_path / "page.html").read_text()).charts["histories"].columns["lines"]
     assert len(drawn["x"]) == 20
@@ -420,7 +420,8 @@ def test_laws_of_users_are_told_but_not_run(tmp_path):
         ("run.h5", "away/page.html", "its folder"),
         ("nothing.h5", "page.html", "nothing.h5: does not exist; must be a result file"),
         ("paper.toml", "page.html", "paper.toml: is not a result file of ringwear"),
-        ("empty", "page.html", "empty: holds none of fit.json, design.json and results.h5"),
+        ("empty", "page.html", "empty: holds none of fit.json, design.json, measure"),
+        ("rough", "page.html", "measure.json: is not the outcome of ringwear measure, or is dam"),
         ("torn", "page.html", "design.json: is not the outcome of ringwear design, or is damaged"),
         ("broken", "page.html", "fit.json: is not the outcome of ringwear fit, or is damaged"),
     ],
@@ -429,6 +430,8 @@ def test_what_cannot_be_is_refused(source, output, words, folder, tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken/fit.json").write_text('{"level": 0.95, "parameters": []}')
+    (tmp_path / "rough").mkdir()
+    (tmp_path / "rough/measure.json").write_text('{"tests": {"W1": {}}}')
     (tmp_path / "torn").mkdir()
     (tmp_path / "torn/design.json").write_text('{"designs": [')
     place = tmp_path if (tmp_path / source).is_dir() else folder

@@ -14,17 +14,24 @@ VAGUE = {
     "asked", "each", "found", "given", "held", "kept", "lent", "made", "nothing", "others", "own",
     "shown", "sought", "there", "told", "what",
 }  # fmt: skip
+#: likewise; not in these rooms yet
+ALSO_VAGUE = {"here", "said", "so", "these", "this", "those", "untold", "why"}
+ALSO_TO_DO = {
+    "elasticity", "explorer", "history", "identification", "pictures", "reports", "studies",
+    "verification", "wear",
+}  # fmt: skip
 #: beginnings of docstrings that name no noun
 VAGUE_DOCSTRING = re.compile(r"(?:Return|Tell|Give) (?:what|the same|that of|those)\b")
 #: folders, and modules of the root, that are not clean yet
-ROOMS_TO_DO = {
-    "studies",
-}  # fmt: skip
+ROOMS_TO_DO = {"studies/execution", "studies/storage"}
 
 
 def room_of(path: Path) -> str:
     """Return the folder, or the module of the root, that a file belongs to."""
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    parts = path.relative_to(PACKAGE).parts
+    if parts[0] == "studies":  # a room of rooms
+        return "/".join(parts[:2])
+    return parts[0].removesuffix(".py")
 
 
 ROOMS = sorted({room_of(path) for path in PACKAGE.rglob("*.py")} - ROOMS_TO_DO)
@@ -52,9 +59,10 @@ def docstrings(tree: ast.AST) -> Iterator[tuple[int, str]]:
 def faults(path: Path, text: str) -> list[str]:
     """Return the vague names and docstrings of a module, each with its line."""
     tree, place = ast.parse(text), path.relative_to(PACKAGE)
+    vague = VAGUE if room_of(path).partition("/")[0] in ALSO_TO_DO else VAGUE | ALSO_VAGUE
     names = [(1, path.stem), *identifiers(tree)]
     return [
-        f"{place}:{line}: {name}" for line, name in names if name.strip("_").lower() in VAGUE
+        f"{place}:{line}: {name}" for line, name in names if name.strip("_").lower() in vague
     ] + [
         f"{place}:{line}: {text.partition(chr(10))[0]}"
         for line, text in docstrings(tree)

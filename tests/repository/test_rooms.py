@@ -1,5 +1,6 @@
 """The rooms: which may import which, and what stays light."""
 
+import ast
 import re
 import subprocess
 import sys
@@ -11,6 +12,10 @@ from paths import ROOT
 import ringwear_par as rw
 
 HEAVY = ("mpi4py.MPI", "petsc4py.PETSc", "numba", "ringwear_par.elasticity.bem.assembly")
+
+#: most modules of ours that one may know, and rooms where some still know more
+MOST_IMPORTS = 15
+IMPORTS_TO_DO = {"explorer", "history", "identification", "pictures", "reports", "studies"}
 
 pytestmark = pytest.mark.serial
 
@@ -28,6 +33,27 @@ def test_import_directions():
     result = run(program)
     assert result.returncode == 0, result.stdout
     assert "4 kept, 0 broken" in result.stdout
+
+
+def modules_known(path):
+    """Return the modules of ours that a file imports, types and functions' own imports too."""
+    modules = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("ringwear_par"):
+            names = {f"{node.module}.{alias.name}" for alias in node.names} | {node.module}
+            modules |= {name for name in names if (ROOT / f"{name.replace('.', '/')}.py").exists()}
+    return modules
+
+
+def test_no_module_knows_many_others():
+    package = ROOT / "ringwear_par"
+    known = {path.relative_to(package): modules_known(path) for path in package.rglob("*.py")}
+    many = {
+        str(path): len(modules)
+        for path, modules in known.items()
+        if len(modules) > MOST_IMPORTS and path.parts[0] not in IMPORTS_TO_DO
+    }
+    assert not many
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,8 @@ from ringwear_par.files.text import parse_toml
 from ringwear_par.identification.definition import schema as fit_schema
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.test_design.candidates import count_of
+from ringwear_par.measuring.definition import schema as measure_schema
+from ringwear_par.measuring.definition.measure_file import read_measure
 from ringwear_par.studies.definition import schema as study_schema
 from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.parameters import parameters_of
@@ -99,7 +101,7 @@ def test_python_has_names_that_there_are(page):
 @pytest.fixture
 def examples(tmp_path, monkeypatch):
     """A copy of the examples' folders, their cases being the folder that one is in."""
-    for name in ("cases", "fit"):
+    for name in ("cases", "fit", "measure"):
         shutil.copytree(ROOT / "scripts" / name, tmp_path / name)
     first = (ROOT / "docs" / "first_case.md").read_text("utf-8")
     (tmp_path / "fit" / "rig.toml").write_text(measured.first_case_of(first).text, "utf-8")
@@ -115,6 +117,10 @@ def test_toml_is_read_as_the_program_reads_it(page, examples):
             file = examples / "fit" / f"block_{number}.toml"
             file.write_text(block, "utf-8")
             read_fit(file)
+        elif {"measure", "test"} & tables.keys():
+            file = examples / "measure" / f"block_{number}.toml"
+            file.write_text(block, "utf-8")
+            read_measure(file)
         elif "vary" in tables:
             file = examples / "cases" / f"block_{number}.toml"
             file.write_text(block, "utf-8")
@@ -163,11 +169,14 @@ def test_every_command_and_option_is_told():
         ("case_keys", schema.KEYS),
         ("study_keys", study_schema.KEYS),
         ("fit_keys", fit_schema.KEYS),
+        ("measure_keys", measure_schema.KEYS),
     ],
 )
 def test_every_key_has_its_entry(name, keys):
     page = case_words.key_page(name)
-    entries = re.findall(r"^```\{(?:case|study|fit)key\} (\S+)\n(.*?)^```", page, re.M | re.S)
+    entries = re.findall(
+        r"^```\{(?:case|study|fit|measure)key\} (\S+)\n(.*?)^```", page, re.M | re.S
+    )
     assert [path for path, _ in entries] == [key.path for key in keys]
     for key, (_, entry) in zip(keys, entries, strict=True):
         assert case_words._plain(key.allowed) in entry

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import xarray
 from commands import SHELL_ENVIRONMENT
+from last_states import with_last_pressure
 from mpi4py import MPI
 from paths import CASES, PAPER
 from stored import contents
@@ -23,11 +24,11 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.results.execution import run as driver
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.key_numbers import by_name, check_numbers, key_numbers
+from ringwear_par.results.storage.boundaries import BOUNDARY_FIELDS
 from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.storage.export import export
 from ringwear_par.results.storage.result_files import open_result, read_status
 from ringwear_par.results.variables import (
-    BOUNDARY_FIELDS,
     EDGE_ELEMENT,
     ELEMENT,
     HISTORIES,
@@ -277,7 +278,7 @@ def test_the_summary_tells_wear_in_a_tribologists_words():
     for words in (
         "face of upper: spline through 101 points",
         "pressure: mean over the nominal annulus 20 MPa, largest of an element "
-        f"{result.checkpoint.arrays['pressure'].max():.4g} MPa",
+        f"{result.checkpoint.state.contact.pressure.max():.4g} MPa",
         f"torque {1e-3 * result.histories['torque'][-1]:.6g} N m, dissipated energy "
         f"{1e-3 * result.histories['dissipated_energy'][-1]:.6g} J",
         f"mean radius: speed {speed:.4g} mm/s, p V {20.0 * speed:.4g} MPa mm/s, "
@@ -316,8 +317,7 @@ def test_the_largest_pressure_says_when_it_is_of_an_edge_element(computed, comm)
     if comm.rank == 0:
         pressure = np.zeros(16)
         pressure[[4, 5]] = 50.0, 90.0
-        arrays = {**result.checkpoint.arrays, "pressure": pressure}
-        changed = replace(result, checkpoint=replace(result.checkpoint, arrays=arrays))
+        changed = with_last_pressure(result, pressure)
         words = "(at the edge of contact, where it may be off by 28 %)"
         assert words in changed.summary()
         assert words not in result.summary()
@@ -326,8 +326,7 @@ def test_the_largest_pressure_says_when_it_is_of_an_edge_element(computed, comm)
 def test_faces_apart_have_no_largest_pressure(computed, comm):
     _, result = computed("paper.toml", SMALL)
     if comm.rank == 0:
-        arrays = {**result.checkpoint.arrays, "pressure": np.zeros(16)}
-        apart = replace(result, checkpoint=replace(result.checkpoint, arrays=arrays))
+        apart = with_last_pressure(result, np.zeros(16))
         assert "elements in contact 0 (of 16: the faces do not touch)" in apart.summary()
         assert not {"largest_pressure", "worn_off", "elastic"} & by_name(key_numbers(apart)).keys()
 

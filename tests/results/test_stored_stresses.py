@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from last_states import with_last_pressure
 from vtkhdf import last_state
 
 import ringwear_par as rw
@@ -189,10 +190,9 @@ def test_summary_and_doubt():
     assert any("stress.exclude" in doubt for doubt in unworn.doubts)
     # contact that ends at the radius of the largest stress of lower has an edge element there
     assert "edge of contact" not in line
-    p = unworn.checkpoint.arrays["pressure"].copy()
+    p = unworn.checkpoint.state.contact.pressure.copy()
     p[unworn.line.element_at(np.array([state.largest[0].r]))[0] + 1 :] = 0.0
-    last = replace(unworn.checkpoint, arrays={**unworn.checkpoint.arrays, "pressure": p})
-    (line,) = (text for text in replace(unworn, checkpoint=last).summary().splitlines()
+    (line,) = (text for text in with_last_pressure(unworn, p).summary().splitlines()
                if text.startswith("largest von"))  # fmt: skip
     assert "at the radius of an element at the edge of contact" in line.split("upper")[0]
     worn = rw.simulate(case_of(wear__lower__p0=0.0, wear__upper__law="archard", wear__upper__k=1e-7,

@@ -42,6 +42,23 @@ def test_a_displacement_that_comes_and_goes_is_doubted_at_its_largest():
     assert doubts(pressed([[0.0, 0.01], [40.0, 0.03], [80.0, 0.01]])) == ()
 
 
+def test_fixed_steps_that_pass_over_a_corner_of_the_load_are_doubted():
+    """A displacement that comes and goes between two ends of steps of 20 s is not seen."""
+    (missed,) = doubts(pressed([[0.0, 0.01], [25.0, 0.01], [30.0, 0.03], [35.0, 0.01]]))
+    assert missed.startswith("steps of 20 s pass over the corner of the load at t = 30 s: the disp")
+    assert "displacement is 0.03 mm there, between the ends of the step 0.01 mm; a step" in missed
+    tables = pressed([[0.0, 0.01], [20.0, 0.01], [40.0, 0.03], [60.0, 0.01]])
+    assert doubts(tables) == ()
+    tables["time"] = {"scheme": "adaptive", "end": 80.0}
+    tables["load"]["displacement"][2][0] = 45.0
+    assert doubts(tables) == ()
+    force = crowned([[0.0, 5000.0], [30.0, 10000.0], [80.0, 5000.0]])
+    (missed,) = [text for text in doubts(force) if "corner" in text]
+    assert (
+        "at t = 30 s: the force is 10000 N there, between the ends of the step 8666.67 N" in missed
+    )
+
+
 def test_few_elements_are_doubted_where_they_bear_load():
     """A crown's first contact is doubted, though it ends on all elements; a slight load is not."""
     (few,) = doubts(crowned(500.0))

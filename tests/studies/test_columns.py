@@ -13,14 +13,15 @@ from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
+from ringwear_par.studies.definition import checking
 from ringwear_par.studies.definition import study as studies
-from ringwear_par.studies.definition.bad_cases import LOOKED_AT, told_faults
+from ringwear_par.studies.definition.case_columns import Groups
+from ringwear_par.studies.definition.checking import LOOKED_AT, case_faults
 from ringwear_par.studies.definition.designs import read_draft
-from ringwear_par.studies.definition.groups import Groups
 from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.definition.study import read_study
 from ringwear_par.studies.definition.texts import Texts
-from ringwear_par.studies.definition.variations import column_of, split_key, varied_keys
+from ringwear_par.studies.definition.variations import Column, split_key, varied_keys
 from ringwear_par.studies.storage.index import ENTRY, Index, Piece, join, latest, put
 
 pytestmark = pytest.mark.serial
@@ -104,7 +105,7 @@ def one_by_one(tables):
     draft = read_draft(tables)
     parts = [split_key(name) for name in draft.names]
     found, bad = {}, []
-    for number, row in enumerate(zip(*(c.each() for c in draft.columns), strict=True)):
+    for number, row in enumerate(zip(*(c.by_case() for c in draft.columns), strict=True)):
         keys, name = varied_keys(draft.base, parts, row), f"study: case {number + 1}"
         try:
             case = make_case(keys, name)
@@ -113,7 +114,7 @@ def one_by_one(tables):
             bad.append((number + 1, error.faults))
             continue
         found.setdefault(case_id(keys), (row, case, keys))
-    return found, tuple(told_faults("study", bad[:LOOKED_AT], len(bad), draft.count))
+    return found, tuple(case_faults("study", bad[:LOOKED_AT], len(bad), draft.count))
 
 
 @pytest.mark.parametrize("seed", range(120))
@@ -132,19 +133,19 @@ def test_a_study_is_what_its_cases_are_one_by_one(tmp_path, seed):
         return
     assert faults == ()
     assert found.ids == tuple(wanted)
-    cases, texts = found.made(range(len(wanted)))
-    written = texts.each(range(len(wanted)))
+    cases, texts = found.cases_and_texts(range(len(wanted)))
+    written = texts.of_cases(range(len(wanted)))
     restored = Texts.unpacked(texts.packed(), len(wanted))
     assert texts.longest == max(len(text.encode()) for text in written)
     for i, (row, case, keys) in enumerate(wanted.values()):
         assert cases[i] == case
         assert cases[i].text == case.text == toml_text(keys) == written[i]
-        assert restored.each([i]) == [case.text]
+        assert restored.of_cases([i]) == [case.text]
         assert found.case(i) == case
         assert cases[i].breakpoints == case.breakpoints
         assert repr(found.rows[i]) == repr(row)
         assert repr(found.keys(i)) == repr(keys)
-        assert found.work[i] == studies._stepping_work(case)
+        assert found.work[i] == checking._stepping_work(case)
     assert sorted(n for group in found.groups for n in group) == list(range(len(wanted)))
 
 
@@ -166,7 +167,7 @@ def test_rows_of_the_same_case_without_any_number(tmp_path):
     assert faults == ()
     assert len(found.ids) == 3
     assert found.ids == tuple(wanted)
-    assert found.made(range(3))[0] == [case for _, case, _ in wanted.values()]
+    assert found.cases_and_texts(range(3))[0] == [case for _, case, _ in wanted.values()]
 
 
 def test_few_cases_are_made_where_only_numbers_differ(tmp_path, comm, monkeypatch):
@@ -181,7 +182,8 @@ def test_few_cases_are_made_where_only_numbers_differ(tmp_path, comm, monkeypatc
         made.append(name)
         return make_case(keys, name, **how)
 
-    monkeypatch.setattr(studies, "make_case", counted)
+    for module in (checking, studies):
+        monkeypatch.setattr(module, "make_case", counted)
     found = read_study(write_study(tmp_path, comm, text, PAPER))
     assert len(made) == 2
     for n in (0, 17, 299):
@@ -216,10 +218,10 @@ def test_it_is_so_where_a_stretch_of_the_study_has_but_numbers(tmp_path):
         "wear.lower.parameters.p1": {"values": [30, 90]},
     }
     draft = read_draft({"case": str(tmp_path / "user_law.toml"), "vary": vary})
-    stretches = [studies._Checker(draft, first, first + 2, 1).check() for first in (0, 2, 4)]
+    stretches = [checking.check_cases(draft, first, first + 2, 1) for first in (0, 2, 4)]
     study = studies._complete(draft, stretches, 1)
     (tmp_path / "user_law.py").unlink()
-    cases = study.made(range(6))[0]
+    cases = study.cases_and_texts(range(6))[0]
     assert [dict(case.wear_lower.parameters)["p1"] for case in cases] == [30, 90] * 3
     assert [case.load.omega for case in cases[::4]] == [3.5, 4.0]
     assert [study.ids[n] for n in range(6)] == [
@@ -237,17 +239,17 @@ def test_numbers_of_a_table_are_those_that_toml_has(tmp_path):
          "design": {"method": "list", "file": str(tmp_path / "rows.csv")}}
     )  # fmt: skip
     wanted = [1, 0, 0.5, 1e-7, 1e3, 5, "01", 1000, float("inf"), ".5", "5.", 16, "a"]
-    assert repr(draft.columns[0].each()) == repr(wanted)
+    assert repr(draft.columns[0].by_case()) == repr(wanted)
 
 
 def test_columns_tell_values_apart_as_they_are_written():
-    column = column_of([0, 0.0, -0.0, 1, True, "1", [1, 2], [1, 2]])
-    assert repr(column.each()) == "[0, 0.0, -0.0, 1, True, '1', [1, 2], [1, 2]]"
-    assert len(set(column.kinds.tolist())) == 7
+    column = Column.of([0, 0.0, -0.0, 1, True, "1", [1, 2], [1, 2]])
+    assert repr(column.by_case()) == "[0, 0.0, -0.0, 1, True, '1', [1, 2], [1, 2]]"
+    assert len(set(column.codes.tolist())) == 7
     assert column.numbers is None
-    assert len(set(column_of([0.0, -0.0, 1.5, 0.0]).kinds.tolist())) == 3
+    assert len(set(Column.of([0.0, -0.0, 1.5, 0.0]).codes.tolist())) == 3
     part = column.part(np.array([6, 0, 7]))
-    assert part.each() == [[1, 2], 0, [1, 2]]
+    assert part.by_case() == [[1, 2], 0, [1, 2]]
 
 
 def test_groups_keep_their_numbers_when_cases_go():

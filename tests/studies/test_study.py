@@ -17,7 +17,7 @@ from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.files.reading import make_case, parse_case
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.errors import InputError
-from ringwear_par.studies.definition import study as studies
+from ringwear_par.studies.definition import checking
 from ringwear_par.studies.definition.designs import SAMPLED
 from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.definition.study import read_study, read_study_together
@@ -316,7 +316,7 @@ def test_the_same_fault_of_many_cases_is_told_once(write):
 
 
 def test_cases_that_are_not_looked_at_are_counted(write, monkeypatch):
-    monkeypatch.setattr(studies, "LOOKED_AT", 7)
+    monkeypatch.setattr(checking, "LOOKED_AT", 7)
     text = f'[vary]\n"load.pressure" = {{ values = {[-1, *range(1, 9)]} }}\n'
     text += '"upper.grip" = { values = ["clampt"] }\n'
     with pytest.raises(InputError) as raised:
@@ -374,7 +374,7 @@ def test_every_rank_checks_its_share_of_the_cases(write, comm, monkeypatch):
         made.append(name)
         return make_case(keys, name, **how)
 
-    monkeypatch.setattr(studies, "make_case", counted)
+    monkeypatch.setattr(checking, "make_case", counted)
     found = read_study_together(path, 1, comm)
     mine = len(made)
     assert mine in (37 // comm.size, -(-37 // comm.size))

@@ -12,8 +12,7 @@ from known_sweeps import sample, write
 
 import ringwear_par as rw
 from ringwear_par.studies.analysis import surrogate as module
-from ringwear_par.studies.analysis import surrogate_file
-from ringwear_par.studies.analysis.sensitivity import sobol_indices
+from ringwear_par.studies.analysis.sensitivity import surrogate_indices
 from ringwear_par.studies.pictures.figures import draw_sweep_and_surrogate
 
 pytestmark = pytest.mark.serial
@@ -277,7 +276,7 @@ def test_it_is_kept_and_taken_again(tmp_path, monkeypatch):
     path = tmp_path / "a" / "surrogate.h5"
     written_at = path.stat().st_mtime_ns
     with monkeypatch.context() as patch:
-        patch.setattr(module, "_made", None)
+        patch.setattr(module, "_fit", None)
         again = rw.surrogate(tmp_path / "a")
     assert path.stat().st_mtime_ns == written_at
     at = {"wear.lower.k": 3e-7, "load.pressure": np.linspace(33, 95, 40), "wear.lower.p0": 35.0}
@@ -328,7 +327,7 @@ def test_a_folder_that_cannot_be_written_to(tmp_path, caplog, monkeypatch):
     def full(path):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(surrogate_file, "atomic_hdf5", full)
+    monkeypatch.setattr(module, "atomic_hdf5", full)
     assert rw.surrogate(tmp_path).relative_error["penetration"] < 1e-9
     assert "the surrogate is not kept: [Errno 28] No space left" in caplog.text
     assert not (tmp_path / "surrogate.h5").exists()
@@ -416,7 +415,7 @@ def test_sobol_indices_of_a_product(tmp_path, monkeypatch):
     monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._EVALUATIONS", 1e5)
     written(tmp_path, power, 128)
     (part,) = rw.surrogate(tmp_path).parts
-    (found,) = sobol_indices(part, ["penetration"])
+    (found,) = surrogate_indices(part, ["penetration"])
     factors = []
     for key, exponent in ((0, 1.0), (1, 0.8)):  # of values whose logarithm is uniform
         low, high = part.low[key], part.high[key]
@@ -428,7 +427,7 @@ def test_sobol_indices_of_a_product(tmp_path, monkeypatch):
     one, other = factors
     whole = one * other - 1.0
     assert found.first == pytest.approx([(one - 1.0) / whole, (other - 1.0) / whole], abs=0.01)
-    assert found.total == pytest.approx(
+    assert found.influence == pytest.approx(
         [(one - 1.0) * other / whole, (other - 1.0) * one / whole], abs=0.01
     )
 
@@ -438,18 +437,18 @@ def test_it_is_drawn(tmp_path, monkeypatch):
     monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._RESAMPLES", 20)
     ensemble = written(tmp_path, power, 128)
     figure = draw_sweep_and_surrogate(ensemble)
-    # histories, Sobol' indices, responses with the cases
-    assert len(figure.axes) == 1 + 1 + 2
-    indices, along_k, _ = figure.axes[-3:]
+    # histories, Sobol' indices, responses with the cases; volumes, which are all 0, below them
+    assert len(figure.axes) == 1 + 1 + 2 * 2
+    indices, along_k, _ = figure.axes[1:4]
     part = rw.surrogate(tmp_path).parts[0]
-    (found,) = sobol_indices(part, ["penetration"])
+    (found,) = surrogate_indices(part, ["penetration"])
     assert [bar.get_width() for bar in indices.containers[0]] == pytest.approx(found.first)
-    assert [bar.get_width() for bar in indices.containers[1]] == pytest.approx(found.total)
+    assert [bar.get_width() for bar in indices.containers[1]] == pytest.approx(found.influence)
     assert "leave-out error" in indices.get_legend().get_title().get_text()
     title = figure.subfigs[1].get_suptitle()
     assert title.startswith("surrogate of 128 cases; ")
     assert "leave-out errors, of the spread: penetration < 1e-06 %" in title
-    points, mean = along_k.lines
+    mean, points = along_k.lines
     assert points.get_ydata() == pytest.approx(1e3 * ensemble.final["penetration"])
     k, depth = mean.get_data()
     low, high = part.low[1], part.high[1]

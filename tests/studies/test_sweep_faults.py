@@ -14,6 +14,7 @@ from waiting import STEPS, Waiting
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.results.execution import watch
+from ringwear_par.studies.execution import sweep as sweep_module
 from ringwear_par.studies.execution import workers
 from ringwear_par.studies.execution.sweep import run_sweep
 from ringwear_par.wear.laws.threshold import ThresholdLaw
@@ -298,6 +299,15 @@ def test_damaged_shard(tmp_path, held):
         (output / "shards").rmdir()
     assert not faults.differences(output, reference)
     assert found, "not kept after all"
+
+
+def test_what_marks_a_stop_goes_through_no_link(tmp_path):
+    elsewhere, mark = tmp_path / "elsewhere", tmp_path / "STOPPED"
+    mark.symlink_to(elsewhere)
+    sweep_module._mark(mark)
+    assert not elsewhere.exists()
+    assert mark.is_file()
+    assert not mark.is_symlink()
 
 
 def test_two_sweeps_in_one_folder(tmp_path, held):

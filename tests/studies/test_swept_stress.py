@@ -11,12 +11,12 @@ from swept import CASE, table, variables, write_study
 import ringwear_par as rw
 from ringwear_par.elasticity.stress.recovery import StressRecovery
 from ringwear_par.errors import ComputationError
-from ringwear_par.studies.analysis.sensitivity import outputs_of
 from ringwear_par.studies.analysis.surrogate import surrogate
 from ringwear_par.studies.execution import workers
 from ringwear_par.studies.execution.sweep import sweep
-from ringwear_par.studies.pictures import panels as sweeps
 from ringwear_par.studies.pictures.choice import choose
+from ringwear_par.studies.pictures.effects import effects
+from ringwear_par.studies.storage.end_values import drawn
 from ringwear_par.studies.storage.ensemble import read_ensemble
 from ringwear_par.studies.storage.store import Store
 
@@ -331,7 +331,7 @@ def test_errors_told_of_a_grid_are_those_of_fresh_cases(swept, tmp_path):
 def test_figures_and_pages_show_them(swept, tmp_path):
     ensemble = read_ensemble(swept)
     done = np.ones(len(ensemble.ids), dtype=bool)
-    assert outputs_of(ensemble, done) == [
+    assert drawn(ensemble.final, done) == [
         "penetration", "worn_volume_lower", "share_through_lower", "max_mises",
     ]  # fmt: skip
     labels = [" ".join(axes.get_ylabel().split()) for axes in rw.plot(swept).axes]
@@ -353,6 +353,6 @@ def test_keys_that_are_spaced_by_logarithms_are_drawn_so(swept, tmp_path):
     assert scales["lower.layers[0].thickness"] == {"log"}
     assert scales["load.pressure"] == {"linear"}
     chosen = choose(read_ensemble(swept), None, ())
-    drawn = sweeps.effects(read_ensemble(swept), chosen)
-    logarithmic = {(panel.x.label.partition(" ")[0], panel.x.log) for panel in drawn.values()}
+    panels = effects(read_ensemble(swept), chosen)
+    logarithmic = {(panel.x.label.partition(" ")[0], panel.x.log) for panel in panels.values()}
     assert logarithmic == {("lower.layers[0].thickness", True), ("load.pressure", False)}

@@ -45,10 +45,10 @@ class Origin:
     overrides: frozenset[str] = frozenset()
     setting: str = "--set"
 
-    def of(self, path: str) -> str:
+    def prefix(self, path: str) -> str:
         """Return how a sentence about one key begins."""
-        here = not self.overrides.isdisjoint({path, path.partition("[")[0]})
-        return f"{self.setting} " if here else f"{self.name}: "
+        overridden = not self.overrides.isdisjoint({path, path.partition("[")[0]})
+        return f"{self.setting} " if overridden else f"{self.name}: "
 
     def typed_fault(self, path: str, value: Any) -> str:
         """Return why TOML takes a value that was typed for one key for a text, "" where it is."""
@@ -70,8 +70,8 @@ def joint_faults(origin: Origin, keys: Mapping[str, Any], values: Mapping[str, A
     values : what was read of them, and defaults; without those that are wrong by themselves.
     """
     faults = [
-        f"{origin.of(path)}{path} = {shortened(keys[path])}: {why}"
-        for path, why in unread_keys(keys).items()
+        f"{origin.prefix(path)}{path} = {shortened(keys[path])}: {rule}"
+        for path, rule in unread_keys(keys).items()
     ]
     faults += _overlap_faults(origin.whole, values)
     faults += _load_faults(origin.whole, values)
@@ -108,7 +108,7 @@ def unread_keys(keys: Mapping[str, Any]) -> dict[str, str]:
     elif value_of("time.scheme") in ("implicit", "explicit"):
         for path in ("time.end", "time.tolerance", "time.pressure_tolerance"):
             unread[path] = True, 'needs time.scheme = "adaptive"'
-    return {path: rule for path, (so, rule) in unread.items() if so and path in keys}
+    return {path: rule for path, (is_unread, rule) in unread.items() if is_unread and path in keys}
 
 
 def _overlap_faults(name: str, values: Mapping[str, Any]) -> list[str]:
@@ -294,8 +294,8 @@ def check_contact(name: str, case: Case, displacement: Quantity | None) -> None:
         contact_pieces(case.contact, case.mesh, *case.sections)
     except InputError as error:
         rough = [
-            which
-            for which, ring, section in zip(
+            body
+            for body, ring, section in zip(
                 ("lower", "upper"), case.rings, case.sections, strict=True
             )
             if len(ring.face) > _MANY_CORNERS and len(corners(section)) > _MANY_CORNERS
@@ -307,11 +307,11 @@ def check_contact(name: str, case: Case, displacement: Quantity | None) -> None:
             f"{name}: load.displacement = {quantity_text(displacement)}: the undeformed rings "
             f"interpenetrate by {case.interpenetration:g}; must be at least that (mm)"
         )
-    here, left = case.smallest_gaps if any(case.open_ends) else (0.0, math.inf)
-    if left < here - CLOSE * max(1.0, case.lower.z[1]):
+    inside, outside = case.smallest_gaps if any(case.open_ends) else (0.0, math.inf)
+    if outside < inside - CLOSE * max(1.0, case.lower.z[1]):
         faults.append(
             f"{name}: mesh.contact = {list(case.contact)}: the undeformed bodies are nearer to "
-            f"each other outside, {left:g} mm, than inside; must take in where they meet first"
+            f"each other outside, {outside:g} mm, than inside; must take in where they meet first"
         )
     if faults:
         raise InputError(*faults)

@@ -14,7 +14,6 @@ from ringwear_par.cases.laws import law_keys
 from ringwear_par.cases.layers import LAYERS, changed_layers, layers_in_full
 from ringwear_par.cases.schema import BY_PATH, TABLES, key_of
 from ringwear_par.cases.text import shortened
-from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import parse_toml, parse_value, read_text, refuse_depth
@@ -33,12 +32,12 @@ _FIXED_STEPS = frozenset({"time.step", "time.steps"})
 
 
 @contextmanager
-def naming(said: str) -> Iterator[None]:
+def naming(prefix: str) -> Iterator[None]:
     """Say where faults are that do not tell: "--set", "case.toml:"."""
     try:
         yield
     except InputError as error:
-        raise InputError(*(f"{said} {fault}" for fault in error.faults)) from error
+        raise InputError(*(f"{prefix} {fault}" for fault in error.faults)) from error
 
 
 def read_keys(text: str, name: str = "case") -> dict[str, Any]:
@@ -86,8 +85,8 @@ def base_keys(
     except InputError as error:
         faults += error.faults
         return None
-    said = "is missing" if base is None else f"= {shortened(base)}"
-    faults.append(f"{name}: case {said}: must be the name of a case file, relative to this one")
+    state = "is missing" if base is None else f"= {shortened(base)}"
+    faults.append(f"{name}: case {state}: must be the name of a case file, relative to this one")
     return None
 
 
@@ -215,7 +214,7 @@ def _face_in_full(path: str, shape: dict[str, Any], folder: Path) -> dict[str, A
         except InputError as error:
             raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
     try:
-        return {name: without_units(BY_PATH[path], value, name) for name, value in shape.items()}
+        return {name: BY_PATH[path].without_units(value, name) for name, value in shape.items()}
     except RejectedError:
         return shape
 
@@ -233,7 +232,7 @@ def _value_in_full(path: str, value: Any, folder: Path) -> Any:
     key = key_of(path)
     if isinstance(value, str | list | dict) and key is not None:
         try:
-            return without_units(key, value)
+            return key.without_units(value)
         except RejectedError:
             return value
     return value

@@ -9,7 +9,6 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.reading import read_case
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import LONGEST_SENTENCE, ComputationError, InputError, legible
 from ringwear_par.schedules import largest
 from ringwear_par.wear.catalogue import LAWS
@@ -22,7 +21,7 @@ from ringwear_par.wear.derivative_test import (
     taylor_test_parameter,
     taylor_test_wear,
 )
-from ringwear_par.wear.law import Law, WearLaw
+from ringwear_par.wear.law import Law
 from ringwear_par.wear.local_state import LocalState
 from ringwear_par.wear.user import UserLaw, check_object, check_user_law
 
@@ -39,27 +38,21 @@ _PRESSURES = (0.0, 10.0, 50.0, 100.0, 200.0)
 _MOST_TIMES = 5
 
 
-def _laws_of(case: Case) -> dict[str, WearLaw | None]:
-    """Return the laws of bodies and of layers that have their own, by their tables."""
-    laws: dict[str, WearLaw | None] = {}
-    for body, ring, law in zip(BODIES, case.rings, (case.wear_lower, case.wear_upper), strict=True):
-        laws[body] = law
-        for i, layer in enumerate(ring.layers):
-            if layer.wear is not None:
-                laws[f"{body}.layers[{i}]"] = layer.wear
-    return laws
+def _name(table: str) -> str:
+    """Return the body or layer that wears by the law in a table: "lower", "lower.layers[0]"."""
+    return table.removeprefix("wear.").removesuffix(".wear")
 
 
 def law_sources(case: Case) -> dict[str, str]:
     """Return the texts of the user's own laws by body."""
-    laws = _laws_of(case).items()
-    return {body: law.source for body, law in laws if isinstance(law, UserLaw)}
+    laws = case.laws_by_table.items()
+    return {_name(table): law.source for table, law in laws if isinstance(law, UserLaw)}
 
 
 def law_files(case: Case) -> dict[str, str]:
     """Return the names of the Python files of a case's laws by key."""
-    laws = _laws_of(case).items()
-    return {f"wear.{body}.file": law.file for body, law in laws if isinstance(law, UserLaw)}
+    laws = case.laws_by_table.items()
+    return {f"{table}.file": law.file for table, law in laws if isinstance(law, UserLaw)}
 
 
 def refuse_bad_laws(case: Case, name: str, slopes: bool = True) -> None:
@@ -75,12 +68,10 @@ def refuse_bad_laws(case: Case, name: str, slopes: bool = True) -> None:
     pressure = _PRESSURE
     if case.load.force is not None:
         pressure = _MEANS * largest(case.load.force) / case.area
-    for body, original in _laws_of(case).items():
+    for table, original in case.laws_by_table.items():
         if original is not None and type(original) not in _OURS:  # which are what they should be
             law = original if isinstance(original, UserLaw) else CompletedLaw(original)
-            key = f"wear.{body}.file" if isinstance(law, UserLaw) else f"wear.{body}"
-            if body not in BODIES:
-                key = f"{body}.wear"
+            key = f"{table}.file" if isinstance(law, UserLaw) else table
             try:
                 if law is not original:
                     check_object(original)
@@ -110,7 +101,7 @@ def check_laws(path: Path, overrides: Sequence[str]) -> None:
     """
     case = read_case(path, overrides)
     refuse_bad_laws(case, str(path), slopes=False)
-    laws = _laws_of(case)
+    laws = {_name(table): law for table, law in case.laws_by_table.items()}
     failed = sum(_tested(case, body, complete(law)) for body, law in laws.items() if law)
     for body, law in laws.items():
         if law is None:

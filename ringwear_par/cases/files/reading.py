@@ -1,14 +1,10 @@
 """Reading cases: from a text or tables to dotted keys, overrides, and from keys to a ``Case``."""
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-
-from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Load, Output, Overrides, Ring, RingLayer, Stepping
 from ringwear_par.cases.files.faults import (
     Origin,
@@ -17,6 +13,7 @@ from ringwear_par.cases.files.faults import (
     joint_faults,
     layer_faults,
 )
+from ringwear_par.cases.files.key_values import read_values
 from ringwear_par.cases.files.keys import (
     flatten,
     in_full,
@@ -26,18 +23,14 @@ from ringwear_par.cases.files.keys import (
     read_keys,
     refuse_study,
 )
-from ringwear_par.cases.files.suggestions import nearest_keys, unknown_key
 from ringwear_par.cases.laws import read_law
-from ringwear_par.cases.layers import LAYERS, expanded, layer_tables, of_refused_law
-from ringwear_par.cases.schema import KEYS, TABLES, key_of, keys_of_layer
+from ringwear_par.cases.layers import LAYERS, expanded, layer_tables
 from ringwear_par.cases.stress import Grid, Stress
 from ringwear_par.cases.stress_points import check_stress
-from ringwear_par.cases.text import shortened, toml_text
-from ringwear_par.cases.units import without_units
-from ringwear_par.cases.values import RejectedError
+from ringwear_par.cases.text import toml_text
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.elasticity.geometry.sections import Grip, Polyline
-from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.errors import InputError
 from ringwear_par.files.text import read_text
 from ringwear_par.schedules import Quantity, Table
 from ringwear_par.wear.law import Law
@@ -111,7 +104,7 @@ def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = 
     InputError : all faults, one sentence each.
     """
     origin = Origin(origin) if isinstance(origin, str) else origin
-    values, faults = _read_values(keys, origin)
+    values, faults = read_values(keys, origin)
     faults += joint_faults(origin, keys, values)
     laws = [read_law(origin.name, table, keys, values, faults) for table in _WEAR]
     faces = contact_faces(origin.whole, values, faults)
@@ -126,58 +119,6 @@ def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = 
     check_stress(origin.whole, case)
     object.__setattr__(case, "rebuild", _rebuilt)  # a copy by dataclasses.replace has none
     return case
-
-
-class Outline(NamedTuple):
-    """What a section looks like, in the frame of the case.
-
-    Parameters
-    ----------
-    contour : (m, 2) float, mm, r and z of the corners around the unworn body; the contact face
-        from the inner to the outer radius comes first, two corners of the held face last.
-    interfaces : (l,) float, mm, heights between layers, from the contact face on.
-    plane : mm, height of the contact plane, which depths of the face count from.
-    """
-
-    contour: FloatArray
-    interfaces: FloatArray
-    plane: float
-
-
-def outlines(text: str, name: str) -> tuple[Outline, Outline]:
-    """Return the outlines of the sections of lower and upper. Not collective.
-
-    Unlike a case, they need no wear laws; no file is opened.
-
-    Parameters
-    ----------
-    text : TOML text of a case as results have it: in full, with the points of traces.
-    name : what messages call it.
-
-    Raises
-    ------
-    InputError : all faults of their keys, one sentence each.
-    """
-    keys = {path: v for path, v in read_keys(text, name).items() if not path.startswith("wear.")}
-    values, faults = _read_values(keys, Origin(name))
-    faces = contact_faces(name, values, faults)
-    if faults:
-        raise InputError(*faults)
-    sections = []
-    for ring, sign in (("lower", 1.0), ("upper", -1.0)):
-        r, z = values[f"{ring}.r"], values[f"{ring}.z"]
-        plane, fixed = (z[1], z[0]) if ring == "lower" else z
-        face = np.array(faces[ring] or [(r[0], 0.0), (r[1], 0.0)])
-        face = np.stack([face[:, 0], plane + sign * face[:, 1]], axis=1)
-        thicknesses = [layer["thickness"] for layer in keys.get(f"{ring}.layers", ())]
-        sections.append(
-            Outline(
-                np.concatenate([face, [(r[1], fixed), (r[0], fixed)]]),
-                plane - sign * np.cumsum(thicknesses),
-                plane,
-            )
-        )
-    return sections[0], sections[1]
 
 
 def _rebuilt(text: str, changes: Overrides) -> Case:
@@ -207,47 +148,6 @@ def _read_layers(
                 density = values.get(f"{table}.density")
                 layers.append(RingLayer(thickness, young, poisson, law, density))
     return tuple(layers)
-
-
-def _read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any], list[str]]:
-    """Return the values of keys, with defaults, and the faults of single keys.
-
-    Layers are read entry by entry. Keys that are wrong have no value, nor those that a misspelt one
-    means.
-    """
-    faults: list[str] = []
-    values: dict[str, Any] = {}
-    raw = expanded(keys)
-    meant: set[str] = set()
-    for path, value in raw.items():
-        key = key_of(path)
-        if key is not None:
-            try:
-                values[path] = key.read(without_units(key, value))
-            except RejectedError as reason:
-                reason_text = origin.typed_fault(path, value) or str(reason)
-                why = f"{key.rule} ({reason_text})" if reason_text else key.rule
-                faults.append(f"{origin.of(path)}{path} = {shortened(value)}: {why}")
-        elif path in TABLES and value == {}:
-            faults.append(f"{origin.of(path)}[{path}]: is empty; must have one of its keys")
-        elif path in TABLES or (path.endswith(".wear") and path.startswith(LAYERS)):
-            said = f"{path} = {shortened(value)}"
-            must = " of a law" if path not in TABLES else f", [{path}]"
-            faults.append(f"{origin.of(path)}{said}: must be a table{must}")
-        elif not of_refused_law(path, raw):
-            said = f"{origin.of(path)}{legible(path)}"
-            if len(faults) < MOST_FAULTS:
-                faults.append(f"{said}: {unknown_key(path)}")
-                meant.update(nearest_keys(path))
-            else:
-                faults.append(f"{said}: unknown key")
-    for key in itertools.chain(KEYS, *map(keys_of_layer, layer_tables(keys))):
-        if key.path not in raw and key.path not in meant:
-            if key.default is not ...:
-                values[key.path] = key.default
-            else:
-                faults.append(f"{origin.name}: {key.path} is missing: {key.rule}")
-    return values, faults
 
 
 def _build(

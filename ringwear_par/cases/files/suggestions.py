@@ -69,7 +69,7 @@ _ALIASES: dict[str, tuple[str, ...]] = {
 #: least likeness of last parts in one table, of last parts of one or two letters, and elsewhere
 _NEAR, _NEAR_SHORT, _NEAR_ELSEWHERE = 0.6, 0.5, 0.75
 #: entries of a layer
-_LAYER_ENTRIES = ("thickness", "young", "poisson", "density", "wear")
+_LAYER_ENTRIES = tuple(dict.fromkeys(key.path.partition(".")[0] for key in LAYER_KEYS))
 #: what is meant as one
 _LIKE_A_LAYER = re.compile(r"(lower|upper)\.layers?(?:[\[.](\d{1,3})\]?|\[[^\]]*\])?\.", re.ASCII)
 #: longer than any key, and slow to compare

@@ -29,7 +29,7 @@ def read_trace(path: Path) -> list[list[float]]:
     if len(table.columns) != 2:
         names = legible(", ".join(table.columns))
         raise InputError(f"{path}: has the columns {names}; must have two, radii and heights")
-    units = [_unit(str(path), name) for name in table.columns]
+    units = [_unit(str(path), table.label(name)) for name in table.columns]
     rows = table.filled(*table.columns)
     columns = [
         factor(unit, "mm") * table.numbers(name, rows)

@@ -1,7 +1,7 @@
 """What numbers of a case histories have derivatives with respect to, and what these act on."""
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray, columns
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import UNITS, layer_entry
+from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.geometry.slopes import obliquity
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
@@ -213,23 +214,17 @@ class Sensitivity:
             out[self.omega] = law.d_rate_dlocal(p, at, along) / size
         return out
 
-    def add_gap(
-        self,
-        gap: FloatArray,
-        products: Callable[[FloatArray, Any, FloatArray], FloatArray],
-        p: FloatArray,
-        at: FloatArray,
-    ) -> None:
+    def add_gap(self, gap: FloatArray, p: FloatArray, at: FloatArray) -> None:
         """Add to derivatives of the gap, (P, ..., n) mm, of elasticity at given pressures.
 
         Parameters
         ----------
-        products : of matrices and pressures, see ``CorrectedContacts.products``.
         p, at : (..., n) MPa, of a solution, and those that it was corrected at.
         """
         for row, elastic in self.elastic:
-            gap[row] += products(elastic.symmetric, elastic.which, p - at)
-            gap[row] += products(elastic.collocated, elastic.which, at)
+            products = RowProducts(elastic.which)
+            gap[row] += products.of(p - at, elastic.symmetric)
+            gap[row] += products.of(at, elastic.collocated)
 
 
 @dataclass(frozen=True)

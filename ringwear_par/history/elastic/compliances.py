@@ -8,8 +8,9 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.batched import along, take
-from ringwear_par.contact.batch import BatchSolver
 from ringwear_par.contact.correction import CorrectedContacts
+from ringwear_par.contact.engine import ContactEngine
+from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
 
 
@@ -71,13 +72,16 @@ class Compliances:
         """Return the compliances of some of the histories."""
         return take(self, histories)
 
+    def scaled(self) -> ScaledCompliances:
+        """Return the different compliances as contact problems have them."""
+        line = self.every[0].line
+        return ScaledCompliances.of(
+            np.array([c.matrix for c in self.every]),
+            line.area,
+            speed=np.array([line.arm * c.obliquity for c in self.every]),
+            excess=np.array([c.excess for c in self.every]),
+        )
+
     def contacts(self) -> CorrectedContacts:
         """Return the contacts of the histories. Not collective."""
-        line = self.every[0].line
-        area = line.area
-        matrices = np.array([c.matrix for c in self.every])
-        excess = np.array([c.excess for c in self.every])
-        stiffness = area / np.diagonal(matrices, axis1=1, axis2=2)
-        speed = np.array([line.arm * c.obliquity for c in self.every])
-        solver = BatchSolver(matrices, self.which, area, speed)
-        return CorrectedContacts(solver, excess, self.which, stiffness)
+        return CorrectedContacts(ContactEngine(self.scaled(), self.which))

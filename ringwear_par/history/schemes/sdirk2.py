@@ -114,13 +114,17 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     )
     errors = np.stack([rise, state.error])
     # the wear that the defect undoes by the pressure that it takes away
-    reliefs = contacts.response(np.concatenate([defect[None], feedback.memory * errors]))
+    reliefs = contacts.engine.derivatives.response(
+        np.concatenate([defect[None], feedback.memory * errors])
+    )
     off = np.maximum(entry_error(physics, closing, state, after, worn_last), np.abs(reliefs[0]))
     defect = defect + last.depth_change(feedback.slope, reliefs[0])
     lacking, carried = feedback.after_relief(errors, reliefs[1:])
     # (1 + (1 - 2 gamma) z) / (1 - gamma z)^2 of the error before, z being h J
     errors = np.stack([_LACKING / GAMMA * lacking, state.error + carried / GAMMA * (1.0 - GAMMA)])
-    changes = feedback.after_relief(errors, contacts.response(feedback.memory * errors))
+    changes = feedback.after_relief(
+        errors, contacts.engine.derivatives.response(feedback.memory * errors)
+    )
     defect = defect + errors[0] + changes[0]
     carried = errors[1] + changes[1]
     after = replace(after, error=carried + defect)

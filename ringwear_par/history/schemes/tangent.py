@@ -100,8 +100,8 @@ class Along:
         contacts, p = self._contacts, solution.pressure
         during = self._during = wear
         gap = self.wear[0] + self.wear[1]
-        contacts.take_shift(gap, self._near)
-        self._numbers.add_gap(gap, contacts.products, p, at)
+        gap -= contacts.gap_of_excess(self._near)
+        self._numbers.add_gap(gap, p, at)
         slope: FloatArray | None = None
         if during is not None:
             linearised = self._linearise(during, p, self._d_step(during), instant=False)
@@ -111,7 +111,9 @@ class Along:
         load = self._numbers.load
         forced = self._physics.inputs.force is not None
         d_force, d_approach = (load, None) if forced else (None, load)
-        solved = contacts.tangents(solution, gap, d_force, d_approach, slope, histories)
+        solved = contacts.engine.derivatives.tangents(
+            solution, gap, d_force, d_approach, slope, histories
+        )
         if len(histories) == gap.shape[1]:
             self._gap, (self.pressure, self.approach) = gap, solved
         else:
@@ -294,7 +296,7 @@ class Along:
         open_ = contact.pressure <= 0.0
         if not open_.any():
             return np.zeros_like(self._gap)
-        gap = self._gap + self._contacts.deflections(self.pressure)
+        gap = self._gap + self._contacts.engine.derivatives.deflections(self.pressure)
         if self._during is not None and not self._during.local:
             assert self._linearised is not None
             gap += sum(self.unhindered().values()) - self._linearised.depth

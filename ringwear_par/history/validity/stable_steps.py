@@ -1,17 +1,41 @@
-"""How long explicit steps may be."""
+"""How long steps of fixed length may be."""
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.bem.pair import ContactCompliance, largest_stable_step
 from ringwear_par.history.physics import Physics
-from ringwear_par.schedules import integral, largest
+from ringwear_par.schedules import Table, integral, largest
 from ringwear_par.wear.law import Law
 from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
+
+#: of the range of a load, by which steps may miss it
+_SLIGHT_MISS = 0.01
+
+
+def missed_corner(case: Case) -> tuple[float, float, float] | None:
+    """Return the corner of the load's table that fixed steps pass over, None for none.
+
+    That is its time (s), the load there (N or mm), and what the load would be between both ends of
+    the step; of several corners, the one that is missed most.
+    """
+    load = case.load.displacement if case.load.force is None else case.load.force
+    step = case.time.step
+    if case.time.adaptive or not isinstance(load, Table):
+        return None
+    x, y = np.array(load.x), np.array(load.y)
+    number = np.floor(x / step + SAME_TIME)
+    share = np.clip(x / step - number, 0.0, 1.0)
+    straight = (1.0 - share) * load(number * step) + share * load((number + 1.0) * step)
+    missed = np.where((x > 0.0) & (x < case.time.end), np.abs(y - straight), 0.0)
+    i = int(missed.argmax())
+    if missed[i] <= _SLIGHT_MISS * np.ptp(y):
+        return None
+    return float(x[i]), float(y[i]), float(straight[i])
 
 
 def stable_steps(physics: Physics, contacts: CorrectedContacts) -> list[float]:
@@ -58,10 +82,10 @@ def pressed(
     ----------
     histories : those that are solved; None: all.
     """
-    solver, inputs = contacts.solver, physics.inputs
+    engine, inputs = contacts.engine, physics.inputs
     loads = [case.load for case in inputs.cases]
     if inputs.force is None:
         approach = np.array([largest(load.displacement or 0.0) for load in loads])
-        return solver.solve(inputs.initial_gap, approach=approach, histories=histories)
+        return engine.solve(inputs.initial_gap, approach=approach, histories=histories)
     force = np.array([largest(load.force or 0.0) for load in loads])
-    return solver.solve(inputs.initial_gap, force=force, histories=histories)
+    return engine.solve(inputs.initial_gap, force=force, histories=histories)

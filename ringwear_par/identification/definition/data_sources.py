@@ -197,7 +197,7 @@ def _from_file(reader: TableReader, kind: str, files: FileStore) -> Readings | N
             continue
         base = BASE[kind if role == "value" else role]
         try:
-            unit = units.get(role) or told_unit(column, base) or ""
+            unit = units.get(role) or told_unit(data.label(column), base) or ""
         except RejectedError as reason:
             reader.fault(
                 f"{data.name}: the column {legible(column)} {reason}; must be in the unit of "
@@ -210,7 +210,7 @@ def _from_file(reader: TableReader, kind: str, files: FileStore) -> Readings | N
         scale = _unit_factor(reader, f"units.{role}", unit, base)
         if scale is None:
             continue
-        if named := _other_unit(column, unit):
+        if named := _other_unit(data.label(column), unit):
             reader.fault(
                 f"units.{role} = {shortened(unit)}: the column {legible(column)} of {data.name} is "
                 f"in {named} by its name; must be the same unit"
@@ -219,6 +219,8 @@ def _from_file(reader: TableReader, kind: str, files: FileStore) -> Readings | N
     if len(column_names) < len(roles):
         return None
     rows = data.filled(*column_names.values())
+    if "time" in column_names:
+        rows = data.first_stamps(column_names["time"], rows)
     hour = factor("h", "s") / factors["time"] if "time" in roles else None
     x = factors[roles[0]] * _column(reader, data, column_names[roles[0]], rows, hour)
     value = factors["value"] * _column(reader, data, column_names["value"], rows)
@@ -310,9 +312,10 @@ def _sd_column(reader: TableReader, column: str, readings: Readings) -> FloatArr
             "sd", f'must be a number, "fit", {{ relative = x }} or a column of {data.name}'
         )
         return unknown
-    named = _other_unit(column, readings.unit)
-    if not named and unit_of_column(column, readings.unit) is None:
-        named = legible(unit_of_anything(column) or "")
+    label = data.label(column)
+    named = _other_unit(label, readings.unit)
+    if not named and unit_of_column(label, readings.unit) is None:
+        named = legible(unit_of_anything(label) or "")
     if named:
         reader.wrong(
             "sd",

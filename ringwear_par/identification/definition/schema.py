@@ -8,8 +8,7 @@ from typing import Any, get_args
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.schema import Key
-from ringwear_par.cases.tables import keys_of_table
+from ringwear_par.cases.tables import Key, keys_of_table
 from ringwear_par.cases.values import (
     RejectedError,
     Values,
@@ -173,9 +172,11 @@ KEYS: tuple[Key, ...] = (
         "is lost; points of a profile outside the contact are unworn"),
     Key("experiment.data.file",
         *text("the name of a table: a text file with commas, semicolons or tabs"), "-",
-        "table of readings, relative to this file: a line of column names, then numbers; lines "
-        "that begin with # and empty cells are skipped; times may be clock times: h:mm:ss, or "
-        "min:s (h:min where units.time is h)", None),
+        "table of readings, relative to this file: a line of column names, perhaps a row of their "
+        "units, then numbers; what is above the names, lines that begin with # and cells that are "
+        "empty, nan, n.a., NA, - or --- are skipped; times may be stamps such as 2026-03-14 "
+        "08:15:00 or 14.03.2026 08:15:00, or clock times: h:mm:ss, or min:s (h:min where "
+        "units.time is h)", None),
     Key("experiment.data.columns", *_COLUMNS, "-",
         "names of its columns, where they are not time (or r) and value", None),
     Key("experiment.data.units", *_COLUMNS, "-",

@@ -79,17 +79,18 @@ def minimise(
                 wait_for(x)
         return misfit.evaluate(x)
 
-    bounds, free = (misfit.lower, misfit.upper), ~misfit.idle
+    free = ~misfit.idle
     if fixed is not None:
         free[fixed] = False
+    box = _Box.of(misfit, start, free)
     nonlinear, linear = free & ~misfit.linear, free & misfit.linear
     bent = any(bends_within(experiment) for experiment in misfit.problem.experiments)
     x, iterations, still = start, 0, False
     solve = _brgn if misfit.problem.settings.method == "brgn" else _scipy
     for _ in range(_SCALES):
-        problem = _Reduced(evaluate, x, bounds, nonlinear, linear)
+        problem = _Reduced(evaluate, x, box, nonlinear, linear)
         if not nonlinear.any():
-            x = problem.whole(x[nonlinear])
+            x = problem.whole(problem.start)
             break
         before = problem.residuals(problem.start)
         problem.patience = _STILL if bent else None
@@ -104,17 +105,49 @@ def minimise(
             break
     evaluation = evaluate(x)
     misfit.forget(new_points, x)
-    good = still or _gradient(evaluation, x, bounds, free) <= _GOOD_GRADIENT
+    good = still or _gradient(evaluation, x, box, free) <= _GOOD_GRADIENT
     return Optimum(x, evaluation, good, iterations, len(new_points))
 
 
-def _gradient(
-    evaluation: Evaluation, x: FloatArray, bounds: tuple[FloatArray, FloatArray], free: BoolArray
-) -> float:
-    """Return the norm of the gradient, without what bounds hold, by each unknown's own sd."""
-    size = np.linalg.norm(evaluation.jacobian, axis=0)
-    slope = evaluation.jacobian.T @ evaluation.residuals / np.where(size > 0, size, 1.0)
-    out = ((x <= bounds[0]) & (slope > 0)) | ((x >= bounds[1]) & (slope < 0)) | ~free
+@dataclass(frozen=True, eq=False)
+class _Box:
+    """Coordinates in which all that bounds and rules allow is a box.
+
+    Those of most unknowns are the unknowns; one that is never less than another counts from it.
+
+    Parameters
+    ----------
+    forward, back : (u, u), coordinates of the unknowns, and the unknowns of coordinates.
+    low, high : (u,) of the coordinates.
+    """
+
+    forward: FloatArray
+    back: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of(cls, misfit: Misfit, x: FloatArray, free: BoolArray) -> "_Box":
+        """Return the box of a misfit whose unknowns stay at x but for those that are free."""
+        forward, low, high = np.eye(len(x)), misfit.lower.copy(), misfit.upper.copy()
+        for i, j in misfit.ordered:
+            if free[i] and free[j]:
+                forward[i, j] = -1.0
+                low[i] = max(misfit.lower[i] - misfit.upper[j], 0.0)
+                high[i] = misfit.upper[i] - misfit.lower[j]
+            elif free[i]:
+                low[i] = max(low[i], x[j])
+            elif free[j]:
+                high[j] = min(high[j], x[i])
+        return cls(forward, np.linalg.inv(forward), low, high)
+
+
+def _gradient(evaluation: Evaluation, x: FloatArray, box: _Box, free: BoolArray) -> float:
+    """Return the norm of the gradient, without what bounds hold, by each coordinate's own sd."""
+    jacobian, z = evaluation.jacobian @ box.back, box.forward @ x
+    size = np.linalg.norm(jacobian, axis=0)
+    slope = jacobian.T @ evaluation.residuals / np.where(size > 0, size, 1.0)
+    out = ((z <= box.low) & (slope > 0)) | ((z >= box.high) & (slope < 0)) | ~free
     return float(np.linalg.norm(np.where(out, 0.0, slope)))
 
 
@@ -123,13 +156,14 @@ class _NoProgressError(Exception):
 
 
 class _Reduced:
-    """A problem over the nonlinear unknowns, in units of their scale where it starts.
+    """A problem over nonlinear coordinates, in units of their scale where it starts.
 
     Remembers its last point, as minimisers ask for residuals and Jacobian one after the other.
 
     Parameters
     ----------
     x : (u,) where it starts.
+    box : of all unknowns.
     nonlinear, linear : (u,) bool; at each trial linear ones are the best for the others.
 
     Attributes
@@ -142,22 +176,24 @@ class _Reduced:
         self,
         evaluate: Residuals,
         x: FloatArray,
-        bounds: tuple[FloatArray, FloatArray],
+        box: _Box,
         nonlinear: BoolArray,
         linear: BoolArray,
     ) -> None:
-        self._evaluate, self._x, self._nonlinear, self._linear = evaluate, x, nonlinear, linear
-        self._low, self._high = (bound[nonlinear] for bound in bounds)
+        self._evaluate, self._box, self._nonlinear, self._linear = evaluate, box, nonlinear, linear
+        self._z = box.forward @ x
+        self._low, self._high = box.low[nonlinear], box.high[nonlinear]
         self._scale = np.ones(int(nonlinear.sum()))
         self.patience: int | None = None
         self.best, self._least, self._vain = x, np.inf, 0
         self._last: tuple[bytes, FloatArray, FloatArray, FloatArray] | None = None
-        sizes = np.linalg.norm(self._at(x[nonlinear])[2], axis=0)
+        start = self._z[nonlinear]
+        sizes = np.linalg.norm(self._at(start)[2], axis=0)
         widths = np.where(np.isfinite(self._high - self._low), self._high - self._low, 1.0)
         self._scale = np.where(sizes > 0, 1.0 / np.where(sizes > 0, sizes, 1.0), widths)
         #: where it starts, and the bounds
         self.start, self.low, self.high = (
-            value / self._scale for value in (x[nonlinear], self._low, self._high)
+            value / self._scale for value in (start, self._low, self._high)
         )
         self._last = None
         self._at(self.start)
@@ -165,8 +201,9 @@ class _Reduced:
     def _at(self, y: FloatArray) -> tuple[bytes, FloatArray, FloatArray, FloatArray]:
         """Return residuals, Jacobian and unknowns."""
         if self._last is None or self._last[0] != y.tobytes():
-            x = self._x.copy()
-            x[self._nonlinear] = np.clip(y * self._scale, self._low, self._high)
+            z = self._z.copy()
+            z[self._nonlinear] = np.clip(y * self._scale, self._low, self._high)
+            x = self._box.back @ z
             try:
                 evaluation = self._evaluate(x)
             except HistoryError:  # a trial too far: a ring worn through, say
@@ -177,7 +214,7 @@ class _Reduced:
                 return self._last
             residuals, jacobian = (
                 evaluation.residuals,
-                evaluation.jacobian[:, self._nonlinear] * self._scale,
+                (evaluation.jacobian @ self._box.back)[:, self._nonlinear] * self._scale,
             )
             if self._linear.any():
                 projection = NuisanceProjection(evaluation.jacobian[:, self._linear])

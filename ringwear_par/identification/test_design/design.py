@@ -13,13 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par import outcomes
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.folders import DESIGN, MAP, NEXT
+from ringwear_par.files.folders import DESIGN, MAP, NEXT, check_folder
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Criterion, Problem
-from ringwear_par.identification.fit_folder import check
 from ringwear_par.identification.test_design.candidates import (
     INSTANTS,
     LOADS,
@@ -36,6 +34,7 @@ from ringwear_par.identification.test_design.information import (
 )
 from ringwear_par.identification.test_design.search import Design, Search
 from ringwear_par.parallel import on_first_rank
+from ringwear_par.results import outcomes
 from ringwear_par.version import versions
 
 if TYPE_CHECKING:
@@ -226,7 +225,7 @@ def run_design(
     criterion: Criterion | None = None,
 ) -> None:
     """Find the next tests and write them to a folder. Collective on comm."""
-    on_first_rank(comm, lambda: check(folder, (DESIGN, NEXT, MAP)))
+    on_first_rank(comm, lambda: check_folder(folder, (DESIGN, NEXT, MAP)))
     result = design(source, comm, after=after, criterion=criterion)
     on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:

@@ -16,11 +16,11 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.units import has_unit, in_unit
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import legible
-from ringwear_par.files.folders import DESIGN, MAP, NEXT
+from ringwear_par.files.folders import DESIGN, MAP, NEXT, new_files, write_json
 from ringwear_par.files.text import parse_toml
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.identification.definition.problem import Series
-from ringwear_par.identification.fit_folder import new_files, png, write_json
+from ringwear_par.identification.fit_folder import png
 from ringwear_par.identification.test_design.candidates import LOADS, Candidate, last_profiles
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.design_numbers import spreads

@@ -6,56 +6,46 @@ import numpy as np
 
 from ringwear_par import batched
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.contact.problem import WarmStart
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.history.state import Progress, State
+from ringwear_par.history.state import Start
 
 
 @dataclass(frozen=True)
 class LastState:
-    """The present or last states of B histories, to go on from.
+    """The present or last states of B histories.
 
     Parameters
     ----------
-    state, progress : without derivatives.
-    warm : where the contact solver starts.
+    start : to continue from, without derivatives.
     symmetry_defect : (B,) of the compliances.
     finished : (B,) whether the histories have come to their ends.
     """
 
-    state: State
-    progress: Progress
-    warm: WarmStart
+    start: Start
     symmetry_defect: FloatArray
     finished: BoolArray
 
     @classmethod
     def of(cls, snapshot: Snapshot, places: IntArray) -> "LastState":
         """Return the states of some histories of a snapshot."""
-        state = replace(snapshot.state, tangent=None)
-        return cls(
-            batched.take(state, places),
-            batched.take(snapshot.progress, places),
-            batched.take(snapshot.contacts.warm, places),
-            snapshot.physics.compliances.symmetry_defect[places],
-            snapshot.finished[places],
-        )
+        physics, state = snapshot.physics, replace(snapshot.state, tangent=None)
+        start = Start(state, snapshot.progress, snapshot.contacts.warm, physics.updates)
+        defect = physics.compliances.symmetry_defect
+        return batched.take(cls(start, defect, snapshot.finished), places)
 
 
 class LastStates:
     """The state from which each of B histories can go on: an observer. Not collective.
 
-    Of a single history it is the present one, of several those at their ends.
-
     Parameters
     ----------
     count : B.
-    results : whether the states of several histories are wanted.
+    results : whether the states at the ends of the histories are wanted.
     """
 
     def __init__(self, count: int, results: bool = True) -> None:
-        self._single, self._results = count == 1, results
+        self._results = results
         #: the last snapshot that histories went on from; None before the first
         self.snapshot: Snapshot | None = None
         #: (2, B) s, when wear got through all layers of lower and upper, by the end of a history
@@ -73,29 +63,24 @@ class LastStates:
         numbers = snapshot.numbers[places]
         if snapshot.state.through is not None:
             self.through[:, numbers] = snapshot.state.through[:, places]
-        if self._results and not self._single:
+        if self._results:
             states = LastState.of(snapshot, places)
             self._ended |= {number: (states, i) for i, number in enumerate(numbers.tolist())}
         return False
 
     def state(self, number: int) -> LastState:
-        """Return the last state of a history, as of one of B = 1."""
-        if self._single:
-            assert self.snapshot is not None
-            return LastState.of(self.snapshot, np.zeros(1, dtype=np.int64))
-        states, place = self._ended[number]
-        return batched.take(states, np.array([place]))
+        """Return the state of a history at its end, or its present one, as of one of B = 1."""
+        if number in self._ended:
+            states, place = self._ended[number]
+            return batched.take(states, np.array([place]))
+        assert self.snapshot is not None
+        return LastState.of(self.snapshot, np.flatnonzero(self.snapshot.numbers == number))
 
     @property
     def physics(self) -> Physics:
         """The physics of the last snapshot."""
         assert self.snapshot is not None
         return self.snapshot.physics
-
-    @property
-    def updates(self) -> int:
-        """Number of times that elements were assembled anew to follow the wear."""
-        return self.physics.updates
 
     @property
     def finished(self) -> bool:

@@ -18,7 +18,39 @@ PROGRESS_SECONDS = 10.0
 _BAR_SECONDS = 0.2
 
 
-class Progress:
+class _Progress:
+    """A bar on a terminal, else lines.
+
+    Parameters
+    ----------
+    bar : how it looks, see tqdm.
+    """
+
+    def __init__(self, **bar: Any) -> None:
+        self._begun = self._last = time.perf_counter()
+        self._bar: Any = tqdm(leave=False, disable=not sys.stderr.isatty(), **bar)
+
+    @property
+    def _on_terminal(self) -> bool:
+        return not self._bar.disable
+
+    def _is_due(self, pause: float = PROGRESS_SECONDS) -> bool:
+        """Tell whether the last time that it was is so many wall seconds ago."""
+        now = time.perf_counter()
+        if now - self._last <= pause:
+            return False
+        self._last = now
+        return True
+
+    def _move_to(self, reached: float) -> None:
+        self._bar.update(reached - self._bar.n)
+
+    def close(self) -> None:
+        """Remove the bar."""
+        self._bar.close()
+
+
+class RunProgress(_Progress):
     """Observer that tells of the time simulated.
 
     Parameters
@@ -28,33 +60,26 @@ class Progress:
     """
 
     def __init__(self, start: float, end: float) -> None:
-        self._end, self._last_line = end, time.perf_counter()
-        self._bar: Any = tqdm(
-            total=end, initial=start, unit="s", leave=False, disable=not sys.stderr.isatty(),
+        super().__init__(
+            total=end, initial=start, unit="s",
             bar_format="{l_bar}{bar}| {n:.4g}/{total:.4g} s simulated [{elapsed}<{remaining}]",
         )  # fmt: skip
+        self._end = end
 
     def __call__(self, snapshot: Snapshot) -> bool:
         """Tell of a state. Not collective."""
         state, time_reached = snapshot.state, float(snapshot.state.time[0])
-        if not self._bar.disable:
-            self._bar.update(time_reached - self._bar.n)
-            return False
-        now = time.perf_counter()
-        if now - self._last_line > PROGRESS_SECONDS:
-            self._last_line = now
+        if self._on_terminal:
+            self._move_to(time_reached)
+        elif self._is_due():
             log.info(
                 "step %d, time %.6g of %.6g s, approach %.6f mm",
                 snapshot.progress.steps[0], time_reached, self._end, state.contact.approach[0],
             )  # fmt: skip
         return False
 
-    def close(self) -> None:
-        """Remove the bar."""
-        self._bar.close()
 
-
-class SweepProgress:
+class SweepProgress(_Progress):
     """Observer that tells of cases done and failed, rate and time left.
 
     Parameters
@@ -67,27 +92,19 @@ class SweepProgress:
     def __init__(
         self, done: int, failed: int, total: int, ended: Callable[[], tuple[int, int]]
     ) -> None:
+        super().__init__(total=total, initial=done + failed, unit="case", smoothing=0.0)
         self._before, self._total, self._ended = (done, failed), total, ended
-        self._begun = self._last_line = time.perf_counter()
-        self._bar: Any = tqdm(
-            total=total, initial=done + failed, unit="case", leave=False, smoothing=0.0,
-            disable=not sys.stderr.isatty(),
-        )  # fmt: skip
-        self._pause = PROGRESS_SECONDS if self._bar.disable else _BAR_SECONDS
 
     def __call__(self, snapshot: Snapshot | None = None) -> bool:
         """Tell, if it is time."""
-        now = time.perf_counter()
-        if now - self._last_line < self._pause:
+        if not self._is_due(_BAR_SECONDS if self._on_terminal else PROGRESS_SECONDS):
             return False
-        self._last_line = now
         done, failed = self._ended()
-        ended = done + failed + sum(self._before)
-        rate = (done + failed) / (now - self._begun)
-        failures = failed + self._before[1]
-        if not self._bar.disable:
+        ended, failures = done + failed + sum(self._before), failed + self._before[1]
+        rate = (done + failed) / (self._last - self._begun)
+        if self._on_terminal:
             self._bar.set_postfix_str(f"{failures} failed", refresh=False)
-            self._bar.update(ended - self._bar.n)
+            self._move_to(ended)
             return False
         left = (self._total - ended) / rate if rate else math.inf
         log.info(
@@ -96,37 +113,25 @@ class SweepProgress:
         )  # fmt: skip
         return False
 
-    def close(self) -> None:
-        """Remove the bar."""
-        self._bar.close()
 
-
-class FitProgress:
+class FitProgress(_Progress):
     """Tells how many histories a fit has had computed, and what it is at."""
 
     def __init__(self) -> None:
-        self._last_line = time.perf_counter()
-        self._bar: Any = tqdm(
-            unit=" histories", leave=False, smoothing=0.0, disable=not sys.stderr.isatty(),
-            bar_format="{desc}{n_fmt}{unit} [{elapsed}, {rate_noinv_fmt}]",
-        )  # fmt: skip
+        bar = "{desc}{n_fmt}{unit} [{elapsed}, {rate_noinv_fmt}]"
+        super().__init__(unit=" histories", smoothing=0.0, bar_format=bar)
 
     def __call__(self, histories: int) -> None:
         """Tell how many there are by now; on a terminal only."""
-        if not self._bar.disable:
-            self._bar.update(histories - self._bar.n)
+        if self._on_terminal:
+            self._move_to(histories)
 
     def tell(self, state: str) -> None:
         """Print the state of the fit; without a terminal now and then."""
-        if not self._bar.disable:
+        if self._on_terminal:
             self._bar.set_description(state)
-        elif time.perf_counter() - self._last_line > PROGRESS_SECONDS:
-            self._last_line = time.perf_counter()
+        elif self._is_due():
             log.info("%s", state)
-
-    def close(self) -> None:
-        """Remove the bar."""
-        self._bar.close()
 
 
 def duration(seconds: float) -> str:

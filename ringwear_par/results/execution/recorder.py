@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import reason_of
 from ringwear_par.history.observers.balances import Balances, WorstBalances
@@ -17,6 +17,7 @@ from ringwear_par.history.observers.boundaries import BoundaryObserver
 from ringwear_par.history.observers.stresses import CaseStresses, StressObserver
 from ringwear_par.history.observers.worst_states import WorstStates
 from ringwear_par.history.snapshots import Observer, Snapshot
+from ringwear_par.history.state import Start
 from ringwear_par.results.execution.attributes import (
     assembly_cost,
     case_attributes,
@@ -24,12 +25,10 @@ from ringwear_par.results.execution.attributes import (
     wall_times,
 )
 from ringwear_par.results.execution.last_states import LastStates
-from ringwear_par.results.execution.stored_rows import StoredRows, Table
-from ringwear_par.results.result import HistoryColumns, Result, balance_attributes
-from ringwear_par.results.storage.checkpoints import restored, take
+from ringwear_par.results.execution.stored_rows import StoredRows
+from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
 from ringwear_par.results.stress_variables import point_columns, stress_rows
 from ringwear_par.results.warnings import Warnings
-from ringwear_par.version import __version__
 
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
 
@@ -62,10 +61,12 @@ class Recorder:
     ) -> None:
         self._cases, self._comm, count = cases, comm, len(cases)
         #: where the history continues, None where it starts
-        self.start = None if before is None else restored(before)
+        self.start: Start | None = None
         self._rows = StoredRows(cases, derivatives)
         rows, stored_until = np.zeros(0, dtype=bool), -1.0
-        if before is not None and self.start is not None:
+        if before is not None:
+            assert before.checkpoint is not None
+            self.start = before.checkpoint.start
             rows = self._rows.restore(before, float(self.start.state.time[0]))
             stored_until = float(before.histories["time"][rows][-1])
         self._balances, self._worst = WorstBalances(count), WorstStates(cases[0], count)
@@ -142,27 +143,20 @@ class Recorder:
         failures, count = {**self._stresses.failures, **failures}, len(self._cases)
         failed = [number in failures for number in range(count)]
         warnings = [() if bad else self.warnings.history(i) for i, bad in enumerate(failed)]
-        rows, table = self._rows, self._rows.table()
-        values = table.values
+        rows = self._rows.columns()
         return HistoryColumns(
-            table.offsets,
-            table.steps,
-            {name: values[name] for name in rows.histories},
-            {name: values[name] for name in rows.fields},
-            np.where(failed, 0.0, self._balances.imbalance),
-            tuple(tuple(warning.flag for warning in texts) for texts in warnings),
-            np.full(count, self._stepping / count),
-            tuple("failed" if bad else "done" for bad in failed),
-            tuple(reason_of(failures[i]) if bad else "" for i, bad in enumerate(failed)),
-            {name: values[name] for name in rows.derivatives},
-            {name: values[name] for name in rows.layers},
-            self._stress_rows(table),
-            self._single_values(),
+            **rows,
+            imbalance=np.where(failed, 0.0, self._balances.imbalance),
+            flags=tuple(tuple(warning.flag for warning in texts) for texts in warnings),
+            seconds=np.full(count, self._stepping / count),
+            status=tuple("failed" if bad else "done" for bad in failed),
+            reason=tuple(reason_of(failures[i]) if bad else "" for i, bad in enumerate(failed)),
+            stress=self._stress_rows(rows["histories"]["time"], rows["offsets"]),
+            whole=self._single_values(),
         )
 
-    def _stress_rows(self, table: Table) -> dict[str, FloatArray]:
+    def _stress_rows(self, times: FloatArray, offsets: IntArray) -> dict[str, FloatArray]:
         """Return the stored stresses of all rows; cases ask for the same, or for none."""
-        times, offsets = table.values["time"], table.offsets
         parts = [
             stress_rows(history, times[offsets[number] : offsets[number + 1]])
             for number in range(len(self._cases))
@@ -199,8 +193,9 @@ class Recorder:
 
     def _result(self, number: int, columns: HistoryColumns, error: str = "") -> Result:
         case, rows, last = self._cases[number], columns.rows(number), self._last.state(number)
-        steps, time_reached = columns.steps[rows], float(last.state.time[0])
+        steps, time_reached = columns.steps[rows], float(last.start.state.time[0])
         through = times_through(case, self._last.through[:, number])
+        about = case_attributes(case, time_reached)
 
         def part(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
             return {n: self._rows.part(n, column, rows, number) for n, column in values.items()}
@@ -213,12 +208,12 @@ class Recorder:
             part(columns.profiles),
             tuple(self._boundary.states),
             {
-                **case_attributes(case, time_reached),
+                **about,
                 **{name: float(time) for name, time in through.items()},
                 "status": "complete" if last.finished[0] else "incomplete",
                 "error": error,
                 "ranks": self._comm.size,
-                "begun_by": self._before.get("begun_by", __version__),
+                "begun_by": self._before.get("begun_by", about["version"]),
                 **self.seconds(),
                 **balance_attributes(vars(self._balances.history(number))),
                 "symmetry_defect": float(last.symmetry_defect[0]),
@@ -226,10 +221,7 @@ class Recorder:
                 "closing_contact": int(self._balances.closing_contact[number]),
                 "doubts": json.dumps([warning.text for warning in self.warnings.history(number)]),
             },
-            take(
-                last.state, last.progress, last.warm, self._last.updates,
-                int(self._rows.pending[number]), self.warnings.worst(number),
-            ),
+            Checkpoint(last.start, int(self._rows.pending[number]), self.warnings.worst(number)),
             parameters=self._rows.parameters,
             derivatives=part(columns.derivatives),
             layers=part(columns.layers),

@@ -16,12 +16,11 @@ from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.execution.preparation import Figure, prepare, reached_end
-from ringwear_par.results.execution.progress import Progress
+from ringwear_par.results.execution.progress import RunProgress
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.stopping import StopSignals, remark
 from ringwear_par.results.execution.watch import Watch
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.storage.result_files import write_result
 from ringwear_par.results.unit_suspicions import unit_suspicions
 from ringwear_par.version import __version__
@@ -67,7 +66,7 @@ def run_case(
         warn_of_threads(comm.size)
     recorder = Recorder([case], comm, before)
     if before is not None and comm.rank == 0:
-        _log_continuation(output, before)
+        _log_continuation(output, recorder, before)
     file = _ResultFile(output, recorder, comm)
     signals = StopSignals()
     watch = Watch(signals, file.save, comm)
@@ -95,9 +94,10 @@ def run_case(
     return _draw(output, figure, comm)
 
 
-def _log_continuation(output: Path, before: Result) -> None:
+def _log_continuation(output: Path, recorder: Recorder, before: Result) -> None:
     """Log where a run goes on, and whether another version began it."""
-    start, version = restored(before), before.attributes["version"]
+    start, version = recorder.start, before.attributes["version"]
+    assert start is not None
     log.info(
         "continuing %s after step %d (%g s)", output, start.progress.steps[0], start.state.time[0]
     )
@@ -159,7 +159,7 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
     with ExitStack() as resources:
         if comm.rank == 0:
             since = 0.0 if recorder.start is None else float(recorder.start.state.time[0])
-            observers.append(resources.enter_context(closing(Progress(since, case.time.end))))
+            observers.append(resources.enter_context(closing(RunProgress(since, case.time.end))))
         try:
             with _doubting(case, path, comm):
                 simulate_one(case, comm, start=recorder.start, observers=observers)
@@ -172,7 +172,7 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
                 raise
             file.save_at_end(str(error))
             raise ComputationError(
-                f"{error} of {path}; {file.path} holds the steps before it, and ringwear plot or "
+                f"{path}: {error}. {file.path} holds the steps before it: ringwear plot and "
                 "report show how it came to that"
             ) from error
 

@@ -1,7 +1,6 @@
 """Observer that stores the variables of histories, row by row."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,17 +13,8 @@ from ringwear_par.history.schemes.tangent import variables as derivatives_of
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
 from ringwear_par.results.result import Result
-from ringwear_par.results.variables import (
-    D_HISTORIES,
-    D_PROFILES,
-    HISTORIES,
-    LAYER_PROFILES,
-    LAYER_VOLUMES,
-    layer_names,
-)
+from ringwear_par.results.variables import HISTORIES, VARIABLES, derivative_names, layer_names
 
-#: along the contact line
-_WIDE = (*D_PROFILES, *LAYER_PROFILES)
 #: variables that count from the start, and the variable that they are changes of
 _SINCE_START = {"penetration": "approach", "d_penetration": "d_approach"}
 
@@ -58,22 +48,6 @@ def row(physics: Physics, state: State) -> dict[str, Any]:
     return values
 
 
-@dataclass(frozen=True, eq=False)
-class Table:
-    """Stored rows of B histories, which follow each other.
-
-    Parameters
-    ----------
-    offsets : (B + 1,) int, where the rows of each begin and end.
-    steps : (rows,) int, steps made.
-    values : by name, over all rows; of profiles that are stored at the end only, over histories.
-    """
-
-    offsets: IntArray
-    steps: IntArray
-    values: Mapping[str, Any]
-
-
 class StoredRows:
     """Rows of the variables that the cases of some histories store: an observer. Not collective.
 
@@ -85,23 +59,28 @@ class StoredRows:
 
     def __init__(self, cases: Sequence[Case], derivatives: Sequence[str] = ()) -> None:
         case, count = cases[0], len(cases)
-        self._case, self._count, self._n = case, count, case.line.n
-        self.histories = tuple(HISTORIES)
+        self._case, self._count = case, count
         #: units of the keys
         self.parameters = units_of(case, derivatives)
-        self.fields = case.output.fields
-        #: number of layers, the body itself included, by variable of layers
-        self.layers = {
-            name: 1 + len(case.lower.layers if "lower" in name else case.upper.layers)
-            for name in layer_names((bool(case.lower.layers), bool(case.upper.layers)))
+        fields, layers = case.output.fields, (len(case.lower.layers), len(case.upper.layers))
+        #: names of what is stored, by field of ``HistoryColumns``
+        self._groups = {
+            "histories": tuple(HISTORIES),
+            "profiles": fields,
+            "derivatives": derivative_names(fields) if derivatives else (),
+            "layers": layer_names((layers[0] > 0, layers[1] > 0)),
         }
-        self.derivatives: tuple[str, ...] = ()
-        if derivatives:
-            profiles = [f"d_{name}" for name in self.fields]
-            self.derivatives = (*D_HISTORIES, *(name for name in D_PROFILES if name in profiles))
-        stored = (*HISTORIES, *self.fields, *self.derivatives, *self.layers)
-        deep = case.output.profiles == "all"
-        last = () if deep else tuple(name for name in stored if self._along_line(name))
+        #: sizes of the axes of a row
+        self._sizes = {
+            "parameter": len(self.parameters), "element": case.line.n,
+            "layer": 1 + layers[0], "layer_upper": 1 + layers[1],
+        }  # fmt: skip
+        stored = [name for names in self._groups.values() for name in names]
+        last = [
+            name
+            for name in stored
+            if case.output.profiles == "last" and "element" in VARIABLES[name].dimensions
+        ]
         # rows as they come: numbers of the histories, steps, variables
         self._numbers: list[IntArray] = []
         self._steps: list[IntArray] = []
@@ -131,7 +110,7 @@ class StoredRows:
             if rows[-1]:
                 last[0] = stored[name]
         assert before.checkpoint is not None
-        self.pending[0] = int(before.checkpoint.numbers["pending_iterations"]) + int(
+        self.pending[0] = before.checkpoint.pending_iterations + int(
             before.histories["contact_iterations"][~rows].sum()
         )
         return rows
@@ -159,8 +138,8 @@ class StoredRows:
         self.pending[numbers] = 0
         return False
 
-    def table(self) -> Table:
-        """Return all rows, by history."""
+    def columns(self) -> dict[str, Any]:
+        """Return all rows, by history: the fields of ``HistoryColumns`` that these are."""
         empty = np.empty(0, dtype=np.int64)
         numbers = np.concatenate([empty, *self._numbers])
         order = np.argsort(numbers, kind="stable")
@@ -178,37 +157,32 @@ class StoredRows:
                 values[name] = values[total] - values[total][..., first]
         offsets = np.searchsorted(numbers, np.arange(self._count + 1))
         steps = np.concatenate([empty, *self._steps])[order]
-        return Table(offsets, steps, values | self._last_profiles)
+        values |= self._last_profiles
+        groups = {g: {name: values[name] for name in names} for g, names in self._groups.items()}
+        return {"offsets": offsets, "steps": steps, **groups}
 
     def part(self, name: str, values: Any, rows: slice, number: int) -> Any:
         """Return the values of a variable in some rows of a history, or its last profile."""
         return values[at_rows(name, rows if name in self._rows else number)]
 
     def _column(self, name: str, parts: Sequence[Any], order: IntArray, places: IntArray) -> Any:
-        """Return the rows of a variable in order; profiles, which are large, are copied once."""
-        if self._along_line(name) or name in LAYER_VOLUMES:
-            column, first = np.empty(self._shape(name, len(order))), 0
-            for part in parts:
-                count = part.shape[1 if name.startswith("d_") else 0]
-                column[at_rows(name, places[first : first + count])] = part
-                first += count
-            return column
-        dtype = HISTORIES[name].dtype if name in HISTORIES else np.float64
-        empty = np.empty(self._shape(name, 0), dtype)
-        return np.concatenate([empty, *parts], axis=-1)[..., order]
-
-    def _along_line(self, name: str) -> bool:
-        return name in self.fields or name in _WIDE
+        """Return the rows of a variable in order; those with more axes, which are large, once."""
+        variable = VARIABLES[name]
+        if variable.dimensions[-1] == "step":
+            empty = np.empty(self._shape(name, 0), variable.dtype)
+            return np.concatenate([empty, *parts], axis=-1)[..., order]
+        column, first = np.empty(self._shape(name, len(order))), 0
+        for part in parts:
+            last = first + part.shape[variable.dimensions.index("step")]
+            column[at_rows(name, places[first:last])] = part
+            first = last
+        return column
 
     def _shape(self, name: str, rows: int) -> tuple[int, ...]:
         """Return the shape of so many rows of a variable, or of so many histories' last ones."""
-        parameters = (len(self.parameters),) if name.startswith("d_") else ()
-        along = (self._n,) if self._along_line(name) else ()
-        if name in LAYER_VOLUMES:
-            along = (self.layers[name],)
-        return (*parameters, rows, *along)
+        return tuple(self._sizes.get(axis, rows) for axis in VARIABLES[name].dimensions)
 
 
-def at_rows(name: str, rows: Any) -> Any:
-    """Return the index of some rows of a variable, or histories: P parameters come first."""
-    return (slice(None), rows) if name.startswith("d_") else rows
+def at_rows(name: str, rows: Any) -> tuple[Any, ...]:
+    """Return the index of some rows of a variable, or histories: parameters may come first."""
+    return (*(slice(None),) * VARIABLES[name].dimensions.index("step"), rows)

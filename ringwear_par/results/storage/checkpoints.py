@@ -1,7 +1,11 @@
-"""Where a history can go on: its last state and the contact solver's next start."""
+"""Where a history continues: its last state and the contact solver's next start, as files hold it.
 
-from collections.abc import Mapping, Sequence
+One table says which part of a ``Checkpoint`` each variable of a file is.
+"""
+
+from collections.abc import Mapping
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import h5py
@@ -17,78 +21,53 @@ from ringwear_par.results.storage.hdf5 import read_array, read_number, read_numb
 from ringwear_par.results.variables import Variable
 
 _BODY = Variable("body", ("body",), "1", "0 lower, 1 upper", integer=True)
-_ARRAYS = (
-    Variable("wear", ("body", "element"), "mm", "wear depth"),
-    Variable("worn", ("body",), "mm3", "time integral of the rate of the worn volume"),
-    Variable("rates", ("body", "element"), "mm/s", "rate of wear"),
-    Variable("error", ("element",), "mm", "estimated error of wear that time steps have made"),
-    Variable("shape", ("body", "element"), "mm", "wear depth that the elements have followed"),
-    Variable("fit", ("element",), "mm", "what elements are nearer since their slopes turned"),
-    Variable("through", ("body",), "s", "when wear first got through all layers, or infinite"),
-    Variable("pressure", ("element",), "MPa", "contact pressure"),
-    Variable("gap", ("element",), "mm", "gap between the deformed profiles"),
-    Variable("warm_scaled_pressure", ("element",), "1", "unknowns of the contact solver"),
-)
-_NUMBERS = (
-    "step", "time", "energy", "iterations", "next_step", "rejected", "assemblies", "approach",
-    "force", "pending_iterations", "warm_approach", "interface",
-)  # fmt: skip
+#: parts of a ``Start`` that are arrays
+_ARRAYS = {
+    "state.wear": Variable("wear", ("body", "element"), "mm", "wear depth"),
+    "state.worn": Variable(
+        "worn", ("body",), "mm3", "time integral of the rate of the worn volume"
+    ),
+    "state.rates": Variable("rates", ("body", "element"), "mm/s", "rate of wear"),
+    "state.error": Variable(
+        "error", ("element",), "mm", "estimated error of wear that time steps have made"
+    ),
+    "state.meshed_wear": Variable(
+        "shape", ("body", "element"), "mm", "wear depth that the elements have followed"
+    ),
+    "state.gap_offset": Variable(
+        "fit", ("element",), "mm", "what elements are nearer since their slopes turned"
+    ),
+    "state.through": Variable(
+        "through", ("body",), "s", "when wear first got through all layers, or infinite"
+    ),
+    "state.contact.pressure": Variable("pressure", ("element",), "MPa", "contact pressure"),
+    "state.contact.gap": Variable("gap", ("element",), "mm", "gap between the deformed profiles"),
+    "warm.scaled_pressure": Variable(
+        "warm_scaled_pressure", ("element",), "1", "unknowns of the contact solver"
+    ),
+}
 #: of histories whose elements follow the wear, and of bodies with layers
-_OPTIONAL = ("shape", "fit", "through")
-_OF_BODIES = [variable.name for variable in _ARRAYS if variable.dimensions[0] == "body"]
-#: attributes that hold the worst of a history
-_WORST = "worst_"
-
-
-def take(
-    state: State,
-    progress: Progress,
-    warm: WarmStart,
-    updates: int,
-    pending_iterations: int,
-    worst: Mapping[str, Sequence[float]],
-) -> Checkpoint:
-    """Return the checkpoint of a state of one history.
-
-    Parameters
-    ----------
-    updates : how often the elements were assembled anew to follow the wear.
-    pending_iterations : of the contact solver since the last stored state.
-    worst : see Checkpoint.
-    """
-    last, steps, start = one(state, 0), one(progress, 0), one(warm, 0)
-    contact = last.contact
-    numbers = {
-        "step": steps.steps,
-        "time": last.time,
-        "energy": last.energy,
-        "iterations": steps.iterations,
-        "next_step": steps.next_step,
-        "rejected": steps.rejected,
-        "interface": steps.interface,
-        "assemblies": updates,
-        "approach": contact.approach,
-        "force": contact.force,
-        "pending_iterations": pending_iterations,
-        "warm_approach": start.approach,
-    }
-    arrays = {
-        "wear": last.wear,
-        "worn": last.worn,
-        "rates": last.rates,
-        "error": last.error,
-        "pressure": contact.pressure,
-        "gap": contact.gap,
-        "warm_scaled_pressure": start.scaled_pressure,
-    }
-    optional = {"shape": last.meshed_wear, "fit": last.gap_offset, "through": last.through}
-    arrays |= {name: values for name, values in optional.items() if values is not None}
-    numbers = {name: np.asarray(value).item() for name, value in numbers.items()}
-    return Checkpoint(numbers, arrays, worst)
+_OPTIONAL = ("state.meshed_wear", "state.gap_offset", "state.through")
+#: parts that are numbers: their names in files, and their types
+_NUMBERS: dict[str, tuple[str, type]] = {
+    "progress.steps": ("step", int),
+    "state.time": ("time", float),
+    "state.energy": ("energy", float),
+    "progress.iterations": ("iterations", int),
+    "progress.next_step": ("next_step", float),
+    "progress.rejected": ("rejected", int),
+    "progress.interface": ("interface", float),
+    "updates": ("assemblies", int),
+    "state.contact.approach": ("approach", float),
+    "state.contact.force": ("force", float),
+    "warm.approach": ("warm_approach", float),
+}
+#: other attributes: a number, and the beginning of those that hold the worst of a history
+_PENDING, _WORST = "pending_iterations", "worst_"
 
 
 def restored(result: Result) -> Start:
-    """Return where a stored history goes on.
+    """Return where a stored history continues.
 
     Raises
     ------
@@ -96,47 +75,20 @@ def restored(result: Result) -> Start:
     """
     if result.checkpoint is None:
         raise InputError(f"{result.name}: holds no state to go on from; must be one of a run")
-    numbers, arrays = result.checkpoint.numbers, result.checkpoint.arrays
-
-    def number(name: str, kind: Any = float) -> Any:
-        return np.array([numbers[name]], dtype=kind)
-
-    def field(name: str) -> Any:
-        """Return values over the elements, of both bodies or of one, as of one of B histories."""
-        values = arrays.get(name)
-        if values is None:
-            return None
-        return values[:, None] if name in _OF_BODIES else values[None]
-
-    none = np.zeros(1)
-    contact = ContactState(
-        field("pressure"), field("gap"), number("approach"), number("force"),
-        np.zeros(1, dtype=np.int64), none,
-    )  # fmt: skip
-    state = State(
-        number("time"), field("wear"), field("worn"), number("energy"), contact, field("rates"),
-        field("error"), field("shape"), field("fit"), through=field("through"),
-    )  # fmt: skip
-    progress = replace(
-        Progress.at_start(1),
-        steps=number("step", np.int64),
-        next_step=number("next_step"),
-        interface=number("interface"),
-        rejected=number("rejected", np.int64),
-        iterations=number("iterations", np.int64),
-    )
-    warm = WarmStart(field("warm_scaled_pressure"), number("warm_approach"))
-    return Start(state, progress, warm, int(numbers["assemblies"]))
+    return result.checkpoint.start
 
 
 def write_checkpoint(group: h5py.Group, checkpoint: Checkpoint) -> None:
     """Write a checkpoint to a group of a result file, whose elements it has."""
-    group.attrs.update(checkpoint.numbers)
+    start = one(checkpoint.start, 0)
+    group.attrs.update({name: attrgetter(part)(start) for part, (name, _) in _NUMBERS.items()})
+    group.attrs[_PENDING] = checkpoint.pending_iterations
     group.attrs.update({f"{_WORST}{name}": values for name, values in checkpoint.worst.items()})
     write_variable(group, _BODY, np.arange(2))
-    for variable in _ARRAYS:
-        if variable.name in checkpoint.arrays:
-            write_variable(group, variable, checkpoint.arrays[variable.name])
+    for part, variable in _ARRAYS.items():
+        values = attrgetter(part)(start)
+        if values is not None:
+            write_variable(group, variable, values)
 
 
 def read_checkpoint(group: h5py.Group, sizes: Mapping[str, int]) -> Checkpoint:
@@ -151,12 +103,16 @@ def read_checkpoint(group: h5py.Group, sizes: Mapping[str, int]) -> Checkpoint:
     Exception : it is damaged, see ``reading``.
     """
     known = {**sizes, "body": 2}
-    arrays = {
-        variable.name: read_array(group, variable, known)
-        for variable in _ARRAYS
-        if variable.name in group or variable.name not in _OPTIONAL
+    parts: dict[str, Any] = {
+        part: np.array([read_number(group.attrs[name])], dtype=kind)
+        for part, (name, kind) in _NUMBERS.items()
     }
-    numbers = {name: read_number(group.attrs[name]) for name in _NUMBERS}
+    for part, variable in _ARRAYS.items():
+        if variable.name in group or part not in _OPTIONAL:
+            histories = (
+                variable.dimensions.index("body") + 1 if "body" in variable.dimensions else 0
+            )
+            parts[part] = np.expand_dims(read_array(group, variable, known), histories)
     worst = {
         name.removeprefix(_WORST): read_numbers(values)
         for name, values in group.attrs.items()
@@ -164,4 +120,19 @@ def read_checkpoint(group: h5py.Group, sizes: Mapping[str, int]) -> Checkpoint:
     }
     if any(len(values) != ENTRIES for values in worst.values()):
         raise ValueError(_WORST)
-    return Checkpoint(numbers, arrays, worst)
+    return Checkpoint(_start(parts), int(read_number(group.attrs[_PENDING])), worst)
+
+
+def _start(parts: Mapping[str, Any]) -> Start:
+    """Return the start of these parts, of which it has no others."""
+
+    def of(owner: str) -> dict[str, Any]:
+        """Return the parts of an owner by their names in it."""
+        paths = {part: part.rpartition(".") for part in parts}
+        return {name: parts[part] for part, (table, _, name) in paths.items() if table == owner}
+
+    zero = np.zeros(1, dtype=np.int64)
+    contact = ContactState(**of("state.contact"), iterations=zero, residual=np.zeros(1))
+    state = State(**of("state"), contact=contact)
+    progress = replace(Progress.at_start(1), **of("progress"))
+    return Start(state, progress, WarmStart(**of("warm")), int(parts["updates"][0]))

@@ -14,19 +14,19 @@ from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES, max_shear
 from ringwear_par.errors import InputError
 from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.cells import (
-    contours,
-    interface_cells,
-    stress_cells,
-    surfaces,
-)
 from ringwear_par.results.storage.result_files import result_of
 from ringwear_par.results.storage.stored_stresses import (
     Interface,
     interfaces_of,
     stresses,
 )
-from ringwear_par.results.storage.vtkhdf import write_vtkhdf
+from ringwear_par.results.storage.vtkhdf import (
+    contours,
+    interface_cells,
+    stress_cells,
+    surfaces,
+    write_vtkhdf,
+)
 from ringwear_par.results.variables import (
     HISTORIES,
     LAYER_HISTORIES,
@@ -162,12 +162,12 @@ def _interface_table(
         *(f"{name} (MPa)" for name in COMPONENTS), "mises (MPa)",
     ]  # fmt: skip
     rows = (
-        [state.step, state.time, BODIES[of.body], of.layer, side, r, of.z, *row]
+        [state.step, state.time, BODIES[line.body], line.layer, side, r, line.z, *row]
         for state in states
-        for of in interfaces
-        for side, stress in zip(SIDES, of.stress(state), strict=True)
+        for line in interfaces
+        for side, stress in zip(SIDES, line.stress(state), strict=True)
         for r, row in zip(
-            of.r.tolist(), np.column_stack([stress, mises(stress)]).tolist(), strict=True
+            line.r.tolist(), np.column_stack([stress, mises(stress)]).tolist(), strict=True
         )
     )
     return header, rows

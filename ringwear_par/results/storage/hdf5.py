@@ -19,6 +19,7 @@ from typing import Any, BinaryIO
 import h5py
 import numpy as np
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
 from ringwear_par.files.ordinary import open_ordinary
 from ringwear_par.files.writing import atomic_write
@@ -206,6 +207,17 @@ def read_numbers(value: Any) -> tuple[float, ...]:
     if len(getattr(value, "shape", ())) != 1 or value.dtype.kind not in "iuf":
         raise ValueError(type(value))
     return tuple(value.tolist())
+
+
+def check_times(times: FloatArray) -> None:
+    """Refuse times that no history has, or that there are none.
+
+    Raises
+    ------
+    ValueError : they do not increase, or are not finite.
+    """
+    if not (len(times) and np.isfinite(times).all() and (np.diff(times) >= 0.0).all()):
+        raise ValueError("time")
 
 
 # -- writing -------------------------------------------------------------------------------------

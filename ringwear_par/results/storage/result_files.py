@@ -5,7 +5,7 @@ that is there is whole.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +13,17 @@ import h5py
 import numpy as np
 
 from ringwear_par.elasticity.geometry.mesh import ContactLine
-from ringwear_par.elasticity.stress.boundary_fields import (
-    BODIES,
-    FACES,
-    BoundaryFields,
-    BoundaryState,
-)
 from ringwear_par.elasticity.stress.fields import Interfaces, Largest, StressHistory, StressState
 from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES
 from ringwear_par.errors import ComputationError
 from ringwear_par.files.writing import check_writable
 from ringwear_par.results import variables as table
 from ringwear_par.results.result import Checkpoint, Result
+from ringwear_par.results.storage.boundaries import read_boundaries, write_boundaries
 from ringwear_par.results.storage.checkpoints import read_checkpoint, write_checkpoint
 from ringwear_par.results.storage.hdf5 import (
     atomic_hdf5,
+    check_times,
     find_texts,
     read_array,
     read_number,
@@ -121,7 +117,7 @@ def _read(file: h5py.File, path: Path) -> Result:
         checkpoint = read_checkpoint(file["checkpoint"], sizes)
     step = read_array(file, table.STEP, sizes)
     histories = {name: read_array(file, v, sizes) for name, v in table.HISTORIES.items()}
-    _check_times(histories["time"])
+    check_times(histories["time"])
     layers = {
         **_read_stored(file, table.LAYER_HISTORIES, sizes),
         # volumes may have a dimension of their own
@@ -137,7 +133,7 @@ def _read(file: h5py.File, path: Path) -> Result:
         _steps_made(file, sizes),
         histories,
         _read_stored(file, table.PROFILES, sizes),
-        _read_boundary(file),
+        read_boundaries(file),
         attributes,
         checkpoint,
         path,
@@ -191,52 +187,10 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
     return attributes
 
 
-def _check_times(times: Any) -> None:
-    if not (len(times) and np.isfinite(times).all() and (np.diff(times) >= 0.0).all()):
-        raise ValueError("time")
-
-
 def _steps_made(file: h5py.File, sizes: dict[str, int]) -> Any:
     return read_array(
         file, table.STEPS_MADE if table.STEPS_MADE.name in file else table.STEP, sizes
     )
-
-
-def _read_boundary(file: h5py.File) -> tuple[BoundaryState, ...]:
-    """Return the stored fields on the boundaries, () where there are none."""
-    if "boundary" not in file:
-        return ()
-    groups = [file["boundary"][name] for name in BODIES]
-    sizes: dict[str, int] = {}
-    times = read_array(groups[0], table.BOUNDARY_TIME, sizes)
-    _check_times(times)
-    steps = read_array(groups[0], table.BOUNDARY_STEPS_MADE, sizes).tolist()
-    bodies = [_read_body(group, len(times)) for group in groups]
-    return tuple(
-        BoundaryState(step, time, (lower, upper))
-        for step, time, lower, upper in zip(steps, times.tolist(), *bodies, strict=True)
-    )
-
-
-def _read_body(group: h5py.Group, states: int) -> list[BoundaryFields]:
-    sizes = {"boundary_step": states, "corner": 3}
-    elements, face = (
-        read_array(group, variable, sizes) for variable in table.BOUNDARY_MESH.values()
-    )
-    columns = {
-        attribute: np.stack([read_array(group, v, sizes) for v in variables], axis=-1)
-        for attribute, variables in table.BOUNDARY_FIELDS.items()
-    }
-    for numbers, size in ((elements, sizes["boundary_node"]), (face, len(FACES))):
-        if not ((numbers >= 0) & (numbers < size)).all():
-            raise ValueError(group.name)
-    return [
-        BoundaryFields(
-            columns["nodes"][t], elements, face, columns["displacement"][t], columns["traction"][t],
-            columns["pressure"][t, :, 0], columns["wear"][t, :, 0],
-        )
-        for t in range(states)
-    ]  # fmt: skip
 
 
 def _read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
@@ -249,8 +203,7 @@ def _read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None
         return read_array(file, variable, sizes)
 
     times, steps = read(table.STRESS_TIME), read(table.STRESS_STEPS_MADE)
-    if not (len(times) and np.isfinite(times).all() and (np.diff(times) >= 0.0).all()):
-        raise ValueError(table.STRESS_TIME.name)
+    check_times(times)
     count = len(times)
     points, at_points = np.empty((0, 2)), np.empty((count, 0, 6))
     sides: tuple[str, ...] = ()
@@ -267,8 +220,10 @@ def _read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None
     surface = [read(variable) for variable in table.SURFACE_STRESS]
     none = Interfaces(np.empty(0), np.empty(0)), np.empty((count, 0, len(SIDES), 0, 6))
     lower, upper = (
-        (Interfaces(read(of.r), read(of.z)), read(of.stress)) if of.stress.name in file else none
-        for of in table.INTERFACES
+        (Interfaces(read(names.r), read(names.z)), read(names.stress))
+        if names.stress.name in file
+        else none
+        for names in table.INTERFACES
     )
     largest = [
         [Largest(*row) for row in zip(*(read(v).tolist() for v in variables), strict=True)]
@@ -332,8 +287,7 @@ def write_result(path: Path, result: Result) -> None:
         write_variable(line, table.EDGE, np.arange(result.line.n + 1))
         write_variable(line, table.EDGES, result.line.edges)
         if result.boundary:
-            for i, name in enumerate(BODIES):
-                _write_boundary(file.create_group(f"boundary/{name}"), result.boundary, i)
+            write_boundaries(file, result.boundary)
         if result.checkpoint is not None:
             write_checkpoint(file.create_group("checkpoint"), result.checkpoint)
         file.attrs.update(
@@ -343,22 +297,3 @@ def write_result(path: Path, result: Result) -> None:
                 **result.attributes,
             }
         )
-
-
-def _write_boundary(group: h5py.Group, states: Sequence[BoundaryState], body: int) -> None:
-    """Write the fields on the boundary of one body, 0 or 1, at all stored times."""
-    fields = [state.bodies[body] for state in states]
-    first = fields[0]
-    sizes = (len(states), len(first.nodes), len(first.elements), first.elements.shape[1])
-    for variable, size in zip(table.BOUNDARY_DIMENSIONS.values(), sizes, strict=True):
-        write_variable(group, variable, np.arange(size))
-    write_variable(group, table.BOUNDARY_TIME, np.array([state.time for state in states]))
-    write_variable(group, table.BOUNDARY_STEPS_MADE, np.array([state.step for state in states]))
-    write_variable(group, table.BOUNDARY_MESH["nodes"], first.elements)
-    write_variable(group, table.BOUNDARY_MESH["face"], first.face)
-    for attribute, variables in table.BOUNDARY_FIELDS.items():
-        values = np.array([getattr(f, attribute) for f in fields])
-        columns = values.reshape(*values.shape[:2], len(variables))
-        for column, variable in enumerate(variables):
-            write_variable(group, variable, columns[..., column])
-    group.attrs["coordinates"] = table.BOUNDARY_TIME.name

@@ -81,9 +81,9 @@ def interfaces_of(result: Result) -> list[Interface]:
     InputError : there are none.
     """
     interfaces = [
-        Interface(body, layer, of.r, float(z))
-        for body, of in enumerate(stresses(result).interfaces)
-        for layer, z in enumerate(of.z)
+        Interface(body, layer, line.r, float(z))
+        for body, line in enumerate(stresses(result).interfaces)
+        for layer, z in enumerate(line.z)
     ]
     if not interfaces:
         raise InputError(

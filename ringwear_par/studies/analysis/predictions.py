@@ -1,4 +1,4 @@
-"""What answers for the cases of a sweep: regressions of its responses over its varied keys."""
+"""Predictions between the cases of a sweep, by regressions of its responses over varied keys."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -45,9 +45,9 @@ class Surrogate:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Responses: final ones, or those at the times asked for."""
-        first, *others = self.parts
-        return tuple(n for n in first.responses if all(n in part.responses for part in others))
+        """Responses that all parts have: final ones, or those at the times chosen."""
+        first, *rest = self.parts
+        return tuple(n for n in first.responses if all(n in part.responses for part in rest))
 
     @property
     def error(self) -> dict[str, float]:
@@ -62,15 +62,15 @@ class Surrogate:
     @property
     def ranges(self) -> dict[str, tuple[Any, ...]]:
         """Lowest and highest value of each varied key; all values of one that is a text."""
-        found: dict[str, tuple[Any, ...]] = {
+        ranges: dict[str, tuple[Any, ...]] = {
             key: tuple(dict.fromkeys(part.texts[i] for part in self.parts))
             for i, key in enumerate(self.text_keys)
         }
         for part in self.parts:
             for key, low, high in zip(part.keys, part.low, part.high, strict=True):
-                there = found.get(key, (low, high))
-                found[key] = float(min(low, there[0])), float(max(high, there[1]))
-        return found
+                known = ranges.get(key, (low, high))
+                ranges[key] = float(min(low, known[0])), float(max(high, known[1]))
+        return ranges
 
     def predict(
         self, values: Mapping[str, Any], names: Sequence[str] | None = None
@@ -126,10 +126,10 @@ class Surrogate:
                 )
         shape = columns[0].shape
         x = np.stack([column.ravel() for column in columns], axis=1)
-        found = part.at(part.places_of(np.clip(x, part.low, part.high)), wanted)
+        responses = part.at(part.places_of(np.clip(x, part.low, part.high)), wanted)
         return {
             name: array.reshape((*shape, *part.responses[name].shape))
-            for name, array in found.items()
+            for name, array in responses.items()
         }
 
     def _part(self, values: Mapping[str, Any]) -> Part:
@@ -141,11 +141,13 @@ class Surrogate:
             texts.append(_as_text(values[key]))
         parts = [part for part in self.parts if list(part.texts) == texts]
         if not parts:
-            said = ", ".join(
+            combination = ", ".join(
                 f"{k} = {shortened(t)}" for k, t in zip(self.text_keys, texts, strict=True)
             )
             allowed = "; ".join(", ".join(map(shortened, part.texts)) for part in self.parts)
-            raise InputError(f"surrogate: {said}: must be as in the study's cases: {allowed}")
+            raise InputError(
+                f"surrogate: {combination}: must be as in the study's cases: {allowed}"
+            )
         missing = [key for key in parts[0].keys if key not in values]
         if missing:
             raise InputError(
@@ -171,24 +173,24 @@ class Surrogate:
         for part in self.parts:
             over.update(dict.fromkeys(part.keys))
         errors, relative = self.error, self.relative_error
-        told = (
-            f"{name} {errors[name]:.2g} {unit_of(name)} ({told_share(relative[name])})"
+        words = (
+            f"{name} {errors[name]:.2g} {unit_of(name)} ({share_words(relative[name])})"
             for name in self.names
             if relative[name] > 0.0
         )
         return (
             f"<Surrogate of {self.used} of {self.cases} cases over {', '.join(over)}; leave-out "
-            f"errors (of the spread): {', '.join(told)}>"
+            f"errors (of the spread): {', '.join(words)}>"
         )
 
 
-def told_share(relative_error: float) -> str:
+def share_words(relative_error: float) -> str:
     """Return a leave-out error in percent of the spread, with a word where it is coarse."""
     percent = 100.0 * relative_error
     if percent < _EXACT:
         return f"< {_EXACT:g} %"
-    told = f"{percent:.2g}" if percent < 10.0 else f"{percent:.0f}"
-    return f"{told} %{', coarse' if relative_error > COARSE else ''}"
+    number = f"{percent:.2g}" if percent < 10.0 else f"{percent:.0f}"
+    return f"{number} %{', coarse' if relative_error > COARSE else ''}"
 
 
 def _numbers(key: str, value: Any) -> FloatArray:

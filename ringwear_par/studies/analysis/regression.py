@@ -5,7 +5,7 @@ Each response is interpolated by cubic radial functions and a linear polynomial 
 response itself, its roots or its logarithm that is taken with which they are met best: wear grows
 with powers of the keys, and stays near zero where pressures hardly pass a threshold.
 
-Of grids, cases left out by lot tell nothing of what is between the values of a key: there, whole
+Of grids, cases left out by lot say nothing of the values between those of a key: there, whole
 values are left out, too. Where a key has few values, cubic functions swing between them by the
 distance of these over the range of another key: stretches keep that below one.
 """
@@ -19,29 +19,29 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.studies.analysis.responses import most_of
+from ringwear_par.studies.analysis.responses import SEED, upper_limit
 
 if TYPE_CHECKING:
     from scipy.interpolate import RBFInterpolator
 
-#: of all random choices: the same results give the same figure
-SEED = 1
 #: most cases that stretches of the keys are found from
 _MOST_STRETCHED = 150
 #: of places of keys, by which their values are told apart
 _DIGITS = 6
-#: of what values left out of a key are off by, what is told: they leave a hole twice as wide as
-#: those of the design, and where a response has kinks errors go by the width
+#: values left out of a key leave a hole twice as wide as those of the design, and where a response
+#: has kinks errors go by the width: so much of these errors counts
 _HOLE = 0.5
-#: parts that are left out in turn, of the errors told and of the search for stretches
+#: parts that are left out in turn, for the errors and for the search for stretches
 _FOLDS, _FEW_FOLDS = 10, 4
+#: places along a key, and points over the other keys at each, of a mean over these
+_PLACES, _OTHER_POINTS = 41, 2**8
 
 
 def _square(values: FloatArray) -> FloatArray:
     return np.square(np.maximum(values, 0.0))
 
 
-#: what of a response is interpolated: there and back
+#: the function of a response that is interpolated, and its inverse
 _FORMS: dict[str, tuple[Any, Any]] = {
     "logarithm": (np.log, np.exp),
     "cube root": (np.cbrt, lambda values: values**3),
@@ -57,11 +57,11 @@ class Response:
     Parameters
     ----------
     values : (cases, columns), one column a time, or an element of a profile.
-    form : what of it is interpolated, a name in the table of forms.
+    form : which function of it is interpolated, a name in the table of forms.
     error : root mean square of leave-out errors, in the response's unit.
-    form_error : the same of what is interpolated.
+    form_error : root mean square of leave-out errors of its form.
     shape : of a case's values, whose product is the number of columns: () of one number.
-    most : what it cannot be above.
+    limit : above which it cannot be.
     """
 
     values: FloatArray
@@ -69,7 +69,7 @@ class Response:
     error: float
     form_error: float
     shape: tuple[int, ...]
-    most: float = math.inf
+    limit: float = math.inf
 
     @cached_property
     def spread(self) -> float:
@@ -88,8 +88,8 @@ class Response:
         return self.back(shifted)
 
     def back(self, table: FloatArray) -> FloatArray:
-        """Return the response of what of it was interpolated, where it can be."""
-        return _back(table, self.form, self.values, self.most)
+        """Return the response from its form, where it can be."""
+        return _back(table, self.form, self.values, self.limit)
 
 
 @dataclass(frozen=True)
@@ -129,14 +129,28 @@ class Part:
 
     def at(self, points: FloatArray, names: Sequence[str]) -> dict[str, FloatArray]:
         """Return responses (len(points), columns) at points (., keys) from 0 to 1."""
-        interpolator, start, found = self._interpolator(tuple(names)), 0, {}
-        table = interpolator(points * self.stretches)
-        for name in names:
-            response = self.responses[name]
-            stop = start + response.values.shape[1]
-            found[name] = response.back(table[:, start:stop])
-            start = stop
-        return found
+        table = self._interpolator(tuple(names))(points * self.stretches)
+        ends = np.cumsum([self.responses[name].values.shape[1] for name in names])
+        columns = np.split(table, ends[:-1], axis=1)
+        return {n: self.responses[n].back(c) for n, c in zip(names, columns, strict=True)}
+
+    def mean_along(
+        self, key: int, name: str
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return values of a key, the mean of a response there, and it -+ 2 leave-out errors.
+
+        The mean is over the ranges of the other keys.
+        """
+        from scipy.stats import qmc  # slow to import
+
+        places, response = np.linspace(0.0, 1.0, _PLACES), self.responses[name]
+        other_keys = qmc.Sobol(len(self.keys), seed=SEED).random(_OTHER_POINTS)
+        points = np.repeat(other_keys[None], len(places), axis=0)
+        points[:, :, key] = places[:, None]
+        values = self.at(points.reshape(-1, len(self.keys)), (name,))[name]
+        mean = values.reshape(len(places), -1).mean(axis=1)
+        low, high = (response.shifted(mean, by) for by in (-2.0, 2.0))
+        return self.values_at(key, places), mean, low, high
 
     def _interpolator(self, names: tuple[str, ...]) -> "RBFInterpolator":
         if names not in self._interpolators:
@@ -173,9 +187,9 @@ def _interpolator(points: FloatArray, table: FloatArray) -> "RBFInterpolator":
 def _left_out(
     points: FloatArray, table: FloatArray, folds: Sequence[BoolArray]
 ) -> tuple[FloatArray, IntArray]:
-    """Return rows of a table as they are found where their fold is left out, and their cases."""
-    found = [_interpolator(points[~out], table[~out])(points[out]) for out in folds]
-    return np.concatenate(found), np.concatenate([np.flatnonzero(out) for out in folds])
+    """Return rows of a table as interpolated where their fold is left out, and their cases."""
+    rows = [_interpolator(points[~out], table[~out])(points[out]) for out in folds]
+    return np.concatenate(rows), np.concatenate([np.flatnonzero(out) for out in folds])
 
 
 def _by_lot(count: int, parts: int) -> list[BoolArray]:
@@ -187,21 +201,21 @@ def _by_lot(count: int, parts: int) -> list[BoolArray]:
 
 def _by_value(points: FloatArray, parts: int) -> list[list[BoolArray]]:
     """Return, for each key whose values repeat, which of those between its ends are left out."""
-    found = []
+    by_key = []
     for column in np.round(points, _DIGITS).T:
         values = np.unique(column)
         if 2 * len(values) > len(points):
             continue
         inner = values[1:-1]
-        each = [np.isin(column, inner[i::parts]) for i in range(min(parts, len(inner)))]
-        each = [out for out in each if _suffice(points[~out])]
-        if each:
-            found.append(each)
-    return found
+        folds = [np.isin(column, inner[i::parts]) for i in range(min(parts, len(inner)))]
+        folds = [out for out in folds if _suffice(points[~out])]
+        if folds:
+            by_key.append(folds)
+    return by_key
 
 
 def _suffice(points: FloatArray) -> bool:
-    """Tell whether points tell a linear polynomial, and more."""
+    """Tell whether points determine a linear polynomial, and more."""
     count, keys = points.shape
     return count > keys + 1 and bool(
         np.linalg.matrix_rank(np.insert(points, 0, 1.0, axis=1), tol=1e-6) > keys
@@ -209,11 +223,11 @@ def _suffice(points: FloatArray) -> bool:
 
 
 def untested(points: FloatArray) -> list[int]:
-    """Return the keys that have two values only: no case tells what is between them."""
+    """Return the keys that have two values only: no case tests the surrogate between them."""
     return [i for i, column in enumerate(np.round(points, _DIGITS).T) if len(set(column)) < 3]
 
 
-def fitted(
+def fit_responses(
     points: FloatArray, values: Mapping[str, FloatArray]
 ) -> tuple[FloatArray, dict[str, Response]]:
     """Return the stretches of the keys, and the responses with their leave-out errors.
@@ -228,12 +242,12 @@ def fitted(
     sets = [_by_lot(len(points), _FOLDS), *_by_value(points, _FOLDS)]
     for number, folds in enumerate(sets):
         anew = not number and len(points) <= _MOST_STRETCHED
-        for name, found in _errors(points, flat, folds, chosen, anew=anew).items():
+        for name, (error, of_form) in _errors(points, flat, folds, chosen, anew=anew).items():
             share = _HOLE if number else 1.0
-            errors[name] = max(errors[name], (share * found[0], share * found[1]))
+            errors[name] = max(errors[name], (share * error, share * of_form))
     stretches, forms = chosen
     return stretches, {
-        name: Response(array, forms[name], *errors[name], values[name].shape[1:], most_of(name))
+        name: Response(array, forms[name], *errors[name], values[name].shape[1:], upper_limit(name))
         for name, array in flat.items()
     }
 
@@ -242,7 +256,7 @@ def _errors(
     points: FloatArray, values: Mapping[str, FloatArray], folds: Sequence[BoolArray],
     chosen: tuple[FloatArray, dict[str, str]], *, anew: bool,
 ) -> dict[str, tuple[float, float]]:  # fmt: skip
-    """Return the errors of what is left out in turn, and those of its form, of each response.
+    """Return the errors of responses that are left out in turn, and those of their forms.
 
     Parameters
     ----------
@@ -254,16 +268,18 @@ def _errors(
     for out in folds:
         rest = {name: array[~out] for name, array in values.items()}
         stretches, forms = _chosen(points[~out], rest) if anew else chosen
-        stretches = _held(stretches, points[~out])
+        stretches = _limited(stretches, points[~out])
         for name, array in rest.items():
             interpolator = _interpolator(points[~out] * stretches, _FORMS[forms[name]][0](array))
-            found = interpolator(points[out] * stretches)
-            found = _back(found, forms[name], array, most_of(name))
-            expected = values[name][out]
-            apart[name].append(found - expected)
-            there, _ = _FORMS[chosen[1][name]]
+            table = interpolator(points[out] * stretches)
+            predicted, expected = (
+                _back(table, forms[name], array, upper_limit(name)),
+                values[name][out],
+            )
+            apart[name].append(predicted - expected)
+            form, _ = _FORMS[chosen[1][name]]
             with np.errstate(divide="ignore"):  # logarithms, where others were chosen meanwhile
-                differences = there(found) - there(expected)
+                differences = form(predicted) - form(expected)
             of_form[name].append(differences[np.isfinite(differences)])
     return {
         name: (_rms(np.concatenate(apart[name])), _rms(np.concatenate(of_form[name])))
@@ -274,7 +290,7 @@ def _errors(
 def _chosen(
     points: FloatArray, values: Mapping[str, FloatArray]
 ) -> tuple[FloatArray, dict[str, str]]:
-    """Return the stretches of the keys, and the forms, with which what is left out is met best."""
+    """Return the stretches of the keys, and the forms, with the least leave-out errors."""
     stretches = np.ones(points.shape[1])
     if len(stretches) > 1:
         from scipy.optimize import minimize  # slow to import
@@ -288,38 +304,38 @@ def _chosen(
         folds = _folds(at)
 
         def error(logarithms: FloatArray) -> float:
-            found, cases = _left_out(at * _stretched(logarithms, at), table, folds)
-            return _rms(found - table[cases])
+            rows, cases = _left_out(at * _stretched(logarithms, at), table, folds)
+            return _rms(rows - table[cases])
 
-        found = minimize(
+        best = minimize(
             error, np.zeros_like(stretches), method="Nelder-Mead",
             options={
                 "initial_simplex": np.vstack([0.0 * stretches, np.eye(len(stretches))]),
                 "maxfev": 25 * len(stretches), "xatol": 0.05,
             },
         )  # fmt: skip
-        stretches = _stretched(found.x, points)
+        stretches = _stretched(best.x, points)
     return stretches, _best_forms(points * stretches, values)
 
 
 def _folds(points: FloatArray) -> list[BoolArray]:
     """Return which cases are left out in turn by a search."""
     by_value = _by_value(points, _FEW_FOLDS)
-    return [*_by_lot(len(points), _FEW_FOLDS), *(out for each in by_value for out in each)]
+    return [*_by_lot(len(points), _FEW_FOLDS), *(out for folds in by_value for out in folds)]
 
 
 def _stretched(logarithms: FloatArray, points: FloatArray) -> FloatArray:
     """Return stretches of points whose product is about 1: cubic functions know no length."""
     stretches: FloatArray = np.exp(np.clip(logarithms - logarithms.mean(), -4.0, 4.0))
-    return _held(stretches, points)
+    return _limited(stretches, points)
 
 
-def _held(stretches: FloatArray, points: FloatArray) -> FloatArray:
+def _limited(stretches: FloatArray, points: FloatArray) -> FloatArray:
     """Return stretches with which no hole in a key is wider than the range of another one."""
     values = [np.unique(column) for column in points.T]
     holes = [np.diff(v).max() / np.ptp(v) if len(v) > 1 else 1.0 for v in values]
-    held: FloatArray = np.minimum(stretches, stretches.min() / np.array(holes))
-    return held
+    limited: FloatArray = np.minimum(stretches, stretches.min() / np.array(holes))
+    return limited
 
 
 def _evened(table: FloatArray) -> FloatArray:
@@ -330,25 +346,24 @@ def _evened(table: FloatArray) -> FloatArray:
 
 
 def _best_forms(points: FloatArray, values: Mapping[str, FloatArray]) -> dict[str, str]:
+    """Return the form of each response with the least leave-out error."""
     tried = [(name, form) for name, array in values.items() for form in forms_for(array)]
     tables = [_FORMS[form][0](values[name]) for name, form in tried]
-    found, cases = _left_out(points, np.concatenate(tables, axis=1), _folds(points))
+    rows, cases = _left_out(points, np.concatenate(tables, axis=1), _folds(points))
     best: dict[str, tuple[float, str]] = {}
-    start = 0
-    for (name, form), table in zip(tried, tables, strict=True):
-        stop = start + table.shape[1]
-        back = _back(found[:, start:stop], form, values[name], most_of(name))
-        error = _rms(back - values[name][cases])
+    columns = np.split(rows, np.cumsum([table.shape[1] for table in tables])[:-1], axis=1)
+    for (name, form), table in zip(tried, columns, strict=True):
+        predicted = _back(table, form, values[name], upper_limit(name))
+        error = _rms(predicted - values[name][cases])
         best[name] = min(best.get(name, (math.inf, form)), (error, form))
-        start = stop
     return {name: form for name, (_, form) in best.items()}
 
 
-def _back(table: FloatArray, form: str, values: FloatArray, most: float) -> FloatArray:
-    """Return a response of what of it was interpolated; not negative where no case is."""
+def _back(table: FloatArray, form: str, values: FloatArray, limit: float) -> FloatArray:
+    """Return a response from its form; not negative where no case is."""
     with np.errstate(over="ignore"):
-        found = _FORMS[form][1](table)
-    return np.clip(found, 0.0 if values.min() >= 0.0 else -math.inf, most)
+        response = _FORMS[form][1](table)
+    return np.clip(response, 0.0 if values.min() >= 0.0 else -math.inf, limit)
 
 
 def _rms(values: FloatArray) -> float:
@@ -358,5 +373,5 @@ def _rms(values: FloatArray) -> float:
 def forms_for(array: FloatArray) -> list[str]:
     """Return the forms that a response has."""
     least = float(array.min())
-    kept = {"logarithm": least > 0.0, "square root": least >= 0.0}
-    return [form for form in _FORMS if kept.get(form, True)]
+    possible = {"logarithm": least > 0.0, "square root": least >= 0.0}
+    return [form for form in _FORMS if possible.get(form, True)]

@@ -1,17 +1,19 @@
-"""Responses of cases to their varied keys, read from the results of a sweep."""
+"""Cases of a sweep that are analysed, and their responses to the varied keys, as stored."""
 
 import math
 from collections.abc import Iterator
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError
 from ringwear_par.results.variables import LAYER_HISTORIES
 from ringwear_par.studies.storage.end_values import FINAL, entries, entry_of
 from ringwear_par.studies.storage.ensemble import Ensemble
 from ringwear_par.studies.storage.stored_variables import ROWS
 
+#: of all random choices: the same results give the same figure
+SEED = 1
 #: profiles of wear, and their largest values
 DEPTHS = ("wear_lower", "wear_upper")
 LARGEST = tuple(f"largest_{name}" for name in DEPTHS)
@@ -19,8 +21,20 @@ LARGEST = tuple(f"largest_{name}" for name in DEPTHS)
 _STATES = 4000
 
 
-def most_of(name: str) -> float:
-    """Return what a response cannot be above: shares are at most all."""
+def done_cases(ensemble: Ensemble) -> BoolArray:
+    """Return whether each case is of the study and done."""
+    return ensemble.in_study & (np.array(ensemble.status) == "done")
+
+
+def chosen_cases(cases: IntArray, most: int) -> IntArray:
+    """Return the cases, or so many of them chosen at random, increasing."""
+    if len(cases) <= most:
+        return cases
+    return np.sort(np.random.default_rng(SEED).choice(cases, most, replace=False))
+
+
+def upper_limit(name: str) -> float:
+    """Return the value that a response cannot be above: shares are at most all."""
     return 1.0 if name in LAYER_HISTORIES else math.inf
 
 
@@ -31,7 +45,7 @@ def read_responses(
     block = max(1, _STATES // int(ensemble.steps_stored.max()))
     parts = [cases[start : start + block] for start in range(0, len(cases), block)]
     read = [dict(_read_responses(ensemble, part, times)) for part in parts]
-    values = {name: np.concatenate([each[name] for each in read]) for name in read[0]}
+    values = {name: np.concatenate([of_part[name] for of_part in read]) for name in read[0]}
     for name in [name for name in values if name not in (*FINAL, *DEPTHS)]:
         if not (entry_of(name)[0].smooth and np.isfinite(values[name]).all()):
             del values[name]
@@ -57,10 +71,10 @@ def _read_responses(
             yield name, final[cases]
     else:
         states = _States(ensemble.histories("time", cases), stored, times)
-        for each in dict.fromkeys(entry_of(name)[0] for name in ensemble.final):
-            if each.source in ROWS:
-                values = states.of(ensemble.histories(each.source, cases))
-                yield from entries(each, values).items()
+        for final_value in dict.fromkeys(entry_of(name)[0] for name in ensemble.final):
+            if final_value.source in ROWS:
+                values = states.of(ensemble.histories(final_value.source, cases))
+                yield from entries(final_value, values).items()
     for name in DEPTHS:
         table = ensemble.profiles(name, cases)
         if table is None or (table.ndim == 2 and states is not None):

@@ -1,4 +1,8 @@
-"""Sensitivity indices of a sampled design: how final values depend on the varied keys."""
+"""Sensitivity indices: how final values depend on the varied keys, by SALib.
+
+Of the surrogate where it is good: first-order and total Sobol' indices, which a sample does not
+tell. Or else of a sampled design itself: first-order ones and the moment-independent delta.
+"""
 
 import logging
 import math
@@ -13,10 +17,13 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import rankdata
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.studies.analysis.regression import SEED, Part
+from ringwear_par.arrays import FloatArray
+from ringwear_par.studies.analysis.predictions import COARSE, Surrogate, share_words
+from ringwear_par.studies.analysis.regression import Part
+from ringwear_par.studies.analysis.responses import SEED, chosen_cases, done_cases
 from ringwear_par.studies.definition.designs import SAMPLED
-from ringwear_par.studies.storage.end_values import drawn, final_name
+from ringwear_par.studies.storage.end_values import drawn as drawn_outputs
+from ringwear_par.studies.storage.end_values import final_name
 from ringwear_par.studies.storage.ensemble import Ensemble
 
 log = logging.getLogger(__name__)
@@ -27,6 +34,7 @@ _FEWEST, _MOST, _RESAMPLES = 100, 4000, 100
 _FEWEST_DIFFERING, _DIGITS = 20, 12
 #: of a surrogate, about
 _EVALUATIONS = 1e6
+_FIRST = "first order S\N{SUBSCRIPT ONE}"
 _NO_SALIB = (
     "no sensitivity indices: SALib is not installed; "
     'pip install "ringwear-par[sensitivity]" installs it'
@@ -34,57 +42,72 @@ _NO_SALIB = (
 
 
 @dataclass(frozen=True)
-class Sensitivity:
-    """Sensitivity indices of one output, with the half-widths of their 95 % confidence intervals.
+class Indices:
+    """Two sensitivity indices of one output by key.
 
     Parameters
     ----------
     output : name of a final value.
     keys : the varied keys that are numbers.
-    used, cases : number of cases that the indices follow from, of so many that are done.
-    delta, delta_conf : moment-independent index, (keys,).
-    s1, s1_conf : first-order index, (keys,).
-    delta_noise : what delta comes to for a key that does not matter, its confidence included.
+    source : what the indices are of.
+    names : of both indices.
+    first : first-order indices, (keys,).
+    influence : how much each key matters, (keys,): total Sobol' indices, or delta.
+    first_width, influence_width : half-widths of their 95 % confidence intervals, None where errors
+        are not of sampling.
+    noise : what ``influence`` comes to, by sampling, for a key that does not matter, its confidence
+        included.
     """
 
     output: str
     keys: tuple[str, ...]
-    used: int
-    cases: int
-    delta: FloatArray
-    delta_conf: FloatArray
-    s1: FloatArray
-    s1_conf: FloatArray
-    delta_noise: float
+    source: str
+    names: tuple[str, str]
+    first: FloatArray
+    influence: FloatArray
+    first_width: FloatArray | None = None
+    influence_width: FloatArray | None = None
+    noise: float = 0.0
 
 
-def sensitivity(
-    ensemble: Ensemble, outputs: Sequence[str] | None = None
-) -> tuple[Sensitivity, ...]:
-    """Return how the final values depend on the varied keys, from the cases of a sampled design.
+def sensitivity_indices(ensemble: Ensemble, surrogate: Surrogate | None) -> tuple[Indices, ...]:
+    """Return the indices of outputs: of the surrogate where it is good, or else of the sample."""
+    outputs = drawn_outputs(ensemble.final, done_cases(ensemble))
+    indices: dict[str, Indices] = {}
+    if surrogate is not None and len(surrogate.parts[0].keys) > 1:
+        part = surrogate.parts[0]
+        errors = {n: part.responses[n].relative_error for n in outputs if n in part.responses}
+        good = [name for name, error in errors.items() if 0.0 < error <= COARSE]
+        indices = {of_output.output: of_output for of_output in surrogate_indices(part, good)}
+    rest = [name for name in outputs if name not in indices]
+    indices |= {of_output.output: of_output for of_output in sample_indices(ensemble, rest)}
+    return tuple(indices[name] for name in outputs if name in indices)
 
-    One item an output that varies. None where the design is no sample, and, with a sentence in the
-    log, where SALib is not installed or too few cases are done. The method needs no design of its
-    own: E. Plischke, E. Borgonovo and C. L. Smith, "Global sensitivity measures from given data",
-    European Journal of Operational Research 226 (2013), 536-550. Its confidence is that of
-    resampling; beside it, delta comes out up to about 0.1 too low for a key that matters, and
-    above 0 for one that does not. Outputs are those of ``outputs_of``, unless said. Always the same
-    for the same results. Not collective.
+
+def sample_indices(ensemble: Ensemble, outputs: Sequence[str]) -> tuple[Indices, ...]:
+    """Return first-order and delta indices of outputs that vary, from a sampled design's cases.
+
+    None where the design is no sample, and, with a sentence in the log, where SALib is not
+    installed or too few cases are done. The method needs no design of its own: E. Plischke, E.
+    Borgonovo and C. L. Smith, "Global sensitivity measures from given data", European Journal of
+    Operational Research 226 (2013), 536-550. Its confidence is that of resampling; beside it, delta
+    comes out up to about 0.1 too low for a key that matters, and above 0 for one that does not.
+    Always the same for the same results. Not collective.
     """
     if ensemble.attributes.get("method") not in SAMPLED:
         return ()
     done = done_cases(ensemble)
-    names, columns = [], []
-    for name, values in ensemble.varied.items():
-        if values.dtype.kind == "f" and len(np.unique(values[done & np.isfinite(values)])) > 1:
-            names.append(name)
-            columns.append(values)
-    if not names:
+    columns = {
+        name: values
+        for name, values in ensemble.varied.items()
+        if values.dtype.kind == "f" and len(np.unique(values[done & np.isfinite(values)])) > 1
+    }
+    if not columns:
         return ()
-    x = np.stack(columns, axis=1)
+    x = np.stack([*columns.values()], axis=1)
     known = done & np.isfinite(x).all(axis=1)
-    found = []
-    for output in outputs_of(ensemble, done) if outputs is None else outputs:
+    indices = []
+    for output in outputs:
         y = ensemble.final[output]
         cases = np.flatnonzero(known & np.isfinite(y))
         if len(cases) < _FEWEST:
@@ -100,26 +123,23 @@ def sensitivity(
             )
             continue
         chosen = chosen_cases(cases, _MOST)
+        # one key more, which has nothing to do with the output
+        irrelevant = np.random.default_rng(SEED).random(len(chosen))
         try:
-            # one key more, which has nothing to do with the output
-            nothing = np.random.default_rng(SEED).random(len(chosen))
-            indices = _delta(np.column_stack([x[chosen], nothing]), y[chosen])
+            of_keys = _delta(np.column_stack([x[chosen], irrelevant]), y[chosen])
         except ImportError:
             log.warning(_NO_SALIB)
             return ()
-        noise = float(indices[0][-1] + indices[1][-1])
-        delta, delta_conf, s1, s1_conf = (index[:-1] for index in indices)
-        found.append(
-            Sensitivity(
-                output, tuple(names), len(chosen), len(cases), delta, delta_conf, s1, s1_conf, noise
+        delta, delta_width, first, first_width = (index[:-1] for index in of_keys)
+        part_of = f"{len(chosen)} of {len(cases)}" if len(chosen) < len(cases) else str(len(cases))
+        indices.append(
+            Indices(
+                output, tuple(columns), f"sample of {part_of} cases,\n95 % confidence",
+                (_FIRST, "\N{GREEK SMALL LETTER DELTA}, of the whole distribution"),
+                first, delta, first_width, delta_width, float(of_keys[0][-1] + of_keys[1][-1]),
             )
-        )
-    return tuple(found)
-
-
-def outputs_of(ensemble: Ensemble, cases: BoolArray | IntArray) -> list[str]:
-    """Return the outputs of some cases, see ``drawn``."""
-    return drawn(ensemble.final, cases)
+        )  # fmt: skip
+    return tuple(indices)
 
 
 def _delta(x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
@@ -147,69 +167,6 @@ def _delta(x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
     return delta[name], delta[f"{name}_conf"], first["S1"], first["S1_conf"]
 
 
-@contextmanager
-def _untouched() -> Iterator[None]:
-    """Keep from others what SALib does to warnings, and to the seed of numpy's own generator."""
-    state, format_of_warnings = np.random.get_state(), warnings.formatwarning
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            yield
-        finally:
-            warnings.formatwarning = format_of_warnings
-            np.random.set_state(state)
-
-
-@dataclass(frozen=True)
-class SobolIndices:
-    """Sobol' indices of one response of a surrogate; its keys vary evenly over their ranges.
-
-    Parameters
-    ----------
-    output : name of the response.
-    keys : the varied keys that are numbers.
-    evaluations : of the surrogate.
-    first, total : (keys,).
-    """
-
-    output: str
-    keys: tuple[str, ...]
-    evaluations: int
-    first: FloatArray
-    total: FloatArray
-
-
-def sobol_indices(part: Part, names: Sequence[str]) -> tuple[SobolIndices, ...]:
-    """Return Sobol' indices of responses of a surrogate that are numbers and vary.
-
-    By SALib, from about a million evaluations: the error of sampling is below 0.01, that of the
-    surrogate is its own leave-out error. Keys vary evenly, or their logarithms where they go by
-    them, and independently of each other, whatever the design was. None, with a sentence in the
-    log, where SALib is not installed. Not collective.
-    """
-    # pandas 3 takes no lists of names from SALib 1.5
-    problem: dict[str, Any] = {
-        "num_vars": len(part.keys), "names": np.array([f"x{i}" for i in range(len(part.keys))]),
-        "bounds": [[0.0, 1.0]] * len(part.keys),
-    }  # fmt: skip
-    base = 2 ** round(math.log2(_EVALUATIONS / (len(part.keys) + 2)))
-    found = []
-    with _untouched():
-        try:
-            from SALib.analyze import sobol
-            from SALib.sample import sobol as sampling
-        except ImportError:
-            log.info(_NO_SALIB)  # the indices of a sample warn
-            return ()
-        points = sampling.sample(problem, base, calc_second_order=False, seed=SEED)
-        for name, values in part.at(points, names).items():
-            indices = sobol.analyze(  # it would give the confidence of sampling from resamples
-                problem, values[:, 0], calc_second_order=False, num_resamples=2, seed=SEED
-            )
-            found.append(SobolIndices(name, part.keys, len(points), indices["S1"], indices["ST"]))
-    return tuple(found)
-
-
 def _rounded(y: FloatArray) -> FloatArray:
     """Return an output relative to its largest value, without rounding errors."""
     largest = float(np.abs(y).max())
@@ -222,13 +179,52 @@ def _differing(y: FloatArray) -> int:
     return len(y) - int(np.unique(_rounded(y), return_counts=True)[1].max())
 
 
-def done_cases(ensemble: Ensemble) -> BoolArray:
-    """Return whether each case is of the study and done."""
-    return ensemble.in_study & (np.array(ensemble.status) == "done")
+@contextmanager
+def _untouched() -> Iterator[None]:
+    """Undo what SALib does to warnings, and to the seed of numpy's own generator."""
+    state, format_of_warnings = np.random.get_state(), warnings.formatwarning
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            yield
+        finally:
+            warnings.formatwarning = format_of_warnings
+            np.random.set_state(state)
 
 
-def chosen_cases(cases: IntArray, most: int) -> IntArray:
-    """Return the cases, or so many of them, increasing."""
-    if len(cases) <= most:
-        return cases
-    return np.sort(np.random.default_rng(SEED).choice(cases, most, replace=False))
+def surrogate_indices(part: Part, names: Sequence[str]) -> tuple[Indices, ...]:
+    """Return Sobol' indices of responses of a surrogate that are numbers and vary.
+
+    From about a million evaluations: the error of sampling is below 0.01, that of the surrogate is
+    its own leave-out error. Keys vary evenly, or their logarithms where they go by them, and
+    independently of each other, whatever the design was. None, with a sentence in the log, where
+    SALib is not installed. Not collective.
+    """
+    if not names:
+        return ()
+    # pandas 3 takes no lists of names from SALib 1.5
+    problem: dict[str, Any] = {
+        "num_vars": len(part.keys), "names": np.array([f"x{i}" for i in range(len(part.keys))]),
+        "bounds": [[0.0, 1.0]] * len(part.keys),
+    }  # fmt: skip
+    base = 2 ** round(math.log2(_EVALUATIONS / (len(part.keys) + 2)))
+    indices = []
+    with _untouched():
+        try:
+            from SALib.analyze import sobol
+            from SALib.sample import sobol as sampling
+        except ImportError:
+            log.info(_NO_SALIB)  # the indices of a sample warn
+            return ()
+        points = sampling.sample(problem, base, calc_second_order=False, seed=SEED)
+        for name, values in part.at(points, names).items():
+            of_keys = sobol.analyze(  # it would give the confidence of sampling from resamples
+                problem, values[:, 0], calc_second_order=False, num_resamples=2, seed=SEED
+            )
+            source = (
+                f"surrogate of {len(part.points)} cases,\n"
+                f"leave-out error {share_words(part.responses[name].relative_error)}"
+            )
+            words = _FIRST, "total S\N{LATIN SUBSCRIPT SMALL LETTER T}"
+            indices.append(Indices(name, part.keys, source, words, of_keys["S1"], of_keys["ST"]))
+    return tuple(indices)

@@ -1,10 +1,10 @@
-"""``rw.surrogate``: what answers for a sweep's cases, from the results to a file beside them.
+"""``rw.surrogate``: the regressions of a sweep, which are stored in ``surrogate.h5`` beside it.
 
-Its regressions, see ``regression``, go over the varied keys, by logarithms where the study varies
-them so.
+They go over the varied keys, see ``regression``, by logarithms where the study varies them so.
 """
 
 import hashlib
+import json
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,11 +14,28 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import InputError, RingwearError, legible
-from ringwear_par.studies.analysis.predictions import COARSE, Surrogate
-from ringwear_par.studies.analysis.regression import Part, fitted, places_between
-from ringwear_par.studies.analysis.responses import read_responses
-from ringwear_par.studies.analysis.sensitivity import chosen_cases, done_cases
-from ringwear_par.studies.analysis.surrogate_file import SURROGATE, read_surrogate, write_surrogate
+from ringwear_par.results.storage.hdf5 import (
+    atomic_hdf5,
+    read_array,
+    read_number,
+    read_text,
+    reading,
+)
+from ringwear_par.results.variables import Variable
+from ringwear_par.studies.analysis.predictions import COARSE, Surrogate, unit_of
+from ringwear_par.studies.analysis.regression import (
+    Part,
+    Response,
+    fit_responses,
+    forms_for,
+    places_between,
+)
+from ringwear_par.studies.analysis.responses import (
+    chosen_cases,
+    done_cases,
+    read_responses,
+    upper_limit,
+)
 from ringwear_par.studies.storage.end_values import FINAL
 from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 
@@ -27,6 +44,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+_SURROGATE, _SOFTWARE, _KIND = "surrogate.h5", "ringwear-par surrogate 3", "a surrogate of a sweep"
+#: arrays (keys,) of a part
+_OF_KEYS = ("low", "high", "logarithmic", "stretches")
 #: most cases that are interpolated
 _MOST = 1000
 #: cases nearer to each other than this part of all ranges are one
@@ -50,11 +70,11 @@ def surrogate(
     ``largest_wear_upper`` and, where all cases have the same contact elements, the profiles
     ``wear_lower``, ``wear_upper``. At times these four need profiles of all stored steps
     (``output.profiles = "all"``). Cases that are not done are left out; of many, 1,000 are chosen
-    at random. The surrogate is kept beside the results, as ``surrogate.h5``, and is made again once
+    at random. The surrogate stays beside the results, as ``surrogate.h5``, and is made again once
     these have changed.
 
     Keys that are no numbers get a surrogate for each combination of their values. Ranges are those
-    of each key alone: where keys of a list vary together, what no case is near is not told.
+    of each key alone: where keys of a list vary together, errors far from all cases are unknown.
 
     Parameters
     ----------
@@ -67,30 +87,28 @@ def surrogate(
     InputError : too few cases are done, their keys vary together, a time that not all cases have;
         the folder holds no results.
     """
-    found = _ensemble(ensemble)
-    asked = None if times is None else _times(times)
-    identity, path = _identity(found, asked), found.path.with_name(SURROGATE)
+    source = _ensemble(ensemble)
+    instants = None if times is None else _times(times)
+    identity, path = _identity(source, instants), source.path.with_name(_SURROGATE)
+    regressions = None
     if path.exists():
         try:
-            kept = read_surrogate(path, identity)
+            regressions = _read(path, identity)
         except InputError as error:
             log.warning("%s; it is made again", error)
-        else:
-            if kept is not None:
-                _tell(kept)
-                return kept
-    made = _made(found, asked)
-    try:
-        write_surrogate(path, made, identity)
-    except (OSError, RingwearError) as error:
-        log.warning("%s: the surrogate is not kept: %s", path, error)
-    _tell(made)
-    return made
+    if regressions is None:
+        regressions = _fit(source, instants)
+        try:
+            _write(path, regressions, identity)
+        except (OSError, RingwearError) as error:
+            log.warning("%s: the surrogate is not kept: %s", path, error)
+    _warn_of_coarse(regressions)
+    return regressions
 
 
-def _tell(made: Surrogate) -> None:
-    """Log which responses are told too coarsely, the worst of them by name."""
-    errors = made.relative_error
+def _warn_of_coarse(regressions: Surrogate) -> None:
+    """Log which responses are met too coarsely, the worst of them by name."""
+    errors = regressions.relative_error
     coarse = sorted((n for n in errors if errors[n] > COARSE), key=lambda n: -errors[n])
     if not coarse:
         return
@@ -114,27 +132,27 @@ def _ensemble(ensemble: Any) -> Ensemble:
             f"ensemble: a {type(ensemble).__name__} without a file; must be the folder of a sweep, "
             "its results.h5 or what open_ensemble returns"
         )
-    found = read_ensemble(Path(source).parent)
-    if ensemble.sizes.get("case") != len(found.ids):
+    whole = read_ensemble(Path(source).parent)
+    if ensemble.sizes.get("case") != len(whole.ids):
         raise InputError(
-            f"{found.path}: some of its cases were selected; must be all that open_ensemble returns"
+            f"{whole.path}: some of its cases were selected; must be all that open_ensemble returns"
         )
-    return found
+    return whole
 
 
 def _times(times: Sequence[float]) -> FloatArray:
     try:
-        asked = np.array(times, dtype=float)
+        instants = np.array(times, dtype=float)
     except (TypeError, ValueError):
-        asked = np.empty(0)
-    if asked.ndim != 1 or not len(asked) or not np.isfinite(asked).all():
+        instants = np.empty(0)
+    if instants.ndim != 1 or not len(instants) or not np.isfinite(instants).all():
         raise InputError(f"times = {legible(str(times))}: must be a list of numbers, s")
-    return asked
+    return instants
 
 
 def _identity(ensemble: Ensemble, times: FloatArray | None) -> str:
-    """Return what tells these results, and times, from others."""
-    found = hashlib.sha256()
+    """Return a hash of these results and times."""
+    digest = hashlib.sha256()
     numbers = [ensemble.in_study, ensemble.steps_stored, *ensemble.final.values()]
     words = [ensemble.ids, ensemble.status, tuple(ensemble.varied)]
     for values in ensemble.varied.values():
@@ -142,13 +160,14 @@ def _identity(ensemble: Ensemble, times: FloatArray | None) -> str:
     if times is not None:
         numbers.append(times)
     for texts in (*words, [str(ensemble.attributes.get("study"))]):
-        found.update("\0".join(texts).encode() + b"\n")
+        digest.update("\0".join(texts).encode() + b"\n")
     for array in numbers:
-        found.update(np.ascontiguousarray(array).tobytes())
-    return found.hexdigest()
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
 
 
-def _made(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
+def _fit(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
+    """Return the surrogate of all cases that are done, a part for each combination of texts."""
     done = done_cases(ensemble) & (ensemble.steps_stored > 1)
     done &= np.isfinite([ensemble.final[name] for name in FINAL]).all(axis=0)
     designed = ensemble.spacings
@@ -199,22 +218,21 @@ def _part(
     x = np.stack([ensemble.varied[key][cases] for key in keys], axis=1)
     low, high = x.min(axis=0), x.max(axis=0)
     logarithmic = np.zeros(len(keys), dtype=bool)
-    for i, key in enumerate(keys):
+    for i, name in enumerate(keys):
         evenly = np.median(x[:, i]) > 0.3 * (low[i] + high[i])
-        by_log, ends = designed.get(key, (not evenly and high[i] > _LOG_KEY * low[i], ()))
+        by_log, ends = designed.get(name, (not evenly and high[i] > _LOG_KEY * low[i], ()))
         logarithmic[i] = by_log and low[i] > 0.0
         if ends:
-            one = slice(i, i + 1)
-            near = places_between(np.array(ends)[:, None], low[one], high[one], logarithmic[one])[
-                :, 0
-            ]
+            key = slice(i, i + 1)
+            near = places_between(np.array(ends)[:, None], low[key], high[key], logarithmic[key])
+            near = near[:, 0]
             if -_NEAR <= near[0] <= 0.0:
                 low[i] = ends[0]
             if 1.0 <= near[1] <= 1.0 + _NEAR:
                 high[i] = ends[1]
     points = places_between(x, low, high, logarithmic)
-    _, apart = np.unique(np.round(points, _DIGITS), axis=0, return_index=True)
-    points, cases = points[np.sort(apart)], cases[np.sort(apart)]
+    first = np.sort(np.unique(np.round(points, _DIGITS), axis=0, return_index=True)[1])
+    points, cases = points[first], cases[first]
     if len(points) < _needed(keys):
         raise InputError(
             f"{ensemble.path}: {len(points)} cases differ, in {len(keys)} keys; a surrogate needs "
@@ -224,10 +242,86 @@ def _part(
     try:
         if np.linalg.matrix_rank(np.insert(points, 0, 1.0, axis=1), tol=1e-6) <= len(keys):
             raise np.linalg.LinAlgError
-        stretches, responses = fitted(points, values)
+        stretches, responses = fit_responses(points, values)
     except np.linalg.LinAlgError:
         raise InputError(
             f"{ensemble.path}: {', '.join(keys)} vary together, or nearly so; a surrogate needs "
             "cases in which each varies by itself"
         ) from None
     return Part(tuple(texts), tuple(keys), low, high, logarithmic, points, stretches, responses)
+
+
+def _write(path: Path, regressions: Surrogate, identity: str) -> None:
+    """Write a surrogate of results of an identity, by rename."""
+    with atomic_hdf5(path) as (file, _):
+        file.attrs.update({
+            "software": _SOFTWARE, "results": identity, "cases": regressions.cases,
+            "done": regressions.done, "text_keys": json.dumps(regressions.text_keys),
+            "parts": len(regressions.parts),
+        })  # fmt: skip
+        for number, part in enumerate(regressions.parts):
+            group = file.create_group(f"part_{number}")
+            group.attrs.update(keys=json.dumps(part.keys), texts=json.dumps(part.texts))
+            for name in _OF_KEYS:
+                group[name] = getattr(part, name).astype(float)
+            group["points"] = part.points
+            for name, response in part.responses.items():
+                group[name] = response.values
+                group[name].attrs.update(
+                    form=response.form, error=response.error, form_error=response.form_error,
+                    shape=json.dumps(response.shape), units=unit_of(name),
+                )  # fmt: skip
+            group.attrs["responses"] = json.dumps(list(part.responses))
+
+
+def _read(path: Path, identity: str) -> Surrogate | None:
+    """Return the surrogate of a file; None if it is one of other results.
+
+    Raises
+    ------
+    InputError : the file is damaged.
+    """
+    with reading(path, _SOFTWARE, _KIND) as file:
+        if read_text(file.attrs["results"]) != identity:
+            return None
+        parts = []
+        for number in range(int(read_number(file.attrs["parts"]))):
+            group = file[f"part_{number}"]
+            keys = _words(group.attrs["keys"])
+            sizes = {"key": len(keys)}
+            low, high, logarithmic, stretches = (
+                _finite(group, name, ("key",), sizes) for name in _OF_KEYS
+            )
+            points = _finite(group, "points", ("case", "key"), sizes)
+            responses = {}
+            for name in _words(group.attrs["responses"]):
+                about = group[name].attrs
+                response = Response(
+                    _finite(group, name, ("case", f"column of {name}"), sizes),
+                    read_text(about["form"]), float(read_number(about["error"])),
+                    float(read_number(about["form_error"])),
+                    tuple(map(int, json.loads(read_text(about["shape"])))), upper_limit(name),
+                )  # fmt: skip
+                if response.form not in forms_for(response.values):
+                    raise ValueError(name)
+                response.values.reshape(-1, *response.shape)
+                responses[name] = response
+            texts, by_log = _words(group.attrs["texts"]), logarithmic > 0.0
+            if not (low < high).all() or not (low[by_log] > 0.0).all():
+                raise ValueError("low")
+            parts.append(Part(texts, keys, low, high, by_log, points, stretches, responses))
+        return Surrogate(
+            _words(file.attrs["text_keys"]), parts, int(read_number(file.attrs["cases"])),
+            int(read_number(file.attrs["done"])),
+        )  # fmt: skip
+
+
+def _words(value: Any) -> tuple[str, ...]:
+    return tuple(map(read_text, json.loads(read_text(value))))
+
+
+def _finite(group: Any, name: str, dimensions: tuple[str, ...], sizes: dict[str, int]) -> Any:
+    array = read_array(group, Variable(name, dimensions, "", ""), sizes)
+    if not np.isfinite(array).all():
+        raise ValueError(name)
+    return array

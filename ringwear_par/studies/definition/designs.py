@@ -24,7 +24,6 @@ from ringwear_par.studies.definition.schema import DESIGN, MOST_CASES
 from ringwear_par.studies.definition.variations import (
     Column,
     Variation,
-    column_of,
     has_entry,
     is_known,
     path_of,
@@ -34,8 +33,8 @@ from ringwear_par.studies.definition.variations import (
 )
 
 SAMPLED = ("sobol", "latin-hypercube", "random")
-#: faults of a table told one by one
-_FAULTS_TOLD = 5
+#: faults of a table that are named one by one
+_MOST_NAMED = 5
 #: numbers as TOML has them, without its rarer spellings
 _WHOLE = re.compile(r"-?(0|[1-9][0-9]{0,17})", re.ASCII)
 _DECIMAL = re.compile(r"-?(0|[1-9][0-9]*)(\.[0-9]+)?(e[-+]?[0-9]+)?", re.ASCII)
@@ -91,7 +90,8 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
         raise InputError(f"{name}: is a case, not a study; ringwear run computes it")
     faults = [
         f"{name}: {legible(key)}: unknown key; must be one of case, vary, design"
-        for key in tables.keys() - {"case", "vary", "design"}
+        for key in tables
+        if key not in ("case", "vary", "design")
     ]
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults) or {}
     vary, design = tables.get("vary", {}), tables.get("design", {})
@@ -109,8 +109,8 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
     else:
         names = tuple(v.name for v in variations)
         columns = drawn(name, variations, method, design)
-    asked = dict(zip(names, (column.there for column in columns), strict=True))
-    boundary = asked.get("output.boundary", [base.get("output.boundary", "none")])
+    values = dict(zip(names, (column.distinct for column in columns), strict=True))
+    boundary = values.get("output.boundary", [base.get("output.boundary", "none")])
     if unknown := [value for value in boundary if value != "none"]:
         raise InputError(
             f"{name}: output.boundary = {shortened(unknown[0])}: fields on whole boundaries are "
@@ -121,18 +121,19 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
         raise InputError(
             f"{name}: {varied[0]}: must not vary; what [stress] asks for is that of the base case"
         )
-    found = tuple(  # files are relative to the study
-        column.mapped(partial(_found, key, folder)) if column.numbers is None else column
+    complete = tuple(  # files are relative to the study
+        column.mapped(partial(_in_full, key, folder)) if column.numbers is None else column
         for key, column in zip(names, columns, strict=True)
     )
-    return Draft(name, text, base, names, method, found)
+    return Draft(name, text, base, names, method, complete)
 
 
-def _found(name: str, folder: Path, value: Any) -> Any:
+def _in_full(name: str, folder: Path, value: Any) -> Any:
+    """Return a raw value, names of files in it in full."""
     path, entry = split_key(name)
     whole = whole_name(path, entry) if isinstance(entry, str) else path
-    (found,) = in_full({whole: value}, folder).values()
-    return found
+    (complete,) = in_full({whole: value}, folder).values()
+    return complete
 
 
 def read_design(name: str, table: Mapping[str, Any], faults: list[str]) -> dict[str, Any]:
@@ -148,9 +149,9 @@ def read_design(name: str, table: Mapping[str, Any], faults: list[str]) -> dict[
         try:
             return DESIGN[key].read(value)
         except RejectedError as reason:
-            said = f"= {shortened(value)}" if key in table else "is missing"
+            words = f"= {shortened(value)}" if key in table else "is missing"
             why = f" ({reason})" if str(reason) else ""
-            faults.append(f"{name}: design.{key} {said}: {DESIGN[key].rule}{why}")
+            faults.append(f"{name}: design.{key} {words}: {DESIGN[key].rule}{why}")
             return None
 
     method = read("method")
@@ -184,7 +185,7 @@ def drawn(
         columns = []
         for i, variation in enumerate(variations):  # the last one varies fastest
             codes = numbers // math.prod(sizes[i + 1 :]) % sizes[i]
-            columns.append(Column(tuple(variation.grid()), codes))
+            columns.append(Column.chosen(variation.grid(), codes))
         return columns
     from scipy.stats import qmc  # slow to import, and not needed to draw a figure
 
@@ -223,8 +224,8 @@ def listed(table: Path) -> tuple[tuple[str, ...], list[Column]]:
         if not is_known(name) or name == "title":
             path = path_of(name)
             near = len(faults) < MOST_FAULTS
-            said = unknown_key(name if path in LAYERS else path) if near else "unknown key"
-            faults.append(f"{table}: column {legible(name)}: {said}")
+            reason = unknown_key(name if path in LAYERS else path) if near else "unknown key"
+            faults.append(f"{table}: column {legible(name)}: {reason}")
         elif not has_entry(name):
             faults.append(f"{table}: column {name}: has no entries; must be the key itself")
         elif times[name] > 1:
@@ -239,8 +240,8 @@ def listed(table: Path) -> tuple[tuple[str, ...], list[Column]]:
         for column, cell in zip(values, line, strict=False):
             column.append(_parsed(cell.strip()))
     if faults:
-        raise InputError(*faults[:_FAULTS_TOLD])
-    return names, [column_of(column) for column in values]
+        raise InputError(*faults[:_MOST_NAMED])
+    return names, [Column.of(column) for column in values]
 
 
 def _parsed(cell: str) -> Any:

@@ -9,6 +9,7 @@ import hashlib
 import itertools
 import json
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from ringwear_par.cases.layers import LAYERS, entries_of
 from ringwear_par.cases.numbers import Number
 from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.files.text import read_text
-from ringwear_par.studies.definition.rows import Rows, by_kind
+from ringwear_par.studies.definition.case_columns import CaseColumns, by_kind
 
 #: defaults of before keys had to be given: the ids of the cases of then have to stay
 _NOT_IN_IDS = {f"wear.{body}.law": "threshold" for body in ("lower", "upper")}
@@ -59,16 +60,16 @@ def _id_pieces(case_keys: Mapping[str, Any], numbers: Mapping[Number, int]) -> l
             pieces.append(_pair(path, read_text(Path(raw))))
         elif path in LAYERS:
             for entry, value in sorted((entries_of(raw) or {}).items()):
-                known, own = (path, entry) in numbers, key_of(f"{path}{entry}")
-                assert own is not None
-                if known:
+                entry_key = key_of(f"{path}{entry}")
+                assert entry_key is not None
+                if (path, entry) in numbers:
                     pieces.append(numbers[path, entry])
-                elif (value := own.read(value)) != own.default:
+                elif (value := entry_key.read(value)) != entry_key.default:
                     pieces.append(_pair(f"{path}{entry}", value))
         elif isinstance(raw, dict) and any((path, name) in numbers for name in raw):
-            there = key.read({n: 0.0 if (path, n) in numbers else v for n, v in raw.items()})
+            entries = key.read({n: 0.0 if (path, n) in numbers else v for n, v in raw.items()})
             pieces.append(f", {json.dumps(path)}: [")
-            for i, (name, value) in enumerate(there):
+            for i, (name, value) in enumerate(entries):
                 pieces.append(f"{', ' if i else ''}[{json.dumps(name)}, ")
                 known = (path, name) in numbers
                 pieces.append(numbers[path, name] if known else json.dumps(value, default=repr))
@@ -85,21 +86,23 @@ def _pair(path: str, value: Any) -> str:
     return f", {json.dumps(path)}: {json.dumps(value, default=repr)}"
 
 
-def identities_of(rows: Rows, firsts: Mapping[int, int]) -> Any:
+def identities_of(rows: CaseColumns, firsts: Mapping[int, int]) -> Any:
     """Return (cases,) bytes, the ids of good cases.
 
     Parameters
     ----------
     firsts : a good case of each kind that has one.
     """
-    found = np.zeros(len(rows.kinds), dtype="S16")
-    for start in range(0, len(found), _WINDOW):
+    identities = np.zeros(len(rows.kinds), dtype="S16")
+    for start in range(0, len(identities), _WINDOW):
         window = slice(start, start + _WINDOW)
         part = rows.part(window)
         written: list[list[str]] = [[]] * len(rows.columns)
         for (path, entry), i in rows.numbers.items():
             name = path if entry is None else f"{path}{entry}" if path in LAYERS else ""
-            written[i] = part.columns[i].each(_Told(name) if name else _told)
+            key = key_of(name) if name else None
+            write = partial(_number_pair, name, key.default) if key else _number_text
+            written[i] = part.columns[i].by_case(write)
         for kind, here in by_kind(rows.kinds[window]):
             if kind in firsts:
                 pieces = _id_pieces(rows.keys(firsts[kind], places=True), rows.numbers)
@@ -109,23 +112,17 @@ def identities_of(rows: Rows, firsts: Mapping[int, int]) -> Any:
                     else [written[piece][i] for i in here.tolist()]
                     for piece in pieces
                 ]
-                found[start + here] = [_digest("".join(e)) for e in zip(*columns, strict=True)]
-    return found
+                texts = map("".join, zip(*columns, strict=True))
+                identities[start + here] = list(map(_digest, texts))
+    return identities
 
 
-def _told(raw: Any) -> str:
+def _number_text(raw: Any) -> str:
     """Return a number as JSON has it."""
     return repr(float(raw))
 
 
-class _Told:
-    """Writes the numbers of a key as JSON pairs, but for its default."""
-
-    def __init__(self, path: str) -> None:
-        key = key_of(path)
-        assert key is not None
-        self._begin, self._default = f", {json.dumps(path)}: ", key.default
-
-    def __call__(self, raw: Any) -> str:
-        value = float(raw)
-        return "" if value == self._default else self._begin + repr(value)
+def _number_pair(path: str, default: Any, raw: Any) -> str:
+    """Return the JSON pair of a number, "" for the default of its key."""
+    value = float(raw)
+    return "" if value == default else f", {json.dumps(path)}: {value!r}"

@@ -1,7 +1,6 @@
 """The keys of a study: one list that reading, messages and ``info --schema study`` follow."""
 
-from ringwear_par.cases.schema import Key
-from ringwear_par.cases.tables import keys_of_table
+from ringwear_par.cases.tables import Key, keys_of_table
 from ringwear_par.cases.values import anything, one_of, text, whole
 
 METHODS = ("grid", "sobol", "latin-hypercube", "random", "list")

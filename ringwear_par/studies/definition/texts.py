@@ -1,4 +1,4 @@
-"""The TOML texts of cases that differ in a few values: told once, with places for these."""
+"""The TOML texts of cases that differ in a few values: one template, with places for these."""
 
 import json
 import re
@@ -42,8 +42,8 @@ class Frame:
     @classmethod
     def of(cls, keys: Mapping[str, Any]) -> "Frame":
         """Return the frame of dotted keys, some of whose values are a Place."""
-        found = _PLACE.split(toml_text(keys))
-        return cls(tuple(found[::2]), tuple(map(int, found[1::2])))
+        pieces = _PLACE.split(toml_text(keys))
+        return cls(tuple(pieces[::2]), tuple(map(int, pieces[1::2])))
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Texts:
         """Return texts that have nothing in common."""
         return cls(tuple((text,) for text in texts), tuple(range(len(texts))), ((),) * len(texts))
 
-    def each(self, cases: Iterable[int]) -> list[str]:
+    def of_cases(self, cases: Iterable[int]) -> list[str]:
         """Return the texts of some of the cases."""
         return [joined(self.frames[self.kinds[i]], self.values[i]) for i in cases]
 
@@ -82,9 +82,9 @@ class Texts:
     def part(self, cases: Sequence[int]) -> "Texts":
         """Return the texts of some of the cases."""
         kinds, values = [self.kinds[i] for i in cases], [self.values[i] for i in cases]
-        there = {kind: n for n, kind in enumerate(dict.fromkeys(kinds))}
-        frames = tuple(self.frames[kind] for kind in there)
-        return Texts(frames, tuple(there[kind] for kind in kinds), tuple(values))
+        numbers = {kind: n for n, kind in enumerate(dict.fromkeys(kinds))}
+        frames = tuple(self.frames[kind] for kind in numbers)
+        return Texts(frames, tuple(numbers[kind] for kind in kinds), tuple(values))
 
     def packed(self) -> str:
         """Return all of it as JSON."""
@@ -101,8 +101,8 @@ class Texts:
         try:
             frames, kinds, values = json.loads(packed)
             pieces = [frames[kind] for kind in kinds]
-            places = [len(frame) - 1 for frame in pieces] == [len(each) for each in values]
-            words = all(isinstance(w, str) for each in (*frames, *values) for w in each)
+            places = [len(frame) - 1 for frame in pieces] == [len(row) for row in values]
+            words = all(isinstance(w, str) for row in (*frames, *values) for w in row)
         except (LookupError, TypeError, RecursionError) as error:
             raise ValueError(str(error)) from error
         if not (places and words and len(kinds) == count):

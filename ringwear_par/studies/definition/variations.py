@@ -7,14 +7,15 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.files.keys import override
 from ringwear_par.cases.files.suggestions import unknown_key
 from ringwear_par.cases.layers import LAYERS, entries_of
-from ringwear_par.cases.schema import BY_PATH, Key, key_of, layer_entry
+from ringwear_par.cases.schema import BY_PATH, key_of, layer_entry
+from ringwear_par.cases.tables import Key
 from ringwear_par.cases.text import shortened, toml_value
-from ringwear_par.cases.units import without_units
 from ringwear_par.cases.values import RejectedError, is_finite, is_number
 from ringwear_par.errors import MOST_FAULTS, legible
 from ringwear_par.studies.definition.schema import MOST_CASES
@@ -29,77 +30,71 @@ class Column:
 
     Parameters
     ----------
-    values : one a case, or those that there are.
-    codes : (cases,) which of the values each case has, None: each its own.
+    values : the distinct ones, float64 where all are floats, else of objects.
+    codes : (cases,) which of the values each case has.
     """
 
-    values: FloatArray | tuple[Any, ...]
-    codes: IntArray | None = None
+    values: NDArray[Any]
+    codes: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, values: Sequence[Any] | FloatArray) -> "Column":
+        """Return the column of one value a case; -0.0 and 0.0 are two, and so are 0 and 0.0."""
+        if isinstance(values, np.ndarray) or all(type(value) is float for value in values):
+            bits = np.array(values, dtype=np.float64).view(np.int64)
+            distinct, codes = np.unique(bits, return_inverse=True)
+            return cls(distinct.view(np.float64), codes.astype(np.int32))
+        known: dict[str, int] = {}  # by their texts
+        numbers = [known.setdefault(toml_value(value), len(known)) for value in values]
+        codes = np.array(numbers, dtype=np.int32)
+        first = np.unique(codes, return_index=True)[1].tolist()
+        return cls(_objects([values[i] for i in first]), codes)
+
+    @classmethod
+    def chosen(cls, values: Sequence[Any], codes: IntArray) -> "Column":
+        """Return the column of some values, by number."""
+        return cls(_objects(values), codes.astype(np.int32))
 
     def __len__(self) -> int:
-        return len(self.values if self.codes is None else self.codes)
+        return len(self.codes)
 
     def __getitem__(self, case: int) -> Any:
-        value = self.values[case if self.codes is None else self.codes[case]]
+        value = self.values[self.codes[case]]
         return value.item() if isinstance(value, np.generic) else value
 
     def part(self, cases: slice | IntArray) -> "Column":
-        """Return the column of some of the cases."""
-        if self.codes is not None:
-            codes = self.codes[cases]
-            if len(codes) >= len(self.values):
-                return Column(self.values, codes)
-            there, codes = np.unique(codes, return_inverse=True)
-            return Column(tuple(self.values[i] for i in there.tolist()), codes)
-        if isinstance(self.values, tuple):
-            taken = np.arange(len(self.values))[cases].tolist()
-            return Column(tuple(self.values[i] for i in taken))
-        return Column(self.values[cases])
+        """Return the column of some of the cases, without the values that they do not have."""
+        used, codes = np.unique(self.codes[cases], return_inverse=True)
+        return Column(self.values[used], codes.astype(np.int32))
 
     def mapped(self, function: Callable[[Any], Any]) -> "Column":
-        """Return the column of what a function makes of each value."""
-        return Column(tuple(map(function, self.there)), self.codes)
+        """Return the column of a function of each value."""
+        return Column(_objects(list(map(function, self.distinct))), self.codes)
 
-    def each(self, function: Callable[[Any], Any] | None = None) -> list[Any]:
-        """Return the values of all cases, or what a function makes of each."""
-        listed = self.there
-        if function is not None:
-            listed = list(map(function, listed))
-        return listed if self.codes is None else [listed[i] for i in self.codes.tolist()]
+    def by_case(self, function: Callable[[Any], Any] | None = None) -> list[Any]:
+        """Return the value of each case, or a function of it."""
+        values = self.distinct if function is None else list(map(function, self.distinct))
+        return [values[code] for code in self.codes.tolist()]
 
     @property
-    def there(self) -> list[Any]:
-        """The values that there are."""
-        return self.values.tolist() if isinstance(self.values, np.ndarray) else list(self.values)
+    def distinct(self) -> list[Any]:
+        """The distinct values."""
+        distinct: list[Any] = self.values.tolist()
+        return distinct
 
     @cached_property
     def numbers(self) -> FloatArray | None:
         """(cases,) the values, where all are numbers."""
-        whole = isinstance(self.values, np.ndarray)
-        if not whole and not all(is_number(value) for value in self.values):
+        if self.values.dtype == object and not all(map(is_number, self.values)):
             return None
-        values = np.asarray(self.values, dtype=np.float64)
-        return values if self.codes is None else values[self.codes]
-
-    @cached_property
-    def kinds(self) -> IntArray:
-        """(cases,) numbers, the same for the same value."""
-        if self.codes is not None:
-            return self.codes
-        if isinstance(self.values, tuple):
-            return np.arange(len(self.values))
-        bits = np.ascontiguousarray(self.values, dtype=np.float64).view(np.int64)  # -0.0 is not 0.0
-        return np.unique(bits, return_inverse=True)[1].astype(np.int64)
+        return self.values.astype(np.float64)[self.codes]
 
 
-def column_of(values: list[Any]) -> Column:
-    """Return the column of a list, one value a case."""
-    if all(type(value) is float for value in values):
-        return Column(np.array(values))
-    known: dict[str, int] = {}  # by what is written: 0, 0.0 and -0.0 are three values
-    codes = np.array([known.setdefault(toml_value(value), len(known)) for value in values])
-    first = np.unique(codes, return_index=True)[1]
-    return Column(tuple(values[i] for i in first.tolist()), codes)
+def _objects(values: Sequence[Any]) -> NDArray[Any]:
+    """Return values as an array, lists among them as they are."""
+    array = np.empty(len(values), dtype=object)
+    array[:] = values
+    return array
 
 
 @dataclass(frozen=True)
@@ -140,13 +135,13 @@ class Variation:
     def at(self, u: FloatArray) -> Column:
         """Return the values at points u of the unit interval, (cases,)."""
         if self.spacing == "values":
-            return Column(self.values, (u * len(self.values)).astype(np.int64))
+            return Column.chosen(self.values, (u * len(self.values)).astype(np.int64))
         low, high = self.values
         values = low * (high / low) ** u if self.spacing == "log" else low + (high - low) * u
         if not self.whole:
-            return Column(values)
-        there, codes = np.unique(np.rint(values), return_inverse=True)
-        return Column(tuple(map(int, there.tolist())), codes.astype(np.int64))
+            return Column.of(values)
+        distinct, codes = np.unique(np.rint(values), return_inverse=True)
+        return Column.chosen(list(map(int, distinct.tolist())), codes.astype(np.int64))
 
     def _rounded(self, value: float) -> float | int:
         return round(value) if self.whole else value
@@ -170,7 +165,7 @@ def split_key(name: str) -> tuple[str, int | str | None]:
 
 
 def whole_name(path: str, entry: str) -> str:
-    """Return what an entry of a table or of layers is called, as ``split_key`` takes it."""
+    """Return the name of an entry of a table or of layers, as ``split_key`` takes it."""
     return f"{path}{entry}" if path in LAYERS else f"{path}.{entry}"
 
 
@@ -226,8 +221,8 @@ def varied_keys(
         elif isinstance(index, str):
             changed[whole_name(path, index)] = value
         else:
-            there = changed.get(path, base.get(path))
-            pair = list(there) if isinstance(there, list) and len(there) == 2 else [None, None]
+            before = changed.get(path, base.get(path))
+            pair = list(before) if isinstance(before, list) and len(before) == 2 else [None, None]
             pair[index] = value
             changed[path] = pair
     return override(base, changed)
@@ -241,7 +236,7 @@ def is_whole(value: Any) -> bool:
 def read_variations(
     name: str, vary: Mapping[str, Any], method: str, faults: list[str]
 ) -> list[Variation]:
-    """Return the varied keys, and add what is wrong with them to the faults."""
+    """Return the varied keys, and add their faults."""
     if method == "list":
         if vary:
             faults.append(f'{name}: [vary]: must be absent where design.method = "list"')
@@ -252,19 +247,19 @@ def read_variations(
     variations = []
     for key, entry in entries.items():
         path = path_of(key)
-        said = f'{name}: vary."{legible(key)}"'
+        place = f'{name}: vary."{legible(key)}"'
         if not is_known(key):
             near = len(faults) < MOST_FAULTS
-            what = unknown_key(key if path in LAYERS else path) if near else "unknown key"
-            faults.append(f"{said}: {what}")
+            reason = unknown_key(key if path in LAYERS else path) if near else "unknown key"
+            faults.append(f"{place}: {reason}")
         elif path == "title":
-            faults.append(f"{said}: a title makes no other case; must be another key")
+            faults.append(f"{place}: a title makes no other case; must be another key")
         elif not has_entry(key):
-            faults.append(f"{said}: {path} has no entries; must be the key itself")
+            faults.append(f"{place}: {path} has no entries; must be the key itself")
         else:
-            found = _variation(said, key, entry, method, faults)
-            if found is not None:
-                variations.append(found)
+            variation = _variation(place, key, entry, method, faults)
+            if variation is not None:
+                variations.append(variation)
     return variations
 
 
@@ -279,73 +274,76 @@ def _unnested(vary: Mapping[str, Any]) -> dict[str, Any]:
     return flat
 
 
-def _variation(said: str, key: str, entry: Any, method: str, faults: list[str]) -> Variation | None:
+def _variation(
+    place: str, key: str, entry: Any, method: str, faults: list[str]
+) -> Variation | None:
+    """Return a varied key, or add its faults."""
     path, index = split_key(key)
     if not isinstance(entry, dict) or len(entry.keys() & {"values", "linear", "log"}) != 1:
-        shown = shortened(entry)
+        words = shortened(entry)
         if isinstance(entry, dict):
-            shown = legible("{" + ", ".join(entry) + "}")
+            words = legible("{" + ", ".join(entry) + "}")
         faults.append(
-            f"{said} = {shown}: must be {{ values = [...] }}, {{ linear = [low, high], count = n }}"
-            " or { log = [low, high], count = n }"
+            f"{place} = {words}: must be {{ values = [...] }}, "
+            "{ linear = [low, high], count = n } or { log = [low, high], count = n }"
         )
         return None
     (spacing,) = entry.keys() & {"values", "linear", "log"}
     values, count = entry[spacing], entry.get("count")
     unknown = entry.keys() - {spacing, "count"}
     if unknown:
-        shown = legible(", ".join(sorted(unknown)))
-        faults.append(f"{said}: {shown}: must be {spacing} and count only")
-    told = "is missing" if count is None else f"= {shortened(count)}"
+        words = legible(", ".join(sorted(unknown)))
+        faults.append(f"{place}: {words}: must be {spacing} and count only")
+    count_words = "is missing" if count is None else f"= {shortened(count)}"
     if spacing == "values":
         if not isinstance(values, list) or not values:
-            faults.append(f"{said}: values = {shortened(values)}: must be a list of values")
+            faults.append(f"{place}: values = {shortened(values)}: must be a list of values")
             return None
         if count is not None:
-            faults.append(f"{said}: count {told}: must be absent beside values")
+            faults.append(f"{place}: count {count_words}: must be absent beside values")
         return Variation(key, path, index, "values", tuple(values))
-    shown = f"{said}: {spacing} = {shortened(values)}"
+    range_words = f"{place}: {spacing} = {shortened(values)}"
     try:
         if isinstance(values, list):
             entry = index if isinstance(index, str) and path not in LAYERS else None
-            values = [without_units(own_key(key), value, entry) for value in values]
+            values = [own_key(key).without_units(value, entry) for value in values]
         numbers = isinstance(values, list) and len(values) == 2 and all(map(is_finite, values))
     except RejectedError as reason:
-        faults.append(f"{shown}: must be two increasing numbers ({reason})")
+        faults.append(f"{range_words}: must be two increasing numbers ({reason})")
         return None
     if not numbers or not values[0] < values[1]:
-        faults.append(f"{shown}: must be two increasing numbers")
+        faults.append(f"{range_words}: must be two increasing numbers")
         return None
     if spacing == "log" and values[0] <= 0:
-        faults.append(f"{shown}: must be two increasing numbers > 0")
+        faults.append(f"{range_words}: must be two increasing numbers > 0")
         return None
     if method == "grid" and not (
         isinstance(count, int) and is_whole(count) and 2 <= count <= MOST_CASES
     ):
         faults.append(
-            f"{said}: count {told}: must be a whole number from 2 to {MOST_CASES} in a grid"
+            f"{place}: count {count_words}: must be a whole number from 2 to {MOST_CASES} in a grid"
         )
         return None
     if method != "grid" and count is not None:
         faults.append(
-            f"{said}: count {told}: must be absent; design.count says how many "
+            f"{place}: count {count_words}: must be absent; design.count says how many "
             f'cases method = "{method}" draws'
         )
-    made = Variation(
+    variation = Variation(
         key, path, index, "log" if spacing == "log" else "linear", tuple(map(float, values)),
         count or 0,
     )  # fmt: skip
-    if (index is None or path in LAYERS) and (rule := _rule_broken(made, method)):
-        faults.append(f"{shown}: all of it {rule}")
+    if (index is None or path in LAYERS) and (rule := _rule_broken(variation, method)):
+        faults.append(f"{range_words}: all of it {rule}")
         return None
-    return made
+    return variation
 
 
-def _rule_broken(made: Variation, method: str) -> str:
-    """Return what a key must be that has a range which reaches beyond that, "" if it does not."""
-    key, inside = own_key(made.name), 0.0 if method == "grid" else _INSIDE
+def _rule_broken(variation: Variation, method: str) -> str:
+    """Return the rule of a key that its range breaks, "" for none."""
+    key, inside = own_key(variation.name), 0.0 if method == "grid" else _INSIDE
     try:
-        for value in made.at(np.array([inside, 1.0 - inside])).each():
+        for value in variation.at(np.array([inside, 1.0 - inside])).by_case():
             key.read(value)
     except RejectedError:
         return key.rule

@@ -12,7 +12,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, IntArray
 from ringwear_par.errors import InputError
 from ringwear_par.history.validity.case_limits import memory_needed
-from ringwear_par.studies.definition.groups import Groups
+from ringwear_par.studies.definition.case_columns import Groups
 from ringwear_par.studies.definition.study import Study
 from ringwear_par.studies.storage.index import DONE, FAILED, NOTHING, Index
 from ringwear_par.studies.storage.locks import locked

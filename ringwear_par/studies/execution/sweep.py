@@ -20,6 +20,7 @@ from mpi4py import MPI
 from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.elasticity.stress.recovery import load_stress_kernels
 from ringwear_par.errors import ComputationError, InputError, RingwearError
+from ringwear_par.files.writing import atomic_write
 from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads
 from ringwear_par.results.execution.progress import SweepProgress
 from ringwear_par.results.execution.stopping import StopSignals, name_of, remark
@@ -244,8 +245,8 @@ def _trouble(
         if isinstance(troubles[0], InputError):
             return troubles[0]
         if comm.rank == 0:  # beside results of an earlier study, which look complete
-            with suppress(OSError):
-                plan.store.stopped.touch()
+            with suppress(OSError), atomic_write(plan.store.stopped):
+                pass
         return ComputationError(f"{troubles[0]}; {ended}, and the same command goes on")
     stopped = summary.computed < plan.cases_left
     if stopped:
@@ -273,9 +274,10 @@ def _trouble(
 
 
 def _mark(path: Path) -> None:
-    """Make an empty file, or say why it cannot be."""
+    """Make an empty file in place of whatever has its name, or say why it cannot be."""
     try:
-        path.touch()
+        with atomic_write(path):
+            pass
     except OSError as error:
         log.warning("%s: cannot be written: %s", path, error.strerror)
 

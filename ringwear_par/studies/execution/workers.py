@@ -150,7 +150,7 @@ class Worker:
         group, first, count = drawn
         numbers = self._plan.todo[group][first : first + count]
         with together(self._team):
-            cases, texts = self._plan.study.made(numbers)
+            cases, texts = self._plan.study.cases_and_texts(numbers)
         ids = [identity.decode() for identity in self._plan.study.identities[numbers]]
         try:
             resources = self._resources_of(group, first, cases[0])

@@ -1,21 +1,233 @@
-"""Choice of what is drawn of a sweep: cases, final values, and the keys of the largest indices."""
+"""Choice of what is drawn of a sweep: cases, outputs, keys, and how cases lie along each key."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import IntArray
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.schema import unit_of
+from ringwear_par.cases.text import shortened
+from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import InputError
-from ringwear_par.studies.analysis.effects import Key, Plan, key_of, plan_of
-from ringwear_par.studies.analysis.predictions import Surrogate
-from ringwear_par.studies.analysis.sensitivity import done_cases, outputs_of
-from ringwear_par.studies.pictures.index_bars import IndexBars, most_important
-from ringwear_par.studies.pictures.surrogate_figures import Responses
+from ringwear_par.files.text import parse_value
+from ringwear_par.pictures.style import in_words, number_text
+from ringwear_par.studies.analysis.predictions import USELESS, Surrogate, share_words
+from ringwear_par.studies.analysis.regression import Part, untested
+from ringwear_par.studies.analysis.responses import done_cases
+from ringwear_par.studies.analysis.sensitivity import Indices
+from ringwear_par.studies.definition.designs import SAMPLED
+from ringwear_par.studies.storage.end_values import drawn as drawn_outputs
+from ringwear_par.studies.storage.end_values import shown as display_of
 from ringwear_par.studies.storage.ensemble import Ensemble
 
 #: keys that are drawn: with more of them the figure is of no use
 _MOST_KEYS = 8
+#: most curves with a legend
+_MOST_CURVES = 8
+#: values beside each other span so much before their axis is logarithmic; those of keys
+LOG_VALUE, _LOG_KEY = 100.0, 20.0
+#: values of a key along which medians of cases are drawn
+_MOST_LEVELS = 50
+#: curves of a list show so much of its cases at least, the others as points
+_SHARE = 0.25
+
+
+def spans(values: FloatArray, ratio: float) -> bool:
+    """Tell whether values ask for a logarithmic axis."""
+    finite = values[np.isfinite(values)]
+    return bool(len(finite) and finite.min() > 0.0 and finite.max() >= ratio * finite.min())
+
+
+@dataclass(frozen=True)
+class Key:
+    """A varied key of the cases drawn.
+
+    Parameters
+    ----------
+    name : of the key.
+    values : (cases,) numbers, or codes of categories; NaN where there is none.
+    categories : in words.
+    by_log : whether the design spaces it by logarithms; None: it has no spacing.
+    """
+
+    name: str
+    values: FloatArray
+    categories: tuple[str, ...]
+    by_log: bool | None = None
+
+    @classmethod
+    def of(cls, name: str, column: Any, by_log: bool | None = None) -> "Key":
+        """Return a varied key, the column of whose values is of numbers or of texts."""
+        if column.dtype.kind == "f":
+            return cls(name, column, (), by_log)
+        texts = list(dict.fromkeys(column))
+        codes = {text: float(i) for i, text in enumerate(texts)}
+        values = np.array([codes[text] for text in column])
+        return cls(name, values, tuple(_categories(texts)))
+
+    @property
+    def label(self) -> str:
+        """Its name with its unit."""
+        unit = unit_of(self.name)
+        return f"{self.name} ({in_signs(unit)})" if unit else self.name
+
+    @property
+    def differs(self) -> bool:
+        """Whether cases differ in it."""
+        return len(np.unique(self.values)) > 1
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether its axis is."""
+        if self.by_log is not None and self.differs and spans(self.values, 1.0):
+            return self.by_log
+        if self.categories or not spans(self.values, _LOG_KEY):
+            return False
+        known = self.values[np.isfinite(self.values)]  # spread evenly, they stay on a plain axis
+        return bool(np.median(known) < 0.3 * (known.min() + known.max()))
+
+    def words(self) -> list[str]:
+        """Return the value in each case, as short as its values stay apart."""
+        if self.categories:
+            return [self.categories[int(code)] for code in self.values]
+        values = [float(value) for value in self.values]
+        apart = len(set(values))
+        for digits in range(3, 18):
+            words = [number_text(v, digits) if math.isfinite(v) else "none" for v in values]
+            if len(set(words)) >= apart:
+                break
+        return words
+
+
+def _categories(texts: Sequence[str]) -> list[str]:
+    """Return raw values in few words, numbered where these are the same."""
+    words = [in_words(parse_value(text)) if text else "none" for text in texts]
+    numbers = [words[: i + 1].count(word) for i, word in enumerate(words)]
+    return [
+        f"{word} ({number})" if words.count(word) > 1 else word
+        for word, number in zip(words, numbers, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class Arrangement:
+    """How cases lie along a key.
+
+    Parameters
+    ----------
+    key : the key.
+    kind : "curves" where its values repeat with the same others, "levels" where there are more
+        cases at each of its values, or else "scatter".
+    curves : cases of each curve, along the key.
+    points : cases that are on none.
+    labels : of the curves; () if there is but one.
+    title : what the labels are of.
+    """
+
+    key: Key
+    kind: str
+    curves: tuple[IntArray, ...] = ()
+    points: IntArray | None = None
+    labels: tuple[str, ...] = ()
+    title: str = ""
+
+    @classmethod
+    def of(cls, key: Key, other_keys: Sequence[Key], method: str) -> "Arrangement":
+        """Return how the cases of a design lie along a key: on curves as far as values repeat."""
+        known = np.flatnonzero(np.isfinite(key.values))
+        x = key.values[known]
+        if method in SAMPLED or not len(x):
+            return cls(key, "scatter")
+        differing = [k for k in other_keys if len(np.unique(k.values[known])) > 1]
+        groups = np.zeros(len(x), dtype=int)
+        if differing:
+            codes = [np.unique(k.values[known], return_inverse=True)[1] for k in differing]
+            groups = np.unique(np.stack(codes, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
+        sizes = np.bincount(groups)
+        repeat = sizes > 1
+        chosen = np.flatnonzero(repeat if repeat.any() else sizes)
+        enough = repeat.any() and sizes[repeat].sum() >= _SHARE * len(x)
+        if len(chosen) > _MOST_CURVES or not (enough or method == "grid"):
+            levels = len(np.unique(x))
+            repeats = method == "grid" or (len(x) >= 3 * levels and levels <= _MOST_LEVELS)
+            return cls(key, "levels" if repeats else "scatter")
+        order = np.argsort(x, kind="stable")
+        curves = [known[order[groups[order] == group]] for group in chosen]
+        words = [k.words() for k in differing]
+        labels = [", ".join(w[curve[0]] for w in words) for curve in curves] if words else []
+        title = ",\n".join(k.label for k in differing)
+        points = known[~np.isin(groups, chosen)]
+        return cls(key, "curves", tuple(curves), points, tuple(labels), title)
+
+
+@dataclass(frozen=True)
+class Responses:
+    """What is drawn of a sweep's surrogate, which is that of its part of most cases.
+
+    Parameters
+    ----------
+    surrogate : of the sweep.
+    names : outputs that vary and are met well enough.
+    coarse : those that vary and are not.
+    keys : numbers of the part's keys over which they are drawn, by name.
+    """
+
+    surrogate: Surrogate
+    names: tuple[str, ...]
+    coarse: tuple[str, ...]
+    keys: dict[str, int]
+
+    @classmethod
+    def of(
+        cls, surrogate: Surrogate | None, outputs: Sequence[str], keys: Sequence[str]
+    ) -> "Responses | None":
+        """Return the responses to be drawn over some keys; None if nothing varies."""
+        if surrogate is None:
+            return None
+        part = surrogate.parts[0]
+        errors = {n: part.responses[n].relative_error for n in outputs if n in part.responses}
+        names = tuple(name for name, error in errors.items() if 0.0 < error <= USELESS)
+        coarse = tuple(name for name, error in errors.items() if error > USELESS)
+        over = {key: i for i, key in enumerate(part.keys) if key in keys}
+        return cls(surrogate, names, coarse, over) if (names or coarse) and over else None
+
+    @property
+    def part(self) -> Part:
+        """The part that is drawn."""
+        return self.surrogate.parts[0]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the surrogate is of, how good it is, and what is not drawn for its errors."""
+        part = self.part
+        source = f"surrogate of {len(part.points)} cases"
+        if part.texts:
+            texts = zip(self.surrogate.text_keys, part.texts, strict=True)
+            source += " with " + ", ".join(f"{key} = {shortened(text)}" for key, text in texts)
+        remarks = [source]
+        if self.names:
+            remarks = [f"{source}; keys vary evenly over their ranges"]
+            remarks.append(f"leave-out errors, of the spread: {self._errors(self.names)}")
+        if self.coarse:
+            remarks.append(
+                f"not drawn, for leave-out errors above {100.0 * USELESS:.0f} % of the spread: "
+                f"{self._errors(self.coarse)}; more cases, or more values of keys that have few, "
+                "make these smaller"
+            )
+        two_values = [part.keys[i] for i in untested(part.points)]
+        if two_values and self.names:
+            remarks.append(f"no case tests it between the two values of {', '.join(two_values)}")
+        return tuple(remarks)
+
+    def _errors(self, names: Sequence[str]) -> str:
+        responses = self.part.responses
+        return "; ".join(
+            f"{display_of(name).name} {share_words(responses[name].relative_error)}"
+            for name in names
+        )
 
 
 @dataclass(frozen=True)
@@ -26,67 +238,67 @@ class Choice:
     ----------
     cases : numbers of those that are done.
     outputs : names of final values.
-    keys, plans : the varied keys of the largest indices, and how outputs are drawn against each.
-    responses : what the surrogate tells of them; None: nothing, or there is none.
-    told : how many cases and keys, in words.
+    keys, arrangements : the varied keys of the largest indices, and how cases lie along each.
+    responses : of the surrogate; None: nothing of it is drawn, or there is none.
+    counts : how many cases and keys, in words.
     """
 
     cases: IntArray
     outputs: list[str]
     keys: list[Key]
-    plans: list[Plan]
+    arrangements: list[Arrangement]
     responses: Responses | None
-    told: str
+    counts: str
 
 
-def choose(ensemble: Ensemble, regressions: Surrogate | None, bars: Sequence[IndexBars]) -> Choice:
-    """Choose what is drawn of a sweep. Not collective.
+def choose(ensemble: Ensemble, surrogate: Surrogate | None, indices: Sequence[Indices]) -> Choice:
+    """Return the choice of what is drawn of a sweep. Not collective.
 
     Raises
     ------
     InputError : no case is done.
     """
-    drawn = done(ensemble)
-    outputs = outputs_of(ensemble, drawn)
+    cases, counts = np.flatnonzero(done_cases(ensemble)), _counts(ensemble)
+    if not len(cases):
+        raise InputError(
+            f"{ensemble.path}: has no case that is done ({counts}); must have one at least"
+        )
+    outputs = drawn_outputs(ensemble.final, cases)
     varied = [
-        key_of(name, values[drawn], ensemble.spacings.get(name, (None,))[0])
+        Key.of(name, values[cases], ensemble.spacings.get(name, (None,))[0])
         for name, values in ensemble.varied.items()
     ]
     varied = [key for key in varied if key.differs] or varied
-    names = most_important([key.name for key in varied], bars, _MOST_KEYS)
+    names = most_important([key.name for key in varied], indices, _MOST_KEYS)
     keys = [key for key in varied if key.name in names]
-    responses = None if regressions is None else Responses.of(regressions, outputs, names)
     method = str(ensemble.attributes.get("method"))
-    plans = [plan_of(key, [other for other in varied if other is not key], method) for key in keys]
-    told = _counts(ensemble)
+    arrangements = [
+        Arrangement.of(key, [k for k in varied if k is not key], method) for key in keys
+    ]
     if len(keys) < len(varied):
-        why = "of the largest indices" if bars else "the first"
-        told += f"; {len(keys)} of {len(varied)} keys, {why}"
-    return Choice(drawn, outputs, keys, plans, responses, told)
+        why = "of the largest indices" if indices else "the first"
+        counts += f"; {len(keys)} of {len(varied)} keys, {why}"
+    responses = Responses.of(surrogate, outputs, names)
+    return Choice(cases, outputs, keys, arrangements, responses, counts)
 
 
-def done(ensemble: Ensemble) -> IntArray:
-    """Return the numbers of the cases that are done, which are drawn.
-
-    Raises
-    ------
-    InputError : there is none.
-    """
-    drawn = np.flatnonzero(done_cases(ensemble))
-    if not len(drawn):
-        raise InputError(
-            f"{ensemble.path}: has no case that is done ({_counts(ensemble)}); must have one at "
-            "least"
-        )
-    return drawn
+def most_important(keys: Sequence[str], indices: Sequence[Indices], most: int) -> list[str]:
+    """Return so many keys of the largest indices, in their order; without indices the first."""
+    weights = dict.fromkeys(keys, 2.0 if indices else 0.0)  # of texts, which have none
+    for number, of_output in enumerate(indices):
+        for key, value in zip(of_output.keys, of_output.influence.tolist(), strict=True):
+            if key in weights:
+                weights[key] = max(value, weights[key] if number else value)
+    chosen = sorted(keys, key=lambda key: -weights[key])[:most]
+    return [key for key in keys if key in chosen]
 
 
 def _counts(ensemble: Ensemble) -> str:
-    """Say how many cases there are, and how many of them are not drawn."""
+    """Return in words how many cases there are, and how many of them are not drawn."""
     status = np.array(ensemble.status)[ensemble.in_study]
-    said = [f"{len(status)} case{'s' if len(status) != 1 else ''}"]
+    words = [f"{len(status)} case{'s' if len(status) != 1 else ''}"]
     for word in ("failed", "incomplete"):
         count = int((status == word).sum())
         if count:
-            said.append(f"{count} {word}")
-    return ", ".join(said)
+            words.append(f"{count} {word}")
+    return ", ".join(words)

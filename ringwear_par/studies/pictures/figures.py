@@ -1,39 +1,40 @@
 """The figure of a sweep, from its stored results: histories, sensitivity indices, final values.
 
-Below them is what the surrogate of the results tells, see ``surrogate_figures``.
-
 Where a design leaves many cases, they are chosen at random, with a fixed seed: every k-th case of a
 Sobol sequence or of a grid is no sample of it.
 """
 
 import logging
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib
-import numpy as np
 from matplotlib.figure import Figure
 
 from ringwear_par.errors import InputError
-from ringwear_par.pictures.matplotlib import draw
-from ringwear_par.pictures.style import STYLE, NotebookFigure, check_format, save_figure
-from ringwear_par.studies.analysis.effects import Key, Plan, draw_effects
+from ringwear_par.pictures.matplotlib import draw, legend_shape
+from ringwear_par.pictures.panels import Panel
+from ringwear_par.pictures.style import STYLE, NotebookFigure, check_format, plain, save_figure
 from ringwear_par.studies.analysis.predictions import Surrogate
+from ringwear_par.studies.analysis.sensitivity import Indices, sensitivity_indices
 from ringwear_par.studies.analysis.surrogate import surrogate
-from ringwear_par.studies.pictures.choice import Choice, choose, done
-from ringwear_par.studies.pictures.fan import FEW
-from ringwear_par.studies.pictures.index_bars import IndexBars, index_bars
-from ringwear_par.studies.pictures.panels import histories, indices
+from ringwear_par.studies.pictures.choice import Choice, choose
+from ringwear_par.studies.pictures.effects import effects, index_panels, pointed_cases
+from ringwear_par.studies.pictures.histories import FEW, histories
 from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 
 log = logging.getLogger(__name__)
 
-_COLUMNS, _PANEL, _WIDTH = 4, (2.3, 2.1), 7.2
-#: indices of outputs in a row, below the histories where there are more than one
-_BARS = 3
-#: inches of a line of a legend
-_LINE = 0.18
+#: panels of final values beside each other, and of indices
+_COLUMNS, _BARS = 4, 3
+#: inches of a panel of final values, and of the figure at least
+_PANEL, _WIDTH = (2.3, 2.1), 7.2
+#: inches of a line of a legend, and of a title
+_LEGEND_LINE, _TITLE_LINE = 0.18, 0.15
+#: letters of a line in a title, of a legend above a panel, and of a label along its height
+_TITLE_LETTERS, _LEGEND_LETTERS, _LABEL_LETTERS = 100, 34, 26
 
 
 def plot_sweep(folder: Path, output: Path) -> None:
@@ -49,8 +50,7 @@ def plot_sweep(folder: Path, output: Path) -> None:
     InputError : the folder holds no results or no case that is done, or an unknown format.
     """
     check_format(output)
-    figure = draw_sweep_and_surrogate(read_ensemble(folder))
-    save_figure(figure, output)
+    save_figure(draw_sweep_and_surrogate(read_ensemble(folder)), output)
 
 
 def draw_sweep_and_surrogate(ensemble: Ensemble) -> Figure:
@@ -62,13 +62,11 @@ def draw_sweep_and_surrogate(ensemble: Ensemble) -> Figure:
     ------
     InputError : no case is done.
     """
-    done(ensemble)
     try:
-        regressions = surrogate(ensemble)
+        return draw_sweep(ensemble, surrogate(ensemble))
     except InputError as error:
         log.info("no surrogate: %s", error)
         return draw_sweep(ensemble)
-    return draw_sweep(ensemble, regressions)
 
 
 def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figure:
@@ -78,84 +76,115 @@ def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figu
     ------
     InputError : no case is done.
     """
-    done(ensemble)
-    bars = index_bars(ensemble, regressions)
-    chosen = choose(ensemble, regressions, bars)
-    drawn, outputs, keys = chosen.cases, chosen.outputs, chosen.keys
-    plans, below = chosen.plans, chosen.responses
-    if below is not None:  # which has the cases, too
-        plans = [plan for plan in plans if plan.kind == "curves" or not below.shows(plan.key.name)]
-    blocks = _blocks(plans)
-    shapes = [
-        (len(outputs), len(block)) if len(keys) > 1 else (1, len(outputs)) for block in blocks
-    ]
+    indices = sensitivity_indices(ensemble, regressions)
+    choice = choose(ensemble, regressions, indices)
+    grids, remarks = _grids(ensemble, choice), _remarks(choice)
     with matplotlib.rc_context(STYLE):
-        top, *more = _bars_by_row(bars)
-        of_bars = max(2.6, 1.8 + 0.3 * len(keys))
-        heights = [of_bars if top else 2.6] + [of_bars] * len(more)
-        for block, (rows, _) in zip(blocks, shapes, strict=True):
-            heights.append(_PANEL[1] * rows + 0.3 + _LINE * max(plan.lines for plan in block))
-        if below is not None:
-            heights += below.heights
-        columns = max((columns for _, columns in shapes), default=0)
-        if below is not None:
-            columns = max(columns, below.columns)
-        width = max(_WIDTH, _PANEL[0] * columns)
+        beside, *below = _index_rows(indices, [key.name for key in choice.keys])
+        of_bars = max(2.6, 1.8 + 0.3 * len(choice.keys))
+        heights = [of_bars if beside else 2.6] + [of_bars] * len(below)
+        for number, grid in enumerate(grids):
+            lines = max(legend_shape(panel, _LEGEND_LETTERS)[1] for panel in grid[0])
+            titles = 0 if number else len(remarks)
+            heights.append(
+                _PANEL[1] * len(grid) + 0.3 + _LEGEND_LINE * lines + _TITLE_LINE * titles
+            )
+        width = max(_WIDTH, _PANEL[0] * max((len(grid[0]) for grid in grids), default=0))
         figure = NotebookFigure(figsize=(width, sum(heights) + 0.3), layout="constrained")
-        figure.suptitle(chosen.told, fontsize=9.0)
+        figure.suptitle(choice.counts, fontsize=9.0)
         parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-        _draw_top(parts[0], ensemble, chosen, top)
-        for part, row in zip(parts[1:], more, strict=False):
-            panels = part.subplots(1, _BARS)
-            _draw_bars(panels[: len(row)], row, keys)
-            for axes in panels[len(row) :]:
-                axes.remove()
-        parts = parts[1 + len(more) :]
-        for part, block, shape in zip(parts[: len(blocks)], blocks, shapes, strict=True):
-            values = {name: ensemble.final[name][drawn] for name in outputs}
-            draw_effects(part, block, values, shape, transposed=len(keys) == 1)
-        if below is not None:
-            below.draw(parts[len(blocks) :])
+        _draw_top(parts[0], histories(ensemble, choice), beside, len(choice.cases))
+        for part, row in zip(parts[1:], below, strict=False):
+            axes = part.subplots(1, _BARS)
+            _draw_bars(axes[: len(row)], row)
+            for empty in axes[len(row) :]:
+                empty.remove()
+        for number, (part, grid) in enumerate(zip(parts[1 + len(below) :], grids, strict=True)):
+            if remarks and not number:
+                part.suptitle("\n".join(remarks), fontsize=8.0)
+            _draw_grid(part, grid)
     return figure
 
 
-def _blocks(plans: Sequence[Plan]) -> list[Sequence[Plan]]:
-    """Return rows of columns, as even as may be."""
-    if not plans:
-        return []
-    columns = -(-len(plans) // -(-len(plans) // _COLUMNS))
-    return [plans[start : start + columns] for start in range(0, len(plans), columns)]
+def _grids(ensemble: Ensemble, choice: Choice) -> list[list[list[Panel]]]:
+    """Return the panels of final values in grids, their columns as even as may be.
+
+    A column is a key and a row an output, but for a single key, whose outputs stand in a row.
+    """
+    panels = effects(ensemble, choice)
+    keys = [key.name for key in choice.keys]
+    if len(keys) == 1:
+        return [[[panels[output, keys[0]] for output in choice.outputs]]]
+    columns = -(-len(keys) // -(-len(keys) // _COLUMNS))
+    return [
+        [
+            [panels[output, key] for key in keys[start : start + columns]]
+            for output in choice.outputs
+        ]
+        for start in range(0, len(keys), columns)
+    ]
 
 
-def _draw_top(part: Any, ensemble: Ensemble, choice: Choice, bars: Sequence[IndexBars]) -> None:
-    panels = np.atleast_1d(
-        part.subplots(1, 1 + len(bars), width_ratios=[1.3, *(1.0 for _ in bars)])
-    )
-    panel = histories(ensemble, choice)
-    if len(choice.cases) > FEW:
-        draw(panels[0], panel, 2 if bars else 4)
+def _remarks(choice: Choice) -> list[str]:
+    """Return the remarks on final values, in lines."""
+    remarks = [] if choice.responses is None else [*choice.responses.remarks]
+    pointed = len(pointed_cases(choice))
+    if pointed < len(choice.cases):
+        remarks.append(f"points: {pointed} of {len(choice.cases)} cases, chosen at random")
+    return [plain(line) for text in remarks for line in textwrap.wrap(text, _TITLE_LETTERS)]
+
+
+def _draw_top(part: Any, panel: Panel, bars: Sequence[Panel], cases: int) -> None:
+    """Draw the histories, and bars beside them."""
+    axes = part.subplots(1, 1 + len(bars), width_ratios=[1.3, *(1.0 for _ in bars)], squeeze=False)[
+        0
+    ]
+    if cases > FEW:
+        draw(axes[0], panel, 2 if bars else 4)
     else:
-        draw(panels[0], panel, 0)
+        draw(axes[0], panel, 0)
         if panel.legend:
-            labels = [curve.name for curve in panel.curves]
-            panels[0].legend(
+            axes[0].legend(
                 frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5), title=panel.legend,
-                title_fontsize=8.0, ncols=1 if len(labels) <= 8 else 2,
+                title_fontsize=8.0, ncols=1 if cases <= 8 else 2,
             )  # fmt: skip
-    _draw_bars(panels[1:], bars, choice.keys)
+    _draw_bars(axes[1:], bars)
 
 
-def _bars_by_row(bars: Sequence[IndexBars]) -> list[Sequence[IndexBars]]:
-    """Return those beside the histories, whose legend needs room, and rows of the rest."""
-    if len(bars) < 2:
-        return [bars]
-    return [(), *(bars[start : start + _BARS] for start in range(0, len(bars), _BARS))]
+def _index_rows(indices: Sequence[Indices], keys: Sequence[str]) -> list[Sequence[Panel]]:
+    """Return panels beside the histories, whose legend needs room, and rows of the rest."""
+    panels = [*index_panels(indices, keys).values()]
+    if len(panels) < 2:
+        return [panels]
+    return [(), *(panels[start : start + _BARS] for start in range(0, len(panels), _BARS))]
 
 
-def _draw_bars(panels: Any, bars: Sequence[IndexBars], keys: Sequence[Key]) -> None:
-    for number, (axes, each) in enumerate(zip(panels, bars, strict=True)):
-        draw(axes, indices(each, [key.name for key in keys]), 1)
+def _draw_bars(all_axes: Any, panels: Sequence[Panel]) -> None:
+    for axes, panel in zip(all_axes, panels, strict=True):
+        draw(axes, panel, 1)
         axes.grid(axis="x", linewidth=0.4, color="0.85")
         axes.set_axisbelow(True)
-        if number and each.keys == bars[0].keys:
+        if panel is not panels[0] and panel.y == panels[0].y:
             axes.tick_params(labelleft=False)
+
+
+def _draw_grid(part: Any, grid: Sequence[Sequence[Panel]]) -> None:
+    """Draw panels of final values: those of a key below each other, an output on one scale."""
+    all_axes = part.subplots(len(grid), len(grid[0]), squeeze=False, sharex="col")
+    for number, row in enumerate(grid):
+        for axes, panel in zip(all_axes[number], row, strict=True):
+            legend = not number and (panel is row[0] or panel.x != row[0].x)
+            draw(axes, panel, legend_shape(panel, _LEGEND_LETTERS)[0] if legend else 0)
+            axes.set_ylabel(textwrap.fill(axes.get_ylabel(), _LABEL_LETTERS))
+            if number < len(grid) - 1:
+                axes.set_xlabel("")
+            if not (panel.x.log or panel.x.categories):
+                axes.locator_params(axis="x", nbins=3 if max(axes.get_xlim()) >= 1e4 else 5)
+        if row[0].y.label == row[-1].y.label:
+            low, high = zip(*(axes.get_ylim() for axes in all_axes[number]), strict=True)
+            for axes in all_axes[number]:
+                axes.set_ylim(min(low), max(high))
+            for axes in all_axes[number, 1:]:
+                axes.set_ylabel("")
+                axes.tick_params(labelleft=False)
+    part.align_ylabels(all_axes[:, 0])

@@ -266,7 +266,7 @@ class PackedBlock(StoredBlock):
         """Return the TOML texts of some of the cases."""
         packed = self._bytes([_TEXTS])[_TEXTS]
         with reporting_damage(self.path):
-            return Texts.unpacked(packed.decode(), len(self.rows)).each(places)
+            return Texts.unpacked(packed.decode(), len(self.rows)).of_cases(places)
 
     def check(self) -> None:
         """Raise DamagedError if any of the data is damaged."""

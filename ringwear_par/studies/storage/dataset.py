@@ -328,15 +328,15 @@ class _Writer:
         for i, name in enumerate(listing.names):
             more, key = [row[i] for row in self._looked_up], own_key(name)
             column = listing.columns[i]
-            there = more if column.numbers is not None else [*column.there, *more]
+            there = more if column.numbers is not None else [*column.distinct, *more]
             numbers = all(v is None or is_number(v) for v in there)
             variable = Variable(name, ("case",), unit_of(name) or "1", key.meaning)
             if numbers:
-                known = column.each(_number) if column.numbers is None else column.numbers
+                known = column.by_case(_number) if column.numbers is None else column.numbers
                 values = np.concatenate([known, list(map(_number, more))])
                 make_variable(file, variable, float, WINDOW)[:] = values
             else:
-                there = [*column.there, *more]
+                there = [*column.distinct, *more]
                 codes = np.arange(len(there))
                 if column.codes is not None:
                     codes = np.concatenate([column.codes, codes[len(column.values) :]])
@@ -352,7 +352,7 @@ class _Writer:
             here = slice(start, min(start + WINDOW, count))
             more = self._looked_up[max(start - known, 0) : max(here.stop - known, 0)]
             varied = [
-                column.part(slice(start, min(here.stop, known))).each(_shown)
+                column.part(slice(start, min(here.stop, known))).by_case(_shown)
                 + [_shown(row[i]) for row in more]
                 for i, column in enumerate(listing.columns)
             ]

@@ -8,7 +8,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
-from ringwear_par.schedules import Quantity, largest, quantity_text, smallest, value
+from ringwear_par.schedules import Quantity, value
 from ringwear_par.wear.laws.threshold import AboveThreshold
 from ringwear_par.wear.local_state import LocalState
 from ringwear_par.wear.parameters import Coefficient, Parameter, Threshold
@@ -40,7 +40,9 @@ class RunningInLaw(AboveThreshold):
     formula = "(k + (k_start - k) exp(-s)) mu max(0, p - p0) V (s = wear/depth or slid/distance)"
 
     k: Coefficient
-    k_start: Annotated[Quantity, Parameter("1/MPa", "wear coefficient at the start, k or larger")]
+    k_start: Annotated[
+        Quantity, Parameter("1/MPa", "wear coefficient at the start, k or larger", at_least="k")
+    ]
     p0: Threshold = 0.0
     depth: Annotated[
         float | None,
@@ -59,19 +61,13 @@ class RunningInLaw(AboveThreshold):
 
     @classmethod
     def faults(cls, table: str, values: Mapping[str, Any]) -> list[str]:
-        """Return the faults of depth and distance, and of k and k_start, together."""
+        """Return the faults of depth and distance together, and those of any law."""
         faults = []
         if {"depth", "distance"} <= values.keys() and (values["depth"] is None) == (
             values["distance"] is None
         ):
             faults.append(f"{table}depth, {table}distance: one of them must be given (mm)")
-        k, start = values.get("k"), values.get("k_start")
-        if k is not None and start is not None and smallest(start) < largest(k):
-            faults.append(
-                f"{table}k_start = {quantity_text(start)}: must be at least {table}k = "
-                f"{quantity_text(k)}"
-            )
-        return faults
+        return faults + super().faults(table, values)
 
     @property
     def remembers(self) -> bool:

@@ -79,7 +79,7 @@ def test_encodings(encoding, tmp_path):
         ("t;z\n1\n2\n3;4\n", "line 2: has 1 values (and 1 more line); must have 2"),
         ("t;z\n1;1:30\n", "line 2: z = 1:30: must be a number"),
         ("sep=;\n", "is empty"),
-        ("t;z\n1;2\n-;3\n", "line 3: t = -: must be a number, or empty"),
+        ("t;z\n1;2\nx;3\n", "line 3: t = x: must be a number, or empty"),
         ("t;z\n1;1_0\n", "line 2: z = 1_0: must be a number"),
         ("t;z\n1;inf\n", "line 2: z = inf: must be a number"),
         ("t;z\n1;1e999\n", "line 2: z = 1e999: must be a number"),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ringwear_par.cases.schema import key_table
+from ringwear_par.cases.tables import key_table
 from ringwear_par.cli import main
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit

@@ -1,0 +1,110 @@
+"""Values of a case's keys, each read by itself; and outlines of its sections, made of these."""
+
+import itertools
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.files.faults import Origin, contact_faces
+from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.cases.files.suggestions import nearest_keys, unknown_key
+from ringwear_par.cases.layers import LAYERS, expanded, layer_tables, of_refused_law
+from ringwear_par.cases.schema import KEYS, TABLES, key_of, keys_of_layer
+from ringwear_par.cases.text import shortened
+from ringwear_par.cases.values import RejectedError
+from ringwear_par.errors import MOST_FAULTS, InputError, legible
+
+
+def read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any], list[str]]:
+    """Return the values of keys, with defaults, and the faults of single keys.
+
+    Layers are read entry by entry. Keys that are wrong have no value, nor those that a misspelt one
+    means.
+    """
+    faults: list[str] = []
+    values: dict[str, Any] = {}
+    raw = expanded(keys)
+    meant: set[str] = set()
+    for path, value in raw.items():
+        key = key_of(path)
+        if key is not None:
+            try:
+                values[path] = key.value(value)
+            except RejectedError as reason:
+                reason_text = origin.typed_fault(path, value) or str(reason)
+                rule = f"{key.rule} ({reason_text})" if reason_text else key.rule
+                faults.append(f"{origin.prefix(path)}{path} = {shortened(value)}: {rule}")
+        elif path in TABLES and value == {}:
+            faults.append(f"{origin.prefix(path)}[{path}]: is empty; must have one of its keys")
+        elif path in TABLES or (path.endswith(".wear") and path.startswith(LAYERS)):
+            subject = f"{path} = {shortened(value)}"
+            must = " of a law" if path not in TABLES else f", [{path}]"
+            faults.append(f"{origin.prefix(path)}{subject}: must be a table{must}")
+        elif not of_refused_law(path, raw):
+            subject = f"{origin.prefix(path)}{legible(path)}"
+            if len(faults) < MOST_FAULTS:
+                faults.append(f"{subject}: {unknown_key(path)}")
+                meant.update(nearest_keys(path))
+            else:
+                faults.append(f"{subject}: unknown key")
+    for key in itertools.chain(KEYS, *map(keys_of_layer, layer_tables(keys))):
+        if key.path not in raw and key.path not in meant:
+            if key.default is not ...:
+                values[key.path] = key.default
+            else:
+                faults.append(f"{origin.name}: {key.path} is missing: {key.rule}")
+    return values, faults
+
+
+class Outline(NamedTuple):
+    """What a section looks like, in the frame of the case.
+
+    Parameters
+    ----------
+    contour : (m, 2) float, mm, r and z of the corners around the unworn body; the contact face
+        from the inner to the outer radius comes first, two corners of the held face last.
+    interfaces : (l,) float, mm, heights between layers, from the contact face on.
+    plane : mm, height of the contact plane, which depths of the face count from.
+    """
+
+    contour: FloatArray
+    interfaces: FloatArray
+    plane: float
+
+
+def outlines(text: str, name: str) -> tuple[Outline, Outline]:
+    """Return the outlines of the sections of lower and upper. Not collective.
+
+    Unlike a case, they need no wear laws; no file is opened.
+
+    Parameters
+    ----------
+    text : TOML text of a case as results have it: in full, with the points of traces.
+    name : what messages call it.
+
+    Raises
+    ------
+    InputError : all faults of their keys, one sentence each.
+    """
+    keys = {path: v for path, v in read_keys(text, name).items() if not path.startswith("wear.")}
+    values, faults = read_values(keys, Origin(name))
+    faces = contact_faces(name, values, faults)
+    if faults:
+        raise InputError(*faults)
+    sections = []
+    for ring, sign in (("lower", 1.0), ("upper", -1.0)):
+        r, z = values[f"{ring}.r"], values[f"{ring}.z"]
+        plane, fixed = (z[1], z[0]) if ring == "lower" else z
+        face = np.array(faces[ring] or [(r[0], 0.0), (r[1], 0.0)])
+        face = np.stack([face[:, 0], plane + sign * face[:, 1]], axis=1)
+        thicknesses = [layer["thickness"] for layer in keys.get(f"{ring}.layers", ())]
+        sections.append(
+            Outline(
+                np.concatenate([face, [(r[1], fixed), (r[0], fixed)]]),
+                plane - sign * np.cumsum(thicknesses),
+                plane,
+            )
+        )
+    return sections[0], sections[1]

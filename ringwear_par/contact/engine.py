@@ -1,0 +1,370 @@
+"""PETSc TAO around B >= 1 contact problems on one contact line, each its own.
+
+All of them are one bound-constrained problem, whose Hessian is block-diagonal. Our own method
+solves them in lock step: gaps, forces or approaches, wear and moduli are those of each history; so
+are all digits of its solution, whoever the others are. PETSc's methods, whose line searches would
+mix histories, have them one after another.
+"""
+
+from typing import TypeVar
+
+import numpy as np
+from mpi4py import MPI
+
+from ringwear_par.arrays import FloatArray, IntArray, inner
+from ringwear_par.batched import take
+from ringwear_par.contact.approach import find_approach
+from ringwear_par.contact.hessians import Hessians
+from ringwear_par.contact.newton import ActiveSetNewton
+from ringwear_par.contact.problem import (
+    GRADIENT_TOLERANCE,
+    KKT_TOLERANCE,
+    ContactProblem,
+    ContactState,
+    WarmStart,
+)
+from ringwear_par.contact.scaled_compliances import ScaledCompliances
+from ringwear_par.contact.solution_derivatives import SolutionDerivatives
+from ringwear_par.contact.tao import OPEN, Guard
+from ringwear_par.errors import ComputationError, HistoriesError, InputError
+from ringwear_par.options import CONTACT_PREFIX, set_from_options
+from ringwear_par.petsc import PETSc
+from ringwear_par.wear.increment import WearIncrement
+
+#: TAO types on offer, "python" being our own; each gives the same answer
+TAO_TYPES = ("python", "tron", "bnls")
+
+P = TypeVar("P", bound=PETSc.Object)
+
+
+class _Callbacks:
+    """What TAO calls. Knows neither the TAO nor the engine, so that the last reference frees them.
+
+    Vectors are of all histories, of which those at work are set, or of the only one at work.
+
+    Parameters
+    ----------
+    problem : the contact problems.
+    hessians : of them.
+    """
+
+    def __init__(self, problem: ContactProblem, hessians: Hessians) -> None:
+        self._problem, self._hessians = problem, hessians
+        self.guard = Guard()
+
+    def _at_work(self, x: PETSc.Vec) -> FloatArray:
+        """Return the unknowns of the histories at work, (h, n)."""
+        problem, q = self._problem, x.getArray(readonly=True)
+        return q.reshape(-1, len(problem.area))[self._rows(q)]
+
+    def _rows(self, values: FloatArray) -> IntArray | slice:
+        """Return the rows of a vector that are of the histories at work."""
+        problem = self._problem
+        return problem.rows if values.size == problem.scale.size else slice(None)
+
+    def gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> None:
+        """Set g to the gradient at the present approaches."""
+        values = g.getArray()
+        rows = values.reshape(-1, len(self._problem.area))
+        rows[self._rows(values)] = self._problem.gradient(self._at_work(x))
+
+    def objective(self, tao: PETSc.TAO, x: PETSc.Vec) -> float:
+        """Return the sum of the objectives at the present approaches."""
+        return self._problem.objective(self._at_work(x))
+
+    def objective_gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> float:
+        """Return the objective, set g to the gradient."""
+        self.gradient(tao, x, g)
+        return self.objective(tao, x)
+
+    def hessian(self, tao: PETSc.TAO, x: PETSc.Vec, h: PETSc.Mat, _: PETSc.Mat) -> None:
+        """Set the blocks of the Hessian; a dense matrix is that of the only history at work."""
+        problem, hessians = self._problem, self._hessians
+        hessians.set_slopes(problem.rows, *problem.slopes(self._at_work(x)))
+        if h.getType() != PETSc.Mat.Type.PYTHON:
+            h.getDenseArray()[:] = hessians.matrix(int(problem.at_work[0]))
+            h.assemble()
+
+
+class ContactEngine:
+    """One TAO for B contact problems on one contact line. Not collective.
+
+    PETSc's objects are freed by ``destroy`` or at the end of a ``with``, otherwise with the last
+    reference to the engine, at the latest at the end of the process.
+
+    Parameters
+    ----------
+    compliances : of the contact line.
+    which : (B,) int, the compliance of each history.
+    tao_type : one of ``TAO_TYPES``; None: that of PETSc's options.
+
+    Raises
+    ------
+    InputError : PETSc does not accept an option.
+    """
+
+    def __init__(
+        self, compliances: ScaledCompliances, which: IntArray, tao_type: str | None = None
+    ) -> None:
+        self._objects: list[PETSc.Object] = []
+        if tao_type is None:
+            tao_type = PETSc.Options(CONTACT_PREFIX).getString("tao_type", TAO_TYPES[0])
+        if tao_type not in TAO_TYPES:
+            raise InputError(
+                f"-{CONTACT_PREFIX}tao_type {tao_type}: must be one of {', '.join(TAO_TYPES)}"
+            )
+        self.compliances, self.which, self._tao_type = compliances, which, tao_type
+        self._problem = ContactProblem(compliances, which)
+        self._hessians = Hessians(compliances, which)
+        #: of the last solutions
+        self.derivatives = SolutionDerivatives(self._problem, self._hessians)
+        self._callbacks = _Callbacks(self._problem, self._hessians)
+        #: (B, n) unknowns and gradients, and (B,) iterations of the last solutions
+        self._q, self._g = (np.zeros_like(self.scale) for _ in "qg")
+        self._iterations = np.zeros(len(which), dtype=np.int64)
+        #: our own method; None: one of PETSc's is at work
+        self._newton = (
+            ActiveSetNewton(self._problem, self._hessians, self._iterations)
+            if tao_type == TAO_TYPES[0]
+            else None
+        )
+        OPEN[self] = None
+        try:
+            self._set_up_tao()
+        except BaseException:
+            self.destroy()
+            raise
+
+    def _set_up_tao(self) -> None:
+        """Make all that is PETSc's, each of it owned before it is there."""
+        comm, callbacks = MPI.COMM_SELF, self._callbacks
+        tao = self._tao = self._register(PETSc.TAO()).create(comm)
+        x = self._x = self._register(PETSc.Vec())
+        gradient, hessian = self._register(PETSc.Vec()), self._register(PETSc.Mat())
+        tao.setOptionsPrefix(CONTACT_PREFIX)
+        tao.setType(self._tao_type)
+        if self._newton is not None:
+            size = self._q.size
+            x.createWithArray(self._q.reshape(size), comm=comm)
+            gradient.createWithArray(self._g.reshape(size), comm=comm)
+            hessian.createPython([size, size], self._hessians, comm=comm)
+            tao.setPythonContext(self._newton)
+        else:
+            size = self._q.shape[1]
+            x.createSeq(size, comm=comm)
+            gradient.createSeq(size, comm=comm)
+            hessian.createDense([size, size], comm=comm)
+            # inexact inner solves would stop the outer ones above KKT_TOLERANCE
+            ksp = tao.getKSP()
+            if self._tao_type == "bnls":
+                ksp.setType("preonly")
+                ksp.getPC().setType("cholesky")
+            else:
+                ksp.setType("stcg")
+                ksp.getPC().setType("jacobi")
+                ksp.setTolerances(rtol=1e-10)
+        hessian.setUp()
+        lower, upper = (self._register(x.duplicate()) for _ in "lu")
+        lower.set(0.0)
+        upper.set(PETSc.INFINITY)
+        guarded = callbacks.guard.guarded
+        tao.setObjective(guarded(callbacks.objective))
+        tao.setGradient(guarded(callbacks.gradient), gradient)
+        tao.setObjectiveGradient(guarded(callbacks.objective_gradient), gradient)
+        tao.setHessian(guarded(callbacks.hessian), hessian, hessian)
+        tao.setVariableBounds((lower, upper))
+        tao.setSolution(x)
+        set_from_options(tao, CONTACT_PREFIX)
+
+    def _register(self, petsc_object: P) -> P:
+        self._objects.append(petsc_object)
+        return petsc_object
+
+    # -- solutions ---------------------------------------------------------------------------------
+
+    def solve(
+        self,
+        gap: FloatArray,
+        *,
+        force: FloatArray | None = None,
+        approach: FloatArray | None = None,
+        wear: WearIncrement | None = None,
+        histories: IntArray | None = None,
+    ) -> ContactState:
+        """Solve at given forces (B,) N or approaches (B,) mm.
+
+        Parameters
+        ----------
+        gap : (B, n) float, mm, of the undeformed profiles at the start of the step.
+        force, approach : one of them.
+        wear : wear of an implicit step, of all histories.
+        histories : those that are solved; None: all. The others have what they had.
+
+        Raises
+        ------
+        ComputationError : TAO failed, the KKT residual or the force balance is too large;
+            HistoriesError of several histories.
+        Exception : what a law raised.
+        """
+        problem, residual = self._problem, np.zeros(len(gap))
+        active = problem.every if histories is None else histories
+        apart = problem.pose(gap, force, approach, wear, active)
+        self._hessians.pose(wear)
+        self._iterations[active] = 0
+        if apart.any():
+            self._separate(active[apart[active]])
+        failed = np.zeros(len(gap), dtype=bool)
+        for history in self._solve_together().tolist():
+            try:
+                self._solve_alone(history)
+            except ComputationError:
+                if len(gap) == 1:
+                    raise
+                failed[history] = True
+        residual[active] = problem.residuals(active, self._q, self._g, self._hessians.slope)
+        residual[apart] = 0.0
+        failed |= ~(residual <= KKT_TOLERANCE)
+        if failed.any():
+            if len(gap) == 1:
+                raise ComputationError(self._failure(0, float(residual[0])))
+            raise HistoriesError(failed)
+        p = self._q / problem.scale
+        return ContactState(
+            p, self._g / problem.weights, problem.approaches.copy(), inner(problem.area, p),
+            self._iterations.copy(), residual,
+        )  # fmt: skip
+
+    def _failure(self, history: int, residual: float) -> str:
+        """Return why a contact was not solved."""
+        names = {v: k for k, v in vars(PETSc.TAO.Reason).items() if isinstance(v, int)}
+        reason = self._tao.getConvergedReason()
+        return (
+            f"contact: TAO {self._tao_type} ended with reason {names.get(reason, 'unknown')} "
+            f"({reason}) after {self._tao.getIterationNumber()} iterations at approach "
+            f"{self._problem.approaches[history]:.9g} mm with KKT residual {residual:.2e} (allowed "
+            f"{KKT_TOLERANCE:.0e})"
+        )
+
+    def _solve_together(self) -> IntArray:
+        """Solve the problems at work in lock step; return those that are to be solved alone."""
+        at_work = self._problem.at_work
+        if self._newton is None or not len(at_work):
+            return at_work
+        self._callbacks.guard.solve(self._tao, self._tao_type)
+        return np.flatnonzero(self._newton.unsolved)
+
+    def _separate(self, histories: IntArray) -> None:
+        """Take the pressures of histories that need none; the gradient is the weighted gap."""
+        problem = self._problem
+        self._q[histories] = 0.0
+        self._g[histories] = problem.weights[histories] * (
+            problem.gaps[histories] - problem.approaches[histories, None]
+        )
+        self._hessians.forget(histories)
+
+    def _solve_alone(self, history: int) -> None:
+        """Solve the problem of a history at its approach, or at approaches up to that of its force.
+
+        By damped steps of our own, or by a method of PETSc's.
+        """
+        problem = self._problem
+        row = problem.at_work = np.array([history])
+        gaps, forces = problem.gaps, problem.forces
+        self._q[history] = 0.0
+        if self._newton is not None:
+            self._newton.damped = True
+        try:
+            if forces is None:
+                self._solve_at_approach(history)
+                return
+            # what is searched for is the approach less the smallest gap: under light loads it is
+            # far smaller than either
+            nearest = float(gaps[history].min())
+            problem.gaps, problem.forces = gaps.copy(), None
+            problem.gaps[history] -= nearest
+            area, weights, scale = problem.area, problem.weights[history], problem.scale[history]
+            matrix = self.compliances.matrices[self.which[history]]
+            force = float(forces[history])
+            stiffness = float(area.sum() ** 2 / (scale @ matrix @ scale))  # of uniform pressure
+            mean = float(area @ problem.gaps[history] / area.sum())
+
+            def contact_at(approach: float) -> tuple[float, float]:
+                problem.approaches[history] = approach
+                self._solve_at_approach(history)
+                response = self._hessians.solve(row, problem.weights[row])[0]
+                return float(weights @ self._q[history]), float(weights @ response)
+
+            find_approach(force, mean + force / stiffness, stiffness, contact_at)
+            problem.approaches[history] += nearest
+        finally:
+            problem.gaps, problem.forces = gaps, forces
+            if self._newton is not None:
+                self._newton.damped = False
+
+    def _solve_at_approach(self, history: int) -> None:
+        """Solve the problem of a history, the one at work, at its approach.
+
+        Raises
+        ------
+        ComputationError : TAO failed, or the KKT residual is too large.
+        """
+        problem, tao, row = self._problem, self._tao, self._problem.at_work
+        beyond = problem.approaches[history] - problem.gaps[history]
+        overlap = problem.weights[history] * np.maximum(beyond, 0.0)
+        if not overlap.any():
+            self._separate(row)
+            return
+        tao.setTolerances(
+            gatol=GRADIENT_TOLERANCE * float(np.linalg.norm(overlap)), grtol=0.0, gttol=0.0
+        )
+        if self._newton is None:
+            self._x.setArray(self._q[history])
+        self._callbacks.guard.solve(tao, self._tao_type)
+        if self._newton is None:
+            self._q[history] = self._x.getArray(readonly=True)
+        self._iterations[history] += tao.getIterationNumber()
+        self._g[history] = problem.gradient(self._q[row])[0]
+        self._hessians.set_slopes(problem.rows, *problem.slopes(self._q[row]))
+        (residual,) = problem.residuals(row, self._q, self._g, self._hessians.slope)
+        if tao.getConvergedReason() <= 0 or not residual <= KKT_TOLERANCE:
+            raise ComputationError(self._failure(history, float(residual)))
+        # what else is needed of the solution is answered on the inverse of its set
+        self._hessians.refresh(row, self._q > 0.0)
+
+    # -- some of the histories, and the end --------------------------------------------------------
+
+    @property
+    def scale(self) -> FloatArray:
+        """(B, n), unknowns over pressures, 1/MPa."""
+        return self._problem.scale
+
+    @property
+    def warm(self) -> WarmStart:
+        """Where the next solutions start."""
+        return WarmStart(self._q.copy(), self._problem.approaches.copy())
+
+    @warm.setter
+    def warm(self, warm: WarmStart) -> None:
+        self._q[:], self._problem.approaches[:] = warm.scaled_pressure, warm.approach
+
+    def take(self, histories: IntArray) -> "ContactEngine":
+        """Return an engine of some of the histories, which starts where this one would."""
+        used, which = np.unique(self.which[histories], return_inverse=True)
+        engine = ContactEngine(self.compliances.take(used), which, self._tao_type)
+        engine.warm = take(self.warm, histories)
+        return engine
+
+    def destroy(self) -> None:
+        """Free the PETSc objects, if they are not yet."""
+        OPEN.pop(self, None)
+        while self._objects:
+            self._objects.pop().destroy()
+
+    def __del__(self) -> None:
+        self.destroy()
+
+    def __enter__(self) -> "ContactEngine":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.destroy()

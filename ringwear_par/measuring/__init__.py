@@ -1,0 +1,1 @@
+"""``ringwear measure``: steady wear rates, friction and their budgets from a rig's own files."""

@@ -1,0 +1,131 @@
+"""Budgets of uncertainty: GUM (JCGM 100:2008) and its Monte Carlo supplement (JCGM 101:2008)."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+
+#: coverage factor of expanded uncertainties, about 95 % of a normal distribution
+COVERAGE = 2.0
+DRAWS, _SEED, _LEVEL = 200_000, 1, 0.95
+#: of the expanded uncertainty: GUM and Monte Carlo that differ by more do not agree
+_AGREEMENT = 0.1
+
+
+@dataclass(frozen=True)
+class Source:
+    """A source of uncertainty.
+
+    Parameters
+    ----------
+    name : of what is not known for certain.
+    type : A, from statistics of readings, or B.
+    u : its standard uncertainty, in ``unit``.
+    sensitivity : derivative of the measurand with respect to it.
+    """
+
+    name: str
+    type: Literal["A", "B"]
+    u: float
+    unit: str
+    sensitivity: float
+
+    @property
+    def contribution(self) -> float:
+        """Standard uncertainty of the measurand from this source alone."""
+        return abs(self.sensitivity) * self.u
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A measurand: its value, and the sources of its uncertainty.
+
+    Parameters
+    ----------
+    shortest : the shortest interval of 95 % of Monte Carlo draws; None where nothing was drawn.
+    """
+
+    value: float
+    unit: str
+    sources: tuple[Source, ...]
+    shortest: tuple[float, float] | None = None
+
+    @property
+    def u(self) -> float:
+        """Combined standard uncertainty, of sources that do not depend on each other."""
+        return float(np.sqrt(sum(source.contribution**2 for source in self.sources)))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The value less and plus its expanded uncertainty, U = 2 u."""
+        return self.value - COVERAGE * self.u, self.value + COVERAGE * self.u
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the interval of GUM and that of Monte Carlo differ by at most a tenth of U."""
+        if self.shortest is None:
+            return True
+        most = _AGREEMENT * COVERAGE * self.u
+        ends = zip(self.interval, self.shortest, strict=True)
+        return all(abs(end - other) <= most for end, other in ends)
+
+    def share(self, source: Source) -> float:
+        """Return the share of a source in the square of the uncertainty."""
+        return (source.contribution / self.u) ** 2 if self.u > 0.0 else 0.0
+
+    def scaled(self, factor: float, unit: str) -> "Estimate":
+        """Return the measurand in another unit, of which its own is ``factor``."""
+        sources = tuple(
+            Source(s.name, s.type, s.u, s.unit, factor * s.sensitivity) for s in self.sources
+        )
+        shortest = None if self.shortest is None else tuple(factor * v for v in self.shortest)
+        return Estimate(factor * self.value, unit, sources, shortest)  # type: ignore[arg-type]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return its entry in measure.json."""
+        entry = {
+            "value": self.value,
+            "u": self.u,
+            "interval": list(self.interval),
+            "unit": self.unit,
+            "budget": [
+                {
+                    "source": source.name, "type": source.type, "u": source.u,
+                    "unit": source.unit, "sensitivity": source.sensitivity,
+                    "share": self.share(source),
+                }
+                for source in self.sources
+            ],
+        }  # fmt: skip
+        if self.shortest is not None:
+            entry["monte_carlo"] = list(self.shortest)
+        return entry
+
+
+def shortest_interval(
+    measurand: Callable[..., FloatArray],
+    values: Sequence[float],
+    us: Sequence[float],
+    *,
+    draws: int = DRAWS,
+) -> tuple[float, float]:
+    """Return the shortest interval of 95 % of draws of a measurand (JCGM 101, 7.7).
+
+    Parameters
+    ----------
+    measurand : of its inputs, each (draws,).
+    values, us : of the inputs, which are normal and do not depend on each other; one whose u is 0
+        is constant.
+    """
+    random = np.random.default_rng(_SEED)
+    inputs = [
+        value + u * random.standard_normal(draws) if u > 0.0 else np.full(draws, value)
+        for value, u in zip(values, us, strict=True)
+    ]
+    drawn = np.sort(measurand(*inputs))
+    inside = int(_LEVEL * draws)
+    first = int(np.argmin(drawn[inside:] - drawn[:-inside]))
+    return float(drawn[first]), float(drawn[first + inside])

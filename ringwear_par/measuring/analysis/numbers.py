@@ -1,0 +1,330 @@
+"""The numbers of one test: friction, wear rates, what the balance says; and doubts about them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.measuring.analysis.budget import Estimate, Source, shortest_interval
+from ringwear_par.measuring.analysis.steady_part import (
+    Blocks,
+    Change,
+    SteadyPart,
+    block_means,
+    change_from,
+    count_blocks,
+    steady_part,
+)
+from ringwear_par.measuring.definition.problem import Conditions, Problem, Test, Uncertainty
+from ringwear_par.schedules import in_time
+
+#: mm3/(N m) in an in3 min/(ft lbf h), and psi ft/min in a MPa m/s
+IN3_MIN_PER_FT_LBF_H = 16387.064 / 1.3558179483314004 / 60.0
+PSI_FT_MIN = 145.0377377 * 196.8503937
+SPECIFIC, US_SPECIFIC = "mm3/(N m)", "in3 min/(ft lbf h)"
+RATE = "mm/s"
+#: block means at the end of a test whose mean is its last depth
+_LAST_BLOCKS = 5
+#: share by which volumes may differ whatever their uncertainties; blocks that a gap may last;
+#: share of the test below which a steady part is short; share by which loads may differ
+_DIFFERENT, _GAP, _SHORT, _OTHER_LOAD = 0.05, 10.0, 0.3, 0.02
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A sentence against taking a number as it is; ``code`` is for programs."""
+
+    code: str
+    text: str
+
+
+@dataclass(frozen=True)
+class WholeTest:
+    """Numbers of a test from its start to its end.
+
+    Parameters
+    ----------
+    mass_loss : mg; volume : mm3; specific_wear_rate : mm3/(N m); None: not weighed.
+    volume_by_displacement : mm3, area times depth; None: no depth was read.
+    distance : m, slid.
+    """
+
+    distance: float
+    mass_loss: Estimate | None
+    volume: Estimate | None
+    specific_wear_rate: Estimate | None
+    volume_by_displacement: Estimate | None
+
+
+@dataclass(frozen=True, eq=False)
+class TestNumbers:
+    """The numbers of a test.
+
+    Parameters
+    ----------
+    part : that friction and rates are of.
+    conditions : means over it.
+    wear_blocks, friction_blocks : block means of the depth (mm) and of the coefficient.
+    friction, wear_rate (mm/s), specific_wear_rate (mm3/(N m)) : None: not read.
+    autocorrelation : of the blocks of the depth, or of the friction where there is none.
+    temperature : degC, mean and largest of the part.
+    """
+
+    #: pytest looks for classes that are called so
+    __test__ = False
+
+    test: Test
+    part: SteadyPart
+    conditions: Conditions
+    wear_blocks: Blocks | None
+    friction_blocks: Blocks | None
+    friction: Estimate | None
+    wear_rate: Estimate | None
+    specific_wear_rate: Estimate | None
+    autocorrelation: float
+    whole: WholeTest
+    temperature: tuple[float, float] | None
+    doubts: tuple[Doubt, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """The name of the test."""
+        return self.test.name
+
+
+def numbers_of(test: Test, problem: Problem) -> TestNumbers:
+    """Return the numbers of a test, with their budgets and doubts."""
+    record, limits, known = test.record, problem.limits, problem.uncertainty
+    wear = None if record.wear is None else block_means(record.time, record.wear)
+    coefficient = friction_readings(test)
+    friction = None if coefficient is None else block_means(record.time, coefficient)
+    part = steady_part(
+        wear, friction, record.end, wear_limit=limits.wear, friction_limit=limits.friction,
+        start=limits.start,
+    )  # fmt: skip
+    here = test.conditions(part.start, record.end)
+    estimates: dict[str, Estimate] = {}
+    changes: list[Change] = []
+    if wear is not None:
+        changes.append(change := change_from(wear, part.start, 2))
+        estimates["rate"] = _rate(change, known)
+        estimates["specific"] = _specific(estimates["rate"], here, known)
+    if friction is not None:
+        changes.append(change := change_from(friction, part.start, 1))
+        estimates["friction"] = _friction(change, here, known)
+    depth_sd = changes[0].sd if wear is not None else 0.0
+    whole = _whole(test, problem, wear, depth_sd)
+    result = TestNumbers(
+        test, part, here, wear, friction, estimates.get("friction"), estimates.get("rate"),
+        estimates.get("specific"), changes[0].autocorrelation, whole,
+        _temperature(record.time, record.temperature, part.start), (), (),
+    )  # fmt: skip
+    return replace(result, doubts=tuple(_doubts(result, problem)), notes=tuple(_notes(result)))
+
+
+def friction_readings(test: Test) -> FloatArray | None:
+    """Return the friction coefficient, (n,): torque over the force and the mean radius."""
+    if test.record.torque is None:
+        return None
+    force = in_time(test.force, test.record.time)
+    radius = test.conditions(0.0, test.duration).radius
+    pressed = np.where(force > 0.0, force * radius, np.nan)  # nothing rubs without a load
+    return np.asarray(test.record.torque / pressed)
+
+
+def _source(
+    known: Mapping[str, Uncertainty], name: str, value: float, unit: str, sensitivity: float
+) -> list[Source]:
+    """Return the source of type B of an input, none where nobody says how well it is known."""
+    if name not in known:
+        return []
+    return [Source(name, "B", known[name].of(value), unit, sensitivity)]
+
+
+def _rate(change: Change, known: Mapping[str, Uncertainty]) -> Estimate:
+    """Return the wear rate in mm/s."""
+    rate = change.value
+    sources = [
+        Source("readings", "A", change.value_u, RATE, 1.0),
+        Source("steadiness", "B", change.steadiness_u, RATE, 1.0),
+        *_source(known, "displacement", 1.0, "1", rate),
+        *_source(known, "time", 1.0, "1", -rate),
+    ]
+    return Estimate(rate, RATE, tuple(sources))
+
+
+def _specific(rate: Estimate, here: Conditions, known: Mapping[str, Uncertainty]) -> Estimate:
+    """Return the specific wear rate in mm3/(N m): the rate over p V."""
+    scaled = rate.scaled(1e3 / (here.pressure * here.speed), SPECIFIC)
+    k = scaled.value
+    loads = [
+        *_load(known, here, -k),
+        *_source(known, "load.omega", here.omega, "rad/s", -k / here.omega),
+    ]
+    return replace(scaled, sources=(*scaled.sources, *loads))
+
+
+def _load(known: Mapping[str, Uncertainty], here: Conditions, relative: float) -> list[Source]:
+    """Return the source of the load, by force or by pressure.
+
+    Parameters
+    ----------
+    relative : derivative of the measurand with respect to the logarithm of the load.
+    """
+    return [
+        *_source(known, "load.force", here.force, "N", relative / here.force),
+        *_source(known, "load.pressure", here.pressure, "MPa", relative / here.pressure),
+    ]
+
+
+def _friction(change: Change, here: Conditions, known: Mapping[str, Uncertainty]) -> Estimate:
+    """Return the friction coefficient."""
+    mu = change.value
+    torque = mu * here.force * here.radius
+    sources = [
+        Source("readings", "A", change.value_u, "1", 1.0),
+        Source("steadiness", "B", change.steadiness_u, "1", 1.0),
+        *_source(known, "torque", torque, "N mm", 1.0 / (here.force * here.radius)),
+        *_load(known, here, -mu),
+    ]
+    return Estimate(mu, "1", tuple(sources))
+
+
+def _whole(test: Test, problem: Problem, wear: Blocks | None, depth_sd: float) -> WholeTest:
+    """Return the numbers of the whole test."""
+    here, known = test.conditions(0.0, test.duration), problem.uncertainty
+    distance = here.speed * test.duration * 1e-3
+    by_depth = None
+    if wear is not None:
+        last = wear.value[-_LAST_BLOCKS:]
+        volume = here.area * float(last.mean() - wear.value[0])
+        noise = depth_sd * float(np.sqrt(1.0 + 1.0 / len(last)))
+        sources = (
+            Source("readings", "A", noise, "mm", here.area),
+            *_source(known, "displacement", 1.0, "1", volume),
+        )
+        by_depth = Estimate(volume, "mm3", sources)
+    if test.weighing is None or test.density is None:
+        return WholeTest(distance, None, None, None, by_depth)
+    return WholeTest(distance, *_weighed(test, problem, here, distance), by_depth)
+
+
+def _weighed(
+    test: Test, problem: Problem, here: Conditions, distance: float
+) -> tuple[Estimate, Estimate, Estimate]:
+    """Return mass lost (mg), volume (mm3) and specific wear rate (mm3/(N m)) by weighing."""
+    known, weighing, density = problem.uncertainty, test.weighing, test.density
+    assert weighing is not None
+    assert density is not None
+    mass, key = weighing.loss, f"{test.body}.density"
+    u = 0.0 if problem.mass_sd is None else weighing.u(problem.mass_sd)
+
+    def balance(sensitivity: float) -> list[Source]:
+        if problem.mass_sd is None:
+            return []
+        return [Source("mass", problem.mass_type, u, "g", sensitivity)]
+
+    volume, rate = mass / density, mass / (density * here.force * distance)
+    mass_loss = Estimate(1e3 * mass, "mg", tuple(balance(1e3)))
+    by_mass = Estimate(
+        volume, "mm3",
+        (*balance(1.0 / density),
+         *_source(known, key, density, "g/mm^3", -volume / density)),
+    )  # fmt: skip
+    sources = (
+        *balance(1.0 / (density * here.force * distance)),
+        *_source(known, key, density, "g/mm^3", -rate / density),
+        *_load(known, here, -rate),
+        *_source(known, "load.omega", here.omega, "rad/s", -rate / here.omega),
+        *_source(known, "time", 1.0, "1", -rate),
+    )
+    us = {source.name: source.u for source in sources}
+    load_u = us.get("load.force", here.area * us.get("load.pressure", 0.0))
+    shortest = shortest_interval(
+        lambda m, rho, force, omega, time: (
+            m / (rho * force * here.radius * omega * time * test.duration * 1e-3)
+        ),
+        (mass, density, here.force, here.omega, 1.0),
+        (u, us.get(key, 0.0), load_u, us.get("load.omega", 0.0), us.get("time", 0.0)),
+    )
+    return mass_loss, by_mass, Estimate(rate, SPECIFIC, sources, shortest)
+
+
+def _temperature(
+    time: FloatArray, temperature: FloatArray | None, start: float
+) -> tuple[float, float] | None:
+    """Return the mean and the largest temperature from a start on, None where none was read."""
+    if temperature is None:
+        return None
+    read = temperature[(time >= start) & np.isfinite(temperature)]
+    return (float(read.mean()), float(read.max())) if len(read) else None
+
+
+def _doubts(numbers: TestNumbers, problem: Problem) -> list[Doubt]:
+    """Return the doubts about the numbers of a test."""
+    part, record, doubts = numbers.part, numbers.test.record, []
+    if not part.steady:
+        never = [
+            f"{of} never changes by at most {100 * limit:g} % for certain"
+            for of, limit, blocks, start in (
+                ("the wear rate", problem.limits.wear, numbers.wear_blocks, part.wear),
+                ("friction", problem.limits.friction, numbers.friction_blocks, part.friction),
+            )
+            if blocks is not None and start is None
+        ]
+        text = f"not steady: {' and '.join(never)}; numbers are of the last third"
+        doubts.append(Doubt("not-steady", text))
+    else:
+        share = 1.0 - part.start / record.end
+        if share < _SHORT:
+            text = f"the steady part is but {100 * share:.0f} % of the test; test for longer"
+            doubts.append(Doubt("steady-part-short", text))
+    whole = numbers.whole
+    if whole.volume is not None and whole.volume_by_displacement is not None:
+        balance, depth = whole.volume, whole.volume_by_displacement
+        apart = abs(balance.value - depth.value)
+        if apart > max(2.0 * np.hypot(balance.u, depth.u), _DIFFERENT * abs(balance.value)):
+            text = (
+                f"the displacement gives {depth.value:.4g} mm3 of the whole test and the balance "
+                f"{balance.value:.4g} mm3: rings that grow, debris or drift; rates of the steady "
+                "part are free of what happened before it, and of nothing else"
+            )
+            doubts.append(Doubt("displacement-against-weighing", text))
+    usual = record.end / count_blocks(len(record.time))
+    longest = int(np.argmax(np.diff(record.time)))
+    gap = float(record.time[longest + 1] - record.time[longest])
+    if gap > _GAP * usual:
+        text = f"no readings for {_hours(gap)} from {_hours(float(record.time[longest]))} on"
+        doubts.append(Doubt("gap", text))
+    return doubts
+
+
+def _notes(numbers: TestNumbers) -> list[str]:
+    """Return sentences about how the record was read and where budgets disagree."""
+    record, notes = numbers.test.record, []
+    if record.falling:
+        column = record.columns["wear"]
+        notes.append(f"{column} falls in total: it is taken as a position, wear is its fall")
+    if record.load is not None and np.isfinite(record.load).any():
+        measured, said = float(np.nanmean(record.load)), numbers.conditions.force
+        if abs(measured - said) > _OTHER_LOAD * said:
+            notes.append(
+                f"{record.columns['load']} is {measured:.4g} N on average, the case has {said:.4g} "
+                "N, which is what numbers are of"
+            )
+    rate = numbers.whole.specific_wear_rate
+    if rate is not None and rate.shortest is not None and not rate.agrees:
+        low, high = rate.shortest
+        notes.append(
+            f"GUM and Monte Carlo differ by more than a tenth of U: from {rate.interval[0]:.4g} to "
+            f"{rate.interval[1]:.4g} and from {low:.4g} to {high:.4g} {SPECIFIC}; take the latter"
+        )
+    if numbers.wear_rate is not None and numbers.wear_rate.value <= 0.0:
+        notes.append("the depth does not grow in the part that the rate is of")
+    return notes
+
+
+def _hours(seconds: float) -> str:
+    return f"{seconds / 3600.0:.3g} h"

@@ -1,0 +1,77 @@
+"""Repeats: tests of the same conditions, and how much their specific wear rates scatter."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from ringwear_par.measuring.analysis.numbers import SPECIFIC, TestNumbers
+from ringwear_par.measuring.definition.problem import Conditions
+
+#: loads and speeds that are the same
+_SAME = 0.02
+#: standard deviations that two tests differ by in one of twenty pairs (ISO 5725)
+_REPEATABILITY, _LEVEL = 2.8, 0.975
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """Steady tests of the same conditions.
+
+    Parameters
+    ----------
+    tests : their names.
+    mean : mm3/(N m), of logarithms; interval : of the mean, 95 %, by Student's t.
+    s_r : standard deviation of the logarithms.
+    """
+
+    tests: tuple[str, ...]
+    mean: float
+    interval: tuple[float, float]
+    s_r: float
+
+    @property
+    def r(self) -> float:
+        """Repeatability limit, a share: two tests differ by more in one of twenty pairs."""
+        return _REPEATABILITY * self.s_r
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return its entry in measure.json."""
+        return {
+            "tests": list(self.tests),
+            "specific_wear_rate": {
+                "mean": self.mean, "interval": list(self.interval), "s_r": self.s_r, "r": self.r,
+                "unit": SPECIFIC,
+            },
+        }  # fmt: skip
+
+
+def repeats_of(tests: Iterable[TestNumbers]) -> tuple[Repeats, ...]:
+    """Return the groups of two steady tests or more whose loads and speeds are within 2 %."""
+    groups: list[list[TestNumbers]] = []
+    for test in tests:
+        rate = test.specific_wear_rate
+        if not test.part.steady or rate is None or rate.value <= 0.0:
+            continue
+        group = next((g for g in groups if _same(g[0].conditions, test.conditions)), None)
+        if group is None:
+            groups.append([test])
+        else:
+            group.append(test)
+    return tuple(_repeats(group) for group in groups if len(group) > 1)
+
+
+def _same(one: Conditions, other: Conditions) -> bool:
+    pairs = ((one.force, other.force), (one.omega, other.omega), (one.area, other.area))
+    return all(abs(a - b) <= _SAME * max(abs(a), abs(b)) for a, b in pairs)
+
+
+def _repeats(tests: Sequence[TestNumbers]) -> Repeats:
+    rates = [test.specific_wear_rate.value for test in tests if test.specific_wear_rate]
+    logarithms, n = np.log(rates), len(rates)
+    s_r = float(logarithms.std(ddof=1))
+    half = float(student.ppf(_LEVEL, n - 1)) * s_r / np.sqrt(n)
+    low, middle, high = np.exp(logarithms.mean() + half * np.array([-1.0, 0.0, 1.0])).tolist()
+    return Repeats(tuple(test.name for test in tests), middle, (low, high), s_r)

@@ -1,0 +1,174 @@
+"""The steady part of a test: where a rate, or a level, changes by little for certain."""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.measuring.analysis.autoregression import regress
+
+#: most block means of a record, and readings of a block at least on average
+MOST_BLOCKS, READINGS_OF_A_BLOCK = 200, 3
+#: block means that a steady part has at least
+FEWEST_BLOCKS = 20
+#: shares of the test: starts are tried to the latest, in steps, and several in a row must be steady
+_LATEST, _STEP, _IN_A_ROW = 0.7, 0.01, 6
+#: of the usual number of readings: blocks with fewer are dropped
+_HALF_FILLED = 0.5
+#: where no part is steady, numbers are of the test from here on
+_LAST_THIRD = 2.0 / 3.0
+
+#: 1: a level that changes along a line; 2: a slope, of a record that bends as a parabola
+Order = Literal[1, 2]
+
+
+class Blocks(NamedTuple):
+    """Means of readings in blocks of equal time: (n,) s and (n,) values."""
+
+    time: FloatArray
+    value: FloatArray
+
+
+class Change(NamedTuple):
+    """How much a slope or a level changes over a part of a record, and what it is in its middle.
+
+    Parameters
+    ----------
+    change, change_u : from the part's start to its end, with its standard uncertainty.
+    value, value_u : in the middle.
+    autocorrelation, sd : of the blocks about the curve.
+    """
+
+    change: float
+    change_u: float
+    value: float
+    value_u: float
+    autocorrelation: float
+    sd: float
+
+    @property
+    def steadiness_u(self) -> float:
+        """Standard uncertainty of the value that it may have changed so much (JCGM 100, F.2)."""
+        return (abs(self.change) + self.change_u) / float(np.sqrt(12.0))
+
+    def within(self, limit: float) -> bool:
+        """Tell whether the change is for certain at most a share of the value."""
+        return abs(self.change) + self.change_u <= limit * abs(self.value)
+
+
+@dataclass(frozen=True)
+class SteadyPart:
+    """The part of a test that numbers are of.
+
+    Parameters
+    ----------
+    start : s; of : "steady part", "last third" or "given part".
+    wear, friction : s, from when on each is steady by itself; None: never, or it was not read.
+    """
+
+    start: float
+    of: Literal["steady part", "last third", "given part"]
+    wear: float | None
+    friction: float | None
+
+    @property
+    def steady(self) -> bool:
+        """Whether it is steady, or said to be."""
+        return self.of != "last third"
+
+
+def count_blocks(readings: int) -> int:
+    """Return the number of blocks that so many readings are averaged in."""
+    return max(min(MOST_BLOCKS, readings // READINGS_OF_A_BLOCK), 1)
+
+
+def block_means(time: FloatArray, values: FloatArray) -> Blocks:
+    """Return means in at most 200 blocks of equal time, of three readings at least on average.
+
+    Blocks that are not half filled are dropped.
+
+    Parameters
+    ----------
+    time : (n,) s, not falling, from 0; values : (n,), NaN where nothing was read.
+    """
+    filled = np.isfinite(values)
+    time, values = time[filled], values[filled]
+    n = count_blocks(len(time))
+    place = np.minimum((time / time[-1] * n).astype(int), n - 1)
+    counts = np.bincount(place, minlength=n)
+    whole = counts >= _HALF_FILLED * np.median(counts[counts > 0])
+    means = (np.bincount(place, x, n) / np.maximum(counts, 1) for x in (time, values))
+    return Blocks(*(mean[whole] for mean in means))
+
+
+def change_from(blocks: Blocks, start: float, order: Order) -> Change:
+    """Return the change of a record's slope (order 2) or level (order 1) from a start, s, on."""
+    part = blocks.time >= start
+    time, value = blocks.time[part], blocks.value[part]
+    span = float(time[-1] - time[0])
+    x = (time - 0.5 * (time[0] + time[-1])) / span  # -1/2 ... 1/2
+    columns = np.column_stack([x**power for power in range(order + 1)])
+    lower = columns[:, :order]
+    columns[:, order] -= lower @ np.linalg.lstsq(lower, columns[:, order], rcond=None)[0]
+    (coefficients, covariance, autocorrelation, sd) = regress(columns, value)
+    us = np.sqrt(np.diag(covariance))
+    middle = order - 1  # the slope of a parabola at x is c1 + 2 c2 x
+    scale, factor = (1.0, 1.0) if order == 1 else (span, 2.0)
+    return Change(
+        float(factor * coefficients[order] / scale), float(factor * us[order] / scale),
+        float(coefficients[middle] / scale), float(us[middle] / scale), autocorrelation, sd,
+    )  # fmt: skip
+
+
+def steady_start(blocks: Blocks, order: Order, limit: float) -> float | None:
+    """Return the earliest time, s, from which a record is steady; None for none.
+
+    It is a test of equivalence: there, and at the next five starts, the change to the end and its
+    uncertainty together are at most a share of the value. A short record with noise is not steady
+    for want of evidence.
+
+    Parameters
+    ----------
+    limit : share of the value.
+    """
+    starts = blocks.time[-1] * np.arange(0.0, _LATEST + 1e-4, _STEP)
+    steady = [
+        int(np.count_nonzero(blocks.time >= start)) >= FEWEST_BLOCKS
+        and change_from(blocks, float(start), order).within(limit)
+        for start in starts
+    ]
+    for i in range(len(starts) - _IN_A_ROW + 1):
+        if all(steady[i : i + _IN_A_ROW]):
+            return float(starts[i])
+    return None
+
+
+def steady_part(
+    wear: Blocks | None,
+    friction: Blocks | None,
+    end: float,
+    *,
+    wear_limit: float,
+    friction_limit: float,
+    start: float | None = None,
+) -> SteadyPart:
+    """Return the part of a test in which all that was read is steady, or its last third.
+
+    Parameters
+    ----------
+    wear, friction : block means of a depth and of a coefficient; None: not read.
+    end : s, of the record.
+    wear_limit, friction_limit : shares of the rate and of the coefficient.
+    start : s, where a user says that it is.
+    """
+    from_wear = None if wear is None else steady_start(wear, 2, wear_limit)
+    from_friction = None if friction is None else steady_start(friction, 1, friction_limit)
+    if start is not None:
+        return SteadyPart(start, "given part", from_wear, from_friction)
+    pairs = ((wear, from_wear), (friction, from_friction))
+    starts = [first for blocks, first in pairs if blocks is not None]
+    if starts and all(first is not None for first in starts):
+        latest = max(first for first in starts if first is not None)
+        return SteadyPart(latest, "steady part", from_wear, from_friction)
+    return SteadyPart(end * _LAST_THIRD, "last third", from_wear, from_friction)

@@ -1,0 +1,1 @@
+"""What is measured: measure files, records, weighings."""

@@ -1,0 +1,362 @@
+"""Measure files: the rig's case, the tests' records, weighings, uncertainties."""
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.faults import Origin
+from ringwear_par.cases.files.keys import base_keys, flatten, in_full, kinds, override, plain
+from ringwear_par.cases.files.reading import make_case
+from ringwear_par.cases.tables import TableReader
+from ringwear_par.cases.text import shortened, toml_value
+from ringwear_par.cases.units import in_unit, in_unit_where_right
+from ringwear_par.cases.values import RejectedError, is_number
+from ringwear_par.errors import InputError, legible
+from ringwear_par.files.text import parse_toml, read_text, refuse_depth
+from ringwear_par.measuring.definition import schema
+from ringwear_par.measuring.definition.problem import Limits, Problem, Test, Uncertainty
+from ringwear_par.measuring.definition.records import CHANNELS, Record, read_record
+from ringwear_par.measuring.definition.weighings import Weighing, Weighings, read_weighings
+from ringwear_par.schedules import mean, smallest
+
+_TABLES = ("case", "measure", "test")
+#: of a test: a record may end so much before it, and be so much longer
+_SHORTER = 0.1
+
+
+@dataclass
+class _Files:
+    """The folder that names of files count from, and the hashes of what has been read."""
+
+    folder: Path
+    hashes: dict[str, str] = field(default_factory=dict)
+
+
+def read_measure(source: Path | str | Mapping[str, Any]) -> Problem:
+    """Read a measure file with its case, its records and its weighings, or the same as a dict.
+
+    Not collective.
+
+    Raises
+    ------
+    InputError : all faults, one sentence each.
+    """
+    if isinstance(source, Mapping):
+        name, folder, tables = "measure", Path(), plain(source)
+        refuse_depth(tables, name)
+        written = "".join(f"{toml_value(key)} = {toml_value(v)}\n" for key, v in tables.items())
+    else:
+        path = Path(source)
+        name, folder, written = str(path), path.parent, read_text(path)
+        tables = parse_toml(written, name)
+    if "test" not in tables and "measure" not in tables:
+        kind = "a fit file" if "experiment" in tables else "a case" if kinds(tables) else "another"
+        raise InputError(f"{name}: is {kind}, not a measure file; [[test]] is missing")
+    faults: list[str] = []
+    for key in tables.keys() - set(_TABLES):
+        near = difflib.get_close_matches(key.lower(), _TABLES, n=1)
+        hint = f" (did you mean {near[0]}?)" if near else ""
+        faults.append(
+            f"{name}: {legible(key)}: unknown key{hint}; must be one of {', '.join(_TABLES)}"
+        )
+    base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
+    files = _Files(folder)
+    reader = TableReader(f"{name}: measure", tables.get("measure", {}), faults, schema.MEASURE)
+    weighings, mass_sd = _read_masses(reader, files)
+    uncertainty = _read_uncertainty(reader)
+    limits = _read_limits(reader)
+    reader.finish()
+    tests = _Tests(name, base, files, weighings, limits).all(tables.get("test"), faults)
+    if faults:
+        raise InputError(*faults)
+    return Problem(
+        name, written, tests, *mass_sd, uncertainty, limits, files.hashes,
+        tuple(_notes(tests, weighings, mass_sd[0])),
+    )  # fmt: skip
+
+
+def tables_of(
+    records: Sequence[str | Path], case: Any, masses: str | Path | None = None
+) -> dict[str, Any]:
+    """Return the tables of a measure file for some records of one rig.
+
+    Parameters
+    ----------
+    records : names of files; tests are called as they are, without their endings.
+    case : the name of a case file, or the tables of a case.
+    masses : the name of a table of weighings; None: nothing was weighed.
+    """
+    tables: dict[str, Any] = {
+        "case": str(case) if isinstance(case, str | Path) else case,
+        "test": [{"name": Path(file).stem, "file": str(file)} for file in records],
+    }
+    if masses is not None:
+        tables["measure"] = {"masses": {"file": str(masses)}}
+    return tables
+
+
+def _read_masses(
+    reader: TableReader, files: _Files
+) -> tuple[Weighings | None, tuple[float | None, Any]]:
+    """Return the weighings, and the sd of one (g) with its type."""
+    table = reader.raw("masses")
+    if table is None:
+        return None, (None, "B")
+    masses = TableReader(f"{reader.place}.masses", table, reader.faults, schema.MASSES)
+    file, sd = masses.read("file"), masses.read("sd")
+    masses.finish()
+    if file is None:
+        if isinstance(table, Mapping) and "file" not in table:
+            masses.wrong("file", f"must be {schema.MASSES['file'].allowed}")
+        return None, (sd, "B")
+    try:
+        weighings = read_weighings(files.folder / file)
+    except InputError as error:
+        for fault in error.faults:
+            masses.fault(fault)
+        return None, (sd, "B")
+    files.hashes[file] = weighings.sha256
+    return weighings, (weighings.scatter, "A") if sd is None else (sd, "B")
+
+
+def _read_uncertainty(reader: TableReader) -> dict[str, Uncertainty]:
+    table = reader.raw("uncertainty", {})
+    if not isinstance(table, Mapping):
+        reader.wrong("uncertainty", "must be a table of standard uncertainties")
+        return {}
+    try:
+        table = _flat(table)
+    except InputError as error:
+        reader.faults += [f"{reader.place}.{fault}" for fault in error.faults]
+        return {}
+    entries = TableReader(f"{reader.place}.uncertainty", table, reader.faults, schema.UNCERTAINTY)
+    known = {}
+    for name, unit in schema.UNCERTAIN.items():
+        entry = entries.raw(name)
+        if entry is None:
+            continue
+        rule = f"must be {schema.UNCERTAINTY[name].allowed}{f' ({unit})' if unit else ''}"
+        relative = isinstance(entry, Mapping)
+        try:
+            size = entry.get("relative") if relative else in_unit(entry, unit)
+            if (relative and set(entry) != {"relative"}) or not (relative or unit):
+                raise RejectedError
+            if not is_number(size) or not 0.0 < size < math.inf or (relative and size >= 1.0):
+                raise RejectedError
+        except RejectedError as reason:
+            entries.wrong(name, f"{rule}{f' ({reason})' if str(reason) else ''}")
+            continue
+        known[name] = Uncertainty(float(size), relative)
+    if {"load.force", "load.pressure"} <= known.keys():
+        entries.wrong("load.pressure", "must be absent beside load.force")
+    entries.finish()
+    return known
+
+
+def _flat(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table of dotted keys whose tables with ``relative`` are values."""
+    flat: dict[str, Any] = {}
+    for name, entry in table.items():
+        if isinstance(entry, Mapping) and "relative" not in entry and "." not in name and entry:
+            parts = {f"{name}.{inner}": value for inner, value in entry.items()}
+        else:
+            parts = {name: entry}
+        if twice := flat.keys() & parts.keys():
+            raise InputError(f"uncertainty: {legible(min(twice))}: is given twice")
+        flat |= parts
+    return flat
+
+
+def _read_limits(reader: TableReader) -> Limits:
+    steady = TableReader(
+        f"{reader.place}.steady", reader.raw("steady", {}), reader.faults, schema.STEADY
+    )
+    wear, friction, start = (steady.read(name) for name in ("wear", "friction", "from"))
+    if start is not None:
+        for name in ("wear", "friction"):
+            if name in steady:
+                steady.wrong(name, "must be absent beside from")
+    steady.finish()
+    return Limits(wear, friction, start)
+
+
+class _Tests:
+    """Reads the tests.
+
+    Parameters
+    ----------
+    base : keys of the rig's case; None where it has faults.
+    weighings : None where there are none.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        base: dict[str, Any] | None,
+        files: _Files,
+        weighings: Weighings | None,
+        limits: Limits,
+    ) -> None:
+        self._name, self._base, self._files = name, base, files
+        self._weighings, self._limits = weighings, limits
+        #: of the base case, which need not be said of every test
+        self._reported: set[str] = set()
+
+    def all(self, tables: Any, faults: list[str]) -> tuple[Test, ...]:
+        """Return all tests, and add what is wrong with them to the faults."""
+        if not isinstance(tables, list) or not tables:
+            state = "is missing" if tables is None else f"= {shortened(tables)}"
+            faults.append(f"{self._name}: test {state}: must be tables, [[test]]")
+            return ()
+        tests: list[Test] = []
+        names: set[str] = set()
+        for number, table in enumerate(tables, start=1):
+            reader = TableReader(f"{self._name}: test {number}", table, faults, schema.TEST)
+            name = reader.read("name")
+            if name is not None:
+                reader.place = f'{self._name}: test "{legible(name)}"'
+            if name in names:
+                reader.fault("is there twice; names must differ")
+            names.add(name)
+            test = self._test(reader, name)
+            if test is not None:
+                tests.append(test)
+        return tuple(tests)
+
+    def _test(self, reader: TableReader, name: str | None) -> Test | None:
+        before = len(reader.faults)
+        changes = self._changes(reader)
+        case = self._case(reader, changes)
+        record = self._record(reader)
+        reader.finish()
+        if len(reader.faults) > before or name is None or case is None or record is None:
+            return None
+        # of other keys of time, such as the steps of a history, nothing follows for the test
+        timed = any(key.startswith("time.") for key in changes)
+        duration = case.time.end if timed else record.end
+        weighing = None if self._weighings is None else self._weighings.specimens.get(name)
+        test = Test(name, case, record, duration, weighing)
+        self._check(reader, test, weighing)
+        return test
+
+    def _changes(self, reader: TableReader) -> dict[str, Any]:
+        table = reader.raw("set", {})
+        if not isinstance(table, Mapping):
+            reader.wrong("set", "must be a table of case keys")
+            return {}
+        try:
+            return in_full(flatten(table, f"{reader.place}: set"), self._files.folder)
+        except InputError as error:
+            reader.faults += error.faults
+            return {}
+
+    def _case(self, reader: TableReader, changes: Mapping[str, Any]) -> Case | None:
+        if self._base is None:
+            return None
+        said = reader.place
+        try:
+            keys = override(self._base, changes)
+            return make_case(keys, Origin(said, frozenset(changes), f"{said}: set"))
+        except InputError as error:
+            for fault in error.faults:
+                sentence = fault.replace(said, "")
+                if sentence not in self._reported:
+                    reader.faults.append(fault)
+                self._reported.add(sentence)
+            return None
+
+    def _record(self, reader: TableReader) -> Record | None:
+        file, sense = reader.read("file"), reader.read("sense")
+        exclude = self._intervals(reader)
+        texts: list[Mapping[str, str]] = []
+        for key in ("columns", "units"):
+            table = reader.raw(key, {})
+            wrong = not isinstance(table, Mapping) or set(table) - set(CHANNELS)
+            if wrong or not all(isinstance(entry, str) for entry in table.values()):
+                reader.wrong(key, f"must be a table of texts, for {', '.join(CHANNELS)}")
+                table = {}
+            texts.append(table)
+        if file is None:
+            return None
+        try:
+            record = read_record(
+                self._files.folder / file, columns=texts[0], units=texts[1], exclude=exclude,
+                sense=sense,
+            )  # fmt: skip
+        except InputError as error:
+            for fault in error.faults:
+                reader.fault(fault)
+            return None
+        self._files.hashes[file] = record.sha256
+        return record
+
+    def _intervals(self, reader: TableReader) -> list[tuple[float, float]]:
+        value = in_unit_where_right(reader.raw("exclude", []), "s")
+        good = isinstance(value, list) and all(
+            isinstance(entry, list)
+            and len(entry) == 2
+            and all(is_number(v) and math.isfinite(v) for v in entry)
+            and entry[0] < entry[1]
+            for entry in value
+        )
+        if not good:
+            reader.wrong("exclude", "must be a list of increasing pairs (s)")
+            return []
+        return [(float(low), float(high)) for low, high in value]
+
+    def _check(self, reader: TableReader, test: Test, weighing: Weighing | None) -> None:
+        """Add what the case and the record do not tell of each other to the faults."""
+        case, end = test.case, test.record.end
+        if case.load.force is None:
+            reader.fault(
+                'load.control = "displacement": must be "force", which a wear rate is over'
+            )
+            return
+        if smallest(case.load.force) <= 0.0 or mean(case.load.omega, 0.0, test.duration) <= 0.0:
+            reader.fault("load.omega, and the load at any time, must be > 0 in a test")
+        if not (1.0 - _SHORTER) * end <= test.duration:
+            reader.fault(
+                f"time.end = {test.duration:g} s: the record is {end:g} s long; must be as long, "
+                "or the unit of the record's time is another"
+            )
+        if end < _SHORTER * test.duration:
+            reader.fault(
+                f"the record ends at {end:g} s of a test of {test.duration:g} s; the unit of its "
+                "time is perhaps another"
+            )
+        if self._limits.start is not None and self._limits.start > (1.0 - _SHORTER) * end:
+            reader.fault(
+                f"measure.steady.from = {self._limits.start:g} s: the record ends at {end:g} s; "
+                f"must be at most {1.0 - _SHORTER:g} of it"
+            )
+        if weighing is None:
+            return
+        if case.wear_lower is not None and case.wear_upper is not None:
+            reader.fault(
+                "both bodies wear: a weighing is of one; must have [wear.lower] or [wear.upper]"
+            )
+        elif case.wear_lower is None and case.wear_upper is None:
+            reader.fault("no body wears; [wear.lower] or [wear.upper] must say which was weighed")
+        elif test.density is None:
+            reader.fault(
+                f"{test.body}.density is missing: a weighing needs it; must be a number > 0 "
+                "(g/mm^3)"
+            )
+
+
+def _notes(tests: Sequence[Test], weighings: Weighings | None, mass_sd: float | None) -> list[str]:
+    """Return sentences about what the files do not tell of each other."""
+    if weighings is None:
+        return []
+    notes = [f"{test.name} was not weighed" for test in tests if test.weighing is None]
+    names = {test.name for test in tests}
+    untested = [name for name in weighings.specimens if name not in names]
+    if untested:
+        notes.append(f"of weighed specimens there is no test: {legible(', '.join(untested), 200)}")
+    if mass_sd is None:
+        notes.append("nothing tells how well masses are known: measure.masses.sd; no budget has it")
+    return notes

@@ -1,0 +1,147 @@
+"""What is to be measured, complete and consistent, as frozen dataclasses."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from ringwear_par.cases.case import Case
+from ringwear_par.measuring.definition.records import Record
+from ringwear_par.measuring.definition.weighings import Weighing
+from ringwear_par.schedules import Quantity, mean
+
+Body = Literal["lower", "upper"]
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """A standard uncertainty: a number, or a share of the value where it is ``relative``."""
+
+    size: float
+    relative: bool = False
+
+    def of(self, value: float) -> float:
+        """Return the standard uncertainty of a value."""
+        return abs(self.size * value) if self.relative else self.size
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a test is run at: means over a part of it.
+
+    Parameters
+    ----------
+    force : N; omega : rad/s; inner, outer : mm, radii of the contact.
+    """
+
+    force: float
+    omega: float
+    inner: float
+    outer: float
+
+    @property
+    def area(self) -> float:
+        """Nominal contact area, mm2."""
+        return math.pi * (self.outer**2 - self.inner**2)
+
+    @property
+    def pressure(self) -> float:
+        """Mean pressure, MPa."""
+        return self.force / self.area
+
+    @property
+    def radius(self) -> float:
+        """Mean radius of friction, mm: 2/3 (b^3 - a^3) / (b^2 - a^2)."""
+        cubes, squares = (self.outer**n - self.inner**n for n in (3, 2))
+        return 2.0 / 3.0 * cubes / squares
+
+    @property
+    def speed(self) -> float:
+        """Sliding speed at the mean radius, mm/s."""
+        return self.omega * self.radius
+
+    @property
+    def pv(self) -> float:
+        """Pressure times speed, MPa m/s."""
+        return self.pressure * self.speed * 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Test:
+    """A test: its record, its weighing, and the case of its rig.
+
+    Parameters
+    ----------
+    duration : s, of sliding.
+    weighing : None where there is none.
+    """
+
+    #: pytest looks for classes that are called so
+    __test__ = False
+
+    name: str
+    case: Case
+    record: Record
+    duration: float
+    weighing: Weighing | None
+
+    @property
+    def body(self) -> Body:
+        """The body that wears."""
+        return "upper" if self.case.wear_lower is None and self.case.wear_upper else "lower"
+
+    @property
+    def density(self) -> float | None:
+        """Density of the body that wears, g/mm3."""
+        return self.case.upper.density if self.body == "upper" else self.case.lower.density
+
+    @property
+    def force(self) -> Quantity:
+        """The load, N."""
+        if self.case.load.force is None:
+            raise ValueError("a displacement is no load")
+        return self.case.load.force
+
+    def conditions(self, start: float, end: float) -> Conditions:
+        """Return the conditions of a part of the test, between two times (s)."""
+        force, omega = (mean(q, start, end) for q in (self.force, self.case.load.omega))
+        return Conditions(force, omega, *self.case.overlap)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a test is steady.
+
+    Parameters
+    ----------
+    wear, friction : shares of the rate and of the coefficient that they may change by.
+    start : s, where the steady part begins; None: it is looked for.
+    """
+
+    wear: float = 0.15
+    friction: float = 0.05
+    start: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What a measure file asks.
+
+    Parameters
+    ----------
+    name : what messages call it; text : TOML.
+    mass_sd : g, of one weighing; None: not known. mass_type : "A" where readings tell it.
+    uncertainty : by case key, or "torque", "displacement", "time".
+    hashes : SHA-256 of the files, by name.
+    notes : sentences about what was read.
+    """
+
+    name: str
+    text: str
+    tests: tuple[Test, ...]
+    mass_sd: float | None
+    mass_type: Literal["A", "B"]
+    uncertainty: Mapping[str, Uncertainty]
+    limits: Limits = field(default_factory=Limits)
+    hashes: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,324 @@
+"""Records of a rig: the channels of a logger's file in the units of a case."""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.cases.text import shortened
+from ringwear_par.cases.units import factor, told_unit
+from ringwear_par.cases.values import RejectedError
+from ringwear_par.errors import InputError, legible
+from ringwear_par.files.measurements import Measurements, and_more, read_measurements
+
+#: units of channels; of a temperature the letter behind the degree
+CHANNELS = {"time": "s", "wear": "mm", "torque": "N mm", "load": "N", "temperature": "degC"}
+#: what messages say of units
+_UNITS = {
+    "time": "a time, such as s, min or h", "wear": "a length, such as um, mm or inch",
+    "torque": "a torque, such as N m or N mm", "load": "a force, such as N, kN or lbf",
+    "temperature": "a temperature, such as degC or K",
+}  # fmt: skip
+#: how units in names are written, for messages
+_WRITTEN = {"time": "s", "wear": "um", "torque": "N m", "load": "N", "temperature": "degC"}
+#: words in names of columns, the surest first; letters alone are names as they are
+_WORDS: dict[str, tuple[set[str], ...]] = {
+    "time": ({"t", "time", "timestamp", "zeit", "datum", "uhrzeit", "date"},),
+    "wear": (
+        {"wear", "verschleiß", "verschleiss", "depth"},
+        {"z", "penetration", "displacement", "weg", "position"},
+    ),
+    "torque": ({"M", "torque", "reibmoment", "drehmoment"},),
+    "load": ({"F", "load", "last"},),
+    "temperature": ({"T", "temperature", "temperatur"},),
+}
+_TEMPERATURE = re.compile(r"(?:\N{DEGREE SIGN}|deg)?\s*([CFK])\s*[\])]?$")
+#: readings that a record has at least: of fewer no steady part can be told
+FEWEST_READINGS = 60
+#: of a record, at its start and its end: readings whose means tell whether it falls
+_ENDS = 0.05
+
+Sense = Literal["rising", "falling"]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Readings of one test.
+
+    Parameters
+    ----------
+    file : its name; sha256 : of the file.
+    time : (n,) s from the first stamp.
+    wear : (n,) mm, positive where material is lost, NaN where nothing was read; None: no channel.
+    torque : (n,) N mm; load : (n,) N; temperature : (n,) degC; likewise.
+    falling : whether the file's depth is a position, which falls.
+    columns : names of the channels' columns.
+    empty, repeated, excluded : number of cells that were empty, of stamps that were there before,
+        of readings left out.
+    """
+
+    file: str
+    sha256: str
+    time: FloatArray
+    wear: FloatArray | None
+    torque: FloatArray | None
+    load: FloatArray | None
+    temperature: FloatArray | None
+    falling: bool
+    columns: Mapping[str, str]
+    empty: int
+    repeated: int
+    excluded: int
+
+    @property
+    def end(self) -> float:
+        """The last stamp less the first, s."""
+        return float(self.time[-1])
+
+
+def read_record(
+    path: Path,
+    *,
+    columns: Mapping[str, str],
+    units: Mapping[str, str],
+    exclude: list[tuple[float, float]],
+    sense: Sense | None,
+) -> Record:
+    """Return the record in a file. Not collective.
+
+    Parameters
+    ----------
+    columns, units : of channels, where names do not tell them.
+    exclude : s from the first stamp, intervals whose readings are left out.
+    sense : of the depth in the file; None: falling where it does in total.
+
+    Raises
+    ------
+    InputError : all faults, each with the file, the line or the column.
+    """
+    table = read_measurements(path)
+    faults: list[str] = []
+    names = _columns(table, columns, units, faults)
+    if faults:
+        raise InputError(*faults)
+    time, rows, repeated = _times(table, names["time"], units.get("time"))
+    values: dict[str, FloatArray] = {}
+    empty = len(table.rows) - int(table.filled(names["time"]).sum())
+    for channel, column in names.items():
+        if channel == "time":
+            continue
+        filled = rows & table.filled(column)
+        empty += int(rows.sum() - filled.sum())
+        readings = np.full(len(table.rows), np.nan)
+        try:
+            readings[filled] = _in_base(table, channel, column, filled, units.get(channel))
+        except InputError as error:
+            faults += error.faults
+            continue
+        values[channel] = readings[rows]
+    if faults:
+        raise InputError(*faults)
+    inside = np.ones(len(time), dtype=bool)
+    for low, high in exclude:
+        inside &= (time < low) | (time > high)
+    time, values = time[inside], {name: one[inside] for name, one in values.items()}
+    for channel in ("wear", "torque"):
+        if (
+            channel in values
+            and (count := int(np.isfinite(values[channel]).sum())) < FEWEST_READINGS
+        ):
+            faults.append(
+                f"{path}: the column {legible(names[channel])} has {count} readings"
+                f"{' that are not excluded' if exclude else ''}; must have {FEWEST_READINGS} at "
+                "least"
+            )
+    if faults:
+        raise InputError(*faults)
+    wear = values.get("wear")
+    falling = sense == "falling" or (sense is None and wear is not None and _falls(wear))
+    if wear is not None and falling:
+        wear = -wear
+    return Record(
+        str(path), table.sha256, time, wear, values.get("torque"), values.get("load"),
+        values.get("temperature"), falling and wear is not None, names, empty, repeated,
+        int((~inside).sum()),
+    )  # fmt: skip
+
+
+def _falls(wear: FloatArray) -> bool:
+    """Tell whether a depth falls from its first readings to its last."""
+    read = wear[np.isfinite(wear)]
+    count = max(int(_ENDS * len(read)), 1)
+    return bool(read[-count:].mean() < read[:count].mean())
+
+
+def _columns(
+    table: Measurements, columns: Mapping[str, str], units: Mapping[str, str], faults: list[str]
+) -> dict[str, str]:
+    """Return the columns of the channels that a table has, and add what is wrong to the faults."""
+    names: dict[str, str] = {}
+    for channel in CHANNELS:
+        if channel in columns:
+            if columns[channel] not in table.columns:
+                faults.append(
+                    f"{table.name}: has no column {legible(columns[channel])} for {channel}; must "
+                    f"be one of {legible(', '.join(table.columns), 200)}"
+                )
+                continue
+            names[channel] = columns[channel]
+        elif column := _known_column(table, channel, set(columns.values()), faults):
+            names[channel] = column
+    if "time" not in names and not faults:
+        faults.append(
+            _missing(table, "time", 't, time, Zeit or timestamp; or columns = { time = "..." }')
+        )
+    if not {"wear", "torque"} & names.keys() and not faults:
+        words = 'wear, depth, Weg, torque or M; or columns = { wear = "...", torque = "..." }'
+        faults.append(_missing(table, "wear or torque", words))
+    for channel, column in [*names.items()]:
+        fault = _unit_fault(table, channel, column, units.get(channel))
+        if fault and channel in ("load", "temperature") and channel not in columns:
+            del names[channel]  # nothing is computed of it that a case does not tell
+        elif fault:
+            faults.append(fault)
+    return names
+
+
+def _missing(table: Measurements, channel: str, words: str) -> str:
+    return (
+        f"{table.name}: has the columns {legible(', '.join(table.columns), 200)}; must have one of "
+        f"{channel}, such as {words}"
+    )
+
+
+def _known_column(
+    table: Measurements, channel: str, named: set[str], faults: list[str]
+) -> str | None:
+    """Return the column whose name tells that it is of a channel, None for none."""
+    candidates = [
+        [column for column in table.columns if column not in named and _names(column, words)]
+        for words in _WORDS[channel]
+    ]
+    for columns in candidates:
+        known = [column for column in columns if _may_be(table, channel, column)]
+        if channel == "time":  # a date beside a time of day, or stamps beside seconds: one will do
+            known.sort(key=lambda column: not table.begins_with_stamp(column))
+        elif len(known) > 1:
+            faults.append(
+                f"{table.name}: the columns {legible(' and '.join(known), 200)} may both be of "
+                f'{channel}; columns = {{ {channel} = "..." }} must say which is'
+            )
+        if known:
+            return known[0]
+    # in the unit of something else, which is told
+    return next((column for columns in candidates for column in columns), None)
+
+
+def _names(column: str, words: set[str]) -> bool:
+    """Tell whether the name of a column has one of some words; letters alone must be the first."""
+    words_of_name = re.findall(r"[^\W\d_]+", column)
+    return any(word.lower() in words for word in words_of_name if len(word) > 1) or (
+        bool(words_of_name) and len(words_of_name[0]) == 1 and words_of_name[0] in words
+    )
+
+
+def _may_be(table: Measurements, channel: str, column: str) -> bool:
+    """Tell whether a column is not in a unit of something else by its name."""
+    label = table.label(column)
+    if channel == "temperature":
+        return True
+    if channel == "time" and column.startswith("t") and _TEMPERATURE.search(label):
+        return False
+    try:
+        told_unit(label, CHANNELS[channel])
+    except RejectedError:
+        return False
+    return True
+
+
+def _unit_fault(table: Measurements, channel: str, column: str, unit: str | None) -> str:
+    """Return the fault of the unit of a column, "" for none."""
+    base, label = CHANNELS[channel], table.label(column)
+    if unit is not None:
+        if channel == "temperature":
+            right = _TEMPERATURE.fullmatch(unit.strip()) is not None
+        else:
+            right = _is_unit_of(unit, base)
+        state = f"units.{channel} = {shortened(unit)}"
+        return "" if right else f"{table.name}: {state}: must be the unit of {_UNITS[channel]}"
+    if channel == "temperature":
+        named = _TEMPERATURE.search(label) is not None
+    elif channel == "time" and table.begins_with_stamp(column):
+        return ""
+    else:
+        try:
+            named = told_unit(label, base) is not None
+        except RejectedError as reason:
+            return (
+                f"{table.name}: the column {legible(column)} {reason}; must be in the unit of "
+                f'{_UNITS[channel]}, or units = {{ {channel} = "{_WRITTEN[channel]}" }}'
+            )
+    written = _WRITTEN[channel]
+    return "" if named else (
+        f"{table.name}: {legible(column)}: no unit; name it {legible(column)} / {written}, or "
+        f'units = {{ {channel} = "{written}" }}'
+    )  # fmt: skip
+
+
+def _is_unit_of(unit: str, base: str) -> bool:
+    try:
+        factor(unit, base)
+    except RejectedError:
+        return False
+    return True
+
+
+def _times(table: Measurements, column: str, unit: str | None) -> tuple[FloatArray, BoolArray, int]:
+    """Return seconds from the first stamp, the rows that they are of, and how many were repeated.
+
+    Raises
+    ------
+    InputError : cells that are no times; times that go back, the first line of which is named.
+    """
+    filled = table.filled(column)
+    seconds = factor(unit or told_unit(table.label(column), "s") or "s", "s")
+    times = seconds * table.numbers(column, filled, factor("h", "s") / seconds)
+    places = np.flatnonzero(filled)
+    back = np.flatnonzero(np.diff(times) < 0.0)
+    if len(back):
+        here, before = int(places[back[0] + 1]), int(places[back[0]])
+        cell = table.columns.index(column)
+        raise InputError(
+            f"{table.name}: line {table.lines[here]}: {legible(column)} = "
+            f"{legible(table.rows[here][cell])}{and_more(len(back), 'line')}: goes back, line "
+            f"{table.lines[before]} has {legible(table.rows[before][cell])}; must not fall"
+        )
+    first = np.concatenate([[True], np.diff(times) > 0.0])[: len(times)]
+    rows = np.zeros(len(filled), dtype=bool)
+    rows[places[first]] = True
+    times = times[first]
+    if len(times) < FEWEST_READINGS or math.isclose(times[0], times[-1]):
+        raise InputError(
+            f"{table.name}: has {len(times)} different times; must have {FEWEST_READINGS} at least"
+        )
+    return times - times[0], rows, int((~first).sum())
+
+
+def _in_base(
+    table: Measurements, channel: str, column: str, rows: BoolArray, unit: str | None
+) -> FloatArray:
+    """Return the readings of a channel in its unit."""
+    readings, label = table.numbers(column, rows), table.label(column)
+    if channel != "temperature":
+        unit = unit or told_unit(label, CHANNELS[channel]) or CHANNELS[channel]
+        return factor(unit, CHANNELS[channel]) * readings
+    match = _TEMPERATURE.search(unit or label)
+    degrees = match[1] if match else "C"
+    if degrees == "F":
+        return (readings - 32.0) / 1.8
+    return readings - 273.15 if degrees == "K" else readings

@@ -1,0 +1,106 @@
+"""``rw.measure`` and ``ringwear measure``: the numbers of the standards from a rig's own files."""
+
+import platform
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.errors import InputError, legible
+from ringwear_par.files.folders import check_folder
+from ringwear_par.measuring.analysis.numbers import numbers_of
+from ringwear_par.measuring.analysis.repeats import repeats_of
+from ringwear_par.measuring.definition.measure_file import read_measure, tables_of
+from ringwear_par.measuring.definition.problem import Problem
+from ringwear_par.measuring.measure_folder import FILES
+from ringwear_par.measuring.measure_result import MeasureResult
+from ringwear_par.version import __version__
+
+Source = str | Path | Mapping[str, Any] | Sequence[str | Path]
+_TOML = ".toml"
+
+
+def measure(
+    source: Source,
+    *,
+    case: Case | str | Path | Mapping[str, Any] | None = None,
+    masses: str | Path | None = None,
+) -> MeasureResult:
+    """Return steady wear rates, friction and their budgets from records of a rig; no model.
+
+    Not collective: it needs neither MPI nor PETSc.
+
+    Parameters
+    ----------
+    source : the name of a measure file, or the same as a dict; or names of records, with ``case``.
+    case : of the rig, of records: the name of its file, a Case, or its tables.
+    masses : the name of a table of weighings, of records.
+
+    Returns
+    -------
+    MeasureResult : ``.summary()``, ``.to_dict()``, ``.figure()``, ``.save(folder)``.
+
+    Raises
+    ------
+    InputError : all faults of the files, each with its file and its line or key.
+    """
+    return measure_problem(_problem(source, case, masses))
+
+
+def measure_problem(problem: Problem) -> MeasureResult:
+    """Return the numbers of a problem that was read."""
+    tests = tuple(numbers_of(test, problem) for test in problem.tests)
+    versions = {
+        "version": __version__, "python_version": platform.python_version(),
+        "numpy_version": np.__version__,
+    }  # fmt: skip
+    return MeasureResult(problem, tests, repeats_of(tests), versions)
+
+
+def run_measure(
+    sources: Sequence[Path], folder: Path, case: Path | None, masses: Path | None
+) -> str:
+    """Measure and write the outcome to a folder; return its summary. On one rank."""
+    files = [path for path in sources if path.suffix.lower() == _TOML]
+    if files and len(sources) > 1:
+        raise InputError(f"{files[0]}: must be the only file where it is a measure file")
+    problem = _problem(files[0] if files else sources, case, masses)
+    check_folder(folder, FILES)
+    result = measure_problem(problem)
+    result.save(folder)
+    return result.summary()
+
+
+def _problem(source: Source, case: Any, masses: str | Path | None) -> Problem:
+    """Return the problem of a measure file, or of records and the case of their rig.
+
+    Raises
+    ------
+    InputError : its faults; too many or too few of these.
+    """
+    if isinstance(source, Mapping) or (
+        isinstance(source, str | Path) and Path(source).suffix.lower() == _TOML
+    ):
+        said = "measure" if isinstance(source, Mapping) else legible(str(source))
+        for name, value in (("case", case), ("masses", masses)):
+            if value is not None:
+                raise InputError(
+                    f"{name} = {legible(str(value))}: must be absent beside {said}, which names it"
+                )
+        return read_measure(source)
+    records = [source] if isinstance(source, str | Path) else list(source)
+    if not records:
+        raise InputError("measure: no record; must be names of files, or of a measure file (.toml)")
+    if case is None:
+        raise InputError(
+            f"{legible(str(records[0]))}: case is missing: --case RIG.toml must tell rings, load "
+            "and speed; or a measure file (.toml) does"
+        )
+    if isinstance(case, Case):
+        if case.rebuild is None:
+            raise InputError("case: its text does not tell its keys; must be one that was read")
+        case = read_keys(case.text)
+    return read_measure(tables_of(records, case, masses))

@@ -1,0 +1,46 @@
+"""The folder of a measurement: its numbers, a table of them, the figure of records."""
+
+import csv
+import io
+from pathlib import Path
+
+from ringwear_par.files.folders import (
+    MEASURE,
+    MEASURED_ROWS,
+    RECORDS,
+    new_files,
+    write_json,
+)
+from ringwear_par.files.writing import atomic_write
+from ringwear_par.measuring.measure_numbers import COLUMNS, number_at
+from ringwear_par.measuring.measure_result import MeasureResult
+from ringwear_par.pictures.style import save_figure
+
+FILES = (MEASURE, MEASURED_ROWS, RECORDS)
+
+
+def save(result: MeasureResult, folder: Path) -> None:
+    """Write all files; measure.json, which says that it is whole, the last. On one rank.
+
+    Raises
+    ------
+    InputError, ComputationError : the folder or the disk.
+    """
+    with new_files(folder, FILES):
+        save_figure(result.figure(), folder / RECORDS)
+        with atomic_write(folder / MEASURED_ROWS) as path:
+            path.write_text(table(result), encoding="utf-8")
+        write_json(folder / MEASURE, result.to_dict())
+
+
+def table(result: MeasureResult) -> str:
+    """Return the contents of measure.csv: a row a test; empty cells for what was not measured."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["test", "steady", *(f"{name} / {unit}" for name, unit, _ in COLUMNS), "doubts"])
+    for name, entry in result.to_dict()["tests"].items():
+        numbers = [number_at(entry, path) for _, _, path in COLUMNS]
+        cells = ["" if number is None else f"{number:.6g}" for number in numbers]
+        codes = " ".join(doubt["code"] for doubt in entry["doubts"])
+        rows.writerow([name, "yes" if entry["steady"] else "no", *cells, codes])
+    return text.getvalue()

@@ -1,0 +1,155 @@
+"""The outcome of a measurement: numbers of tests, repeats."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ringwear_par.measuring.analysis.budget import Estimate
+from ringwear_par.measuring.analysis.numbers import (
+    IN3_MIN_PER_FT_LBF_H,
+    PSI_FT_MIN,
+    US_SPECIFIC,
+    TestNumbers,
+    WholeTest,
+)
+from ringwear_par.measuring.analysis.repeats import Repeats
+from ringwear_par.measuring.definition.problem import Problem
+from ringwear_par.results import outcomes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: um/h and in/h in a mm/s
+UM_PER_H, IN_PER_H = 3.6e6, 3600.0 / 25.4
+
+
+@dataclass(frozen=True, eq=False)
+class MeasureResult:
+    """The numbers of the standards of some tests, with a fixed set of names in ``to_dict``.
+
+    Parameters
+    ----------
+    problem : the measure file with its records.
+    tests : in its order.
+    repeats : tests of the same conditions.
+    versions : of the software.
+    """
+
+    problem: Problem
+    tests: tuple[TestNumbers, ...]
+    repeats: tuple[Repeats, ...]
+    versions: Mapping[str, str]
+
+    def __repr__(self) -> str:
+        rates = ", ".join(
+            f"{test.name} {test.specific_wear_rate.value:.4g}"
+            for test in self.tests
+            if test.specific_wear_rate is not None
+        )
+        return f"<MeasureResult: specific wear rates in mm3/(N m): {rates or 'none'}>"
+
+    def summary(self) -> str:
+        """Return the outcome in a few lines, the specific wear rate first."""
+        return outcomes.summary(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contents of measure.json."""
+        return {
+            "tests": {test.name: _test(test) for test in self.tests},
+            "repeats": [repeats.to_dict() for repeats in self.repeats],
+            "notes": list(self.problem.notes),
+            "mass_sd": self.problem.mass_sd,
+            "steady_limits": {
+                "wear": self.problem.limits.wear, "friction": self.problem.limits.friction,
+                "from": self.problem.limits.start,
+            },
+            "measure_file": self.problem.text,
+            "versions": dict(self.versions),
+            "data": dict(self.problem.hashes),
+        }  # fmt: skip
+
+    def figure(self) -> "Figure":
+        """Return the figure of records, block means and steady parts."""
+        return outcomes.figure(self)
+
+    def save(self, folder: str | Path) -> None:
+        """Write measure.json, measure.csv and measure.png to a folder, which is made.
+
+        Not collective: the process that calls this writes, each file whole.
+
+        Raises
+        ------
+        InputError : a folder that cannot be written.
+        ComputationError : the disk.
+        """
+        outcomes.save(self, folder)
+
+
+def _test(numbers: TestNumbers) -> dict[str, Any]:
+    test, part, here = numbers.test, numbers.part, numbers.conditions
+    record = test.record
+    ring = test.case.upper if test.body == "upper" else test.case.lower
+    entry: dict[str, Any] = {
+        "steady": part.steady,
+        "steady_from": {"value": part.start, "wear": part.wear, "friction": part.friction},
+        "of": part.of,
+        "friction": _entry(numbers.friction),
+        "wear_rate": _wear_rate(numbers.wear_rate),
+        "specific_wear_rate": _specific(numbers.specific_wear_rate),
+        "autocorrelation": numbers.autocorrelation,
+        "pv": {"MPa m/s": here.pv, "psi ft/min": here.pv * PSI_FT_MIN},
+        "whole": _whole(numbers.whole),
+        "conditions": {
+            "force": here.force, "pressure": here.pressure, "omega": here.omega,
+            "speed": here.speed, "area": here.area, "mean_radius": here.radius,
+            "radii": [here.inner, here.outer], "body": test.body, "density": ring.density,
+        },
+        "temperature": None
+        if numbers.temperature is None
+        else {"mean": numbers.temperature[0], "max": numbers.temperature[1], "unit": "degC"},
+        "duration": test.duration,
+        "end": record.end,
+        "file": record.file,
+        "columns": dict(record.columns),
+        "skipped": {
+            "empty": record.empty, "repeated": record.repeated, "excluded": record.excluded,
+        },
+        "doubts": [{"code": doubt.code, "text": doubt.text} for doubt in numbers.doubts],
+        "notes": list(numbers.notes),
+    }  # fmt: skip
+    return entry
+
+
+def _entry(estimate: Estimate | None) -> dict[str, Any] | None:
+    return None if estimate is None else {**estimate.to_dict(), "of": "specimen"}
+
+
+def _wear_rate(rate: Estimate | None) -> dict[str, Any] | None:
+    if rate is None:
+        return None
+    return {
+        **rate.to_dict(), "of": "specimen", "um/h": rate.value * UM_PER_H,
+        "in/h": rate.value * IN_PER_H,
+    }  # fmt: skip
+
+
+def _specific(rate: Estimate | None) -> dict[str, Any] | None:
+    if rate is None:
+        return None
+    customary = rate.scaled(1.0 / IN3_MIN_PER_FT_LBF_H, US_SPECIFIC)
+    return {
+        **rate.to_dict(), "of": "specimen", US_SPECIFIC: customary.value,
+        "us": {"unit": US_SPECIFIC, "value": customary.value, "u": customary.u,
+               "interval": list(customary.interval)},
+    }  # fmt: skip
+
+
+def _whole(whole: WholeTest) -> dict[str, Any]:
+    return {
+        "distance": {"value": whole.distance, "unit": "m"},
+        "mass_loss": _entry(whole.mass_loss),
+        "volume": _entry(whole.volume),
+        "specific_wear_rate": _specific(whole.specific_wear_rate),
+        "volume_by_displacement": _entry(whole.volume_by_displacement),
+    }

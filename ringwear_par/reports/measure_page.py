@@ -1,0 +1,250 @@
+"""The page of a measurement, from what its folder holds."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ringwear_par.cases.units import in_signs, with_signs
+from ringwear_par.errors import legible
+from ringwear_par.files import folders
+from ringwear_par.measuring.measure_numbers import (
+    entry_text,
+    estimate_text,
+    repeats_text,
+    skipped_text,
+    steady_text,
+)
+from ringwear_par.reports.blocks import Block, Lines, Page, Section, Source, Table, software
+from ringwear_par.reports.fit_page import stored_outcome, stored_picture
+
+_DASH = "\N{EN DASH}"
+#: what the forms of standards have and no file of a rig tells
+_OPEN = "not in the files; to be added by hand"
+_BUDGETS = {
+    "specific_wear_rate": "specific wear rate of the steady part",
+    "friction": "friction coefficient",
+    "whole": "specific wear rate of the whole test, by weighing",
+}
+
+
+def measure_page(folder: Path) -> Page:
+    """Return the page of the folder of a measurement. Not collective.
+
+    Raises
+    ------
+    InputError : it is damaged.
+    """
+    with stored_outcome(folder / folders.MEASURE, "the outcome of ringwear measure") as outcome:
+        sections = [
+            Section("Summary", list(_summary(outcome))),
+            *_records(folder),
+            Section("Wear, in the form of ASTM C808", _wear(outcome)),
+            Section("Friction, in the form of ASTM G115", _friction(outcome)),
+            Section("Budgets of uncertainty", [_method(), *_budgets(outcome)]),
+            _reproduced(outcome),
+        ]
+    title = f"Measured: {legible(folder.resolve().name)}"
+    return Page("Measurement of wear and friction", title, sections)
+
+
+def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
+    tests = outcome["tests"]
+    doubts = [
+        with_signs(f"{name}: {doubt['text']}")
+        for name, entry in tests.items()
+        for doubt in entry["doubts"]
+    ]
+    if doubts:
+        yield Lines(doubts, warning=True)
+    sentences = [f"Specific wear rate {repeats_text(one)}" for one in outcome["repeats"]]
+    if not sentences:
+        sentences = ["Of these specimens; repeats of a material scatter more"]
+    yield Lines([_signs(sentence) for sentence in sentences])
+    rows = [
+        [name, _text(entry["specific_wear_rate"]), _customary(entry), _rate(entry),
+         _text(entry["friction"]), steady_text(entry)]
+        for name, entry in tests.items()
+    ]  # fmt: skip
+    header = ("test", "specific wear rate", "in in\u00b3 min/(ft lbf h)", "wear rate", "friction",
+              "numbers are of")  # fmt: skip
+    yield Table("Tests, \u00b1 expanded uncertainties U = 2 u", header, rows)
+    notes = [
+        *outcome["notes"],
+        *(f"{name}: {note}" for name, entry in tests.items() for note in entry["notes"]),
+        *(f"{name}: skipped {skipped}" for name, entry in tests.items()
+          if (skipped := skipped_text(entry))),
+    ]  # fmt: skip
+    if notes:
+        yield Lines([with_signs(note) for note in notes])
+
+
+def _records(folder: Path) -> list[Section]:
+    picture = folder / folders.RECORDS
+    if not picture.exists():
+        return []
+    alt = (
+        "Worn depth and friction coefficient of each test over time, with block means and the part "
+        "that numbers are of; these are in the table above"
+    )
+    title = "Readings, block means and steady parts"
+    return [Section("Records", [stored_picture(title, picture, alt)])]
+
+
+def _wear(outcome: Mapping[str, Any]) -> list[Block]:
+    tests = outcome["tests"]
+    first = next(iter(tests.values()))["conditions"]
+    conditions = Table(
+        "Rig and specimens", ("what", "value"),
+        [
+            ("contact", f"ring on ring, flat faces, radii {first['radii'][0]:g} to "
+                        f"{first['radii'][1]:g} mm"),
+            ("nominal area", f"{first['area']:.4g} mm\u00b2"),
+            ("mean radius", f"{first['mean_radius']:.4g} mm"),
+            ("specimen that wears", str(first["body"])),
+            ("its density", _DASH if first["density"] is None
+             else f"{first['density']:g} g/mm\u00b3"),
+            ("materials, treatment, roughness of both", _OPEN),
+            ("atmosphere, humidity, lubricant, cleaning", _OPEN),
+        ],
+    )  # fmt: skip
+    rows = [
+        ("load (N)", _cells(tests, lambda e: f"{e['conditions']['force']:.4g}")),
+        ("mean pressure (MPa)", _cells(tests, lambda e: f"{e['conditions']['pressure']:.4g}")),
+        ("sliding speed (m/s)", _cells(tests, lambda e: f"{e['conditions']['speed'] / 1e3:.4g}")),
+        ("p V (MPa m/s)", _cells(tests, lambda e: f"{e['pv']['MPa m/s']:.4g}")),
+        ("p V (psi ft/min)", _cells(tests, lambda e: f"{e['pv']['psi ft/min']:.0f}")),
+        ("duration (h)", _cells(tests, lambda e: f"{e['duration'] / 3600.0:.4g}")),
+        ("sliding distance (km)",
+         _cells(tests, lambda e: f"{e['whole']['distance']['value'] / 1e3:.4g}")),
+        ("temperature, mean and largest (\u00b0C)", _cells(tests, _temperature)),
+        ("running-in until (h)", _cells(tests, lambda e: f"{e['steady_from']['value'] / 3600.0:.3g}"
+                                       if e["steady"] else "not over")),
+        ("wear rate (\u00b5m/h)", _cells(tests, lambda e: _bare(e["wear_rate"], 3.6e6))),
+        ("wear rate (in/h)", _cells(tests, lambda e: _DASH if e["wear_rate"] is None
+                                   else f"{e['wear_rate']['in/h']:.3g}")),
+        ("specific wear rate, steady (mm\u00b3/(N m))",
+         _cells(tests, lambda e: _bare(e["specific_wear_rate"]))),
+        ("mass lost (mg)", _cells(tests, lambda e: _bare(e["whole"]["mass_loss"]))),
+        ("volume lost, by weighing (mm\u00b3)",
+         _cells(tests, lambda e: _bare(e["whole"]["volume"]))),
+        ("volume lost, by displacement (mm\u00b3)",
+         _cells(tests, lambda e: _bare(e["whole"]["volume_by_displacement"]))),
+        ("specific wear rate, whole test (mm\u00b3/(N m))",
+         _cells(tests, lambda e: _bare(e["whole"]["specific_wear_rate"]))),
+    ]  # fmt: skip
+    return [conditions, _by_test("Conditions and wear of each test", tests, rows)]
+
+
+def _friction(outcome: Mapping[str, Any]) -> list[Block]:
+    tests = outcome["tests"]
+    rows = [
+        ("kinetic friction coefficient", _cells(tests, lambda e: _bare(e["friction"]))),
+        ("it is of", _cells(tests, steady_text)),
+        ("steady by itself from (h)", _cells(tests, lambda e: _DASH
+                                            if e["steady_from"]["friction"] is None
+                                            else f"{e['steady_from']['friction'] / 3600.0:.3g}")),
+        ("load (N)", _cells(tests, lambda e: f"{e['conditions']['force']:.4g}")),
+        ("sliding speed (m/s)", _cells(tests, lambda e: f"{e['conditions']['speed'] / 1e3:.4g}")),
+        ("temperature, mean and largest (\u00b0C)", _cells(tests, _temperature)),
+        ("static friction coefficient", _cells(tests, lambda e: _OPEN)),
+    ]  # fmt: skip
+    sentence = (
+        "Friction is torque over load and mean radius, 2/3 (b\u00b3 - a\u00b3)/(b\u00b2 - a\u00b2),"
+        " as a mean over the part. The rig and the specimens are as above."
+    )
+    return [Lines([sentence]), _by_test("Friction of each test", tests, rows)]
+
+
+def _by_test(
+    caption: str, tests: Mapping[str, Any], rows: Sequence[tuple[str, list[str]]]
+) -> Table:
+    return Table(caption, ("quantity", *tests), [(name, *cells) for name, cells in rows])
+
+
+def _cells(tests: Mapping[str, Any], cell: Any) -> list[str]:
+    return [str(cell(entry)) for entry in tests.values()]
+
+
+def _method() -> Lines:
+    return Lines(
+        [
+            "u: standard uncertainty; type A: from the scatter of readings, whose autocorrelation "
+            "counts; type B: otherwise (JCGM 100:2008)",
+            "steadiness: what the rate or the level may change by within the part",
+            "Monte Carlo: the shortest interval of 95 % of 200 000 draws (JCGM 101:2008)",
+            "what nobody tells is in no budget: measure.uncertainty of the measure file",
+        ]
+    )
+
+
+def _budgets(outcome: Mapping[str, Any]) -> Iterator[Table]:
+    for name, entry in outcome["tests"].items():
+        for key, words in _BUDGETS.items():
+            value = entry["whole"]["specific_wear_rate"] if key == "whole" else entry[key]
+            if value is None:
+                continue
+            rows = [
+                (row["source"], row["type"], f"{row['u']:.3g}", in_signs(row["unit"]),
+                 f"{row['sensitivity']:.3g}", f"{abs(row['sensitivity']) * row['u']:.2g}",
+                 f"{100 * row['share']:.1f}")
+                for row in value["budget"]
+            ]  # fmt: skip
+            caption = f"{name}: {words}, {_text(value)}"
+            if "monte_carlo" in value:
+                low, high = value["monte_carlo"]
+                caption += f"; Monte Carlo {low:.4g} to {high:.4g}"
+            header = (
+                "source",
+                "type",
+                "u",
+                "unit",
+                "sensitivity",
+                "contribution",
+                "share of u\u00b2 (%)",
+            )
+            yield Table(caption, header, rows, folded=True)
+
+
+def _reproduced(outcome: Mapping[str, Any]) -> Section:
+    commands = (
+        "ringwear measure measure.toml -o out/measure\nringwear report out/measure -o report.html\n"
+    )
+    first = "Save the measure file as measure.toml beside its case and its records, then type:"
+    blocks: list[Block] = [
+        Lines([first]), Source("Commands", commands),
+        Source("Measure file", outcome["measure_file"]),
+        Table("Data files, by their SHA-256", ("file", "hash"), [*outcome["data"].items()]),
+        software(outcome["versions"]),
+    ]  # fmt: skip
+    return Section("How to reproduce", blocks)
+
+
+def _signs(text: str) -> str:
+    return in_signs(with_signs(text.replace("+-", "\N{PLUS-MINUS SIGN}")))
+
+
+def _text(entry: Mapping[str, Any] | None) -> str:
+    return _DASH if entry is None else _signs(entry_text(entry))
+
+
+def _bare(entry: Mapping[str, Any] | None, factor: float = 1.0) -> str:
+    """Return an entry of measure.json with its uncertainty, without its unit."""
+    return _DASH if entry is None else _signs(entry_text(entry, factor, ""))
+
+
+def _rate(entry: Mapping[str, Any]) -> str:
+    rate = entry["wear_rate"]
+    return _DASH if rate is None else _signs(entry_text(rate, 3.6e6, "um/h"))
+
+
+def _customary(entry: Mapping[str, Any]) -> str:
+    rate = entry["specific_wear_rate"]
+    return _DASH if rate is None else _signs(estimate_text(rate["us"]["value"], rate["us"]["u"]))
+
+
+def _temperature(entry: Mapping[str, Any]) -> str:
+    temperature = entry["temperature"]
+    if temperature is None or not math.isfinite(temperature["mean"]):
+        return _DASH
+    return f"{temperature['mean']:.3g}, {temperature['max']:.3g}"

@@ -1,0 +1,149 @@
+"""The cases of a study by column, and in groups."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.numbers import Number, interval_of
+from ringwear_par.studies.definition.designs import Draft
+from ringwear_par.studies.definition.texts import Place
+from ringwear_par.studies.definition.variations import Column, path_of, split_key, varied_keys
+
+
+@dataclass(frozen=True, eq=False)
+class CaseColumns:
+    """The cases of a study, or a stretch of them, by column.
+
+    Cases whose columns differ in numbers only (see ``cases.numbers``) are of one kind.
+
+    Parameters
+    ----------
+    base : dotted keys and raw values of the base case.
+    names : the varied keys.
+    columns : raw values, in the order of ``names``.
+    numbers : which columns are numbers of a case in all cases of the study, whatever the others
+        are: a stretch of it has no more.
+    """
+
+    base: Mapping[str, Any]
+    names: tuple[str, ...]
+    columns: tuple[Column, ...]
+    numbers: Mapping[Number, int]
+
+    @classmethod
+    def of(cls, draft: Draft) -> "CaseColumns":
+        """Return all cases of a draft."""
+        numbers: dict[Number, int] = {}
+        for i, (path, entry) in enumerate(map(split_key, draft.names)):
+            if isinstance(entry, int) or draft.columns[i].numbers is None:
+                continue
+            body, _, name = path.partition(".")
+            if name == "young" and _has_layers(draft, body):
+                continue  # of other layers: no one factor of the elasticity
+            if interval_of((path, entry)) is not None:
+                numbers[path, entry] = i
+        return cls(draft.base, draft.names, draft.columns, numbers)
+
+    def part(self, cases: slice | IntArray) -> "CaseColumns":
+        """Return some of the cases."""
+        columns = tuple(column.part(cases) for column in self.columns)
+        return CaseColumns(self.base, self.names, columns, self.numbers)
+
+    def keys(self, case: int, places: bool = False) -> dict[str, Any]:
+        """Return the dotted keys and raw values of a case, perhaps with places for its numbers."""
+        hollow = set(self.numbers.values()) if places else set()
+        row = [Place(i) if i in hollow else c[case] for i, c in enumerate(self.columns)]
+        return varied_keys(self.base, self._parts, row)
+
+    @cached_property
+    def _parts(self) -> list[tuple[str, int | str | None]]:
+        return [split_key(name) for name in self.names]
+
+    @cached_property
+    def kinds(self) -> IntArray:
+        """(cases,) number of the kind that each case is of."""
+        kinds = np.zeros(len(self.columns[0]), dtype=np.int64)
+        for i, column in enumerate(self.columns):
+            if i not in self.numbers.values():
+                kinds = kinds * (int(column.codes.max(initial=0)) + 1) + column.codes
+                kinds = np.unique(kinds, return_inverse=True)[1].astype(np.int64)
+        return kinds
+
+    def kind_words(self, case: int) -> str:
+        """Return the values of a case that make its kind: all but the numbers."""
+        numbers = self.numbers.values()
+        return repr([column[case] for i, column in enumerate(self.columns) if i not in numbers])
+
+    def inside(self) -> BoolArray:
+        """Return in which cases all numbers are right by themselves."""
+        good = np.ones(len(self.columns[0]), dtype=bool)
+        for number, i in self.numbers.items():
+            interval, values = interval_of(number), self.columns[i].numbers
+            assert interval is not None
+            assert values is not None
+            good &= interval.holds(values)
+        return good
+
+    def floats(self, cases: IntArray) -> dict[Number, FloatArray]:
+        """Return the numbers of some cases."""
+        return {
+            number: values[cases]
+            for number, i in self.numbers.items()
+            if (values := self.columns[i].numbers) is not None
+        }
+
+
+def _has_layers(draft: Draft, body: str) -> bool:
+    """Tell whether a body may have layers in a study."""
+    path = f"{body}.layers"
+    return path in draft.base or any(path_of(name) == path for name in draft.names)
+
+
+def by_kind(kinds: IntArray) -> Iterator[tuple[int, IntArray]]:
+    """Yield each kind and its cases."""
+    order = np.argsort(kinds, kind="stable")
+    distinct, starts = np.unique(kinds[order], return_index=True)
+    yield from zip(distinct.tolist(), np.split(order, starts)[1:], strict=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Groups:
+    """Groups of cases, in two arrays whatever their number; those of group g are ``groups[g]``.
+
+    Parameters
+    ----------
+    cases : numbers of the cases, group after group.
+    starts : (groups + 1,) where each begins.
+    """
+
+    cases: IntArray
+    starts: IntArray
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def __getitem__(self, group: int) -> IntArray:
+        return self.cases[self.starts[group] : self.starts[group + 1]]
+
+    def __iter__(self) -> Iterator[IntArray]:
+        return (self[group] for group in range(len(self)))
+
+    @property
+    def sizes(self) -> IntArray:
+        """Number of the cases of each group."""
+        return np.diff(self.starts)
+
+    def only(self, wanted: BoolArray) -> "Groups":
+        """Return the groups with the wanted cases only.
+
+        Parameters
+        ----------
+        wanted : by number of the case.
+        """
+        chosen = wanted[self.cases]
+        starts = np.concatenate([[0], np.cumsum(chosen)])[self.starts]
+        return Groups(self.cases[chosen], starts)

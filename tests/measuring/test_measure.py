@@ -1,0 +1,266 @@
+"""``rw.measure``: a laboratory whose rates are known, its numbers in closed form, its files."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from paths import ROOT
+from rig_records import (
+    AREA,
+    DENSITY,
+    FORCE,
+    FRICTION,
+    OMEGA,
+    RADIUS,
+    RIG,
+    RUNNING_IN,
+    START,
+    depth,
+    specific,
+    write_rig,
+)
+
+import ringwear_par as rw
+from ringwear_par.measuring.analysis.repeats import repeats_of
+
+pytestmark = pytest.mark.serial
+EXAMPLE = ROOT / "scripts/measure"
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory):
+    """The folder of a laboratory, the rates (um/h) of its tests, and what is measured of it."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    rates = write_rig(folder, seed=11, minutes=1.0)
+    return folder, rates, rw.measure(folder / "measure.toml")
+
+
+def at_end(rate, hours):
+    return rate * (1.0 + (START - 1.0) * np.exp(-hours / RUNNING_IN))
+
+
+def test_the_truth_is_within_the_intervals(laboratory):
+    _, rates, result = laboratory
+    tests = result.to_dict()["tests"]
+    assert [tests[name]["steady"] for name in rates] == [True, True, True, False]
+    for name, rate in rates.items():
+        entry, hours = tests[name], 2.5 if name == "W4" else 20.0
+        low, high = entry["wear_rate"]["interval"]
+        assert low <= at_end(rate, hours) / 3.6e6 <= high, name
+        low, high = entry["specific_wear_rate"]["interval"]
+        assert low <= specific(at_end(rate, hours)) <= high, name
+        low, high = entry["friction"]["interval"]
+        assert low <= FRICTION + 0.05 * np.exp(-hours) <= high, name
+        volume = AREA * depth(hours, rate) * 1e-3
+        whole = entry["whole"]
+        assert whole["volume"]["interval"][0] <= volume <= whole["volume"]["interval"][1]
+        true = volume / (FORCE * OMEGA * RADIUS * hours * 3.6)
+        for interval in ("interval", "monte_carlo"):
+            low, high = whole["specific_wear_rate"][interval]
+            assert low <= true <= high, (name, interval)
+
+
+def test_numbers_in_closed_form(laboratory):
+    _, _, result = laboratory
+    entry = result.to_dict()["tests"]["W1"]
+    pressure, speed = FORCE / AREA, OMEGA * RADIUS
+    assert entry["pv"]["MPa m/s"] == pytest.approx(pressure * speed * 1e-3)
+    assert entry["pv"]["psi ft/min"] == pytest.approx(28550.7 * entry["pv"]["MPa m/s"], rel=1e-5)
+    assert entry["whole"]["distance"]["value"] == pytest.approx(speed * 72e3 * 1e-3)
+    rate, k = entry["wear_rate"], entry["specific_wear_rate"]
+    assert k["value"] == pytest.approx(1e3 * rate["value"] / (pressure * speed))
+    assert k["in3 min/(ft lbf h)"] == pytest.approx(k["value"] / 201.44, rel=1e-4)
+    assert k["us"]["u"] / k["us"]["value"] == pytest.approx(k["u"] / k["value"])
+    assert rate["um/h"] == pytest.approx(3.6e6 * rate["value"])
+    assert rate["in/h"] == pytest.approx(3600.0 * rate["value"] / 25.4)
+    whole = entry["whole"]
+    assert whole["volume"]["value"] == pytest.approx(whole["mass_loss"]["value"] / 1e3 / DENSITY)
+    u = {row["source"]: row["u"] for row in whole["specific_wear_rate"]["budget"]}
+    assert u["mass"] == pytest.approx(1e-4 * np.sqrt(2.0 / 3.0))
+    relative = np.sqrt((u["mass"] * 1e3 / whole["mass_loss"]["value"]) ** 2 + 0.004**2
+                       + (6.0 / FORCE) ** 2)  # fmt: skip
+    value = whole["specific_wear_rate"]
+    assert value["u"] / value["value"] == pytest.approx(relative)
+    half = 0.5 * np.diff(value["monte_carlo"])[0]
+    assert half == pytest.approx(1.96 * value["u"], rel=0.02)
+
+
+def test_every_budget_adds_up(laboratory):
+    def budgets(entry):
+        for name, value in entry.items():
+            if isinstance(value, dict):
+                yield from budgets(value)
+            elif name == "budget":
+                yield entry
+
+    for entry in budgets(laboratory[2].to_dict()["tests"]):
+        squares = sum((row["sensitivity"] * row["u"]) ** 2 for row in entry["budget"])
+        assert squares == pytest.approx(entry["u"] ** 2)
+        assert sum(row["share"] for row in entry["budget"]) == pytest.approx(1.0)
+        assert {row["type"] for row in entry["budget"]} <= {"A", "B"}
+
+
+def test_sensitivities_are_derivatives():
+    """Each budget's sensitivity to load and speed against a case that is changed by a little."""
+    tables = {
+        "case": RIG, "measure": {"uncertainty": {
+            "load.force": "6 N", "load.omega": "0.1 rpm", "lower.density": {"relative": 0.004},
+            "torque": {"relative": 0.01}, "displacement": {"relative": 0.005},
+            "time": {"relative": 0.001}}},
+        "test": [{"name": "W1", "file": str(EXAMPLE / "W1.csv")}],
+    }  # fmt: skip
+    tables["measure"]["masses"] = {"file": str(EXAMPLE / "masses.csv"), "sd": "0.1 mg"}
+    tables["case"] = str(EXAMPLE / "rig.toml")
+
+    def numbers(**changes):
+        tables["test"][0]["set"] = {key.replace("__", "."): v for key, v in changes.items()}
+        entry = rw.measure(tables).to_dict()["tests"]["W1"]
+        return [
+            entry["specific_wear_rate"],
+            entry["friction"],
+            entry["whole"]["specific_wear_rate"],
+        ]
+
+    usual = numbers()
+    sources = [{row["source"]: row for row in entry["budget"]} for entry in usual]
+    assert sources[0].keys() == {"readings", "steadiness", "displacement", "time", "load.force",
+                                 "load.omega"}  # fmt: skip
+    assert sources[1].keys() == {"readings", "steadiness", "torque", "load.force"}
+    assert sources[2].keys() == {"mass", "lower.density", "load.force", "load.omega", "time"}
+    steps = (("load.force", FORCE, 1.0), ("load.omega", OMEGA, 1e-3),
+             ("lower.density", DENSITY, 1e-6))  # fmt: skip
+    for key, value, step in steps:
+        changed = {key.replace(".", "__"): value + step}
+        for before, after, budget in zip(usual, numbers(**changed), sources, strict=True):
+            slope = (after["value"] - before["value"]) / step
+            expected = budget[key]["sensitivity"] if key in budget else 0.0
+            assert slope == pytest.approx(expected, rel=2e-3, abs=1e-15), key
+
+
+def test_repeats(laboratory):
+    _, _, result = laboratory
+    (repeats,) = result.repeats
+    rates = [t.specific_wear_rate.value for t in result.tests if t.part.steady]
+    assert repeats.tests == ("W1", "W2", "W3")
+    assert repeats.mean == pytest.approx(np.prod(rates) ** (1 / 3))
+    assert repeats.s_r == pytest.approx(np.log(rates).std(ddof=1))
+    assert repeats.r == pytest.approx(2.8 * repeats.s_r)
+    half = np.log(repeats.interval[1] / repeats.mean)
+    assert half == pytest.approx(4.30265 * repeats.s_r / np.sqrt(3.0), rel=1e-4)
+
+
+def test_only_equal_conditions_are_repeats(laboratory):
+    folder, _, _ = laboratory
+    tables = {"case": str(folder / "rig.toml"), "test": [
+        {"name": name, "file": str(folder / f"{name}.csv"), "set": {"load.force": force}}
+        for name, force in (("W1", 1130.0), ("W2", 1150.0), ("W3", 1200.0))]}  # fmt: skip
+    assert [one.tests for one in rw.measure(tables).repeats] == [("W1", "W2")]
+    assert repeats_of([]) == ()
+
+
+def test_doubts(laboratory):
+    folder, _, result = laboratory
+    codes = {t.name: [doubt.code for doubt in t.doubts] for t in result.tests}
+    assert codes["W1"] == ["displacement-against-weighing"]  # of rings that grow
+    assert "gap" in codes["W2"]
+    assert "not-steady" in codes["W4"]
+    case = folder / "rig.toml"
+    tables = {"case": str(case), "test": [{"name": "W1", "file": str(folder / "W1.csv")}]}
+    tables["measure"] = {"steady": {"from": "16 h"}}
+    (test,) = rw.measure(tables).tests
+    assert [doubt.code for doubt in test.doubts] == ["steady-part-short"]
+    assert test.part.of == "given part"
+
+
+def test_records_are_told_how_they_were_read(laboratory):
+    tests = laboratory[2].to_dict()["tests"]
+    assert tests["W1"]["skipped"] == {"empty": 10, "repeated": 0, "excluded": 0}
+    assert tests["W2"]["skipped"]["repeated"] == 4
+    assert "is taken as a position" in tests["W3"]["notes"][0]
+    assert tests["W1"]["temperature"]["max"] == pytest.approx(55.0, abs=0.1)
+
+
+def test_the_summary_begins_with_the_answer(laboratory):
+    lines = laboratory[2].summary().splitlines()
+    assert lines[0].startswith("specific wear rate 1.")
+    assert "mm3/(N m) from" in lines[0]
+    assert "repeatability r =" in lines[0]
+    assert lines[1].startswith("W1  (1.")
+    assert any(line.startswith("warning: W4: not steady") for line in lines)
+    assert rw.summary(laboratory[2]) == laboratory[2].summary()
+
+
+def test_one_test_alone_says_what_it_is_of(laboratory):
+    folder, _, _ = laboratory
+    result = rw.measure([folder / "W1.csv"], case=folder / "rig.toml")
+    assert result.summary().startswith("of this specimen; repeats of a material scatter more")
+    same = rw.measure(folder / "W1.csv", case=rw.read_case(folder / "rig.toml"))
+    assert same.to_dict()["tests"] == result.to_dict()["tests"]
+    assert result.tests[0].whole.mass_loss is None
+
+
+def test_weighings_without_an_sd_tell_it_by_their_scatter(laboratory):
+    folder, _, _ = laboratory
+    result = rw.measure([folder / "W1.csv"], case=folder / "rig.toml", masses=folder / "masses.csv")
+    (source,) = result.tests[0].whole.specific_wear_rate.sources
+    assert (source.name, source.type) == ("mass", "A")
+    assert 0.4e-4 < source.u < 1.6e-4
+    assert "of weighed specimens there is no test: W2, W3, W4" in result.problem.notes[0]
+
+
+def test_a_folder_holds_numbers_a_table_and_a_picture(laboratory, tmp_path):
+    laboratory[2].save(tmp_path / "out")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "measure.json", "measure.csv", "measure.png",
+    }  # fmt: skip
+    stored = json.loads((tmp_path / "out/measure.json").read_text())
+    assert stored == json.loads(json.dumps(rw.to_dict(laboratory[2])))
+    assert stored["tests"].keys() == {"W1", "W2", "W3", "W4"}
+    assert len(stored["data"]) == 5
+    rows = list(csv.DictReader((tmp_path / "out/measure.csv").read_text().splitlines()))
+    assert [row["test"] for row in rows] == ["W1", "W2", "W3", "W4"]
+    value = float(rows[0]["specific wear rate / mm3/(N m)"])
+    assert value == pytest.approx(stored["tests"]["W1"]["specific_wear_rate"]["value"], rel=1e-5)
+    assert rows[0]["temperature, mean / degC"]
+    assert not rows[1]["temperature, mean / degC"]
+
+
+def test_a_figure_has_a_panel_for_each_channel(laboratory):
+    figure = laboratory[2].figure()
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert [title[:2] for title in titles] == ["W1", "W1", "W2", "W2", "W3", "W3", "W4", "W4"]
+    assert all("\N{PLUS-MINUS SIGN}" in title for title in titles)
+
+
+def test_a_test_with_one_channel(laboratory, tmp_path):
+    folder, _, _ = laboratory
+    rows = (folder / "W4.csv").read_text().splitlines()
+    (tmp_path / "torque.csv").write_text(
+        "\n".join(f"{row.split(';')[0]};{row.split(';')[2]}" for row in rows)
+    )
+    result = rw.measure(tmp_path / "torque.csv", case=folder / "rig.toml")
+    (test,) = result.tests
+    assert test.wear_rate is None
+    assert test.friction is not None
+    assert "friction 0.2" in result.summary()
+    assert result.to_dict()["tests"]["torque"]["specific_wear_rate"] is None
+    assert len(result.figure().axes) == 1
+
+
+def test_loads_in_steps_are_averaged_over_the_part(laboratory):
+    folder, _, _ = laboratory
+    half = [[0.0, 565.0], [36e3, 565.0], [36001.0, 1130.0], [72e3, 1130.0]]
+    tables = {"case": str(folder / "rig.toml"), "measure": {"steady": {"from": "12 h"}},
+              "test": [{"name": "W1", "file": str(folder / "W1.csv"),
+                        "set": {"load.force": half}}]}  # fmt: skip
+    (test,) = rw.measure(tables).tests
+    assert test.conditions.force == pytest.approx(1130.0)
+    assert test.friction.value == pytest.approx(FRICTION, rel=0.02)
+
+
+def test_the_example_is_made_by_the_helper(tmp_path):
+    write_rig(tmp_path)
+    for path in Path(EXAMPLE).iterdir():
+        assert (tmp_path / path.name).read_bytes() == path.read_bytes(), path.name

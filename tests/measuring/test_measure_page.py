@@ -1,0 +1,60 @@
+"""The page of a measurement: the answer, the tables of both standards, budgets."""
+
+import html
+import re
+
+import pytest
+from paths import ROOT
+
+import ringwear_par as rw
+
+pytestmark = pytest.mark.serial
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """The outcome of the example, and the text of its page."""
+    folder = tmp_path_factory.mktemp("page")
+    result = rw.measure(ROOT / "scripts/measure/measure.toml")
+    result.save(folder / "out")
+    told = rw.report(folder / "out", folder / "page.html")
+    assert told == f"{folder}/page.html: Measurement of wear and friction, 1 figure"
+    text = (folder / "page.html").read_text(encoding="utf-8")
+    body = re.sub(r"<(script|style).*?</\1>", " ", text, flags=re.DOTALL)
+    return result, " ".join(html.unescape(re.sub("<[^>]+>", " ", body)).split())
+
+
+def test_the_answer_and_the_doubts(page):
+    _, text = page
+    assert re.search(r"Specific wear rate 1\.\d+e-06 mm³/\(N m\) from 1\.\d+e-06 to", text)
+    assert "W4: not steady: the wear rate never changes" in text
+    assert "is taken as a position" in text
+    assert "W1: skipped 5 empty cells" in text
+    assert "+-" not in text
+
+
+def test_the_tables_of_both_standards(page):
+    result, text = page
+    for words in ("Wear, in the form of ASTM C808", "Friction, in the form of ASTM G115",
+                  "p V (psi ft/min)", "sliding distance (km)", "kinetic friction coefficient",
+                  "not in the files; to be added by hand"):  # fmt: skip
+        assert words in text
+    friction = result.tests[0].friction
+    assert f"{friction.value:.4f} ± {2 * friction.u:.4f}" in text
+
+
+def test_every_test_has_its_budgets(page):
+    _, text = page
+    for name in ("W1", "W2", "W3", "W4"):
+        assert f"{name}: specific wear rate of the steady part," in text
+        assert f"{name}: friction coefficient," in text
+        assert f"{name}: specific wear rate of the whole test, by weighing," in text
+    for source in ("readings", "steadiness", "load.force", "lower.density", "mass"):
+        assert re.search(rf"\b{re.escape(source)} [AB] \d", text), source
+    assert text.count("Monte Carlo 1.") >= 3
+
+
+def test_how_it_is_reproduced(page):
+    _, text = page
+    assert "ringwear measure measure.toml -o out/measure" in text
+    assert "[[test]]" in text

@@ -1,0 +1,175 @@
+"""Records and weighings: which columns they are, in which unit, and what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringwear_par.errors import InputError
+from ringwear_par.measuring.definition.records import read_record
+from ringwear_par.measuring.definition.weighings import read_weighings
+
+pytestmark = pytest.mark.serial
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Function that reads a record of a line of names and rows that a function makes."""
+
+    def read(names, row=None, count=60, **options):
+        row = row or (lambda i: ";".join(str(i + j) for j in range(names.count(";") + 1)))
+        path = tmp_path / "w.csv"
+        path.write_text("\n".join([names, *(row(i) for i in range(count))]))
+        usual = {"columns": {}, "units": {}, "exclude": [], "sense": None}
+        return read_record(path, **{**usual, **options})
+
+    return read
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        ("t / min;Verschleiß / µm;M / N m;T / °C",
+         {"time": 60.0, "wear": 1e-3, "torque": 1e3, "temperature": 1.0}),
+        ("time_h;depth (mm);torque [N mm]", {"time": 3600.0, "wear": 1.0, "torque": 1.0}),
+        ("Zeit [s];Weg / mm;Reibmoment / Ncm;Last / kN",
+         {"time": 1.0, "wear": 1.0, "torque": 10.0, "load": 1e3}),
+        ("t_s;z_um;position_mm;wear_um", None),
+        ("t_s;displacement_um;wear_um;speed_rpm", {"time": 1.0, "wear": 1e-3}),
+        ("t_s;penetration/um;F/N;temperature [K]", {"time": 1.0, "wear": 1e-3, "load": 1.0}),
+        ("Time (min);Friction torque (Nm);Friction force (N)", {"time": 60.0, "torque": 1e3}),
+        ("t / s;T / °C;M / N m", {"time": 1.0, "torque": 1e3, "temperature": 1.0}),
+    ],
+)  # fmt: skip
+def test_known_names_of_columns(names, expected, read):
+    record = read(names)
+    if expected is None:
+        assert record.columns["wear"] == "wear_um"
+        return
+    assert expected.keys() <= record.columns.keys()
+    assert record.time[1] - record.time[0] == pytest.approx(expected["time"])
+    for channel, factor in expected.items():
+        if channel not in ("time", "temperature"):
+            assert np.diff(getattr(record, channel)) == pytest.approx(factor)
+
+
+def test_temperatures(read):
+    assert read("t_s;z_um;T / K").temperature[0] == pytest.approx(2.0 - 273.15)
+    assert read("t_s;z_um;T / °F").temperature[0] == pytest.approx(-30.0 / 1.8)
+    assert read("t_s;z_um;T [degC]").temperature[0] == 2.0
+    assert read("t_s;z_um;T").temperature is None  # nothing depends on it
+
+
+def test_what_falls_in_total_is_a_position(read):
+    def row(i):
+        return f"{i};{12.5 - 0.001 * i}"
+
+    record = read("t_s;Weg / mm", row)
+    assert record.falling
+    assert np.diff(record.wear) == pytest.approx(0.001)
+    assert not read("t_s;Weg / mm", row, sense="rising").falling
+    assert np.diff(read("t_s;z_mm", sense="falling").wear) == pytest.approx(-1.0)
+
+
+def test_what_is_skipped_is_counted(read):
+    def row(i):
+        return f"{i if i != 7 else 6};{'n.a.' if i % 10 == 3 else i};{i}"
+
+    record = read("t_s;z_um;M_Nm", row, count=100, exclude=[(50.0, 59.5)])
+    assert (record.empty, record.repeated, record.excluded) == (10, 1, 10)
+    assert len(record.time) == 89
+    assert np.isnan(record.wear).sum() == 9
+
+
+def test_a_date_beside_a_time_of_day(read):
+    def row(i):
+        minutes = 23 * 60 + 30 + i
+        return f"14.03.2026;{minutes // 60 % 24}:{minutes % 60:02d}:00;{i}"
+
+    record = read("Datum;Uhrzeit;Weg / um", row)
+    assert record.columns["time"] == "Uhrzeit"
+    assert record.end == 59 * 60.0
+
+
+def test_columns_and_units_that_are_named(read):
+    record = read("A;B;C", columns={"time": "A", "wear": "C"}, units={"time": "h", "wear": "nm"})
+    assert record.end == 59 * 3600.0
+    assert np.diff(record.wear) == pytest.approx(1e-6)
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "said"),
+    [
+        ("t;z_um", {}, 't: no unit; name it t / s, or units = { time = "s" }'),
+        ("t_s;wear", {}, 'wear: no unit; name it wear / um, or units = { wear = "um" }'),
+        ("t_s;z_um;M", {}, 'M: no unit; name it M / N m, or units = { torque = "N m" }'),
+        ("t_s;Weg_um;z_mm", {}, "the columns Weg_um and z_mm may both be of wear; columns = "),
+        ("x_s;z_um", {}, "has the columns x_s, z_um; must have one of time, such as t, time"),
+        ("t_s;a;b", {}, "must have one of wear or torque, such as wear, depth"),
+        ("t_s;z_um", {"columns": {"wear": "Z"}}, "has no column Z for wear; must be one of t_s"),
+        ("t_s;z_um", {"units": {"wear": "kg"}}, "must be the unit of a length"),
+        ("t_s;w_kg", {"columns": {"wear": "w_kg"}}, "the column w_kg is in kg by its name; must"),
+        ("t_s;z_um;T_x", {"columns": {"temperature": "T_x"}}, "T_x: no unit; name it T_x / degC"),
+        ("t_s;z_um", {"exclude": [(3.0, 99.0)]}, "the column z_um has 3 readings that are not ex"),
+    ],
+)  # fmt: skip
+def test_columns_that_are_refused(names, options, said, read):
+    with pytest.raises(InputError) as caught:
+        read(names, **options)
+    assert said in str(caught.value)
+    assert "w.csv" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("row", "count", "said"),
+    [
+        (lambda i: f"{i if i != 9 else 5};{i}", 60, "line 11: t_s = 5: goes back, line 10 has 8; "
+         "must not fall"),
+        (lambda i: f"{i};{i if i != 9 else 'x'}", 60, "line 11: z_um = x: must be a number"),
+        (lambda i: f"{i};{i}", 40, "has 40 different times; must have 60 at least"),
+        (lambda i: f"{i};{i if i % 2 else '---'}", 100, "the column z_um has 50 readings; must "
+         "have 60 at least"),
+        (lambda i: f"5;{i}", 100, "has 1 different times"),
+    ],
+)  # fmt: skip
+def test_rows_that_are_refused(row, count, said, read):
+    with pytest.raises(InputError) as caught:
+        read("t_s;z_um", row, count)
+    assert said in str(caught.value)
+
+
+def weighings(tmp_path, text):
+    path = Path(tmp_path) / "m.csv"
+    path.write_text(text)
+    return read_weighings(path)
+
+
+def test_weighings_are_averaged(tmp_path):
+    read = weighings(
+        tmp_path,
+        "rig 7\nProbe;m vor / g;m vor / g;m nach / mg\nA;1,0002;1,0004;998,3\nB;2;2,0002;1999\n",
+    )
+    assert read.specimens["A"].loss == pytest.approx(1.0003 - 0.9983)
+    assert (read.specimens["A"].before, read.specimens["A"].after) == (2, 1)
+    assert read.specimens["A"].u(1e-4) == pytest.approx(1e-4 * np.sqrt(1.5))
+    assert read.scatter == pytest.approx(1e-4 * np.sqrt(2.0))
+    read = weighings(tmp_path, "specimen,loss_mg\nA,1.5\n")
+    assert read.specimens["A"].loss == pytest.approx(1.5e-3)
+    assert (read.specimens["A"].u(1e-4), read.scatter) == (1e-4, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("specimen;before;after_g\nA;2;1\n", "before: no unit; name it before / g"),
+        ("specimen;before_mm;after_g\nA;2;1\n", "the column before_mm is in mm by its name; must"),
+        ("specimen;before_g;then_g\nA;2;1\n", "must have masses before (vor, initial) and after"),
+        ("specimen;before_g;after_g\nA;2;1\nA;2;1\n", "line 3: A: is there twice"),
+        ("specimen;before_g;after_g\nA;2;-\nB;2;1\n", "line 2: A: has no mass after"),
+        ("specimen;before_g;after_g\nB;2;1\nA;2;x\n", "line 3: after_g = x: must be a number"),
+    ],
+)
+def test_weighings_that_are_refused(text, said, tmp_path):
+    with pytest.raises(InputError) as caught:
+        weighings(tmp_path, text)
+    assert said in str(caught.value)
