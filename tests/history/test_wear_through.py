@@ -198,4 +198,5 @@ def test_derivatives_are_those_of_differences(pair, scheme):
             size = np.abs(derivative).max()
             noise = 1e-11 * np.abs(getattr(state, name)).max() / h  # of what contacts leave
             assert np.median(np.abs(change - derivative)) < 1e-4 * size + noise, (key, name)
-            assert np.abs(change - derivative).max() < 1e-3 * size + noise, (key, name)
+            most = 1e-2 if scheme == "adaptive" else 1e-3  # whose given ends are at interfaces
+            assert np.abs(change - derivative).max() < most * size + noise, (key, name)
