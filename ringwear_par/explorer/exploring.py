@@ -1,5 +1,6 @@
 """A case that is changed number by number: its keys, its text to take home, its histories."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +11,13 @@ from mpi4py import MPI
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import flatten, in_full, override, parse_overrides, read_keys
 from ringwear_par.cases.files.reading import make_case, read_case
+from ringwear_par.cases.layers import changed_layers, expanded
 from ringwear_par.cases.text import toml_text
+from ringwear_par.cases.units import has_unit, in_unit, is_plain, number_and_unit
+from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.bem.pair import ContactPair
+from ringwear_par.errors import InputError, legible
 from ringwear_par.explorer.controls import controls_of
-from ringwear_par.explorer.moved import changed
 from ringwear_par.explorer.sliders import Control
 from ringwear_par.files.text import read_text
 from ringwear_par.history.elastic.bodies import operator_key
@@ -91,7 +95,7 @@ class Exploration:
         InputError : all that is wrong with the numbers, one sentence each.
         ComputationError : a step failed.
         """
-        keys, controls = changed(self._keys, self.controls, texts)
+        keys, controls = changed_keys(self._keys, self.controls, texts)
         case = make_case(in_full(keys, Path()), self._name)
         check_case(case, 1, self._name)
         stored = _stored(keys, case)
@@ -167,3 +171,94 @@ def _coarse(case: Case) -> dict[str, Any]:
         "time.pressure_tolerance": _ROUGHER * case.time.pressure_tolerance,
         **({} if case.output.times else {"output.every": 1}),
     }
+
+
+def changed_keys(
+    keys: Mapping[str, Any], controls: Mapping[str, Control], texts: Mapping[str, str]
+) -> tuple[dict[str, Any], dict[str, Control]]:
+    """Return keys with other numbers, and the controls as they then stand.
+
+    Parameters
+    ----------
+    keys : raw ones.
+    controls : of these keys, by name.
+    texts : numbers by the names of controls, perhaps with units, as in a case file.
+
+    Raises
+    ------
+    InputError : all texts that are no numbers.
+    """
+    raw_keys, changes, moved, faults = expanded(keys), dict[str, Any](), dict(controls), []
+    for name, text in texts.items():
+        control = controls.get(name)
+        if control is None:
+            faults.append(f"{legible(name)}: is no number of this case that can be moved")
+            continue
+        try:
+            raw, value = _read(control, text)
+        except RejectedError as reason:
+            cause = f" ({reason})" if str(reason) else ""
+            unit = f" in {control.unit}" if control.unit else ""
+            unit += ", or one with its unit" if control.unit and not control.scales else ""
+            faults.append(
+                f"{control.name} = {legible(text) or '(empty)'}: must be a number{unit}{cause}"
+            )
+            continue
+        moved[name] = control.at(value)
+        changes[control.path] = _put(
+            control, changes.get(control.path, raw_keys.get(control.path)), raw
+        )
+    if faults:
+        raise InputError(*faults)
+    return {**keys, **changed_layers(keys, changes)}, moved
+
+
+def _read(control: Control, text: str) -> tuple[Any, float]:
+    """Return the raw value of a text, and its number in the unit of the control."""
+    text = text.strip().replace("\N{MINUS SIGN}", "-")
+    if is_plain(text):
+        value = float(text)
+        if not math.isfinite(value):
+            raise RejectedError
+        if control.whole and value.is_integer() and abs(value) < 1e15:
+            return int(value), value
+        return (f"{text} {control.unit}" if control.written else value), value
+    if control.scales or not has_unit(text) or not control.unit:
+        raise RejectedError
+    return text, float(in_unit(text, control.unit))
+
+
+def _put(control: Control, before: Any, raw: Any) -> Any:
+    """Return the raw value of a key with that of a control in it."""
+    if control.scales:
+        if isinstance(control.entry, str):
+            return {**before, control.entry: _scaled(before[control.entry], raw)}
+        return _scaled(before, raw)
+    if isinstance(control.entry, int):
+        entries = list(before)
+        entries[control.entry] = raw
+        return entries
+    if isinstance(control.entry, str):
+        shape, _, place = control.entry.partition("[")
+        if place:  # one of the two fillets
+            entries = list(before[shape])
+            entries[int(place[:-1])] = raw
+            return {**before, shape: entries}
+        return {**before, control.entry: raw}
+    return raw
+
+
+def _scaled(table: Any, times: float) -> Any:
+    """Return a table [[x, value], ...], or { r = such a table }, its values multiplied."""
+    if isinstance(table, Mapping):
+        return {axis: _scaled(points, times) for axis, points in table.items()}
+    return [[x, _times_as_much(value, times)] for x, value in table]
+
+
+def _times_as_much(value: Any, times: float) -> Any:
+    if times == 1.0:
+        return value
+    if isinstance(value, str):  # with a unit
+        number, unit = number_and_unit(value)
+        return f"{number * times:.12g} {unit}"
+    return float(f"{value * times:.12g}")

@@ -120,8 +120,8 @@ class Drawing:
         except InputError as error:  # p V without friction
             unit, _ = time_unit(end)
             label = HISTORY_PANELS[name].label
-            why = str(error).rpartition(": ")[2]
-            return Panel(Axis(f"time ({unit})"), Axis(label, zero=True), note=why)
+            reason = str(error).rpartition(": ")[2]
+            return Panel(Axis(f"time ({unit})"), Axis(label, zero=True), note=reason)
         points = []
         for number, readings in enumerate(self.laid):
             chart, factor = _OVER_TIME.get(readings.quantity.partition(".")[0], ("", 1.0))

@@ -95,18 +95,18 @@ class Laid:
         values = factor(unit, self._base) * self.raw
         if kind != "mass":
             return cast(FloatArray, values)
-        densities, said = _densities(case, result, body), f"{self.file}: {legible(self.column)}"
+        densities, place = _densities(case, result, body), f"{self.file}: {legible(self.column)}"
         known = {key: density for key, density in densities.items() if density is not None}
         if missing := ", ".join(key for key in densities if key not in known):
             raise InputError(
-                f"{said}: a mass needs the density of what is lost; the case must have {missing} "
+                f"{place}: a mass needs the density of what is lost; the case must have {missing} "
                 "(g/mm^3)"
             )
         density, *more = set(known.values())
         if more:
             densities_words = ", ".join(f"{key} = {density:g}" for key, density in known.items())
             raise InputError(
-                f"{said}: a mass cannot be drawn as a volume where what is lost has several "
+                f"{place}: a mass cannot be drawn as a volume where what is lost has several "
                 f"densities ({densities_words} g/mm^3); must be a volume"
             )
         return cast(FloatArray, values / density)

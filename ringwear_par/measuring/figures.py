@@ -22,6 +22,8 @@ from ringwear_par.results.instants import time_unit
 _WIDTH, _HEIGHT, _LEGEND = 3.6, 2.1, 0.35
 #: of the range of a record that is left above and below it
 _ROOM = 0.05
+#: of the largest reading, of a record that is flat
+_FLAT = 1e-3
 #: of the usual time between block means: where they are further apart nothing was read
 _GAP = 3.0
 #: columns of the legend, by the number of panels beside each other
@@ -96,7 +98,8 @@ def _panel(
     record, part = test.test.record, test.part
     unit, seconds = time_unit(record.end)
     read = readings[np.isfinite(readings)]
-    room = _ROOM * float(np.ptp(read))
+    largest = float(np.abs(read).max())
+    room = max(_ROOM * float(np.ptp(read)), _FLAT * largest) or 1.0
     low, high = float(read.min()) - room, float(read.max()) + room
     inside = blocks.time >= part.start
     time, level = blocks.time[inside], float(blocks.value[inside].mean())

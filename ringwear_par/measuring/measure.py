@@ -11,7 +11,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.folders import check_folder
-from ringwear_par.measuring.analysis.numbers import numbers_of
+from ringwear_par.measuring.analysis.numbers import coverage_fault, numbers_of
 from ringwear_par.measuring.analysis.repeats import repeats_of
 from ringwear_par.measuring.definition.measure_file import read_measure, tables_of
 from ringwear_par.measuring.definition.problem import Problem
@@ -51,7 +51,15 @@ def measure(
 
 
 def measure_problem(problem: Problem) -> MeasureResult:
-    """Return the numbers of a problem that was read."""
+    """Return the numbers of a problem that was read.
+
+    Raises
+    ------
+    InputError : records with too few readings where they are needed.
+    """
+    faults = [coverage_fault(test, problem.limits.start) for test in problem.tests]
+    if any(faults):
+        raise InputError(*(f"{problem.name}: {fault}" for fault in faults if fault))
     tests = tuple(numbers_of(test, problem) for test in problem.tests)
     versions = {
         "version": __version__, "python_version": platform.python_version(),
@@ -84,11 +92,11 @@ def _problem(source: Source, case: Any, masses: str | Path | None) -> Problem:
     if isinstance(source, Mapping) or (
         isinstance(source, str | Path) and Path(source).suffix.lower() == _TOML
     ):
-        said = "measure" if isinstance(source, Mapping) else legible(str(source))
+        file = "measure" if isinstance(source, Mapping) else legible(str(source))
         for name, value in (("case", case), ("masses", masses)):
             if value is not None:
                 raise InputError(
-                    f"{name} = {legible(str(value))}: must be absent beside {said}, which names it"
+                    f"{name} = {legible(str(value))}: must be absent beside {file}, which names it"
                 )
         return read_measure(source)
     records = [source] if isinstance(source, str | Path) else list(source)

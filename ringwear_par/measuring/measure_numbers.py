@@ -14,7 +14,7 @@ Outcome = Mapping[str, Any]
 #: digits of an expanded uncertainty (JCGM 100, 7.2.6), and of numbers that have none
 _DIGITS, _ALONE = 2, 4
 #: powers of ten from which on numbers have one, and most digits behind the point of a number
-_SMALL, _LARGE = -3, 5
+_SMALL, _LARGE, _MOST_DIGITS = -3, 5, 6
 #: columns of measure.csv: name, unit, and where the number is in the entry of a test
 COLUMNS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("steady from", "h", ("steady_from", "value")),
@@ -62,8 +62,10 @@ def estimate_text(value: float, u: float, unit: str = "") -> str:
     power = math.floor(math.log10(abs(value))) if value else 0
     scale = 1.0 if _SMALL < power < _LARGE else 10.0**power
     expanded, suffix = COVERAGE * u / scale, f" {unit}" if unit not in ("", "1") else ""
-    if expanded > 0.0:
-        digits = max(_DIGITS - 1 - math.floor(math.log10(expanded)), 0)
+    digits = max(_DIGITS - 1 - math.floor(math.log10(expanded)), 0) if expanded > 0.0 else 0
+    if expanded > 0.0 and digits > _MOST_DIGITS:
+        text = f"{value / scale:.{_MOST_DIGITS}g} +- {expanded:.1g}"
+    elif expanded > 0.0:
         text = f"{value / scale:.{digits}f} +- {expanded:.{digits}f}"
     else:
         text = f"{value / scale:.{_ALONE}g}"

@@ -87,7 +87,7 @@ class MeasureResult:
 
 
 def _test(numbers: TestNumbers) -> dict[str, Any]:
-    test, part, here = numbers.test, numbers.part, numbers.conditions
+    test, part, conditions = numbers.test, numbers.part, numbers.conditions
     record = test.record
     ring = test.case.upper if test.body == "upper" else test.case.lower
     entry: dict[str, Any] = {
@@ -98,12 +98,13 @@ def _test(numbers: TestNumbers) -> dict[str, Any]:
         "wear_rate": _wear_rate(numbers.wear_rate),
         "specific_wear_rate": _specific(numbers.specific_wear_rate),
         "autocorrelation": numbers.autocorrelation,
-        "pv": {"MPa m/s": here.pv, "psi ft/min": here.pv * PSI_FT_MIN},
+        "pv": {"MPa m/s": conditions.pv, "psi ft/min": conditions.pv * PSI_FT_MIN},
         "whole": _whole(numbers.whole),
         "conditions": {
-            "force": here.force, "pressure": here.pressure, "omega": here.omega,
-            "speed": here.speed, "area": here.area, "mean_radius": here.radius,
-            "radii": [here.inner, here.outer], "body": test.body, "density": ring.density,
+            "force": conditions.force, "pressure": conditions.pressure, "omega": conditions.omega,
+            "speed": conditions.speed, "area": conditions.area, "mean_radius": conditions.radius,
+            "radii": [conditions.inner, conditions.outer], "body": test.body,
+            "density": ring.density,
         },
         "temperature": None
         if numbers.temperature is None

@@ -1,12 +1,11 @@
-"""Figures from stored results: profiles at some times, histories, deformed sections."""
+"""Figures of runs from stored results: panels side by side, see ``panel_kinds``."""
 
 import logging
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -18,21 +17,10 @@ from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
-from ringwear_par.elasticity.stress.fields import StressState
 from ringwear_par.errors import InputError, legible
-from ringwear_par.pictures import runs
 from ringwear_par.pictures.matplotlib import draw, draw_labels
+from ringwear_par.pictures.panel_kinds import KINDS, Drawing, Item
 from ringwear_par.pictures.panels import Panel
-from ringwear_par.pictures.runs import HISTORY_PANELS
-from ringwear_par.pictures.sections import draw_section
-from ringwear_par.pictures.stresses import (
-    along_height,
-    along_interfaces,
-    draw_map,
-    highest,
-    largest,
-)
 from ringwear_par.pictures.style import (
     STYLE,
     NotebookFigure,
@@ -41,138 +29,13 @@ from ringwear_par.pictures.style import (
     plain,
     save_figure,
 )
-from ringwear_par.results.instants import pressure_peak, stages
+from ringwear_par.results.instants import stages
 from ringwear_par.results.result import FailedResult, Result
-from ringwear_par.results.storage.export import boundary_states
 from ringwear_par.results.storage.result_files import result_of
-from ringwear_par.results.storage.stored_stresses import (
-    check_grid,
-    interfaces_of,
-    nearest_states,
-    stresses,
-)
 
 log = logging.getLogger(__name__)
 
 Source = Result | str | Path
-#: a panel, or a function that draws what matplotlib alone draws
-Drawing = Panel | partial[None]
-
-
-class _Item(NamedTuple):
-    """A result to be drawn.
-
-    Parameters
-    ----------
-    label : that sets it apart.
-    rows : its stored states whose profiles or stresses are drawn.
-    chosen : whether the user chose these, by steps or times.
-    """
-
-    result: Result
-    label: str
-    rows: Sequence[int]
-    chosen: bool
-
-
-def _worn_faces(items: Sequence[_Item]) -> Iterator[Drawing]:
-    for result, label, rows, _ in items:
-        yield _titled(runs.worn_faces(result, None, rows), label)
-
-
-def _pressures(items: Sequence[_Item]) -> Iterator[Drawing]:
-    top = max(
-        pressure_peak(result).top(float(result.profiles["pressure"][list(rows)].max()))
-        for result, _, rows, _ in items
-    )
-    for result, label, rows, _ in items:
-        yield _titled(runs.pressure(result, rows, top), label)
-
-
-def _titled(panel: Panel, label: str) -> Panel:
-    return replace(panel, legend="\n".join(filter(None, (label, panel.note))))
-
-
-def _sections(items: Sequence[_Item]) -> Iterator[Drawing]:
-    for item in items:
-        yield partial(draw_section, result=item.result, label=item.label)
-
-
-def _states(item: _Item) -> list[StressState]:
-    """Return the states nearest to which stresses are drawn, the last one if none is chosen."""
-    times = item.result.histories["time"][list(item.rows)].tolist() if item.chosen else []
-    return nearest_states(stresses(item.result).states, times)
-
-
-def _maps(items: Sequence[_Item]) -> Iterator[Drawing]:
-    top = highest([state for item in items for state in _states(item)])
-    for item in items:
-        for state in _states(item):
-            yield partial(draw_map, result=item.result, label=item.label, state=state, top=top)
-
-
-def _depths(items: Sequence[_Item]) -> Iterator[Drawing]:
-    for item in items:
-        yield along_height(item.result, item.label, _states(item))
-
-
-def _interfaces(items: Sequence[_Item]) -> Iterator[Drawing]:
-    for item in items:
-        yield from along_interfaces(item.result, item.label, _states(item))
-
-
-def _shared(panel: Callable[[Sequence[Result], Sequence[str]], Panel]) -> Any:
-    """Return a function that draws one panel of all results; a single one needs no label."""
-
-    def draw_all(items: Sequence[_Item]) -> list[Drawing]:
-        labels = [item.label * (len(items) > 1) for item in items]
-        return [panel([item.result for item in items], labels)]
-
-    return draw_all
-
-
-@dataclass(frozen=True)
-class _Kind:
-    """A kind of panel.
-
-    Parameters
-    ----------
-    drawings : returns those of results.
-    needs : raises InputError where a result does not hold what it shows.
-    rows : whether it shows stored states, which steps and times choose.
-    apart : whether results without it are left out alone, or else all of them.
-    shared : whether results share it, those too whose profiles are not drawn.
-    """
-
-    drawings: Callable[[Sequence[_Item]], Iterable[Drawing]]
-    needs: Callable[[Result], Any]
-    rows: bool = True
-    apart: bool = False
-    shared: bool = False
-
-
-_KINDS = {
-    "wear": _Kind(
-        _worn_faces, lambda result: [runs.stored_field(result, f"wear_{body}") for body in BODIES],
-        apart=True,
-    ),
-    "pressure": _Kind(
-        _pressures, lambda result: runs.stored_field(result, "pressure"), apart=True
-    ),
-    "section": _Kind(
-        _sections, lambda result: boundary_states(result)[-1], rows=False, apart=True
-    ),
-    "stress": _Kind(_maps, check_grid),
-    "depth": _Kind(_depths, check_grid),
-    "interfaces": _Kind(_interfaces, interfaces_of),
-    "mises": _Kind(_shared(largest), stresses, rows=False, shared=True),
-    **{
-        name: _Kind(
-            _shared(partial(runs.history, quantity=name)), panel.curves, rows=False, shared=True
-        )
-        for name, panel in HISTORY_PANELS.items()
-    },
-}  # fmt: skip
 #: panels of profiles, which have one scale
 _PROFILES = ("wear", "pressure")
 #: panels with the same scale along both axes and a bar of colours, and how much larger they are
@@ -222,8 +85,8 @@ def plot(
     sources = [*several]
     for number, source in enumerate(sources, 1):
         if isinstance(source, FailedResult):
-            why = str(source.error).partition("\n")[0]
-            raise InputError(f"plot: result {number} failed ({why}); must be results only")
+            reason = str(source.error).partition("\n")[0]
+            raise InputError(f"plot: result {number} failed ({reason}); must be results only")
         if not isinstance(source, Result | str | Path):
             kind = type(source).__name__
             raise InputError(f"plot: result {number} is a {kind}; must be a result or its file")
@@ -309,26 +172,26 @@ def _drawn_panels(
             name = source.name if isinstance(source, Result) else source
             raise InputError(f"--profiles-of {name}: must be one of the result files to be drawn")
     for panel in panels:
-        if panel not in _KINDS:
+        if panel not in KINDS:
             raise InputError(
                 f"--panels {legible(','.join(panels))}: {legible(panel)!r} must be one of "
-                f"{', '.join(_KINDS)}"
+                f"{', '.join(KINDS)}"
             )
-    need_rows = any(_KINDS[panel].rows for panel in panels)
+    need_rows = any(KINDS[panel].rows for panel in panels)
     items, profiled = [], []
     for source, result, label in zip(sources, results, _labels(results), strict=True):
         rows: list[int] = []
         if not chosen or source in chosen:
             if need_rows:
                 rows = _at_times(result, times) if times else _rows(result, steps)
-            profiled.append(_Item(result, label, rows, bool(steps or times)))
-        items.append(_Item(result, label, rows, bool(steps or times)))
+            profiled.append(Item(result, label, rows, bool(steps or times)))
+        items.append(Item(result, label, rows, bool(steps or times)))
     drawings: list[tuple[str, Drawing]] = []
     left_out: list[tuple[str, str]] = []
     for panel in panels:
-        kind = _KINDS[panel]
+        kind = KINDS[panel]
         scope = items if kind.shared else profiled
-        faults = {id(item): _faults(kind, item.result) for item in scope}
+        faults = {id(item): kind.faults(item.result) for item in scope}
         left_out += [(panel, fault) for of_item in faults.values() for fault in of_item]
         good = [item for item in scope if not faults[id(item)]]
         if good and (kind.apart or len(good) == len(scope)):
@@ -342,15 +205,6 @@ def _drawn_panels(
     if len(titles) == 1:
         figure.suptitle(plain(titles.pop()), fontsize=8.0)
     return figure
-
-
-def _faults(kind: _Kind, result: Result) -> tuple[str, ...]:
-    """Return the sentences about what a panel needs of a result that it does not hold."""
-    try:
-        kind.needs(result)
-    except InputError as error:
-        return error.faults
-    return ()
 
 
 def _laid_out(drawings: Sequence[tuple[str, Drawing]]) -> Figure:

@@ -67,9 +67,9 @@ def _p_v(result: Result) -> dict[str, FloatArray]:
     """Return pressure times speed, meaned over the nominal area and between states, MPa m/s."""
     friction = result.attributes.get("friction")
     if not friction:
-        why = "was stored without it" if friction is None else "is 0"
+        reason = "was stored without it" if friction is None else "is 0"
         raise InputError(
-            f"{result.name}: pv needs the friction coefficient, which {why}; must be > 0"
+            f"{result.name}: pv needs the friction coefficient, which {reason}; must be > 0"
         )
     power = np.diff(result.histories["dissipated_energy"]) / np.diff(result.histories["time"])
     return {"": 1e-3 * power / friction / nominal_area(result)}

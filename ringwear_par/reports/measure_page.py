@@ -1,6 +1,7 @@
 """The page of a measurement, from what its folder holds."""
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ from ringwear_par.reports.fit_page import stored_outcome, stored_picture
 _DASH = "\N{EN DASH}"
 #: what the forms of standards have and no file of a rig tells
 _OPEN = "not in the files; to be added by hand"
+#: units behind numbers with a power of ten
+_UNIT = re.compile(r"\bmm3\b|\bum/h\b")
 _BUDGETS = {
     "specific_wear_rate": "specific wear rate of the steady part",
     "friction": "friction coefficient",
@@ -50,6 +53,18 @@ def measure_page(folder: Path) -> Page:
 
 def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
     tests = outcome["tests"]
+    sentences = [f"Specific wear rate {repeats_text(one)}" for one in outcome["repeats"]]
+    if not sentences:
+        sentences = ["Of these specimens; repeats of a material scatter more"]
+    yield Lines([_signs(sentence) for sentence in sentences])
+    rows = [
+        [name, _bare(entry["specific_wear_rate"]), _customary(entry),
+         _bare(entry["wear_rate"], 3.6e6), _bare(entry["friction"]), steady_text(entry)]
+        for name, entry in tests.items()
+    ]  # fmt: skip
+    header = ("test", "specific wear rate (mm\u00b3/(N m))", "in in\u00b3 min/(ft lbf h)",
+              "wear rate (\u00b5m/h)", "friction", "numbers are of")  # fmt: skip
+    yield Table("Tests, \u00b1 expanded uncertainties U = 2 u", header, rows)
     doubts = [
         with_signs(f"{name}: {doubt['text']}")
         for name, entry in tests.items()
@@ -57,18 +72,6 @@ def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
     ]
     if doubts:
         yield Lines(doubts, warning=True)
-    sentences = [f"Specific wear rate {repeats_text(one)}" for one in outcome["repeats"]]
-    if not sentences:
-        sentences = ["Of these specimens; repeats of a material scatter more"]
-    yield Lines([_signs(sentence) for sentence in sentences])
-    rows = [
-        [name, _text(entry["specific_wear_rate"]), _customary(entry), _rate(entry),
-         _text(entry["friction"]), steady_text(entry)]
-        for name, entry in tests.items()
-    ]  # fmt: skip
-    header = ("test", "specific wear rate", "in in\u00b3 min/(ft lbf h)", "wear rate", "friction",
-              "numbers are of")  # fmt: skip
-    yield Table("Tests, \u00b1 expanded uncertainties U = 2 u", header, rows)
     notes = [
         *outcome["notes"],
         *(f"{name}: {note}" for name, entry in tests.items() for note in entry["notes"]),
@@ -97,8 +100,7 @@ def _wear(outcome: Mapping[str, Any]) -> list[Block]:
     conditions = Table(
         "Rig and specimens", ("what", "value"),
         [
-            ("contact", f"ring on ring, flat faces, radii {first['radii'][0]:g} to "
-                        f"{first['radii'][1]:g} mm"),
+            ("contact", f"annulus of radii {first['radii'][0]:g} to {first['radii'][1]:g} mm"),
             ("nominal area", f"{first['area']:.4g} mm\u00b2"),
             ("mean radius", f"{first['mean_radius']:.4g} mm"),
             ("specimen that wears", str(first["body"])),
@@ -221,7 +223,8 @@ def _reproduced(outcome: Mapping[str, Any]) -> Section:
 
 
 def _signs(text: str) -> str:
-    return in_signs(with_signs(text.replace("+-", "\N{PLUS-MINUS SIGN}")))
+    text = text.replace("+-", "\N{PLUS-MINUS SIGN}")
+    return _UNIT.sub(lambda unit: in_signs(unit[0]), text)
 
 
 def _text(entry: Mapping[str, Any] | None) -> str:
@@ -231,11 +234,6 @@ def _text(entry: Mapping[str, Any] | None) -> str:
 def _bare(entry: Mapping[str, Any] | None, factor: float = 1.0) -> str:
     """Return an entry of measure.json with its uncertainty, without its unit."""
     return _DASH if entry is None else _signs(entry_text(entry, factor, ""))
-
-
-def _rate(entry: Mapping[str, Any]) -> str:
-    rate = entry["wear_rate"]
-    return _DASH if rate is None else _signs(entry_text(rate, 3.6e6, "um/h"))
 
 
 def _customary(entry: Mapping[str, Any]) -> str:

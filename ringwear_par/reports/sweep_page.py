@@ -52,13 +52,13 @@ def sweep_page(folder: Path) -> Page:
     sections = [Section("Summary", _summary(ensemble))]
     if done_cases(ensemble).any():
         try:
-            regressions, why = surrogate(ensemble), ""
+            regressions, absence = surrogate(ensemble), ""
         except InputError as error:
-            regressions, why = None, f"No surrogate: {error}"
+            regressions, absence = None, f"No surrogate: {error}"
         indices = sensitivity_indices(ensemble, regressions)
         choice = choose(ensemble, regressions, indices)
         sections.append(Section("Histories", [_histories(ensemble, choice)]))
-        sections.append(Section("Final values", _effects(ensemble, choice, why)))
+        sections.append(Section("Final values", _effects(ensemble, choice, absence)))
         absence = "No indices: they need two varied numbers, and a design of enough cases."
         blocks: list[Block] = [_index_charts(indices) if indices else Lines([absence])]
         sections.append(Section("Sensitivity", [*blocks, *map(_index_table, indices)]))
@@ -68,20 +68,22 @@ def sweep_page(folder: Path) -> Page:
 
 
 def _summary(ensemble: Ensemble) -> list[Block]:
-    here = np.flatnonzero(ensemble.in_study)
-    status = Counter(ensemble.status[i] for i in here)
-    flags = Counter(ensemble.flags[i] for i in here if ensemble.flags[i])
+    cases = np.flatnonzero(ensemble.in_study)
+    status = Counter(ensemble.status[i] for i in cases)
+    flags = Counter(ensemble.flags[i] for i in cases if ensemble.flags[i])
     doubts = [count_flags(flags)] if flags else []
     if status["failed"]:
-        doubts.append(f"{status['failed']} of {len(here)} cases failed; the table of cases has why")
+        doubts.append(
+            f"{status['failed']} of {len(cases)} cases failed; the table of cases has why"
+        )
     if status["incomplete"]:
-        doubts.append(f"{status['incomplete']} of {len(here)} cases are incomplete")
+        doubts.append(f"{status['incomplete']} of {len(cases)} cases are incomplete")
     counts = ", ".join(f"{number} {word}" for word, number in status.most_common())
     method = ensemble.attributes["method"]
-    lines = [f"{len(here)} cases ({counts}); design: {method}; the sweep is "
+    lines = [f"{len(cases)} cases ({counts}); design: {method}; the sweep is "
              f"{ensemble.attributes['status']}"]  # fmt: skip
     blocks: list[Block] = [Lines(doubts, warning=True)] if doubts else []
-    ranges, fixed = _ranges(ensemble, here)
+    ranges, fixed = _ranges(ensemble, cases)
     if fixed:
         lines.append(f"the same in all cases: {', '.join(fixed)}")
     blocks += [Lines(lines), ranges]
@@ -107,11 +109,11 @@ def _quantiles(values: Any) -> list[str]:
     return [_number(v) for v in np.nanquantile(values, [0.0, 0.5, 1.0])]
 
 
-def _ranges(ensemble: Ensemble, here: Any) -> tuple[Table, list[str]]:
+def _ranges(ensemble: Ensemble, cases: Any) -> tuple[Table, list[str]]:
     """Return the keys that differ between cases, and those of the study that do not."""
     rows, fixed = [], []
     for name, column in ensemble.varied.items():
-        values, meaning = column[here], own_key(name).meaning
+        values, meaning = column[cases], own_key(name).meaning
         if column.dtype.kind == "f":
             known = values[np.isfinite(values)]
             ends = [_number(v) for v in (known.min(), known.max())] if len(known) else ["", ""]
@@ -151,7 +153,7 @@ def _name(*words: str) -> str:
     return "-".join(words).replace("_", "-").replace(".", "-")
 
 
-def _effects(ensemble: Ensemble, choice: Choice, why: str) -> list[Block]:
+def _effects(ensemble: Ensemble, choice: Choice, absence: str) -> list[Block]:
     charts = [
         Chart(_name("effect", *names), panel, f"Chart: {panel.title}, a point each case")
         for names, panel in effects(ensemble, choice).items()
@@ -165,8 +167,8 @@ def _effects(ensemble: Ensemble, choice: Choice, why: str) -> list[Block]:
         )
     if choice.responses is not None:
         lines.append("; ".join(choice.responses.remarks))
-    elif why:
-        lines.append(why)
+    elif absence:
+        lines.append(absence)
     return [Lines(lines), Charts(charts, points=case_words(ensemble, choice, cases))]
 
 
@@ -186,11 +188,11 @@ def _index_table(indices: Indices) -> Table:
 
 def _cases(ensemble: Ensemble) -> Table:
     """Return the first cases of the study, failed ones with why."""
-    here = np.flatnonzero(ensemble.in_study)
-    tabulated = here[:_MOST]
-    caption = f"{len(here)} cases"
-    if len(tabulated) < len(here):
-        caption = f"The first {len(tabulated)} of {len(here)} cases; cases.csv has all"
+    cases = np.flatnonzero(ensemble.in_study)
+    tabulated = cases[:_MOST]
+    caption = f"{len(cases)} cases"
+    if len(tabulated) < len(cases):
+        caption = f"The first {len(tabulated)} of {len(cases)} cases; cases.csv has all"
     header = ["case", "status", *ensemble.varied]
     finals = ensemble.final
     header += [

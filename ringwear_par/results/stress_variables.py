@@ -118,16 +118,18 @@ def stress_rows(history: StressHistory, times: FloatArray) -> dict[str, FloatArr
 
 
 def _points(history: StressHistory) -> list[tuple[str, Any]]:
-    """Return radii, heights and sides of the points by name, as far as they are known."""
+    """Return radii, heights and sides of the points by name, nothing where there are none."""
     if not len(history.points):
         return []
     r, z = history.points.T
-    sides = [(table.POINT_SIDE.name, list(history.sides))] if history.sides else []
-    return [(table.POINT_R.name, r), (table.POINT_Z.name, z), *sides]
+    return [
+        (table.POINT_R.name, r), (table.POINT_Z.name, z),
+        (table.POINT_SIDE.name, list(history.sides)),
+    ]  # fmt: skip
 
 
 def point_columns(history: StressHistory) -> dict[str, FloatArray]:
-    """Return radii, heights and sides of the points in numbers, as far as they are known."""
+    """Return radii, heights and sides of the points in numbers, nothing where there are none."""
     return {
         name: np.array([table.POINT_SIDES.index(side) for side in values], dtype=float)
         if name == table.POINT_SIDE.name

@@ -67,7 +67,7 @@ def to_dict(result: Result) -> dict[str, Any]:
     return {
         "title": result.attributes["title"],
         "status": result.attributes["status"],
-        "error": result.attributes.get("error", ""),
+        "error": result.attributes["error"],
         "warnings": list(result.doubts),
         "numbers": {
             number.name: {
@@ -95,7 +95,7 @@ def _unfinished(about: Mapping[str, Any], last: Checkpoint) -> list[str]:
     where = f"t = {last.state.time:g} of {about['time_end']:g} s"
     if about["scheme"] in ("implicit", "explicit"):
         where = f"step {int(last.progress.steps)} of {about['time_steps']}"
-    if about.get("error"):
+    if about["error"]:
         return [f"failed after {where}: {about['error']}"]
     return [f"stopped after {where}: ringwear run --restart continues it"]
 

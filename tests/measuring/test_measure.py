@@ -264,3 +264,39 @@ def test_the_example_is_made_by_the_helper(tmp_path):
     write_rig(tmp_path)
     for path in Path(EXAMPLE).iterdir():
         assert (tmp_path / path.name).read_bytes() == path.read_bytes(), path.name
+
+
+def record(folder, name, rows):
+    (folder / f"{name}.csv").write_text("\n".join(["t_s;z_um;M_Nm", *rows]))
+    return rw.measure(folder / f"{name}.csv", case=EXAMPLE / "rig.toml")
+
+
+@pytest.mark.parametrize(
+    ("name", "row"),
+    [
+        ("constant", lambda t: f"{t};5;9"), ("nothing", lambda t: f"{t};0;0"),
+        ("line", lambda t: f"{t};{1e-3 * t};9"), ("steep", lambda t: f"{t};{t}e25;9e25"),
+        ("flat", lambda t: f"{t};{t}e-30;9e-30"), ("negative", lambda t: f"{t};{t};-9"),
+    ],
+)  # fmt: skip
+@pytest.mark.filterwarnings("error")
+def test_records_without_noise_have_finite_numbers(name, row, tmp_path):
+    result = record(tmp_path, name, [row(120 * i) for i in range(600)])
+    json.dumps(result.to_dict(), allow_nan=False)
+    result.figure()
+    assert len(result.summary()) < 1000
+    assert ("is negative" in result.summary()) == (name == "negative")
+
+
+def test_readings_that_are_all_at_one_end_are_refused(tmp_path):
+    rows = [*(f"{0.1 * i};{i};9" for i in range(100)), "72000;500;9"]
+    with pytest.raises(
+        rw.InputError, match=r"readings of wear are too unevenly spread over its 20"
+    ):
+        record(tmp_path, "gap", rows)
+
+
+def test_long_records_are_read_in_a_time_that_grows_with_them(tmp_path):
+    rows = [f"{i};{1e-3 * i + i % 7:.3f};{9 + 0.01 * (i % 11):.2f}" for i in range(100_000)]
+    result = record(tmp_path, "long", rows)
+    assert result.tests[0].part.steady

@@ -8,12 +8,15 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.measuring.analysis.budget import Estimate, Source, shortest_interval
 from ringwear_par.measuring.analysis.steady_part import (
+    FEWEST_BLOCKS,
+    LAST_THIRD,
     Blocks,
     Change,
     SteadyPart,
     block_means,
     change_from,
     count_blocks,
+    has_blocks,
     steady_part,
 )
 from ringwear_par.measuring.definition.problem import Conditions, Problem, Test, Uncertainty
@@ -104,24 +107,45 @@ def numbers_of(test: Test, problem: Problem) -> TestNumbers:
         wear, friction, record.end, wear_limit=limits.wear, friction_limit=limits.friction,
         start=limits.start,
     )  # fmt: skip
-    here = test.conditions(part.start, record.end)
+    conditions = test.conditions(part.start, record.end)
     estimates: dict[str, Estimate] = {}
     changes: list[Change] = []
     if wear is not None:
         changes.append(change := change_from(wear, part.start, 2))
         estimates["rate"] = _rate(change, known)
-        estimates["specific"] = _specific(estimates["rate"], here, known)
+        estimates["specific"] = _specific(estimates["rate"], conditions, known)
     if friction is not None:
         changes.append(change := change_from(friction, part.start, 1))
-        estimates["friction"] = _friction(change, here, known)
+        estimates["friction"] = _friction(change, conditions, known)
     depth_sd = changes[0].sd if wear is not None else 0.0
     whole = _whole(test, problem, wear, depth_sd)
     result = TestNumbers(
-        test, part, here, wear, friction, estimates.get("friction"), estimates.get("rate"),
+        test, part, conditions, wear, friction, estimates.get("friction"), estimates.get("rate"),
         estimates.get("specific"), changes[0].autocorrelation, whole,
         _temperature(record.time, record.temperature, part.start), (), (),
     )  # fmt: skip
     return replace(result, doubts=tuple(_doubts(result, problem)), notes=tuple(_notes(result)))
+
+
+def coverage_fault(test: Test, start: float | None) -> str:
+    """Return the fault of a record with too few readings where they are needed, "" for none.
+
+    Parameters
+    ----------
+    start : s, of the steady part where a user says it.
+    """
+    time = test.record.time
+    first = LAST_THIRD * test.record.end if start is None else start
+    channels = {"wear": test.record.wear, "torque": friction_readings(test)}
+    for name, readings in channels.items():
+        if readings is None or has_blocks(block_means(time, readings), first):
+            continue
+        return (
+            f'test "{test.name}": {test.record.file}: readings of {name} are too unevenly spread '
+            f"over its {_hours(test.record.end)}; must be in {FEWEST_BLOCKS} equal parts of it at "
+            "least, and at its end; exclude what is before or behind a long gap"
+        )
+    return ""
 
 
 def friction_readings(test: Test) -> FloatArray | None:
@@ -155,18 +179,20 @@ def _rate(change: Change, known: Mapping[str, Uncertainty]) -> Estimate:
     return Estimate(rate, RATE, tuple(sources))
 
 
-def _specific(rate: Estimate, here: Conditions, known: Mapping[str, Uncertainty]) -> Estimate:
+def _specific(rate: Estimate, conditions: Conditions, known: Mapping[str, Uncertainty]) -> Estimate:
     """Return the specific wear rate in mm3/(N m): the rate over p V."""
-    scaled = rate.scaled(1e3 / (here.pressure * here.speed), SPECIFIC)
+    scaled = rate.scaled(1e3 / (conditions.pressure * conditions.speed), SPECIFIC)
     k = scaled.value
     loads = [
-        *_load(known, here, -k),
-        *_source(known, "load.omega", here.omega, "rad/s", -k / here.omega),
+        *_load(known, conditions, -k),
+        *_source(known, "load.omega", conditions.omega, "rad/s", -k / conditions.omega),
     ]
     return replace(scaled, sources=(*scaled.sources, *loads))
 
 
-def _load(known: Mapping[str, Uncertainty], here: Conditions, relative: float) -> list[Source]:
+def _load(
+    known: Mapping[str, Uncertainty], conditions: Conditions, relative: float
+) -> list[Source]:
     """Return the source of the load, by force or by pressure.
 
     Parameters
@@ -174,45 +200,47 @@ def _load(known: Mapping[str, Uncertainty], here: Conditions, relative: float) -
     relative : derivative of the measurand with respect to the logarithm of the load.
     """
     return [
-        *_source(known, "load.force", here.force, "N", relative / here.force),
-        *_source(known, "load.pressure", here.pressure, "MPa", relative / here.pressure),
+        *_source(known, "load.force", conditions.force, "N", relative / conditions.force),
+        *_source(
+            known, "load.pressure", conditions.pressure, "MPa", relative / conditions.pressure
+        ),
     ]
 
 
-def _friction(change: Change, here: Conditions, known: Mapping[str, Uncertainty]) -> Estimate:
+def _friction(change: Change, conditions: Conditions, known: Mapping[str, Uncertainty]) -> Estimate:
     """Return the friction coefficient."""
     mu = change.value
-    torque = mu * here.force * here.radius
+    torque = mu * conditions.force * conditions.radius
     sources = [
         Source("readings", "A", change.value_u, "1", 1.0),
         Source("steadiness", "B", change.steadiness_u, "1", 1.0),
-        *_source(known, "torque", torque, "N mm", 1.0 / (here.force * here.radius)),
-        *_load(known, here, -mu),
+        *_source(known, "torque", torque, "N mm", 1.0 / (conditions.force * conditions.radius)),
+        *_load(known, conditions, -mu),
     ]
     return Estimate(mu, "1", tuple(sources))
 
 
 def _whole(test: Test, problem: Problem, wear: Blocks | None, depth_sd: float) -> WholeTest:
     """Return the numbers of the whole test."""
-    here, known = test.conditions(0.0, test.duration), problem.uncertainty
-    distance = here.speed * test.duration * 1e-3
+    conditions, known = test.conditions(0.0, test.duration), problem.uncertainty
+    distance = conditions.speed * test.duration * 1e-3
     by_depth = None
     if wear is not None:
         last = wear.value[-_LAST_BLOCKS:]
-        volume = here.area * float(last.mean() - wear.value[0])
+        volume = conditions.area * float(last.mean() - wear.value[0])
         noise = depth_sd * float(np.sqrt(1.0 + 1.0 / len(last)))
         sources = (
-            Source("readings", "A", noise, "mm", here.area),
+            Source("readings", "A", noise, "mm", conditions.area),
             *_source(known, "displacement", 1.0, "1", volume),
         )
         by_depth = Estimate(volume, "mm3", sources)
     if test.weighing is None or test.density is None:
         return WholeTest(distance, None, None, None, by_depth)
-    return WholeTest(distance, *_weighed(test, problem, here, distance), by_depth)
+    return WholeTest(distance, *_weighed(test, problem, conditions, distance), by_depth)
 
 
 def _weighed(
-    test: Test, problem: Problem, here: Conditions, distance: float
+    test: Test, problem: Problem, conditions: Conditions, distance: float
 ) -> tuple[Estimate, Estimate, Estimate]:
     """Return mass lost (mg), volume (mm3) and specific wear rate (mm3/(N m)) by weighing."""
     known, weighing, density = problem.uncertainty, test.weighing, test.density
@@ -226,7 +254,7 @@ def _weighed(
             return []
         return [Source("mass", problem.mass_type, u, "g", sensitivity)]
 
-    volume, rate = mass / density, mass / (density * here.force * distance)
+    volume, rate = mass / density, mass / (density * conditions.force * distance)
     mass_loss = Estimate(1e3 * mass, "mg", tuple(balance(1e3)))
     by_mass = Estimate(
         volume, "mm3",
@@ -234,19 +262,19 @@ def _weighed(
          *_source(known, key, density, "g/mm^3", -volume / density)),
     )  # fmt: skip
     sources = (
-        *balance(1.0 / (density * here.force * distance)),
+        *balance(1.0 / (density * conditions.force * distance)),
         *_source(known, key, density, "g/mm^3", -rate / density),
-        *_load(known, here, -rate),
-        *_source(known, "load.omega", here.omega, "rad/s", -rate / here.omega),
+        *_load(known, conditions, -rate),
+        *_source(known, "load.omega", conditions.omega, "rad/s", -rate / conditions.omega),
         *_source(known, "time", 1.0, "1", -rate),
     )
     us = {source.name: source.u for source in sources}
-    load_u = us.get("load.force", here.area * us.get("load.pressure", 0.0))
+    load_u = us.get("load.force", conditions.area * us.get("load.pressure", 0.0))
     shortest = shortest_interval(
         lambda m, rho, force, omega, time: (
-            m / (rho * force * here.radius * omega * time * test.duration * 1e-3)
+            m / (rho * force * conditions.radius * omega * time * test.duration * 1e-3)
         ),
-        (mass, density, here.force, here.omega, 1.0),
+        (mass, density, conditions.force, conditions.omega, 1.0),
         (u, us.get(key, 0.0), load_u, us.get("load.omega", 0.0), us.get("time", 0.0)),
     )
     return mass_loss, by_mass, Estimate(rate, SPECIFIC, sources, shortest)
@@ -288,8 +316,7 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[Doubt]:
         if apart > max(2.0 * np.hypot(balance.u, depth.u), _DIFFERENT * abs(balance.value)):
             text = (
                 f"the displacement gives {depth.value:.4g} mm3 of the whole test and the balance "
-                f"{balance.value:.4g} mm3: rings that grow, debris or drift; rates of the steady "
-                "part are free of what happened before it, and of nothing else"
+                f"{balance.value:.4g} mm3: rings that grow, debris or drift"
             )
             doubts.append(Doubt("displacement-against-weighing", text))
     usual = record.end / count_blocks(len(record.time))
@@ -308,11 +335,11 @@ def _notes(numbers: TestNumbers) -> list[str]:
         column = record.columns["wear"]
         notes.append(f"{column} falls in total: it is taken as a position, wear is its fall")
     if record.load is not None and np.isfinite(record.load).any():
-        measured, said = float(np.nanmean(record.load)), numbers.conditions.force
-        if abs(measured - said) > _OTHER_LOAD * said:
+        measured, force = float(np.nanmean(record.load)), numbers.conditions.force
+        if abs(measured - force) > _OTHER_LOAD * force:
             notes.append(
-                f"{record.columns['load']} is {measured:.4g} N on average, the case has {said:.4g} "
-                "N, which is what numbers are of"
+                f"{record.columns['load']} is {measured:.4g} N on average, the case has "
+                f"{force:.4g} N, which is what numbers are of"
             )
     rate = numbers.whole.specific_wear_rate
     if rate is not None and rate.shortest is not None and not rate.agrees:
@@ -321,6 +348,8 @@ def _notes(numbers: TestNumbers) -> list[str]:
             f"GUM and Monte Carlo differ by more than a tenth of U: from {rate.interval[0]:.4g} to "
             f"{rate.interval[1]:.4g} and from {low:.4g} to {high:.4g} {SPECIFIC}; take the latter"
         )
+    if numbers.friction is not None and numbers.friction.value < 0.0:
+        notes.append(f"{record.columns['torque']} is negative: friction is that of its own sense")
     if numbers.wear_rate is not None and numbers.wear_rate.value <= 0.0:
         notes.append("the depth does not grow in the part that the rate is of")
     return notes

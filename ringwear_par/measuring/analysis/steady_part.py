@@ -12,12 +12,14 @@ from ringwear_par.measuring.analysis.autoregression import regress
 MOST_BLOCKS, READINGS_OF_A_BLOCK = 200, 3
 #: block means that a steady part has at least
 FEWEST_BLOCKS = 20
+#: block means that a change is told of, whatever it is of
+_FEWEST_OF_A_PART = 6
 #: shares of the test: starts are tried to the latest, in steps, and several in a row must be steady
 _LATEST, _STEP, _IN_A_ROW = 0.7, 0.01, 6
 #: of the usual number of readings: blocks with fewer are dropped
 _HALF_FILLED = 0.5
 #: where no part is steady, numbers are of the test from here on
-_LAST_THIRD = 2.0 / 3.0
+LAST_THIRD = 2.0 / 3.0
 
 #: 1: a level that changes along a line; 2: a slope, of a record that bends as a parabola
 Order = Literal[1, 2]
@@ -102,6 +104,12 @@ def block_means(time: FloatArray, values: FloatArray) -> Blocks:
     return Blocks(*(mean[whole] for mean in means))
 
 
+def has_blocks(blocks: Blocks, start: float) -> bool:
+    """Tell whether there are block means enough in all, and from a start, s, on."""
+    later = int(np.count_nonzero(blocks.time >= start))
+    return len(blocks.time) >= FEWEST_BLOCKS and later >= _FEWEST_OF_A_PART
+
+
 def change_from(blocks: Blocks, start: float, order: Order) -> Change:
     """Return the change of a record's slope (order 2) or level (order 1) from a start, s, on."""
     part = blocks.time >= start
@@ -171,4 +179,4 @@ def steady_part(
     if starts and all(first is not None for first in starts):
         latest = max(first for first in starts if first is not None)
         return SteadyPart(latest, "steady part", from_wear, from_friction)
-    return SteadyPart(end * _LAST_THIRD, "last third", from_wear, from_friction)
+    return SteadyPart(end * LAST_THIRD, "last third", from_wear, from_friction)

@@ -257,13 +257,13 @@ class _Tests:
     def _case(self, reader: TableReader, changes: Mapping[str, Any]) -> Case | None:
         if self._base is None:
             return None
-        said = reader.place
+        name = reader.place
         try:
             keys = override(self._base, changes)
-            return make_case(keys, Origin(said, frozenset(changes), f"{said}: set"))
+            return make_case(keys, Origin(name, frozenset(changes), f"{name}: set"))
         except InputError as error:
             for fault in error.faults:
-                sentence = fault.replace(said, "")
+                sentence = fault.replace(name, "")
                 if sentence not in self._reported:
                     reader.faults.append(fault)
                 self._reported.add(sentence)

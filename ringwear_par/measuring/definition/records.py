@@ -291,11 +291,11 @@ def _times(table: Measurements, column: str, unit: str | None) -> tuple[FloatArr
     places = np.flatnonzero(filled)
     back = np.flatnonzero(np.diff(times) < 0.0)
     if len(back):
-        here, before = int(places[back[0] + 1]), int(places[back[0]])
+        fallen, before = int(places[back[0] + 1]), int(places[back[0]])
         cell = table.columns.index(column)
         raise InputError(
-            f"{table.name}: line {table.lines[here]}: {legible(column)} = "
-            f"{legible(table.rows[here][cell])}{and_more(len(back), 'line')}: goes back, line "
+            f"{table.name}: line {table.lines[fallen]}: {legible(column)} = "
+            f"{legible(table.rows[fallen][cell])}{and_more(len(back), 'line')}: goes back, line "
             f"{table.lines[before]} has {legible(table.rows[before][cell])}; must not fall"
         )
     first = np.concatenate([[True], np.diff(times) > 0.0])[: len(times)]

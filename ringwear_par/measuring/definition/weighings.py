@@ -78,20 +78,20 @@ def read_weighings(path: Path) -> Weighings:
     specimens: dict[str, Weighing] = {}
     squares, freedom = 0.0, 0
     for number, row in enumerate(table.rows):
-        said = f"{table.name}: line {table.lines[number]}"
+        place_words = f"{table.name}: line {table.lines[number]}"
         name = row[0]
         if not name or name in specimens:
             state = "names no specimen" if not name else f"{legible(name)}: is there twice"
-            faults.append(f"{said}: {state}; must be one row a specimen")
+            faults.append(f"{place_words}: {state}; must be one row a specimen")
             continue
         masses: dict[str, list[float]] = {"before": [], "after": [], "loss": []}
-        here = np.arange(len(table.rows)) == number
+        only = np.arange(len(table.rows)) == number
         for place, (kind, grams) in columns.items():
             one = table.column(place)
             if not one.filled(one.columns[0])[number]:
                 continue
             try:
-                masses[kind].append(grams * float(one.numbers(one.columns[0], here)[0]))
+                masses[kind].append(grams * float(one.numbers(one.columns[0], only)[0]))
             except InputError as error:
                 faults += error.faults
         for readings in masses.values():
@@ -107,7 +107,9 @@ def read_weighings(path: Path) -> Weighings:
             )
         else:
             missing = "before" if not before else "after"
-            faults.append(f"{said}: {legible(name)}: has no mass {missing}; must have one at least")
+            faults.append(
+                f"{place_words}: {legible(name)}: has no mass {missing}; must have one at least"
+            )
     if faults:
         raise InputError(*faults)
     scatter = math.sqrt(squares / freedom) if freedom else None

@@ -37,7 +37,7 @@ from ringwear_par.results.variables import Variable
 _KIND = "a result file of ringwear"
 #: texts and numbers that every file has, and those that it may have
 _TEXTS = {
-    "case", "title", "status", "version", "begun_by", "scheme", "user_laws", "law_lower",
+    "case", "title", "status", "error", "version", "begun_by", "scheme", "user_laws", "law_lower",
     "law_upper", "doubts",
 }  # fmt: skip
 _NUMBERS = {
@@ -47,7 +47,7 @@ _NUMBERS = {
     "balance_force", "balance_torque", "balance_reaction", "balance_volume", "balance_energy",
     "balance_residual",
 }  # fmt: skip
-_OPTIONAL_TEXTS = {"error", "face_lower", "face_upper", "layers_lower", "layers_upper"}
+_OPTIONAL_TEXTS = {"face_lower", "face_upper", "layers_lower", "layers_upper"}
 _OPTIONAL_NUMBERS = {"density_lower", "density_upper", "time_through_lower", "time_through_upper"}
 _OPTIONAL_PREFIXES = ("balance_", "seconds_")
 #: densities of the layers of lower and upper
@@ -85,7 +85,7 @@ def read_error(path: Path) -> str:
     InputError : it is no result file.
     """
     with reading(path, table.SOFTWARE, _KIND) as file:
-        return read_text(file.attrs.get("error", ""))
+        return read_text(file.attrs["error"])
 
 
 def open_result(path: str | Path) -> Result:

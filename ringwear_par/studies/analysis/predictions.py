@@ -96,14 +96,14 @@ class Surrogate:
         wanted = self.names if names is None else tuple(names)
         unknown = [name for name in wanted if name not in self.names]
         if unknown:
-            why = "unknown response"
+            reason = "unknown response"
             if unknown[0] in (*DEPTHS, *LARGEST):
-                why = (
+                reason = (
                     'needs stored profiles, of all steps (output.profiles = "all") where there are '
                     "times, and of the same contact elements"
                 )
             raise InputError(
-                f"surrogate: {legible(str(unknown[0]))}: {why}; must be one of "
+                f"surrogate: {legible(str(unknown[0]))}: {reason}; must be one of "
                 f"{', '.join(self.names)}"
             )
         part = self._part(values)

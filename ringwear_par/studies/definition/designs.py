@@ -150,8 +150,8 @@ def read_design(name: str, table: Mapping[str, Any], faults: list[str]) -> dict[
             return DESIGN[key].read(value)
         except RejectedError as reason:
             words = f"= {shortened(value)}" if key in table else "is missing"
-            why = f" ({reason})" if str(reason) else ""
-            faults.append(f"{name}: design.{key} {words}: {DESIGN[key].rule}{why}")
+            detail = f" ({reason})" if str(reason) else ""
+            faults.append(f"{name}: design.{key} {words}: {DESIGN[key].rule}{detail}")
             return None
 
     method = read("method")

@@ -103,17 +103,17 @@ def identities_of(rows: CaseColumns, firsts: Mapping[int, int]) -> Any:
             key = key_of(name) if name else None
             write = partial(_number_pair, name, key.default) if key else _number_text
             written[i] = part.columns[i].by_case(write)
-        for kind, here in by_kind(rows.kinds[window]):
+        for kind, cases in by_kind(rows.kinds[window]):
             if kind in firsts:
                 pieces = _id_pieces(rows.keys(firsts[kind], places=True), rows.numbers)
                 columns = [
-                    itertools.repeat(piece, len(here))
+                    itertools.repeat(piece, len(cases))
                     if isinstance(piece, str)
-                    else [written[piece][i] for i in here.tolist()]
+                    else [written[piece][i] for i in cases.tolist()]
                     for piece in pieces
                 ]
                 texts = map("".join, zip(*columns, strict=True))
-                identities[start + here] = list(map(_digest, texts))
+                identities[start + cases] = list(map(_digest, texts))
     return identities
 
 

@@ -276,8 +276,8 @@ def choose(ensemble: Ensemble, surrogate: Surrogate | None, indices: Sequence[In
         Arrangement.of(key, [k for k in varied if k is not key], method) for key in keys
     ]
     if len(keys) < len(varied):
-        why = "of the largest indices" if indices else "the first"
-        counts += f"; {len(keys)} of {len(varied)} keys, {why}"
+        reason = "of the largest indices" if indices else "the first"
+        counts += f"; {len(keys)} of {len(varied)} keys, {reason}"
     responses = Responses.of(surrogate, outputs, names)
     return Choice(cases, outputs, keys, arrangements, responses, counts)
 

@@ -292,3 +292,22 @@ def test_a_quantity_that_does_not_respond(good, comm):
     )
     with pytest.raises(InputError, match=r"mass.upper: does not respond to any parameter"):
         fit(tables, comm)
+
+
+def test_a_logger_s_file_as_it_is(good, tmp_path):
+    """A preamble, units below the names, stamps over midnight, one twice, a cell without value."""
+    stamps = [f"2026-03-{14 + (59 + i) // 60} {23 if i < 1 else 0}:{(59 + i) % 60:02d}:00"
+              for i in (0, 0, 1)]  # fmt: skip
+    rows = [
+        f"{stamp};{value};8,1" for stamp, value in zip(stamps, ("1,5", "9", "n.a."), strict=True)
+    ]
+    rows += [f"2026-03-15 0:00:{s:02d};{s / 10:.1f};8,1".replace(".", ",") for s in range(10, 40)]
+    (tmp_path / "z.csv").write_text("\n".join(["Rig 7;", "Stempel;Weg;M", ";um;Nm", *rows]))
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    tables["experiment"][0]["data"][0] |= {"columns": {"time": "Stempel", "value": "Weg"}}
+    tables["experiment"][0]["data"][0].pop("units", None)
+    series = read_fit(tables).experiments[0].series[0]
+    assert series.unit == "um"
+    assert series.x[:3].tolist() == [0.0, 70.0, 71.0]
+    assert series.value[:2] == pytest.approx([1.5e-3, 1e-3])
+    assert series.assumptions == ()

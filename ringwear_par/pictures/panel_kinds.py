@@ -1,0 +1,158 @@
+"""Kinds of panels of runs, as ``--panels`` names them: what each shows of the results."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.elasticity.stress.fields import StressState
+from ringwear_par.errors import InputError
+from ringwear_par.pictures import runs
+from ringwear_par.pictures.panels import Panel
+from ringwear_par.pictures.runs import HISTORY_PANELS
+from ringwear_par.pictures.sections import draw_section
+from ringwear_par.pictures.stresses import (
+    along_height,
+    along_interfaces,
+    draw_map,
+    highest,
+    largest,
+)
+from ringwear_par.results.instants import pressure_peak
+from ringwear_par.results.result import Result
+from ringwear_par.results.storage.export import boundary_states
+from ringwear_par.results.storage.stored_stresses import (
+    check_grid,
+    interfaces_of,
+    nearest_states,
+    stresses,
+)
+
+#: a panel, or a function that draws what matplotlib alone draws
+Drawing = Panel | partial[None]
+
+
+class Item(NamedTuple):
+    """A result to be drawn.
+
+    Parameters
+    ----------
+    label : that sets it apart.
+    rows : its stored states whose profiles or stresses are drawn.
+    chosen : whether the user chose these, by steps or times.
+    """
+
+    result: Result
+    label: str
+    rows: Sequence[int]
+    chosen: bool
+
+
+def _worn_faces(items: Sequence[Item]) -> Iterator[Drawing]:
+    for result, label, rows, _ in items:
+        yield _titled(runs.worn_faces(result, None, rows), label)
+
+
+def _pressures(items: Sequence[Item]) -> Iterator[Drawing]:
+    top = max(
+        pressure_peak(result).top(float(result.profiles["pressure"][list(rows)].max()))
+        for result, _, rows, _ in items
+    )
+    for result, label, rows, _ in items:
+        yield _titled(runs.pressure(result, rows, top), label)
+
+
+def _titled(panel: Panel, label: str) -> Panel:
+    return replace(panel, legend="\n".join(filter(None, (label, panel.note))))
+
+
+def _sections(items: Sequence[Item]) -> Iterator[Drawing]:
+    for item in items:
+        yield partial(draw_section, result=item.result, label=item.label)
+
+
+def _states(item: Item) -> list[StressState]:
+    """Return the states nearest to which stresses are drawn, the last one if none is chosen."""
+    times = item.result.histories["time"][list(item.rows)].tolist() if item.chosen else []
+    return nearest_states(stresses(item.result).states, times)
+
+
+def _maps(items: Sequence[Item]) -> Iterator[Drawing]:
+    top = highest([state for item in items for state in _states(item)])
+    for item in items:
+        for state in _states(item):
+            yield partial(draw_map, result=item.result, label=item.label, state=state, top=top)
+
+
+def _depths(items: Sequence[Item]) -> Iterator[Drawing]:
+    for item in items:
+        yield along_height(item.result, item.label, _states(item))
+
+
+def _interfaces(items: Sequence[Item]) -> Iterator[Drawing]:
+    for item in items:
+        yield from along_interfaces(item.result, item.label, _states(item))
+
+
+def _shared(panel: Callable[[Sequence[Result], Sequence[str]], Panel]) -> Any:
+    """Return a function that draws one panel of all results; a single one needs no label."""
+
+    def draw_all(items: Sequence[Item]) -> list[Drawing]:
+        labels = [item.label * (len(items) > 1) for item in items]
+        return [panel([item.result for item in items], labels)]
+
+    return draw_all
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of panel.
+
+    Parameters
+    ----------
+    drawings : returns those of results.
+    needs : raises InputError where a result does not hold what it shows.
+    rows : whether it shows stored states, which steps and times choose.
+    apart : whether results without it are left out alone, or else all of them.
+    shared : whether results share it, those too whose profiles are not drawn.
+    """
+
+    drawings: Callable[[Sequence[Item]], Iterable[Drawing]]
+    needs: Callable[[Result], Any]
+    rows: bool = True
+    apart: bool = False
+    shared: bool = False
+
+    def faults(self, result: Result) -> tuple[str, ...]:
+        """Return the sentences about what it needs of a result that this does not hold."""
+        try:
+            self.needs(result)
+        except InputError as error:
+            return error.faults
+        return ()
+
+
+#: by name
+KINDS = {
+    "wear": Kind(
+        _worn_faces, lambda result: [runs.stored_field(result, f"wear_{body}") for body in BODIES],
+        apart=True,
+    ),
+    "pressure": Kind(
+        _pressures, lambda result: runs.stored_field(result, "pressure"), apart=True
+    ),
+    "section": Kind(
+        _sections, lambda result: boundary_states(result)[-1], rows=False, apart=True
+    ),
+    "stress": Kind(_maps, check_grid),
+    "depth": Kind(_depths, check_grid),
+    "interfaces": Kind(_interfaces, interfaces_of),
+    "mises": Kind(_shared(largest), stresses, rows=False, shared=True),
+    **{
+        name: Kind(
+            _shared(partial(runs.history, quantity=name)), panel.curves, rows=False, shared=True
+        )
+        for name, panel in HISTORY_PANELS.items()
+    },
+}  # fmt: skip
