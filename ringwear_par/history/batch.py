@@ -58,7 +58,7 @@ class Ensemble:
 
     cases: Sequence[Case]
     comm: MPI.Comm
-    pair: ContactPair | None
+    pair: ContactPair | Sequence[ContactPair] | None
     start: Start | None
     observers: Sequence[Observer]
     derivatives: tuple[str, ...]
@@ -73,6 +73,13 @@ class Ensemble:
         if self.step_times is None:
             return self.method.control.of(cases, None)
         return FixedSteps.of(cases, [self.step_times[i] for i in numbers.tolist()])
+
+    def pairs(self, numbers: IntArray) -> ContactPair | Sequence[ContactPair] | None:
+        """Return the contact pair of some histories, or one of each; None: none is assembled."""
+        pair = self.pair
+        if pair is None or isinstance(pair, ContactPair):
+            return pair
+        return [pair[i] for i in numbers.tolist()]
 
     def show(self, snapshots: Sequence[Snapshot]) -> None:
         """Show new states to the observers."""
@@ -196,7 +203,7 @@ class Batch:
         ensemble, numbers = self._ensemble, self.numbers
         cases, start = [ensemble.cases[i] for i in numbers.tolist()], ensemble.start
         geometry = MovingGeometry(cases[0], ensemble.comm) if cases[0].follows_wear else None
-        pair = ensemble.pair
+        pair = ensemble.pairs(numbers)
         if pair is None:
             pair = assemble(cases[0], ensemble.comm) if geometry is None else geometry.unworn()
         physics = Physics.of(cases, pair, derivatives=ensemble.derivatives)

@@ -170,13 +170,15 @@ class FitRun:
         signals: StopSignals,
         comm: MPI.Intracomm,
     ) -> None:
-        self._problem, self._law, self._stored = problem, law, stored
+        self._problem, self._law, self._stored, self._comm = problem, law, stored, comm
         hint = "; the same command with --restart goes on" if stored.is_stored else ""
         self._rounds = Rounds(problem, comm, signals, hint)
         self._misfit = Misfit(problem, self._rounds)
 
     def solve(self) -> FitResult:
         """Return the best of all starts. Collective."""
+        with together(self._comm):
+            self._rounds.interpolate(self._problem, self._comm)
         return self._on_all_ranks(self._solve)
 
     def expect(self) -> FitResult:
@@ -208,7 +210,9 @@ class FitRun:
     def _solve(self) -> dict[str, Any]:
         misfit, rounds, keys = self._misfit, self._rounds, self._problem.keys
         self._begin()
+        misfit.be_exact(not rounds.are_interpolated)
         starts = solve_starts(misfit, rounds, self._law, self._stored)
+        misfit.be_exact(True)
         x = np.array(self._best(starts).unknowns)
         histories_of_profiles = 0
         while True:

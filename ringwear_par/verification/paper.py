@@ -12,7 +12,7 @@ from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.start import first_contact
 from ringwear_par.verification import reference
-from ringwear_par.verification.check import NU, Check
+from ringwear_par.verification.check import NU, Check, checks_of
 from ringwear_par.verification.half_space import pressure_at
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
@@ -51,9 +51,8 @@ def paper_checks(comm: MPI.Comm) -> Iterator[Check]:
         )  # fmt: skip
     names = ["approach", "torque", *(f"p({r:g})" for r in pressures)]
     allowed = ((1e-5, 1.4e-6), (1e-4, 6e-7), (1e-3, 1.5e-5), (1e-3, 6e-6), (1e-3, 6e-6))
-    for i, (name, (tolerance, digits)) in enumerate(zip(names, allowed, strict=True)):
-        errors = tuple(abs(v[i]) for v in values)
-        yield Check(f"paper, 50 MPa: {name}", sizes, errors, tolerance, digits)
+    rows = [(f"paper, 50 MPa: {name}", *of) for name, of in zip(names, allowed, strict=True)]
+    yield from checks_of(values, rows, sizes)
     pair = assemble(paper_case(Mesh(128, grading=4.0)), comm)
     for ratio in reference.EDGE_EXPONENT:
         yield Check(f"edge exponent, E2/E1 = {ratio:g} (absolute error)", (128,),

@@ -63,8 +63,8 @@ class LayeredLaw(Law):
     laws : of the layers from the contact face inwards, and of the body itself.
     thicknesses : mm, of the layers.
     has_law : which layers have a law of their own; the others wear as the body.
-    ends : (layers, n) mm, depth at which each layer ends, measured as ``LocalState.wear``; None:
-        as many thicknesses, at all elements.
+    ends : (layers, n) mm, or (layers, B, n) of B histories, depth at which each layer ends,
+        measured as ``LocalState.wear``; None: as many thicknesses, at all elements.
     present : (..., n) int, the layers that elements are in, 0 at the unworn face; None: those at
         the depth that is worn off.
     """
@@ -91,12 +91,12 @@ class LayeredLaw(Law):
         return cls(laws, tuple(thicknesses), tuple(law is not None for law in layer_laws))
 
     def at(self, ends: FloatArray | None) -> Self:
-        """Return the law at elements, where layers end at these depths, (layers, n) mm."""
+        """Return the law at elements, where layers end at these depths, mm, see ``ends``."""
         return replace(self, ends=ends)
 
     @property
     def depths(self) -> FloatArray:
-        """(layers, n) or (layers, 1) mm, where layers end."""
+        """(layers, n), (layers, B, n) or (layers, 1) mm, where layers end."""
         return np.cumsum(self.thicknesses)[:, None] if self.ends is None else self.ends
 
     def states(self, local: LocalState) -> list[LocalState]:
@@ -261,23 +261,34 @@ class LayeredLaw(Law):
         ValueError : they differ in something else.
         """
         first = laws[0]
-        if any(
-            (law.thicknesses, law.has_law) != (first.thicknesses, first.has_law) for law in laws
-        ):
+        if any(law.has_law != first.has_law for law in laws):
             raise ValueError("laws of different layers cannot be stacked")
         stacks = [stack_laws(group) for group in zip(*(law.laws for law in laws), strict=True)]
-        return replace(first, laws=tuple(law for law in stacks if law is not None))
+        return replace(
+            first,
+            laws=tuple(law for law in stacks if law is not None),
+            ends=np.stack([law.depths for law in laws], axis=1),
+        )
 
     def history(self, i: int) -> Self:
         """Return the law of one of B histories."""
-        present = None if self.present is None else self.present[i]
-        return replace(self, laws=tuple(law.history(i) for law in self.laws), present=present)
+        present, ends = self.present, self.ends
+        return replace(
+            self,
+            laws=tuple(law.history(i) for law in self.laws),
+            ends=ends if ends is None or ends.ndim < 3 else ends[:, i],
+            present=None if present is None else present[i],
+        )
 
     def take(self, histories: IntArray) -> Self:
         """Return the law of some of B histories."""
-        present = None if self.present is None else self.present[histories]
-        laws = tuple(law.take(histories) for law in self.laws)
-        return replace(self, laws=laws, present=present)
+        present, ends = self.present, self.ends
+        return replace(
+            self,
+            laws=tuple(law.take(histories) for law in self.laws),
+            ends=ends if ends is None or ends.ndim < 3 else ends[:, histories],
+            present=None if present is None else present[histories],
+        )
 
 
 def _joined(laws: Sequence[Law], present: IntArray) -> Law | None:

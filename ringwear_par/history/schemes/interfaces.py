@@ -221,7 +221,7 @@ class Passage:
         return np.maximum(self.growth, _growth(here, self.following.rates(*at, self.reached, low)))
 
     def unit_increments(self) -> tuple[WearIncrement, WearIncrement]:
-        """Return what the last part wears in 1 s, here and in the next layers."""
+        """Return the wear of 1 s of the last part, in these layers and in the next ones."""
         at, second = (self.time, self.omega), np.ones_like(self.time)
         return (
             self.physics.increment(*at, self.wear, second),

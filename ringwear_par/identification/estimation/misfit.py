@@ -17,7 +17,7 @@ from scipy.optimize import lsq_linear
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.definition.fitted_parameters import ordered_keys
 from ringwear_par.identification.definition.problem import Experiment, Prior, Problem, Series
-from ringwear_par.identification.model.histories import STEPS, Histories, HistoryError
+from ringwear_par.identification.model.histories import ROUGH_STEPS, STEPS, Histories, HistoryError
 from ringwear_par.identification.model.noise import (
     log_constant,
     log_volume,
@@ -78,6 +78,7 @@ class Misfit:
     priors : of unknowns, by their numbers.
     noise_scale : of each series, by which its sd is multiplied.
     steps : about how many a history makes.
+    exact : whether the operators of histories are; those of a search may be interpolated.
     response_cache : readings of each test with derivatives, or why there are none, by its number
         and the bytes of the keys' values.
     """
@@ -94,7 +95,7 @@ class Misfit:
                 self.n = rows.stop
         self.data = np.concatenate([record.series.value for record in self.records])
         self.noise_scale = np.ones(len(self.records))
-        self.steps = STEPS
+        self.steps, self.exact = STEPS, True
         self.response_cache: dict[tuple[int, bytes], FloatArray | HistoryError] = {}
         self._lay_out_unknowns()
 
@@ -147,7 +148,7 @@ class Misfit:
             if (test, v.tobytes()) not in self.response_cache
         ]
         if pairs:
-            responses = self._histories.read(np.array(values), pairs, self.steps)
+            responses = self._histories.read(np.array(values), pairs, self.steps, exact=self.exact)
             for (i, test), response in zip(pairs, responses, strict=True):
                 self.response_cache[test, values[i].tobytes()] = response
 
@@ -175,6 +176,12 @@ class Misfit:
         """Have histories make twice as many steps from now on."""
         self.steps *= 2
         self.response_cache = {}
+
+    def be_exact(self, exact: bool) -> None:
+        """Have histories on exact operators from now on, or rough ones: interpolated, few steps."""
+        if exact != self.exact:
+            self.steps = STEPS if exact else ROUGH_STEPS
+            self.exact, self.response_cache = exact, {}
 
     def _response(self, x: FloatArray) -> FloatArray:
         """Return the readings of all tests and their derivatives by the values, (n, 1 + m)."""

@@ -103,7 +103,7 @@ class Computed:
 
 def computed(
     cases: Sequence[Case],
-    pair: ContactPair,
+    pair: ContactPair | Sequence[ContactPair],
     *,
     resources: PairResources | None = None,
     batch: int | None = None,
@@ -119,7 +119,8 @@ def computed(
 
     Parameters
     ----------
-    cases : that share a contact pair.
+    cases : that share a contact pair, or contact elements.
+    pair : of the cases, or of each.
     resources : of the pair; None: those of these cases alone.
     batch : most histories that step at a time; a block has some times as many.
     stop : asked between two steps, and may answer others meanwhile.
@@ -127,7 +128,8 @@ def computed(
     derivatives : keys that the histories are to have derivatives with respect to.
     step_times : s, ends of the steps of each case, its own end the last; None: as cases say.
     """
-    resources = resources or PairResources(pair, MPI.COMM_SELF)
+    pairs = [pair] * len(cases) if isinstance(pair, ContactPair) else pair
+    resources = resources or PairResources(pairs[0], MPI.COMM_SELF)
     for numbers in _together(cases):
         numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
         most = batch or default_batch([cases[number] for number in numbers])
@@ -141,8 +143,8 @@ def computed(
                 results=results,
             )  # fmt: skip
             outcome = simulate(
-                block, MPI.COMM_SELF, pair=pair, observers=[recorder, lambda _: stop()], most=most,
-                derivatives=derivatives,
+                block, MPI.COMM_SELF, pair=[pairs[n] for n in part],
+                observers=[recorder, lambda _: stop()], most=most, derivatives=derivatives,
                 step_times=None if step_times is None else [step_times[n] for n in part],
             )  # fmt: skip
             if outcome.stopped:
