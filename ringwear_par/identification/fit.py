@@ -15,7 +15,8 @@ from ringwear_par.files.folders import check_folder
 from ringwear_par.identification import fit_folder
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem
-from ringwear_par.identification.estimation.intervals import estimates
+from ringwear_par.identification.definition.scatter import expected_sizes
+from ringwear_par.identification.estimation.intervals import ParameterEstimate, estimates
 from ringwear_par.identification.estimation.minimise import Optimum, minimise
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.estimation.posterior import sample_posterior
@@ -31,6 +32,7 @@ from ringwear_par.identification.estimation.starts import (
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.model.histories import MOST_SHIFT_SD, STEPS
 from ringwear_par.identification.model.rounds import Rounds, StoppedError
+from ringwear_par.identification.scatter.search import estimate_material
 from ringwear_par.identification.summary import prediction
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads
@@ -191,7 +193,8 @@ class FitRun:
 
         def lead() -> tuple[Any, ...]:
             fields = job()
-            misfit.keep_only(fields["x"])
+            material = fields.get("material")
+            misfit.keep_only(fields["x"], None if material is None else material.own)
             return fields, misfit.data, misfit.noise_scale, misfit.steps, misfit.response_cache
 
         fields, *state = self._rounds.lead(lead)
@@ -245,8 +248,9 @@ class FitRun:
             "evaluation": optimum.evaluation,
             "parameters": profiles.estimates,
             "covariance": covariance,
+            **self._material(optimum.x, profiles.estimates, None),
             "starts": tuple(starts),
-            "histories": rounds.count,
+            "histories": self._rounds.count,
             "profiles": profiles.tables,
             "posterior": posterior,
             "histories_of_profiles": histories_of_profiles,
@@ -263,9 +267,32 @@ class FitRun:
             "evaluation": evaluation,
             "parameters": parameters,
             "covariance": covariance,
+            **self._material(x, parameters, expected_sizes(self._problem)),
             "starts": (),
             "histories": self._rounds.count,
             "profiles": {},
+        }
+
+    def _material(
+        self,
+        x: FloatArray,
+        parameters: tuple[ParameterEstimate, ...],
+        sizes: Mapping[tuple[str, str], float] | None,
+    ) -> dict[str, Any]:
+        """Return the fields of a result that are others where values scatter between tests."""
+        if not self._problem.scatters:
+            return {}
+        self._rounds.tell("specimens")
+        material = estimate_material(self._misfit, x, sizes)
+        return {
+            "x": material.x,
+            "evaluation": material.evaluation,
+            "parameters": tuple(
+                material.estimate(j) if j in material.free else estimate
+                for j, estimate in enumerate(parameters)
+            ),
+            "covariance": material.covariance,
+            "material": material,
         }
 
     def _refine(self, shift: FloatArray) -> None:

@@ -91,6 +91,26 @@ def _prior() -> Values:
     return Values("any", read, "{ normal = [mean, sd] }, two numbers, sd > 0")
 
 
+def _scatter_size() -> Values:
+    """Return standard deviations, and the word that has them fitted."""
+
+    def read(value: Any) -> float | str:
+        return value if value == "fit" else number(0.0).read(value)
+
+    return Values("any", read, '"fit", or a number > 0')
+
+
+def _half_t() -> Values:
+    """Return the scales of half-t distributions."""
+
+    def read(value: Any) -> float:
+        if not isinstance(value, Mapping) or value.keys() != {"half_t"}:
+            raise RejectedError
+        return number(0.0).read(value["half_t"])
+
+    return Values("any", read, "{ half_t = scale }, a number > 0")
+
+
 _COLUMNS = anything('texts for "time" and "value"; of a profile for "r" and "value"')
 _CASE_KEYS = anything("a table of case keys and their values")
 _BOUNDS = pair(-math.inf)
@@ -152,6 +172,20 @@ KEYS: tuple[Key, ...] = (
         "log: the search is for its logarithm", "linear"),
     Key("fit.parameters.KEY.prior", *_prior(), "KEY's",
         "knowledge of it without these readings", None),
+    Key("fit.parameters.KEY.scatter", *anything('"fit", a number > 0, or a table'), "-",
+        "how values of specimens differ; \"fit\" or a number are those of the table's specimen",
+        None),
+    *(Key(f"fit.parameters.KEY.scatter.{group}", *_scatter_size(),
+          "KEY's; 1 where scale = \"log\"", f"standard deviation between {groups} (of the "
+          "logarithm where scale = \"log\"), or \"fit\"", None)
+      for group, groups in (("specimen", "specimens"), ("batch", "batches"),
+                            ("lab", "laboratories"))),
+    Key("fit.parameters.KEY.scatter.prior", *_half_t(), "KEY's; 1 where scale = \"log\"",
+        "scale of the half-t prior (4 degrees of freedom) of sizes to be fitted; 0.3 where scale = "
+        "\"log\", else it must be there", None),
+    Key("fit.parameters.KEY.scatter.start", *number(0.0), "KEY's; 1 where scale = \"log\"",
+        "what --dry-run and design take sizes to be that are fitted; default: half the scale of "
+        "the prior", None),
     Key("fit.starts", *whole(1, _MOST_STARTS), "-",
         "searches: from the starts of the parameters, the others from Sobol' points within the "
         "bounds", _USUAL.starts),
@@ -166,6 +200,13 @@ KEYS: tuple[Key, ...] = (
         "student: noise with 4 degrees of freedom, where there are outliers", _USUAL.loss),
     Key("experiment.name", *text("a text, its name"), "-",
         "of the test; no other experiment has it"),
+    Key("experiment.specimen", *text("a text"), "-",
+        "specimen of the test; tests of one specimen share its values; default: the test's name",
+        None),
+    Key("experiment.batch", *text("a text"), "-", "batch of the specimen; default: one for all",
+        None),
+    Key("experiment.lab", *text("a text"), "-", "laboratory of the specimen; default: one for all",
+        None),
     Key("experiment.set", *_CASE_KEYS, "-", "case keys of this test; none that is fitted", None),
     Key("experiment.data.quantity", *one_of(*QUANTITIES), "-",
         "measured quantity; depths, penetrations, masses and volumes are positive where material "
@@ -225,10 +266,11 @@ KEYS: tuple[Key, ...] = (
     Key("design.budget.experiments", *whole(1, _MOST_EXPERIMENTS), "-", "number of next tests",
         _SPACE.experiments),
 )  # fmt: skip
-FIT, PARAMETER, EXPERIMENT, DATA, SD, NUISANCE, DESIGN, VARY, BUDGET = (
+FIT, PARAMETER, SCATTER, EXPERIMENT, DATA, SD, NUISANCE, DESIGN, VARY, BUDGET = (
     keys_of_table(KEYS, table)
     for table in (
-        "fit", "fit.parameters.KEY", "experiment", "experiment.data",
+        "fit", "fit.parameters.KEY", "fit.parameters.KEY.scatter", "experiment",
+        "experiment.data",
         "experiment.data.sd",
         "experiment.data.nuisance.KIND", "design", "design.vary", "design.budget",
     )

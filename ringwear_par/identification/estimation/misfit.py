@@ -140,17 +140,19 @@ class Misfit:
 
     def compute(self, points: Sequence[FloatArray]) -> None:
         """Have the histories at unknowns computed together, and keep them. Not collective."""
-        values = list({v.tobytes(): v for v in map(self.values, points)}.values())
-        pairs = [
-            (i, test)
-            for i, v in enumerate(values)
-            for test in range(len(self.problem.experiments))
-            if (test, v.tobytes()) not in self.response_cache
-        ]
+        tests = range(len(self.problem.experiments))
+        self._compute([(test, v) for v in map(self.values, points) for test in tests])
+
+    def _compute(self, wanted: Sequence[tuple[int, FloatArray]]) -> None:
+        """Have the histories of tests at values of the keys computed together, and keep them."""
+        new = {(test, v.tobytes()): v for test, v in wanted}
+        new = {key: v for key, v in new.items() if key not in self.response_cache}
+        values = list({v.tobytes(): v for v in new.values()}.values())
+        numbers = {v.tobytes(): i for i, v in enumerate(values)}
+        pairs = [(numbers[content], test) for test, content in new]
         if pairs:
             responses = self._histories.read(np.array(values), pairs, self.steps, exact=self.exact)
-            for (i, test), response in zip(pairs, responses, strict=True):
-                self.response_cache[test, values[i].tobytes()] = response
+            self.response_cache.update(zip(new, responses, strict=True))
 
     def is_computed(self, x: FloatArray) -> bool:
         """Tell whether the histories at unknowns were computed."""
@@ -162,11 +164,14 @@ class Misfit:
         for key in [key for key in self.response_cache if key[1] in past]:
             del self.response_cache[key]
 
-    def keep_only(self, x: FloatArray) -> None:
-        """Forget all histories but those at unknowns. Not collective."""
-        self.compute([x])
-        remaining = self.values(x).tobytes()
-        self.response_cache = {k: v for k, v in self.response_cache.items() if k[1] == remaining}
+    def keep_only(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> None:
+        """Forget all histories but those at unknowns, see ``evaluate``. Not collective."""
+        self._response(x, test_unknowns)
+        remaining = {
+            (test, values.tobytes())
+            for test, values in enumerate(self.values_of_tests(x, test_unknowns))
+        }
+        self.response_cache = {k: v for k, v in self.response_cache.items() if k in remaining}
 
     def part_from_histories(self) -> None:
         """Let the histories' engines and communicator go: responses computed so far remain."""
@@ -183,12 +188,24 @@ class Misfit:
             self.steps = STEPS if exact else ROUGH_STEPS
             self.exact, self.response_cache = exact, {}
 
-    def _response(self, x: FloatArray) -> FloatArray:
+    def values_of_tests(self, x: FloatArray, test_unknowns: FloatArray | None) -> list[FloatArray]:
+        """Return the fitted keys' values (m,) of each test.
+
+        Parameters
+        ----------
+        test_unknowns : (tests, m) unknowns of each; None: those of x are the same for all.
+        """
+        if test_unknowns is None:
+            return [self.values(x)] * len(self.problem.experiments)
+        return [self.values(unknowns) for unknowns in test_unknowns]
+
+    def _response(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> FloatArray:
         """Return the readings of all tests and their derivatives by the values, (n, 1 + m)."""
-        self.compute([x])
-        key, responses = self.values(x).tobytes(), []
-        for test in range(len(self.problem.experiments)):
-            response = self.response_cache[test, key]
+        wanted = list(enumerate(self.values_of_tests(x, test_unknowns)))
+        self._compute(wanted)
+        responses = []
+        for test, values in wanted:
+            response = self.response_cache[test, values.tobytes()]
             if isinstance(response, HistoryError):
                 raise response
             responses.append(response)
@@ -205,26 +222,39 @@ class Misfit:
 
     # from readings to residuals
 
-    def columns(self, x: FloatArray) -> FloatArray:
+    def columns(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> FloatArray:
         """Return derivatives (n, u) of the readings with respect to the unknowns. Not collective.
 
+        Parameters
+        ----------
+        test_unknowns : (tests, m) unknowns of the keys in each test, see ``evaluate``.
+
         Raises
         ------
         HistoryError : there is no history.
         """
-        key_columns = self._response(x)[:, 1:] * self.problem.slopes(self.values(x))
+        counts = [experiment.n for experiment in self.problem.experiments]
+        slopes = [self.problem.slopes(v) for v in self.values_of_tests(x, test_unknowns)]
+        key_columns = self._response(x, test_unknowns)[:, 1:] * np.repeat(slopes, counts, axis=0)
         return np.concatenate([key_columns, self.nuisance_columns], axis=1)
 
-    def evaluate(self, x: FloatArray) -> Evaluation:
+    def evaluate(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> Evaluation:
         """Return the residuals at unknowns (u,). Not collective.
+
+        Parameters
+        ----------
+        test_unknowns : (tests, m) unknowns of the keys in each test, where their values scatter;
+            priors are of those of x.
 
         Raises
         ------
         HistoryError : there is no history.
         """
-        values, response = self.values(x), self._response(x)
+        values, response = self.values(x), self._response(x, test_unknowns)
         model = response[:, 0] + self.nuisance_columns @ x[self._m :]
-        rows = np.concatenate([(model - self.data)[:, None], self.columns(x)], axis=1)
+        rows = np.concatenate(
+            [(model - self.data)[:, None], self.columns(x, test_unknowns)], axis=1
+        )
         rows = self.whitened(rows)
         noise, noise_jacobian = rows[:, 0], rows[:, 1:]
         loss, slope = loss_roots(self.problem.settings.loss, noise)
@@ -289,8 +319,14 @@ class Misfit:
         constant = log_constant(self.problem.settings.loss)
         return float(-0.5 * loss @ loss - scatter - self.n * constant)
 
-    def with_best_nuisances(self, values: Sequence[float]) -> FloatArray:
+    def with_best_nuisances(
+        self, values: Sequence[float] | FloatArray, test_unknowns: FloatArray | None = None
+    ) -> FloatArray:
         """Return unknowns (u,) at values of the fitted keys, with the best nuisances for them.
+
+        Parameters
+        ----------
+        test_unknowns : (tests, m) unknowns of the keys in each test, see ``evaluate``.
 
         Raises
         ------
@@ -301,7 +337,7 @@ class Misfit:
         x = np.concatenate([unknowns, np.clip(np.zeros(len(lower)), lower, upper)])
         if len(x) == self._m:
             return x
-        evaluation = self.evaluate(x)
+        evaluation = self.evaluate(x, test_unknowns)
         rows = np.array([True] * self.n + [j >= self._m for j, _ in self.priors])
         columns = evaluation.jacobian[rows, self._m :]
         size = np.linalg.norm(columns, axis=0)
