@@ -91,10 +91,7 @@ class ActiveSetNewton:
                 missing = problem.forces[rows] - inner(weights[rows], q[rows])
             steps, changes = hessians.steps(histories, g[rows], missing, NEAR)
             problem.approaches[rows] += changes
-            after = q[rows] + steps
-            if problem.nearly_discontinuous:
-                after = problem.project_to_wear_curve(q[rows], after)
-            q[rows] = after
+            q[rows] += steps
             self._evaluate(tao)
             self._iterations[histories] = iteration
             if self._monitored:

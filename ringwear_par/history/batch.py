@@ -176,8 +176,7 @@ class Batch:
             return self._after_failure(error)
         if not snapshots:
             return [self]
-        if snapshots[-1].accepted.any():
-            self._ensemble.show(snapshots)
+        self._ensemble.show([snapshot for snapshot in snapshots if snapshot.accepted.any()])
         if self._alone and snapshots[-1].accepted.all():
             self._alone, self._failure = False, ""
         ended = snapshots[-1].finished
@@ -263,16 +262,21 @@ class Batch:
         with together(ensemble.comm):
             snapshots = self._within(before, end, accepted, progress)
         state = step.state
+        sensitivity = physics.sensitivity
+        if state.tangent is not None and sensitivity is not None and sensitivity.moving_ends:
+            moving = accepted & ~decision.complete
+            state = replace(state, tangent=state.tangent.at_interfaces(moving))
         if not accepted.all():
             state = batched.where(accepted, state, _with_entries_of(before.state, state))
         self._present = replace(before, state=state, progress=progress)
-        finished = accepted & control.finished(state, progress)
+        new = accepted & decision.complete
+        finished = new & control.finished(state, progress)
         return [
             *snapshots,
             Snapshot(
                 self.numbers, physics, contacts, state, step, progress,
-                progress.iterations - before.progress.iterations, accepted,
-                _stored(physics.inputs.cases, state, progress, accepted, finished), finished,
+                progress.iterations - before.progress.iterations, new,
+                _stored(physics.inputs.cases, state, progress, new, finished), finished,
             ),
         ]  # fmt: skip
 

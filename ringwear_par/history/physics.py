@@ -30,7 +30,7 @@ from ringwear_par.history.inputs import HistoryInputs
 from ringwear_par.schedules import in_time, integral
 from ringwear_par.wear.averaging import averaged_rate, averaging
 from ringwear_par.wear.increment import Closing, WearIncrement
-from ringwear_par.wear.layer_split import worn_through
+from ringwear_par.wear.layered import LayeredLaw, worn_through
 from ringwear_par.wear.local_state import LocalState
 
 
@@ -109,7 +109,8 @@ class Physics:
         """Return the physics whose averages and layers are those of faces of these slopes."""
         inputs, true_area = self.inputs, self.area * self.compliances.every[0].obliquity
         if inputs.layered:
-            inputs = inputs.with_layers(self.layer_ends, self.obliquity)
+            ends = [None if e is None else self._along_normal(e) for e in self.layer_ends]
+            inputs = inputs.with_laws(lambda i, law: law.at(ends[i]))
         averages = tuple(
             averaging(self.line.r, true_area, law.length)
             if law is not None and law.length
@@ -261,6 +262,42 @@ class Physics:
         return np.array([inner(weights, p) for weights in carried])
 
     # -- layers ------------------------------------------------------------------------------------
+
+    def _along_normal(self, depth: FloatArray) -> FloatArray:
+        """Return depths along the normal, which laws speak of, from those along the axis."""
+        return depth if self.obliquity is None else depth / self.obliquity
+
+    def layers_at(self, wear: FloatArray) -> IntArray:
+        """Return the layers of lower and upper at the face, (2, B, n), worn by (2, B, n) mm.
+
+        0 is the first; all of a body that has none.
+        """
+        layers = np.zeros(wear.shape, dtype=np.int64)
+        for i, law in enumerate(self.inputs.laws):
+            if isinstance(law, LayeredLaw):
+                layers[i] = law.layers_at(self._along_normal(wear[i]))
+        return layers
+
+    def in_present_layers(self, wear: FloatArray) -> Self:
+        """Return the physics of elements that stay in the layers at the face, at (2, B, n) mm."""
+        return self.in_layers(self.layers_at(wear)) if self.inputs.layered else self
+
+    def in_layers(self, layers: IntArray) -> Self:
+        """Return the physics of elements that stay in these layers, (2, B, n)."""
+        inputs = self.inputs.with_laws(lambda i, law: law.in_layers(layers[i]))
+        return replace(self, inputs=inputs)
+
+    def ends_of(self, layers: IntArray) -> FloatArray:
+        """Return the depths along the axis at which layers end, (2, B, n) mm.
+
+        Infinite of bodies themselves.
+        """
+        ends = np.full(layers.shape, np.inf)
+        for i, law in enumerate(self.inputs.laws):
+            if isinstance(law, LayeredLaw):
+                end = law.end_of(layers[i])
+                ends[i] = end if self.obliquity is None else end * self.obliquity
+        return ends
 
     def layer_left(self, body: int, wear: FloatArray) -> FloatArray:
         """Return the thickness left of all layers of a body, (..., n) mm, worn by (..., n) mm."""

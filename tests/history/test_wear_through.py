@@ -174,7 +174,7 @@ KEYS = (
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_derivatives_are_those_of_differences(pair, scheme):
-    """Most elements: those that pass an interface at another place spoil single ones."""
+    """Of all elements: steps end at interfaces, wherever those are."""
     changes = dict(SCHEMES[scheme])
     if scheme == "explicit":
         changes |= {"time.step": 0.02, "time.steps": 60}  # stable
@@ -207,3 +207,5 @@ def test_derivatives_are_those_of_differences(pair, scheme):
             size = np.abs(derivative).max()
             noise = 1e-11 * np.abs(getattr(state, name)).max() / h  # of what contacts leave
             assert np.median(np.abs(change - derivative)) < 1e-4 * size + noise, (key, name)
+            most = 1e-2 if scheme == "adaptive" else 1e-3  # whose given ends are at interfaces
+            assert np.abs(change - derivative).max() < most * size + noise, (key, name)

@@ -130,13 +130,14 @@ class Sensitivity:
     ) -> None:
         line, slope = pairs[0].line, pairs[0].slope
         self.keys, self._arm = tuple(keys), line.arm
+        #: whether a last row is that of the end of the step, which then may be an interface's
+        self.moving_ends = any(isinstance(law, LayeredLaw) for law in cases[0].laws)
         rows = {key: row for row, key in enumerate(keys)}
         #: rows and names of the parameters of the laws of lower and upper
         self._laws = tuple(
             [(row, name) for key, row in rows.items() if (name := _name_of_number(body, key))]
             for body in BODIES
         )
-        self._whole_laws = cases[0].laws
         #: of bodies, which number is the length of their averages, and what it does to these
         self.averages: dict[int, tuple[int, FloatArray]] = {}
         true_area = line.area * obliquity(slope)
@@ -157,7 +158,7 @@ class Sensitivity:
             if row is not None
         }
         #: (P, ...) derivatives of the force, N, or of the displacement, mm
-        self.load = np.zeros((len(keys), len(cases)))
+        self.load = self.zeros(len(cases))
         for key, row in rows.items():
             if key == "load.pressure":
                 self.load[row] = [case.area for case in cases]
@@ -167,16 +168,17 @@ class Sensitivity:
         self.elastic = [
             (row, _Elastic.of(cases, pairs, key)) for key, row in rows.items() if key in elastic
         ]
+        rows_of_keys = [*keys, ""][: len(self)]
         #: of bodies with layers, (layers, P), which number is the thickness of which layer
         self.thicknesses = {
-            i: np.array([[key == f"{body}.layers[{j}].thickness" for key in keys]
+            i: np.array([[key == f"{body}.layers[{j}].thickness" for key in rows_of_keys]
                          for j in range(len(ring.layers))], dtype=float)
             for i, (body, ring) in enumerate(zip(BODIES, cases[0].rings, strict=True))
             if ring.layers
         }  # fmt: skip
 
     def __len__(self) -> int:
-        return len(self.keys)
+        return len(self.keys) + self.moving_ends
 
     def take(self, histories: IntArray) -> "Sensitivity":
         """Return the sensitivity of some of B histories."""
@@ -190,18 +192,21 @@ class Sensitivity:
         """Return derivatives (P, ...) that are 0."""
         return np.zeros((len(self), *shape))
 
-    def rates(
-        self, i: int, law: Law, p: FloatArray, at: LocalState, layer: int | None
-    ) -> FloatArray:
+    def layer_starts(self, i: int, law: Law) -> FloatArray | float:
+        """Return derivatives of the depths at which layers start, see ``VaryingNumbers``."""
+        thicknesses = self.thicknesses.get(i)
+        if thicknesses is None or not thicknesses.any() or not isinstance(law, LayeredLaw):
+            return 0.0
+        assert law.present is not None
+        starts = np.concatenate([np.zeros_like(thicknesses[:1]), np.cumsum(thicknesses, axis=0)])
+        return np.moveaxis(starts[law.present], -1, 0)
+
+    def rates(self, i: int, law: Law, p: FloatArray, at: LocalState) -> FloatArray:
         """Return derivatives of rates with respect to the numbers, see ``VaryingNumbers``."""
-        out, whole = self.zeros(*p.shape), self._whole_laws[i]
+        out = self.zeros(*p.shape)
         for row, name in self._laws[i]:
-            if layer is not None and isinstance(whole, LayeredLaw):
-                in_layer = whole.of_layer(name, layer)
-                if in_layer is None or in_layer not in law.numeric:
-                    continue
-                name = in_layer
-            out[row] = law.d_rate_dparameter(name, p, at)
+            if name in law.numeric:
+                out[row] = law.d_rate_dparameter(name, p, at)
         if self.friction is not None:
             size, still = columns(self._sizes[self.friction]), np.zeros(p.shape[-1])
             along = LocalState(0.0, at.r, still, size, still, still)
