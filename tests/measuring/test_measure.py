@@ -260,6 +260,20 @@ def test_loads_in_steps_are_averaged_over_the_part(laboratory):
     assert test.friction.value == pytest.approx(FRICTION, rel=0.02)
 
 
+def test_readings_that_are_excluded_at_the_end_are_of_the_test(laboratory):
+    folder, _, _ = laboratory
+    tables = {"case": str(folder / "rig.toml"),
+              "measure": {"masses": {"file": str(folder / "masses.csv")}},
+              "test": [{"name": "W1", "file": str(folder / "W1.csv")}]}  # fmt: skip
+    (usual,) = rw.measure(tables).tests
+    tables["test"][0]["exclude"] = [[16 * 3600.0, 20 * 3600.0]]
+    (test,) = rw.measure(tables).tests
+    assert test.test.duration == usual.test.duration == 72e3
+    assert test.test.record.end < 57600.0
+    assert test.whole.distance == usual.whole.distance
+    assert test.whole.specific_wear_rate.value == usual.whole.specific_wear_rate.value
+
+
 def test_the_example_is_made_by_the_helper(tmp_path):
     write_rig(tmp_path)
     for path in Path(EXAMPLE).iterdir():

@@ -237,7 +237,7 @@ class _Tests:
             return None
         # of other keys of time, such as the steps of a history, nothing follows for the test
         timed = any(key.startswith("time.") for key in changes)
-        duration = case.time.end if timed else record.end
+        duration = case.time.end if timed else record.duration
         weighing = None if self._weighings is None else self._weighings.specimens.get(name)
         test = Test(name, case, record, duration, weighing)
         self._check(reader, test, weighing)
@@ -310,7 +310,7 @@ class _Tests:
 
     def _check(self, reader: TableReader, test: Test, weighing: Weighing | None) -> None:
         """Add what the case and the record do not tell of each other to the faults."""
-        case, end = test.case, test.record.end
+        case, end, length = test.case, test.record.end, test.record.duration
         if case.load.force is None:
             reader.fault(
                 'load.control = "displacement": must be "force", which a wear rate is over'
@@ -318,14 +318,14 @@ class _Tests:
             return
         if smallest(case.load.force) <= 0.0 or mean(case.load.omega, 0.0, test.duration) <= 0.0:
             reader.fault("load.omega, and the load at any time, must be > 0 in a test")
-        if not (1.0 - _SHORTER) * end <= test.duration:
+        if not (1.0 - _SHORTER) * length <= test.duration:
             reader.fault(
-                f"time.end = {test.duration:g} s: the record is {end:g} s long; must be as long, "
+                f"time.end = {test.duration:g} s: the record is {length:g} s long; must be as long, "
                 "or the unit of the record's time is another"
             )
-        if end < _SHORTER * test.duration:
+        if length < _SHORTER * test.duration:
             reader.fault(
-                f"the record ends at {end:g} s of a test of {test.duration:g} s; the unit of its "
+                f"the record ends at {length:g} s of a test of {test.duration:g} s; the unit of its "
                 "time is perhaps another"
             )
         if self._limits.start is not None and self._limits.start > (1.0 - _SHORTER) * end:
