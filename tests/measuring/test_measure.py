@@ -274,6 +274,34 @@ def test_readings_that_are_excluded_at_the_end_are_of_the_test(laboratory):
     assert test.whole.specific_wear_rate.value == usual.whole.specific_wear_rate.value
 
 
+def test_a_load_and_a_speed_that_change_together(laboratory):
+    """Load 500 to 1500 N, speed 3 to 9 rad/s: the mean of the product is a twelfth larger."""
+    folder, _, _ = laboratory
+    slopes = {"load.force": [[0.0, 500.0], [72e3, 1500.0]],
+              "load.omega": [[0.0, 3.0], [72e3, 9.0]]}  # fmt: skip
+    uncertain = {"load.force": {"relative": 0.01}, "load.omega": {"relative": 0.02}}
+    tables = {"case": str(folder / "rig.toml"),
+              "measure": {"masses": {"file": str(folder / "masses.csv"), "sd": "1e-3 mg"},
+                          "uncertainty": uncertain, "steady": {"from": "10 h"}},
+              "test": [{"name": "W1", "file": str(folder / "W1.csv"), "set": slopes}]}  # fmt: skip
+    (test,) = rw.measure(tables).tests
+    whole = test.whole
+    product = 1000.0 * 6.0 * (1.0 + 1.0 / 12.0)
+    assert whole.distance == pytest.approx(6.0 * RADIUS * 72.0)
+    work = product * RADIUS * 72.0
+    k = whole.volume.value / work
+    assert whole.specific_wear_rate.value == pytest.approx(k)
+    assert np.mean(whole.specific_wear_rate.shortest) == pytest.approx(k, rel=2e-3)
+    half = 0.5 * np.diff(whole.specific_wear_rate.shortest)[0]
+    assert half == pytest.approx(1.96 * np.hypot(0.01, 0.02) * k, rel=0.02)
+    # the later half: 1000 to 1500 N, 6 to 9 rad/s
+    pv = (1250.0 * 7.5 + 500.0 * 3.0 / 12.0) / AREA * RADIUS * 1e-3
+    end = test.test.record.end
+    assert end == 72e3
+    assert test.conditions.pv == pytest.approx(pv)
+    assert test.specific_wear_rate.value == pytest.approx(test.wear_rate.value / pv)
+
+
 def test_the_example_is_made_by_the_helper(tmp_path):
     write_rig(tmp_path)
     for path in Path(EXAMPLE).iterdir():

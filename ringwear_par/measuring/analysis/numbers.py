@@ -181,7 +181,7 @@ def _rate(change: Change, known: Mapping[str, Uncertainty]) -> Estimate:
 
 def _specific(rate: Estimate, conditions: Conditions, known: Mapping[str, Uncertainty]) -> Estimate:
     """Return the specific wear rate in mm3/(N m): the rate over p V."""
-    scaled = rate.scaled(1e3 / (conditions.pressure * conditions.speed), SPECIFIC)
+    scaled = rate.scaled(1.0 / conditions.pv, SPECIFIC)
     k = scaled.value
     loads = [
         *_load(known, conditions, -k),
@@ -193,7 +193,7 @@ def _specific(rate: Estimate, conditions: Conditions, known: Mapping[str, Uncert
 def _load(
     known: Mapping[str, Uncertainty], conditions: Conditions, relative: float
 ) -> list[Source]:
-    """Return the source of the load, by force or by pressure.
+    """Return the source of the load, by force or by pressure: of its scale, where it changes.
 
     Parameters
     ----------
@@ -236,11 +236,11 @@ def _whole(test: Test, problem: Problem, wear: Blocks | None, depth_sd: float) -
         by_depth = Estimate(volume, "mm3", sources)
     if test.weighing is None or test.density is None:
         return WholeTest(distance, None, None, None, by_depth)
-    return WholeTest(distance, *_weighed(test, problem, conditions, distance), by_depth)
+    return WholeTest(distance, *_weighed(test, problem, conditions), by_depth)
 
 
 def _weighed(
-    test: Test, problem: Problem, conditions: Conditions, distance: float
+    test: Test, problem: Problem, conditions: Conditions
 ) -> tuple[Estimate, Estimate, Estimate]:
     """Return mass lost (mg), volume (mm3) and specific wear rate (mm3/(N m)) by weighing."""
     known, weighing, density = problem.uncertainty, test.weighing, test.density
@@ -254,7 +254,8 @@ def _weighed(
             return []
         return [Source("mass", problem.mass_type, u, "g", sensitivity)]
 
-    volume, rate = mass / density, mass / (density * conditions.force * distance)
+    work = conditions.product * conditions.radius * test.duration * 1e-3  # N m, less friction's mu
+    volume, rate = mass / density, mass / (density * work)
     mass_loss = Estimate(1e3 * mass, "mg", tuple(balance(1e3)))
     by_mass = Estimate(
         volume, "mm3",
@@ -262,7 +263,7 @@ def _weighed(
          *_source(known, key, density, "g/mm^3", -volume / density)),
     )  # fmt: skip
     sources = (
-        *balance(1.0 / (density * conditions.force * distance)),
+        *balance(1.0 / (density * work)),
         *_source(known, key, density, "g/mm^3", -rate / density),
         *_load(known, conditions, -rate),
         *_source(known, "load.omega", conditions.omega, "rad/s", -rate / conditions.omega),
@@ -272,7 +273,7 @@ def _weighed(
     load_u = us.get("load.force", conditions.area * us.get("load.pressure", 0.0))
     shortest = shortest_interval(
         lambda m, rho, force, omega, time: (
-            m / (rho * force * conditions.radius * omega * time * test.duration * 1e-3)
+            m / (rho * work * force / conditions.force * omega / conditions.omega * time)
         ),
         (mass, density, conditions.force, conditions.omega, 1.0),
         (u, us.get(key, 0.0), load_u, us.get("load.omega", 0.0), us.get("time", 0.0)),

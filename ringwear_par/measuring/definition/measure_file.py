@@ -320,13 +320,13 @@ class _Tests:
             reader.fault("load.omega, and the load at any time, must be > 0 in a test")
         if not (1.0 - _SHORTER) * length <= test.duration:
             reader.fault(
-                f"time.end = {test.duration:g} s: the record is {length:g} s long; must be as long, "
-                "or the unit of the record's time is another"
+                f"time.end = {test.duration:g} s: the record is {length:g} s long; must be as "
+                "long, or the unit of the record's time is another"
             )
         if length < _SHORTER * test.duration:
             reader.fault(
-                f"the record ends at {length:g} s of a test of {test.duration:g} s; the unit of its "
-                "time is perhaps another"
+                f"the record ends at {length:g} s of a test of {test.duration:g} s; the unit of "
+                "its time is perhaps another"
             )
         if self._limits.start is not None and self._limits.start > (1.0 - _SHORTER) * end:
             reader.fault(
