@@ -21,6 +21,7 @@ from rig_records import (
     specific,
     write_rig,
 )
+from rig_records import record as readings
 
 import ringwear_par as rw
 from ringwear_par.measuring.analysis.repeats import repeats_of
@@ -336,6 +337,52 @@ def test_readings_that_are_all_at_one_end_are_refused(tmp_path):
         rw.InputError, match=r"readings of wear are too unevenly spread over its 20"
     ):
         record(tmp_path, "gap", rows)
+
+
+def test_the_volume_of_a_straight_record_is_that_of_its_ends(tmp_path):
+    """61 readings on a line in 20 blocks, whose first and last means are not its ends."""
+    rows = [f"{1200 * i};{40.0 * i / 60.0};9" for i in range(61)]
+    (test,) = record(tmp_path, "line", rows).tests
+    assert test.whole.volume_by_displacement.value == pytest.approx(AREA * 0.04, rel=1e-9)
+    mass = f"specimen;loss_mg\nline;{1e3 * AREA * 0.04 * DENSITY}\n"
+    (tmp_path / "masses.csv").write_text(mass)
+    result = rw.measure(tmp_path / "line.csv", case=EXAMPLE / "rig.toml",
+                        masses=tmp_path / "masses.csv")  # fmt: skip
+    assert [doubt.code for doubt in result.tests[0].doubts] == ["not-steady"]
+
+
+@pytest.mark.parametrize(
+    ("exclude", "known"), [([0, 0.2], True), ([19.8, 20], True), ([0, 4], False), ([16, 20], False)]
+)
+def test_volumes_are_not_compared_where_an_end_is_excluded(exclude, known, tmp_path):
+    rows = [f"{60 * i};{40.0 * i / 1200.0};9" for i in range(1201)]
+    record(tmp_path, "line", rows)
+    (tmp_path / "masses.csv").write_text("specimen;loss_mg\nline;50\n")
+    tables = {"case": str(EXAMPLE / "rig.toml"),
+              "measure": {"masses": {"file": str(tmp_path / "masses.csv")}},
+              "test": [{"name": "line", "file": str(tmp_path / "line.csv")}]}  # fmt: skip
+    (test,) = rw.measure(tables).tests
+    assert [doubt.code for doubt in test.doubts] == ["displacement-against-weighing"]
+    tables["test"][0]["exclude"] = [[3600.0 * hours for hours in exclude]]
+    (test,) = rw.measure(tables).tests
+    assert test.doubts == ()
+    assert (test.whole.volume_by_displacement is not None) == known
+    if known:
+        assert test.whole.volume_by_displacement.value == pytest.approx(AREA * 0.04, rel=1e-6)
+
+
+def test_the_volume_by_displacement_is_within_its_interval(tmp_path):
+    """Forty records whose noise remembers, of rings that do not grow."""
+    inside, ratios = 0, []
+    for seed in range(40):
+        hours, read, torque = readings(20.0, seed, growth=0.0)
+        rows = [f"{3600 * h};{z};{m}" for h, z, m in zip(hours, read, torque, strict=True)]
+        (test,) = record(tmp_path, f"r{seed}", rows).tests
+        estimate, true = test.whole.volume_by_displacement, AREA * depth(20.0) * 1e-3
+        inside += estimate.interval[0] <= true <= estimate.interval[1]
+        ratios.append((estimate.value - true) / estimate.u)
+    assert inside >= 36
+    assert abs(np.mean(ratios)) < 0.5
 
 
 def test_long_records_are_read_in_a_time_that_grows_with_them(tmp_path):

@@ -82,6 +82,11 @@ class Record:
         """Time of the last reading that is not excluded, s."""
         return float(self.time[-1])
 
+    @property
+    def has_both_ends(self) -> bool:
+        """Whether neither the first nor the last reading is excluded."""
+        return self.time[0] == 0.0 and self.end == self.duration
+
 
 def read_record(
     path: Path,
