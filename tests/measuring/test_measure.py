@@ -211,6 +211,17 @@ def test_weighings_without_an_sd_tell_it_by_their_scatter(laboratory):
     assert "of weighed specimens there is no test: W2, W3, W4" in result.problem.notes[0]
 
 
+def test_without_uncertainties_nothing_is_drawn(laboratory, tmp_path):
+    folder, _, _ = laboratory
+    (tmp_path / "masses.csv").write_text("specimen;before_g;after_g\nW1;41.2004;41.1565\n")
+    result = rw.measure(folder / "W1.csv", case=folder / "rig.toml", masses=tmp_path / "masses.csv")
+    (test,) = result.tests
+    assert test.whole.specific_wear_rate.shortest is None
+    assert "monte_carlo" not in result.to_dict()["tests"]["W1"]["whole"]["specific_wear_rate"]
+    assert not any("Monte Carlo" in note for note in test.notes)
+    assert "by weighing: 1.505e-06 mm3/(N m); 43.9 mg" in result.summary()
+
+
 def test_a_folder_holds_numbers_a_table_and_a_picture(laboratory, tmp_path):
     laboratory[2].save(tmp_path / "out")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {

@@ -291,6 +291,8 @@ def _weighed(
         *_source(known, "time", 1.0, "1", -rate),
     )
     us = {source.name: source.u for source in sources}
+    if not any(us.values()):
+        return mass_loss, by_mass, Estimate(rate, SPECIFIC, sources)
     load_u = us.get("load.force", conditions.area * us.get("load.pressure", 0.0))
     shortest = shortest_interval(
         lambda m, rho, force, omega, time: (
