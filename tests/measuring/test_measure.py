@@ -222,6 +222,28 @@ def test_without_uncertainties_nothing_is_drawn(laboratory, tmp_path):
     assert "by weighing: 1.505e-06 mm3/(N m); 43.9 mg" in result.summary()
 
 
+def test_equal_weighings_are_not_certain(laboratory, tmp_path):
+    folder, _, _ = laboratory
+    text = "specimen;before_g;before_g;after_g;after_g\nW1;41.2004;41.2004;41.1565;41.1565\n"
+    (tmp_path / "masses.csv").write_text(text)
+    result = rw.measure(folder / "W1.csv", case=folder / "rig.toml", masses=tmp_path / "masses.csv")
+    (source,) = result.tests[0].whole.mass_loss.sources
+    assert (source.type, source.u) == ("B", pytest.approx(1e-4 / np.sqrt(12.0)))
+    assert "note: repeated weighings hardly differ: masses are taken as known to 0.029 mg, the " \
+           "last digit, 0.1 mg, over the root of 12" in result.summary()  # fmt: skip
+
+
+@pytest.mark.parametrize("hours", [20.0, 21.9, 30.0])
+def test_a_test_that_lasts_longer_than_its_record_is_told(hours, laboratory):
+    folder, _, _ = laboratory
+    tables = {"case": str(folder / "rig.toml"),
+              "test": [{"name": "W1", "file": str(folder / "W1.csv"),
+                        "set": {"time.end": f"{hours} h"}}]}  # fmt: skip
+    summary = rw.measure(tables).summary()
+    said = "note: W1: the record is 20 h long, the test 30 h by time.end; numbers of the whole"
+    assert (said in summary) == (hours == 30.0)
+
+
 def test_a_folder_holds_numbers_a_table_and_a_picture(laboratory, tmp_path):
     laboratory[2].save(tmp_path / "out")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {

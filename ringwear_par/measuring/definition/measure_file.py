@@ -26,6 +26,7 @@ from ringwear_par.schedules import mean, smallest
 _TABLES = ("case", "measure", "test")
 #: of a test: a record may end so much before it, and be so much longer
 _SHORTER = 0.1
+_HOUR = 3600.0
 
 
 @dataclass
@@ -120,7 +121,9 @@ def _read_masses(
             masses.fault(fault)
         return None, (sd, "B")
     files.hashes[file] = weighings.sha256
-    return weighings, (weighings.scatter, "A") if sd is None else (sd, "B")
+    if sd is not None:
+        return weighings, (sd, "B")
+    return weighings, (weighings.sd, "B" if weighings.coarse else "A")
 
 
 def _read_uncertainty(reader: TableReader) -> dict[str, Uncertainty]:
@@ -350,13 +353,24 @@ class _Tests:
 
 def _notes(tests: Sequence[Test], weighings: Weighings | None, mass_sd: float | None) -> list[str]:
     """Return sentences about what the files do not tell of each other."""
+    notes = [
+        f"{test.name}: the record is {test.record.duration / _HOUR:.3g} h long, the test "
+        f"{test.duration / _HOUR:.3g} h by time.end; numbers of the whole test are of the latter"
+        for test in tests
+        if test.duration >= (1.0 + _SHORTER) * test.record.duration
+    ]
     if weighings is None:
-        return []
-    notes = [f"{test.name} was not weighed" for test in tests if test.weighing is None]
+        return notes
+    notes += [f"{test.name} was not weighed" for test in tests if test.weighing is None]
     names = {test.name for test in tests}
     untested = [name for name in weighings.specimens if name not in names]
     if untested:
         notes.append(f"of weighed specimens there is no test: {legible(', '.join(untested), 200)}")
+    if weighings.coarse and mass_sd is not None and mass_sd == weighings.sd:
+        notes.append(
+            f"repeated weighings hardly differ: masses are taken as known to {1e3 * mass_sd:.2g} "
+            f"mg, the last digit, {1e3 * weighings.resolution:g} mg, over the root of 12"
+        )
     if mass_sd is None:
         notes.append("nothing tells how well masses are known: measure.masses.sd; no budget has it")
     return notes

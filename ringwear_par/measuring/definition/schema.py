@@ -20,8 +20,8 @@ KEYS: tuple[Key, ...] = (
         "relative to this file: a row a specimen, named as its test; masses before (vor, initial) "
         "and after (nach, final), several of which are averaged, or the loss", None),
     Key("measure.masses.sd", *number(0.0), "g",
-        "standard uncertainty of one weighing; default: the scatter of masses read several times",
-        None),
+        "standard uncertainty of one weighing, two of which a loss is of; default: the scatter of "
+        "masses read several times, at least that of their last digit", None),
     *(Key(f"measure.uncertainty.{name}",
           *anything("a number > 0, or { relative = x }" if unit else "{ relative = x }, x > 0"),
           unit or "1", f"standard uncertainty of {meaning}", None)
@@ -49,7 +49,7 @@ KEYS: tuple[Key, ...] = (
         "units of its columns, as pint knows them; default: those in the columns' names or in the "
         "row below; without one a column is refused", None),
     Key("test.exclude", *anything("a list of increasing pairs"), "s",
-        "readings left out, from time to time", None),
+        "readings left out, from time to time; the test is as long with them", None),
     Key("test.sense", *one_of("rising", "falling"), "-",
         "of the displacement while material is lost; default: falling where it falls in total",
         None),
