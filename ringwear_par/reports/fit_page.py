@@ -242,7 +242,7 @@ def _alternatives(outcome: Mapping[str, Any]) -> Table:
         difference = _DASH if row.aic_difference is None else f"{row.aic_difference:+.1f}"
         numbers = [difference, _number(row.bic, 5), _number(row.chi2, 5)]
         rows.append([row.name, *numbers, _in_signs(row.parameters), row.verdict])
-    header = ("law", "AIC over the smallest", "BIC", "chi2", "parameters", "verdict")
+    header = ("law", "AIC above the smallest", "BIC", "chi2", "parameters", "verdict")
     return Table("Laws compared", header, rows)
 
 
