@@ -52,9 +52,9 @@ from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.definition.study import read_study
 from ringwear_par.studies.pictures.figures import plot_sweep
 from ringwear_par.studies.pictures.plot import plot_stored
+from ringwear_par.studies.storage.blocks import DamagedError
 from ringwear_par.studies.storage.ensemble import read_ensemble
-from ringwear_par.studies.storage.index import DamagedError
-from ringwear_par.studies.storage.results_file import read_entries
+from ringwear_par.studies.storage.results_file import read_results_blocks
 
 CASES = Path(__file__).parent / "cases"
 SMALL = ["--set", "mesh.contact_elements=8", "time.steps=4"]
@@ -117,14 +117,12 @@ def read_a_result(folder: Path, rng: random.Random) -> None:
 
 def read_an_ensemble(folder: Path, rng: random.Random) -> None:
     path = folder / "results.h5"
-    found = read_entries(path)
+    blocks = read_results_blocks(path)
     looks: list[Callable[[], object]] = [lambda: read_ensemble(folder)]
-    if found is not None:
-        for block in found.blocks[:1]:
-            for name in ("step", *HISTORIES):
-                looks.append(partial(block.read, [name]))
-            places = found["place"][found["block"] == 0].tolist()
-            looks.append(partial(block.texts, places))
+    for block in (blocks or [])[:1]:
+        for name in ("step", *HISTORIES):
+            looks.append(partial(block.read, [name]))
+        looks.append(partial(block.texts, range(len(block.cases))))
     if rng.random() < _DRAWN:
         looks.append(lambda: plot_sweep(folder, folder / "a.png"))
     _look(looks)

@@ -151,9 +151,9 @@ def done_before(output: Path) -> dict[str, float]:
         for path in (output / "shards").glob("*.blocks"):
             copy = shutil.copy(path, name)  # the shard itself is in use
             contents = read_shard(Path(copy))
-            if contents is not None:
-                index = contents.index
-                found.update(zip(index["id"].astype(str), index["seconds"].tolist(), strict=True))
+            for block in contents.blocks if contents is not None else ():
+                ids, seconds = block.cases["id"].astype(str), block.cases["seconds"].tolist()
+                found.update(zip(ids, seconds, strict=True))
     return found
 
 

@@ -102,9 +102,9 @@ def shared_path(tmp_path, comm):
 @pytest.fixture
 def one_by_one(monkeypatch):
     """Cases of sweeps are computed alone, as long ones are."""
-    from ringwear_par.studies.execution import workers
+    from ringwear_par.studies.execution import single_cases
 
-    monkeypatch.setattr(workers, "LONG_STEPS", 0)
+    monkeypatch.setattr(single_cases, "LONG_STEPS", 0)
 
 
 @pytest.fixture
@@ -114,7 +114,7 @@ def stopped_after(monkeypatch, comm):
     Or of a case of a sweep, where all of them are as long as those that are computed alone.
     """
     from ringwear_par.results.execution import watch
-    from ringwear_par.studies.execution import workers
+    from ringwear_par.studies.execution import single_cases
 
     call = watch.Watch.__call__
 
@@ -127,7 +127,7 @@ def stopped_after(monkeypatch, comm):
 
         with monkeypatch.context() as patch:
             patch.setattr(watch.Watch, "__call__", interrupted)
-            patch.setattr(workers, "LONG_STEPS", 0)
+            patch.setattr(single_cases, "LONG_STEPS", 0)
             yield
 
     return stopped_after

@@ -16,7 +16,6 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
 from ringwear_par.contact.hessians import NEAR, SOLVED, Hessians
 from ringwear_par.contact.problem import FORCE_TOLERANCE, GRADIENT_TOLERANCE, ContactProblem
-from ringwear_par.contact.tao import Method
 from ringwear_par.petsc import PETSc
 
 PLAIN_ITERATIONS = 25
@@ -25,7 +24,7 @@ ROUND_OFF = 1e-13
 _SLOPE_LEFT, _SHORTEST = 1e-8, 1e-10
 
 
-class ActiveSetNewton(Method):
+class ActiveSetNewton:
     """Context of a TAO of type "python" over the (B, n) unknowns of B problems, lower bounds 0.
 
     Parameters
@@ -36,17 +35,25 @@ class ActiveSetNewton(Method):
     """
 
     def __init__(self, problem: ContactProblem, hessians: Hessians, iterations: IntArray) -> None:
-        super().__init__()
         self._problem, self._hessians, self._iterations = problem, hessians, iterations
         #: whether the damped iteration is wanted, of the one history that is at work
         self.damped = False
         #: (B,) which histories did not end
         self.unsolved: BoolArray = np.zeros(len(problem.every), dtype=bool)
         self._monitored = False
+        self._forget()
+
+    def _forget(self) -> None:
+        self._x, self._g, self._hessian = PETSc.Vec(), PETSc.Vec(), PETSc.Mat()
+
+    def destroy(self, tao: PETSc.TAO) -> None:
+        """Forget what is the TAO's, before it is freed."""
+        self._forget()
 
     def setUp(self, tao: PETSc.TAO) -> None:
         """Take the TAO's vectors and its Hessian; look whether somebody watches."""
-        super().setUp(tao)
+        self._x, self._g = tao.getSolution(), tao.getGradient()[0]
+        self._hessian = tao.getHessian()[0]
         self._monitored = PETSc.Options(tao.getOptionsPrefix()).hasName("tao_monitor")
 
     def solve(self, tao: PETSc.TAO) -> None:
@@ -84,10 +91,7 @@ class ActiveSetNewton(Method):
                 missing = problem.forces[rows] - inner(weights[rows], q[rows])
             steps, changes = hessians.steps(histories, g[rows], missing, NEAR)
             problem.approaches[rows] += changes
-            after = q[rows] + steps
-            if problem.nearly_discontinuous:
-                after = problem.project_to_wear_curve(q[rows], after)
-            q[rows] = after
+            q[rows] += steps
             self._evaluate(tao)
             self._iterations[histories] = iteration
             if self._monitored:

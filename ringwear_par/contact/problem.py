@@ -28,8 +28,6 @@ KKT_TOLERANCE = 1e-9
 GRADIENT_TOLERANCE = 1e-12
 #: relative force balance at which a solver ends, and that it may not exceed
 FORCE_TOLERANCE, FORCE_LIMIT = 1e-12, 1e-10
-#: share of a force below which a step counts as along a curve of wear, and tries to get there
-_STRAIGHT, _MOST_CURVE_ITERATIONS = 1e-9, 40
 
 
 @dataclass(frozen=True)
@@ -151,11 +149,6 @@ class ContactProblem:
         """The rows of the histories at work."""
         return self.rows_of(self.at_work)
 
-    @property
-    def nearly_discontinuous(self) -> bool:
-        """Whether depth may almost jump with pressure."""
-        return self.wear is not None and self.wear.nearly_discontinuous
-
     def _increment(self) -> WearIncrement | None:
         """Return the wear of the histories at work."""
         histories = self.at_work
@@ -220,12 +213,6 @@ class ContactProblem:
             return slopes * (weights / scale)
         return weights[..., None] * slopes / scale[:, None, :]
 
-    def project_to_wear_curve(self, before: FloatArray, after: FloatArray) -> FloatArray:
-        """Return unknowns (h, n) after a Newton step, put back on curves of wear over pressure."""
-        wear, rows = self._increment(), self.rows
-        assert wear is not None
-        return project_to_wear_curve(wear, before, after, self.scale[rows], self.weights[rows])
-
     def residuals(
         self, histories: IntArray, q: FloatArray, gradient: FloatArray, slope: FloatArray
     ) -> FloatArray:
@@ -246,47 +233,6 @@ class ContactProblem:
             other = self.scaled_slopes(self.wear.d_depth_dp(q / self.scale), slice(None))
             worst = _natural(q[rows], gradient[rows], np.maximum(slope, other)[rows])
         return np.divide(worst, largest, out=np.full(len(histories), np.inf), where=largest > 0.0)
-
-
-def project_to_wear_curve(
-    wear: WearIncrement,
-    before: FloatArray,
-    after: FloatArray,
-    scale: FloatArray,
-    weight: FloatArray,
-) -> FloatArray:
-    """Return unknowns after a Newton step, (..., n), put back on curves of wear over pressure.
-
-    The step was along their tangents. Where a curve almost jumps, the pressure that the tangent
-    leads to may be that of a far-off depth, and the next step goes back: instead the point is taken
-    at which the curve meets what the element's own elasticity makes of the end of the step.
-
-    Parameters
-    ----------
-    before, after : (..., n) scaled pressures.
-    scale, weight : (..., n), as of ``ContactProblem``.
-    """
-    start = before / scale
-    line = weight * (wear.depth(start) + wear.d_depth_dp(start) * (after / scale - start))
-    total = after + line
-    error = weight * wear.depth(after / scale) - line
-    bent = (after > 0.0) & (total > 0.0) & (np.abs(error) > _STRAIGHT * total)
-    if not bent.any():
-        return after
-    x = np.where(bent, after, 0.0)
-    low, high = np.zeros_like(x), np.where(bent, total, 0.0)
-    for _ in range(_MOST_CURVE_ITERATIONS):
-        p = x / scale
-        excess = np.where(bent, x + weight * wear.depth(p) - total, 0.0)
-        # each element by itself, whoever the others are
-        going = bent & (np.abs(excess) > _STRAIGHT * total)
-        if not going.any():
-            break
-        high, low = np.where(excess > 0.0, x, high), np.where(excess > 0.0, low, x)
-        following = x - excess / (1.0 + weight * wear.d_depth_dp(p) / scale)
-        inside = (low < following) & (following < high)
-        x = np.where(going, np.where(inside, following, 0.5 * (low + high)), x)
-    return np.where(bent, x, after)
 
 
 def _natural(q: FloatArray, gradient: FloatArray, slope: FloatArray) -> FloatArray:

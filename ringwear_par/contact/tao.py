@@ -1,4 +1,4 @@
-"""A TAO's life: what its methods hold, what callbacks raise, and its end before that of PETSc."""
+"""A TAO's life: what its callbacks raise, and its end before that of PETSc."""
 
 import atexit
 import traceback
@@ -73,25 +73,6 @@ class Guard:
             raise failure
         finally:
             del failure, failures  # no cycle by way of this frame
-
-
-class Method:
-    """Context of a TAO of type "python": holds what is the TAO's as long as there is one."""
-
-    def __init__(self) -> None:
-        self._forget()
-
-    def _forget(self) -> None:
-        self._x, self._g, self._hessian = PETSc.Vec(), PETSc.Vec(), PETSc.Mat()
-
-    def setUp(self, tao: PETSc.TAO) -> None:
-        """Take the TAO's vectors and its Hessian."""
-        self._x, self._g = tao.getSolution(), tao.getGradient()[0]
-        self._hessian = tao.getHessian()[0]
-
-    def destroy(self, tao: PETSc.TAO) -> None:
-        """Forget what is the TAO's."""
-        self._forget()
 
 
 #: solvers whose PETSc objects are alive, in the order of their making, which ranks share

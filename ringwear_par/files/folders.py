@@ -11,6 +11,8 @@ from ringwear_par.files.writing import atomic_write, check_writable
 
 #: of a fit: its outcome, which is written the last, its readings and two figures
 FIT, READINGS, CURVES, ESTIMATES = "fit.json", "results.h5", "fit.png", "parameters.png"
+#: of a fit with scatter: the values of specimens
+SPECIMENS = "specimens.png"
 #: of a design: its outcome, which is written the last, the best tests and the map of all
 DESIGN, NEXT, MAP = "design.json", "next.toml", "design.png"
 #: of measured tests: their numbers, which are written the last, a row a test, the records

@@ -58,7 +58,7 @@ class Ensemble:
 
     cases: Sequence[Case]
     comm: MPI.Comm
-    pair: ContactPair | None
+    pair: ContactPair | Sequence[ContactPair] | None
     start: Start | None
     observers: Sequence[Observer]
     derivatives: tuple[str, ...]
@@ -73,6 +73,13 @@ class Ensemble:
         if self.step_times is None:
             return self.method.control.of(cases, None)
         return FixedSteps.of(cases, [self.step_times[i] for i in numbers.tolist()])
+
+    def pairs(self, numbers: IntArray) -> ContactPair | Sequence[ContactPair] | None:
+        """Return the contact pair of some histories, or one of each; None: none is assembled."""
+        pair = self.pair
+        if pair is None or isinstance(pair, ContactPair):
+            return pair
+        return [pair[i] for i in numbers.tolist()]
 
     def show(self, snapshots: Sequence[Snapshot]) -> None:
         """Show new states to the observers."""
@@ -169,8 +176,7 @@ class Batch:
             return self._after_failure(error)
         if not snapshots:
             return [self]
-        if snapshots[-1].accepted.any():
-            self._ensemble.show(snapshots)
+        self._ensemble.show([snapshot for snapshot in snapshots if snapshot.accepted.any()])
         if self._alone and snapshots[-1].accepted.all():
             self._alone, self._failure = False, ""
         ended = snapshots[-1].finished
@@ -197,7 +203,7 @@ class Batch:
         ensemble, numbers = self._ensemble, self.numbers
         cases, start = [ensemble.cases[i] for i in numbers.tolist()], ensemble.start
         geometry = MovingGeometry(cases[0], ensemble.comm) if cases[0].follows_wear else None
-        pair = ensemble.pair
+        pair = ensemble.pairs(numbers)
         if pair is None:
             pair = assemble(cases[0], ensemble.comm) if geometry is None else geometry.unworn()
         physics = Physics.of(cases, pair, derivatives=ensemble.derivatives)
@@ -256,16 +262,21 @@ class Batch:
         with together(ensemble.comm):
             snapshots = self._within(before, end, accepted, progress)
         state = step.state
+        sensitivity = physics.sensitivity
+        if state.tangent is not None and sensitivity is not None and sensitivity.moving_ends:
+            moving = accepted & ~decision.complete
+            state = replace(state, tangent=state.tangent.at_interfaces(moving))
         if not accepted.all():
             state = batched.where(accepted, state, _with_entries_of(before.state, state))
         self._present = replace(before, state=state, progress=progress)
-        finished = accepted & control.finished(state, progress)
+        new = accepted & decision.complete
+        finished = new & control.finished(state, progress)
         return [
             *snapshots,
             Snapshot(
                 self.numbers, physics, contacts, state, step, progress,
-                progress.iterations - before.progress.iterations, accepted,
-                _stored(physics.inputs.cases, state, progress, accepted, finished), finished,
+                progress.iterations - before.progress.iterations, new,
+                _stored(physics.inputs.cases, state, progress, new, finished), finished,
             ),
         ]  # fmt: skip
 

@@ -75,21 +75,13 @@ class HistoryInputs:
             laws=tuple(None if law is None else law.take(histories) for law in self.laws),
         )
 
-    def with_layers(self, ends: Sequence[FloatArray | None], obliquity: FloatArray | None) -> Self:
-        """Return the inputs with laws that know the depths along the normal where layers end.
-
-        Parameters
-        ----------
-        ends : (layers, n) float, mm, along the axis, of lower and upper.
-        obliquity : (n,) float, 1 / cos alpha of sloping faces; None: all are flat.
-        """
-
-        def at(law: Law | None, axial: FloatArray | None) -> Law | None:
-            if not isinstance(law, LayeredLaw) or axial is None:
-                return law
-            return law.at(axial if obliquity is None else axial / obliquity)
-
-        return replace(self, laws=tuple(map(at, self.laws, ends)))
+    def with_laws(self, change: Callable[[int, LayeredLaw], LayeredLaw]) -> Self:
+        """Return the inputs with other laws of bodies with layers, whose number is 0 or 1."""
+        laws = tuple(
+            change(i, law) if isinstance(law, LayeredLaw) else law
+            for i, law in enumerate(self.laws)
+        )
+        return replace(self, laws=laws)
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -50,7 +50,7 @@ def _kind(law: Law) -> Hashable:
     """Return the key of laws that can be stacked."""
     parts: list[Any] = [type(law)]
     if isinstance(law, LayeredLaw):
-        return (*parts, law.thicknesses, law.has_law, *map(_kind, law.laws))
+        return (*parts, law.has_law, *map(_kind, law.laws))
     if isinstance(law, CompletedLaw):
         return (*parts, *_identity(law.user_object))
     for name, parameter in _fields_of(type(law)):  # type: ignore[arg-type]

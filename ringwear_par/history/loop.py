@@ -48,7 +48,7 @@ def simulate(
     cases: Sequence[Case],
     comm: MPI.Comm,
     *,
-    pair: ContactPair | None = None,
+    pair: ContactPair | Sequence[ContactPair] | None = None,
     start: Start | None = None,
     observers: Sequence[Observer] = (),
     most: int | None = None,
@@ -63,7 +63,8 @@ def simulate(
     ----------
     cases : one, or several of one ``lockstep.batch_key``.
     comm : communicator; histories are the same on all ranks.
-    pair : contact pair of the cases; None: assembled first.
+    pair : contact pair of the cases, or one of each on the same contact elements; None: assembled
+        first.
     start : where an interrupted history continues, of one case.
     observers : called with all new states, in this order.
     most : histories that step at a time; as they end others take their places. None: all.

@@ -1,9 +1,9 @@
-"""The physics of one contact pair: what presses (3), how it wears (4), what a step wears off.
+"""The physics of one contact line: what presses (3), how it wears (4), what a step wears off.
 
 Pure: contact solutions are the matter of ``contact.correction``, whose problems are posed here;
 nothing here knows of schemes, step control, files or observers.
 
-There are B >= 1 histories on the pair: fields are (B, n), numbers of histories (B,). Loads, laws
+There are B >= 1 histories on the line: fields are (B, n), numbers of histories (B,). Loads, laws
 and gaps are ``inputs``, moduli ``compliances``; elements that follow the wear are the matter of
 ``moving_geometry``, states for which all this does not hold that of ``admissible``.
 """
@@ -25,26 +25,26 @@ from ringwear_par.elasticity.bem.pair import BodyCost, ContactCompliance, Contac
 from ringwear_par.elasticity.geometry.mesh import ContactLine
 from ringwear_par.history.derivatives.numbers import Sensitivity
 from ringwear_par.history.elastic.bodies import young
-from ringwear_par.history.elastic.compliances import Compliances
+from ringwear_par.history.elastic.compliances import Compliances, OperatorKey, key_of
 from ringwear_par.history.inputs import HistoryInputs
 from ringwear_par.schedules import in_time, integral
 from ringwear_par.wear.averaging import averaged_rate, averaging
 from ringwear_par.wear.increment import Closing, WearIncrement
-from ringwear_par.wear.layer_split import worn_through
+from ringwear_par.wear.layered import LayeredLaw, worn_through
 from ringwear_par.wear.local_state import LocalState
 
 
 @dataclass(frozen=True)
 class Physics:
-    """Contact and wear of B cases that share a pair.
+    """Contact and wear of B cases whose contact elements are the same.
 
     Parameters
     ----------
     inputs : loads, laws and gaps of the cases.
-    pair : the contact pair before any wear.
+    pairs : of each history, the contact pair before any wear.
     compliances : of the histories.
-    layer_ends : (layers, n) mm, along the axis, depths at which the layers of lower and upper end;
-        None for a body without.
+    layer_ends : (layers, B, n) mm, along the axis, depths at which the layers of lower and upper
+        end; None for a body without.
     averages : (n, n) of the pressures, and of the rates, of non-local laws of lower and upper.
     sensitivity : what the numbers act on that there are derivatives with respect to, if any.
     gap_offset : (B, n) mm, what elements are nearer than their profiles say, see ``State``.
@@ -54,7 +54,7 @@ class Physics:
     """
 
     inputs: HistoryInputs
-    pair: ContactPair
+    pairs: tuple[ContactPair, ...]
     compliances: Compliances
     layer_ends: tuple[FloatArray | None, ...]
     averages: tuple[FloatArray | None, ...] = (None, None)
@@ -68,9 +68,9 @@ class Physics:
     def of(
         cls,
         cases: Sequence[Case],
-        pair: ContactPair,
+        pairs: ContactPair | Sequence[ContactPair],
         *,
-        known: Mapping[tuple[float, float], ContactCompliance] = MappingProxyType({}),
+        known: Mapping[OperatorKey, ContactCompliance] = MappingProxyType({}),
         derivatives: Sequence[str] = (),
     ) -> Self:
         """Return the physics of cases before any wear. Not collective.
@@ -79,8 +79,8 @@ class Physics:
         ----------
         cases : of one shape and mesh, with laws of the same kinds; one alone if its elements follow
             the wear.
-        pair : contact pair of the cases.
-        known : compliances by moduli, as far as they are known.
+        pairs : contact pair of the cases, or one of each.
+        known : compliances, as far as they are known.
         derivatives : keys that states are to have derivatives with respect to.
 
         Raises
@@ -88,15 +88,14 @@ class Physics:
         ValueError : the cases cannot be stacked.
         """
         inputs = HistoryInputs.of(cases)
-        ends = tuple(
-            cases[0].layer_ends(i) if ring.layers else None for i, ring in enumerate(cases[0].rings)
-        )
+        pairs = (pairs,) * len(cases) if isinstance(pairs, ContactPair) else tuple(pairs)
+        ends = tuple(_layer_ends(cases, body) for body in range(2))
         physics = cls(
             inputs,
-            pair,
-            Compliances.of([young(case) for case in cases], pair, known),
+            pairs,
+            Compliances.of(pairs, [young(case) for case in cases], known),
             ends,
-            sensitivity=Sensitivity(derivatives, inputs.cases, pair) if derivatives else None,
+            sensitivity=Sensitivity(derivatives, inputs.cases, pairs) if derivatives else None,
         )
         return physics._along_slopes()
 
@@ -110,7 +109,8 @@ class Physics:
         """Return the physics whose averages and layers are those of faces of these slopes."""
         inputs, true_area = self.inputs, self.area * self.compliances.every[0].obliquity
         if inputs.layered:
-            inputs = inputs.with_layers(self.layer_ends, self.obliquity)
+            ends = [None if e is None else self._along_normal(e) for e in self.layer_ends]
+            inputs = inputs.with_laws(lambda i, law: law.at(ends[i]))
         averages = tuple(
             averaging(self.line.r, true_area, law.length)
             if law is not None and law.length
@@ -127,12 +127,12 @@ class Physics:
     @property
     def line(self) -> ContactLine:
         """The contact elements before any wear."""
-        return self.pair.line
+        return self.pairs[0].line
 
     @property
     def area(self) -> FloatArray:
         """(n,) mm^2, of the contact elements, normal to the axis."""
-        return self.pair.line.area
+        return self.line.area
 
     @cached_property
     def obliquity(self) -> FloatArray | None:
@@ -255,13 +255,49 @@ class Physics:
 
         At pressure (B, n); N mm and N.
         """
-        first = self.compliances.every[0]
+        force = self.compliances.force_reaction
         # boundary elements turn with tractions that are constant on each
-        turned = first.torque_reaction * (self.line.arm / self.line.uniform_arm)
-        carried = np.vstack([self._moment, first.force_reaction, turned])
+        torque = self.compliances.torque_reaction * (self.line.arm / self.line.uniform_arm)
+        carried = self._moment, force[:, 0], force[:, 1], torque[:, 0], torque[:, 1]
         return np.array([inner(weights, p) for weights in carried])
 
     # -- layers ------------------------------------------------------------------------------------
+
+    def _along_normal(self, depth: FloatArray) -> FloatArray:
+        """Return depths along the normal, which laws speak of, from those along the axis."""
+        return depth if self.obliquity is None else depth / self.obliquity
+
+    def layers_at(self, wear: FloatArray) -> IntArray:
+        """Return the layers of lower and upper at the face, (2, B, n), worn by (2, B, n) mm.
+
+        0 is the first; all of a body that has none.
+        """
+        layers = np.zeros(wear.shape, dtype=np.int64)
+        for i, law in enumerate(self.inputs.laws):
+            if isinstance(law, LayeredLaw):
+                layers[i] = law.layers_at(self._along_normal(wear[i]))
+        return layers
+
+    def in_present_layers(self, wear: FloatArray) -> Self:
+        """Return the physics of elements that stay in the layers at the face, at (2, B, n) mm."""
+        return self.in_layers(self.layers_at(wear)) if self.inputs.layered else self
+
+    def in_layers(self, layers: IntArray) -> Self:
+        """Return the physics of elements that stay in these layers, (2, B, n)."""
+        inputs = self.inputs.with_laws(lambda i, law: law.in_layers(layers[i]))
+        return replace(self, inputs=inputs)
+
+    def ends_of(self, layers: IntArray) -> FloatArray:
+        """Return the depths along the axis at which layers end, (2, B, n) mm.
+
+        Infinite of bodies themselves.
+        """
+        ends = np.full(layers.shape, np.inf)
+        for i, law in enumerate(self.inputs.laws):
+            if isinstance(law, LayeredLaw):
+                end = law.end_of(layers[i])
+                ends[i] = end if self.obliquity is None else end * self.obliquity
+        return ends
 
     def layer_left(self, body: int, wear: FloatArray) -> FloatArray:
         """Return the thickness left of all layers of a body, (..., n) mm, worn by (..., n) mm."""
@@ -273,7 +309,7 @@ class Physics:
         """Return the worn volumes of each layer and the body itself, (..., layers + 1) mm3."""
         ends = self.layer_ends[body]
         assert ends is not None
-        bounds = [np.zeros(self.line.n), *ends, np.full(self.line.n, np.inf)]
+        bounds = [np.zeros_like(ends[0]), *ends, np.full_like(ends[0], np.inf)]
         volumes = [
             np.asarray(inner(self.area, np.clip(wear, start, end) - start))
             for start, end in itertools.pairwise(bounds)
@@ -288,7 +324,11 @@ class Physics:
         return replace(
             self,
             inputs=self.inputs.take(histories),
+            pairs=tuple(self.pairs[i] for i in histories),
             compliances=self.compliances.take(histories),
+            layer_ends=tuple(
+                None if ends is None else ends[:, histories] for ends in self.layer_ends
+            ),
             sensitivity=None if sensitivity is None else sensitivity.take(histories),
             gap_offset=None if offset is None else offset[histories],
         )
@@ -296,13 +336,25 @@ class Physics:
     def joined(self, other: "Physics") -> "Physics":
         """Return the physics of the histories of both."""
         known = {
-            young(case): physics.compliances.history(i)
+            key_of(pair, young(case)): physics.compliances.history(i)
             for physics in (self, other)
-            for i, case in enumerate(physics.inputs.cases)
+            for i, (pair, case) in enumerate(zip(physics.pairs, physics.inputs.cases, strict=True))
         }
         return Physics.of(
             (*self.inputs.cases, *other.inputs.cases),
-            self.pair,
+            (*self.pairs, *other.pairs),
             known=known,
             derivatives=() if self.sensitivity is None else self.sensitivity.keys,
         )
+
+
+def _layer_ends(cases: Sequence[Case], body: int) -> FloatArray | None:
+    """Return the depths at which layers of a body end, (layers, B, n) mm; None for no layers."""
+    known: dict[tuple[float, ...], FloatArray] = {}  # of one face
+    ends = []
+    for case in cases:
+        thicknesses = tuple(layer.thickness for layer in case.rings[body].layers)
+        if thicknesses not in known:
+            known[thicknesses] = case.layer_ends(body)
+        ends.append(known[thicknesses])
+    return np.stack(ends, axis=1) if len(ends[0]) else None

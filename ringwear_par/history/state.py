@@ -13,12 +13,18 @@ from ringwear_par.contact.problem import ContactState, WarmStart
 class Tangent:
     """Derivatives of a state.
 
+    Of histories with layers the last of P rows is with respect to the end of the step, which other
+    numbers may move: it is where an element comes to the end of its layer.
+
     Parameters
     ----------
     wear : (2, P, ..., n) float, mm over each number's unit.
     energy : (P, ...) float, N mm.
     pressure, gap : (P, ..., n) float, MPa and mm, of the contact.
     approach : (P, ...) float, mm.
+    time : (P, ...) float, s, of the time of the state.
+    interface : (P, ...) float, s, of the end of the step if it is where the first element is at the
+        end of its layer; 0 where none is.
     """
 
     wear: FloatArray = field(metadata=along(2))
@@ -26,6 +32,24 @@ class Tangent:
     pressure: FloatArray = field(metadata=along(1))
     gap: FloatArray = field(metadata=along(1))
     approach: FloatArray = field(metadata=along(1))
+    time: FloatArray = field(metadata=along(1))
+    interface: FloatArray = field(metadata=along(1))
+
+    def at_interfaces(self, moving: BoolArray) -> "Tangent":
+        """Return the derivatives at ends that are those of interfaces where so (B,), else fixed."""
+        time = np.where(moving, self.interface, 0.0)
+
+        def moved(values: FloatArray, rows: int) -> FloatArray:
+            last = np.take(values, [-1], axis=rows)
+            shift = time.reshape(*time.shape, *(1,) * (values.ndim - rows - 2))
+            changed = values + shift * last
+            changed[(slice(None),) * rows + (-1,)] = 0.0
+            return changed
+
+        return Tangent(
+            moved(self.wear, 1), moved(self.energy, 0), moved(self.pressure, 0),
+            moved(self.gap, 0), moved(self.approach, 0), time, np.zeros_like(time),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -79,6 +103,8 @@ class Progress:
     pressed : whether a try of the present step failed by its pressure.
     tried_iterations : of the contact solver, in tries of the present step.
     undefined : whether the error of the last try was not a number.
+    interface : s, when the first element is expected at the end of its layer; infinite where none
+        is.
     """
 
     steps: IntArray
@@ -90,12 +116,14 @@ class Progress:
     pressed: BoolArray
     tried_iterations: IntArray
     undefined: BoolArray
+    interface: FloatArray
 
     @classmethod
     def at_start(cls, count: int) -> "Progress":
         """Return the progress of B histories before their first step."""
         zeros, no = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
-        return cls(zeros, np.zeros(count), zeros, zeros, np.zeros(count), no, no, zeros, no)
+        length, never = np.zeros(count), np.full(count, np.inf)
+        return cls(zeros, length, zeros, zeros, length, no, no, zeros, no, never)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,8 @@ _SAFETY, _LARGEST_GROWTH, _LARGEST_CUT = 0.82, 5.0, 0.1
 _AFTER_FAILURE = 0.25
 #: end of a sentence about a step
 NO_STEP = "and no step is short enough"
+#: beginning of a sentence about a step that is to end at an interface
+_UNREACHED = "an element comes to the end of its layer at a time that is not found"
 #: share of the tolerance that a step may miss whatever the history before it has missed
 _LEAST_ALLOWED = 0.05
 #: wear of the first step, in tolerances: edges wear fast and not for long
@@ -38,10 +40,13 @@ class Decision:
     Parameters
     ----------
     accepted : (B,) bool, which histories go on from the end of their try.
+    complete : (B,) bool, which of these have come to the end of a step; the others to an interface
+        of layers within it.
     progress : afterwards.
     """
 
     accepted: BoolArray
+    complete: BoolArray
     progress: Progress
 
 
@@ -122,15 +127,39 @@ class FixedSteps:
 
     def next_try(self, state: State, progress: Progress) -> tuple[FloatArray, Progress]:
         """Return the times of the next steps' ends."""
+        end = _until_interface(state, self._end(progress), progress)
+        if (stuck := _is_short(state.time, end)).any():
+            if len(stuck) > 1:
+                raise HistoriesError(stuck)
+            raise ComputationError(f"{_UNREACHED}, {NO_STEP}")
+        return end, progress
+
+    def _end(self, progress: Progress) -> FloatArray:
+        """Return the times of the present steps' ends."""
         if self.ends is None:
-            return (progress.steps + 1) * self.length, progress
-        return self.ends[np.arange(len(self.ends)), progress.steps], progress
+            return (progress.steps + 1) * self.length
+        return self.ends[np.arange(len(self.ends)), progress.steps]
 
     def decide(self, before: State, step: Step, progress: Progress) -> Decision:
-        """Accept every step."""
-        iterations = progress.iterations + step.state.contact.iterations
-        every = np.ones(len(self.length), dtype=bool)
-        return Decision(every, replace(progress, steps=progress.steps + 1, iterations=iterations))
+        """Accept every step, and every part of one that ends at an interface of layers.
+
+        Such an end is found by a try of what is left of the step, so that histories whose numbers
+        differ a little step alike.
+        """
+        iterations = progress.tried_iterations + step.state.contact.iterations
+        accepted = np.logical_not(step.too_far) & np.ones(len(self.length), dtype=bool)
+        complete = accepted & (step.state.time == self._end(progress))
+        return Decision(
+            accepted,
+            complete,
+            replace(
+                progress,
+                steps=progress.steps + complete,
+                iterations=progress.iterations + np.where(complete, iterations, 0),
+                tried_iterations=np.where(complete, 0, iterations),
+                interface=np.where(accepted, np.inf, step.interface),
+            ),
+        )
 
     def shorten(self, before: State, end: FloatArray, progress: Progress) -> Progress | None:
         """Return None: there is no other step."""
@@ -186,11 +215,13 @@ class ErrorControl:
         ComputationError : no step, however short, meets the tolerance.
         """
         end, _, length = self._try(state, progress)
-        if (stuck := end - state.time <= 4.0 * np.spacing(state.time)).any():
+        if (stuck := _is_short(state.time, end)).any():
             if len(stuck) > 1:
                 raise HistoriesError(stuck)
             why = (
-                "the estimated error of the step is not a number"
+                _UNREACHED
+                if progress.interface[0] == end[0]
+                else "the estimated error of the step is not a number"
                 if progress.undefined[0]
                 else f"errors exceed time.tolerance = {self.wear_tolerance[0]:g} mm or "
                 f"time.pressure_tolerance = {self.pressure_tolerance[0]:g} (larger ones may be met)"
@@ -211,6 +242,7 @@ class ErrorControl:
         if self.limits.shape[1] > 1:
             ahead = self.limits > state.time[:, None]
             limit = np.take_along_axis(self.limits, ahead.argmax(axis=1)[:, None], axis=1)[:, 0]
+        limit = _until_interface(state, limit, progress)
         fresh, length = ~progress.begun, progress.length
         if fresh.any():
             fastest = state.rates.max(axis=(0, 2))
@@ -240,20 +272,23 @@ class ErrorControl:
         iterations = progress.tried_iterations + step.state.contact.iterations
         ratio, pressing, ahead = self._ratios(before, step)
         pressed = progress.pressed | pressing
-        accepted = ratio <= 1.0
+        too_far = step.too_far & np.ones(len(length), dtype=bool)
+        accepted = (ratio <= 1.0) & ~too_far
         following = _following(length, _change(ahead), pressed, cut, progress.length)
         return Decision(
+            accepted,
             accepted,
             Progress(
                 progress.steps + accepted,
                 np.where(accepted, following, progress.next_step),
                 progress.rejected + ~accepted,
                 progress.iterations + np.where(accepted, iterations, 0),
-                np.where(accepted, progress.length, length * _change(ratio)),
+                np.where(ratio <= 1.0, progress.length, length * _change(ratio)),
                 ~accepted,
                 pressed,
                 iterations,
                 ratio == np.inf,
+                np.where(accepted | too_far, step.interface, progress.interface),
             ),
         )
 
@@ -291,6 +326,18 @@ class ErrorControl:
     def _allowed(self, missed: FloatArray) -> FloatArray:
         """Return the error of a step, mm, that is allowed where the history has missed so much."""
         return np.maximum(self.wear_tolerance - missed, _LEAST_ALLOWED * self.wear_tolerance)
+
+
+def _until_interface(state: State, end: FloatArray, progress: Progress) -> FloatArray:
+    """Return ends of steps, s, or when an element is at the end of its layer, if it is before."""
+    interface = progress.interface
+    within = (state.time < interface) & (interface < end) & ~_is_short(interface, end)
+    return np.where(within, interface, end)
+
+
+def _is_short(time: FloatArray, end: FloatArray) -> BoolArray:
+    """Return which steps are as short as the round-off of their times."""
+    return end - time <= 4.0 * np.spacing(time)
 
 
 def _or_infinite(ratio: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from scipy.stats import chi2, norm
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import in_signs
+from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
 from ringwear_par.identification.definition.problem import Experiment, Problem, Series
 from ringwear_par.identification.estimation.intervals import ParameterEstimate
@@ -179,6 +180,28 @@ def parameter_figure(fit: FitResult) -> Figure:
         handles |= {label: h for h, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     chart.legend(handles.values(), handles.keys(), loc="outside upper center",
                  ncols=2 if m == 1 else 4, fontsize=7, frameon=False)  # fmt: skip
+    return chart
+
+
+def specimen_figure(fit: FitResult) -> Figure:
+    """Return the values of specimens of each key that scatters, and the material's.
+
+    Raises
+    ------
+    InputError : a fit without scatter.
+    """
+    outcome = fit.to_dict()
+    scattering = {k: one for k, one in outcome["parameters"].items() if "each" in one}
+    if not scattering:
+        raise InputError("plot_specimens: no key of the fit has scatter; must be a fit with one")
+    widest = max(len(one["each"]) for one in scattering.values())
+    size = max(_NARROWEST, 0.7 * min(widest, 16)), _HEIGHT * len(scattering)
+    chart = NotebookFigure(figsize=size, layout="constrained")
+    panels = chart.subplots(len(scattering), 1, squeeze=False)[:, 0]
+    for axes, (key, one) in zip(panels, scattering.items(), strict=True):
+        draw(axes, fits.specimens(key, one, outcome["level"]), 0)
+        axes.legend(fontsize=_SMALL, frameon=False, loc="upper center",
+                    bbox_to_anchor=(0.5, -0.14), ncols=3)  # fmt: skip
     return chart
 
 

@@ -15,7 +15,8 @@ from ringwear_par.files.folders import check_folder
 from ringwear_par.identification import fit_folder
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem
-from ringwear_par.identification.estimation.intervals import estimates
+from ringwear_par.identification.definition.scatter import expected_sizes
+from ringwear_par.identification.estimation.intervals import ParameterEstimate, estimates
 from ringwear_par.identification.estimation.minimise import Optimum, minimise
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.estimation.posterior import sample_posterior
@@ -31,6 +32,7 @@ from ringwear_par.identification.estimation.starts import (
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.model.histories import MOST_SHIFT_SD, STEPS
 from ringwear_par.identification.model.rounds import Rounds, StoppedError
+from ringwear_par.identification.scatter.search import estimate_material
 from ringwear_par.identification.summary import prediction
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads
@@ -170,13 +172,15 @@ class FitRun:
         signals: StopSignals,
         comm: MPI.Intracomm,
     ) -> None:
-        self._problem, self._law, self._stored = problem, law, stored
+        self._problem, self._law, self._stored, self._comm = problem, law, stored, comm
         hint = "; the same command with --restart goes on" if stored.is_stored else ""
         self._rounds = Rounds(problem, comm, signals, hint)
         self._misfit = Misfit(problem, self._rounds)
 
     def solve(self) -> FitResult:
         """Return the best of all starts. Collective."""
+        with together(self._comm):
+            self._rounds.interpolate(self._problem, self._comm)
         return self._on_all_ranks(self._solve)
 
     def expect(self) -> FitResult:
@@ -189,7 +193,8 @@ class FitRun:
 
         def lead() -> tuple[Any, ...]:
             fields = job()
-            misfit.keep_only(fields["x"])
+            material = fields.get("material")
+            misfit.keep_only(fields["x"], None if material is None else material.own)
             return fields, misfit.data, misfit.noise_scale, misfit.steps, misfit.response_cache
 
         fields, *state = self._rounds.lead(lead)
@@ -208,7 +213,9 @@ class FitRun:
     def _solve(self) -> dict[str, Any]:
         misfit, rounds, keys = self._misfit, self._rounds, self._problem.keys
         self._begin()
+        misfit.be_exact(not rounds.are_interpolated)
         starts = solve_starts(misfit, rounds, self._law, self._stored)
+        misfit.be_exact(True)
         x = np.array(self._best(starts).unknowns)
         histories_of_profiles = 0
         while True:
@@ -241,8 +248,9 @@ class FitRun:
             "evaluation": optimum.evaluation,
             "parameters": profiles.estimates,
             "covariance": covariance,
+            **self._material(optimum.x, profiles.estimates, None),
             "starts": tuple(starts),
-            "histories": rounds.count,
+            "histories": self._rounds.count,
             "profiles": profiles.tables,
             "posterior": posterior,
             "histories_of_profiles": histories_of_profiles,
@@ -259,9 +267,32 @@ class FitRun:
             "evaluation": evaluation,
             "parameters": parameters,
             "covariance": covariance,
+            **self._material(x, parameters, expected_sizes(self._problem)),
             "starts": (),
             "histories": self._rounds.count,
             "profiles": {},
+        }
+
+    def _material(
+        self,
+        x: FloatArray,
+        parameters: tuple[ParameterEstimate, ...],
+        sizes: Mapping[tuple[str, str], float] | None,
+    ) -> dict[str, Any]:
+        """Return the fields of a result that are others where values scatter between tests."""
+        if not self._problem.scatters:
+            return {}
+        self._rounds.tell("specimens")
+        material = estimate_material(self._misfit, x, sizes)
+        return {
+            "x": material.x,
+            "evaluation": material.evaluation,
+            "parameters": tuple(
+                material.estimate(j) if j in material.free else estimate
+                for j, estimate in enumerate(parameters)
+            ),
+            "covariance": material.covariance,
+            "material": material,
         }
 
     def _refine(self, shift: FloatArray) -> None:

@@ -15,6 +15,7 @@ from ringwear_par.files.folders import (
     ESTIMATES,
     FIT,
     READINGS,
+    SPECIMENS,
     new_files,
     write_json,
 )
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-FILES = (FIT, READINGS, CURVES, ESTIMATES)
+FILES = (FIT, READINGS, CURVES, ESTIMATES, SPECIMENS)
 
 
 def refuse_interrupted(folder: Path) -> None:
@@ -72,7 +73,10 @@ def save(fit: FitResult, folder: Path) -> None:
     with new_files(folder, FILES):
         with atomic_hdf5(folder / READINGS) as (file, _):
             _write(file, fit)
-        for figure, draw in ((CURVES, fit.plot), (ESTIMATES, fit.plot_parameters)):
+        figures = {CURVES: fit.plot, ESTIMATES: fit.plot_parameters}
+        if fit.material is not None:
+            figures[SPECIMENS] = fit.plot_specimens
+        for figure, draw in figures.items():
             try:
                 picture = png(draw())
             except (ArithmeticError, TypeError, ValueError) as error:  # of axes, for huge numbers

@@ -23,6 +23,8 @@ from ringwear_par.identification.estimation.posterior import Posterior
 from ringwear_par.identification.estimation.record_checks import FitWarning, record_warnings
 from ringwear_par.identification.estimation.starts import StartOutcome
 from ringwear_par.identification.model.histories import MOST_SHIFT_SD
+from ringwear_par.identification.scatter.disagreement import disagreements
+from ringwear_par.identification.scatter.material import Material
 from ringwear_par.results import outcomes
 
 if TYPE_CHECKING:
@@ -57,6 +59,8 @@ class FitResult:
     histories_of_profiles : how many of them were for likelihood profiles.
     inexact_limits : keys of which a profile's limit is not as close as it should be.
     discretisation_shift_sd : sd by which steps half as long would move a key, by key.
+    material : behind the specimens, where values of keys scatter; ``x``, ``evaluation``,
+        ``parameters`` and ``covariance`` are its.
     """
 
     misfit: Misfit
@@ -74,6 +78,7 @@ class FitResult:
     histories_of_profiles: int = 0
     inexact_limits: tuple[str, ...] = ()
     discretisation_shift_sd: Mapping[str, float] = field(default_factory=dict)
+    material: Material | None = None
 
     def __repr__(self) -> str:
         estimates = ", ".join(f"{p.key} = {p.estimate:.4g} ({p.verdict})" for p in self.parameters)
@@ -98,12 +103,20 @@ class FitResult:
     def n_fitted(self) -> int:
         """Number of fitted numbers: keys, nuisances that do something, and noises."""
         fitted_noise = sum(record.series.sd_fitted for record in self.misfit.records)
-        return len(self.x) - int(self.misfit.idle.sum()) + fitted_noise
+        sizes = 0 if self.material is None else self.material.n_fitted_sizes
+        return len(self.x) - int(self.misfit.idle.sum()) + fitted_noise + sizes
 
     @property
-    def freedom(self) -> int:
-        """Degrees of freedom of ``chi2``: readings and priors, less what was fitted."""
-        return self.n + len(self.misfit.priors) - self.n_fitted
+    def freedom(self) -> float:
+        """Degrees of freedom of ``chi2``: readings and priors, less what was fitted.
+
+        Values of specimens count by how much their readings, not the others', determine them.
+        """
+        freedom = self.n + len(self.misfit.priors) - self.n_fitted
+        if self.material is None:
+            return freedom
+        m = len(self.parameters)
+        return freedom + m + self.material.n_fitted_sizes - self.material.effective_number
 
     @property
     def total(self) -> float:
@@ -119,6 +132,8 @@ class FitResult:
     @property
     def _deviance(self) -> float:
         """-2 log L of the readings, and the squares of the priors' residuals."""
+        if self.material is not None:
+            return self.material.deviance
         return self._priors - 2.0 * self.misfit.log_likelihood(self.evaluation)
 
     @property
@@ -182,12 +197,20 @@ class FitResult:
 
     @property
     def information(self) -> FloatArray:
-        """(m, m) Fisher information of the fitted keys' unknowns, nuisances eliminated."""
+        """(m, m) Fisher information of the fitted keys' unknowns, nuisances eliminated.
+
+        Of the material's, where they scatter.
+        """
+        if self.material is not None:
+            m = len(self.parameters)
+            return np.linalg.pinv(self.covariance[:m, :m], hermitian=True)
         return without_nuisances(information(self.misfit, self.evaluation), len(self.parameters))
 
     @property
     def band(self) -> FloatArray:
         """(n,) sd of the model's readings, with nuisances; nothing of what nobody knows."""
+        if self.material is not None:
+            return self.material.band
         rows = self.misfit.columns(self.x)
         finite = np.where(np.isfinite(self.covariance), self.covariance, 0.0)
         return np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, finite, rows), 0.0))
@@ -218,7 +241,16 @@ class FitResult:
     @cached_property
     def doubts(self) -> tuple[FitWarning, ...]:
         """What records say against the model or the intervals; ``warnings`` has their texts."""
-        return record_warnings(self.misfit, self.x, self.evaluation)
+        misfit, x, evaluation = self.misfit, self.x, self.evaluation
+        if self.material is None:
+            test_unknowns = np.tile(x[: len(self.parameters)], (len(misfit.problem.experiments), 1))
+        else:
+            test_unknowns = self.material.test_unknowns
+        return (
+            *record_warnings(misfit, x, evaluation),
+            *disagreements(misfit, x, evaluation, test_unknowns),
+            *(() if self.material is None else self.material.warnings),
+        )
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -246,6 +278,7 @@ class FitResult:
             "flagged": self.flagged,
             "aic": self.aic,
             "bic": self.bic,
+            "specimens": len({e.groups[0] for e in problem.experiments}),
             "experiments": self.experiments,
             "nuisance": self.nuisances,
             "histories": self.histories,
@@ -277,11 +310,15 @@ class FitResult:
         entries = {
             p.key: {
                 **_parameter(p),
+                "of": "specimens",
                 "interval_of": "likelihood profile" if p.key in self.profiles else "linear model",
                 "unit": units[p.key],
             }
             for p in self.parameters
         }
+        if self.material is not None:
+            for j, entry in enumerate(entries.values()):
+                entry.update(self.material.entry(j))
         if self.posterior is not None:
             samples = self.posterior.samples
             ends = self.posterior.interval(self.misfit.problem.settings.level)
@@ -328,6 +365,15 @@ class FitResult:
     def plot_parameters(self) -> "Figure":
         """Return the figure of the fitted keys: ellipses, likelihood profiles, samples."""
         return outcomes.parameter_figure(self)
+
+    def plot_specimens(self) -> "Figure":
+        """Return the figure of the specimens: each one's value, the material's, the next one's.
+
+        Raises
+        ------
+        InputError : a fit without scatter.
+        """
+        return outcomes.specimen_figure(self)
 
     def save(self, folder: str | Path) -> None:
         """Write fit.json, results.h5 and both figures to a folder, which is made.

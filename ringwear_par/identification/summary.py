@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ringwear_par.identification.definition.scatter import PLURALS
+
 if TYPE_CHECKING:
     from ringwear_par.identification.estimation.posterior import Posterior
     from ringwear_par.identification.fit_result import FitResult
@@ -79,7 +81,7 @@ def goodness(outcome: Outcome) -> str:
         test = 'loss "student"' if outcome["loss"] == "student" else "no p-value"
     return (
         f"chi2 = {outcome['chi2']:.5g} of {outcome['n_data']} readings, "
-        f"{outcome['degrees_of_freedom']} degrees of freedom ({test}); "
+        f"{outcome['degrees_of_freedom']:.6g} degrees of freedom ({test}); "
         f"AIC {outcome['aic']:.5g}, BIC {outcome['bic']:.5g}"
     )
 
@@ -227,6 +229,8 @@ def summary(fit: "FitResult") -> str:
         + (f" ({fit.histories_of_profiles} for profiles)" if fit.profiles else ""),
         *_parameter_lines(outcome),
     ]
+    if fit.material is None:
+        lines.append(f"  {of_specimens(outcome)}")
     if fit.posterior is not None:
         lines += _posterior_lines(fit, fit.posterior, outcome)
     lines += [f"warning: {sentence}" for sentence in fit.warnings]
@@ -248,6 +252,16 @@ def summary(fit: "FitResult") -> str:
         most = max(shifts, key=lambda key: abs(shifts[key]))
         lines.append(f"time steps half as long would move {most} by {shifts[most]:.2g} sd")
     return "\n".join(lines)
+
+
+def of_specimens(outcome: Outcome) -> str:
+    """Return the sentence that says what intervals without scatter are of."""
+    count = outcome["specimens"]
+    specimens = "this specimen" if count == 1 else f"these {count} specimens"
+    return (
+        f"of {specimens}; repeats of a material scatter more "
+        '(scatter = "fit" where there are repeats)'
+    )
 
 
 def prediction(fit: "FitResult") -> str:
@@ -291,7 +305,45 @@ def _parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
         by = ", likelihood profile" * (estimate["interval_of"] == "likelihood profile")
         if estimate["verdict"] != "not identified":
             text += f"  {limits} ({100 * level:g} %{by})"
+        text = text.replace("  ", " of the material  ", 1) if estimate["of"] == "material" else text
         lines.append(f"  {key.ljust(width)}  {text}  {estimate['verdict']}")
+        lines += [f"    {line}" for line in scatter_lines(estimate, level)]
+    return lines
+
+
+def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
+    """Return sentences about the scatter of a key, none without; ``estimate`` as in fit.json."""
+    if estimate["of"] != "material":
+        return []
+    log, unit = "mean" in estimate, unit_suffix(estimate["unit"])
+
+    def size(value: float) -> str:
+        return f"{100.0 * value:.2g}" if log else f"{value:.3g}"
+
+    unit_of_size = " %" if log else unit
+    sizes = []
+    for group, scatter in estimate["scatter"].items():
+        between = f"between {scatter['groups']} {PLURALS[group]} "
+        if "known" in scatter:
+            sizes.append(f"{between}{size(scatter['known'])}{unit_of_size} (given)")
+            continue
+        low, high = scatter["interval"]
+        at_bound = ", perhaps none" * (scatter["verdict"] == "at bound")
+        sizes.append(
+            f"{between}{size(scatter['estimate'])}{unit_of_size} ({size(low)} to "
+            f"{size(high)}{unit_of_size}{at_bound})"
+        )
+    low, high = estimate["next"]
+    lines = [f"{'; '.join(sizes)}", f"the next specimen: from {low:.4g} to {high:.4g}{unit}"]
+    limits = [
+        f"{name} {symbol} = {size(estimate[name][symbol])}{unit_of_size}"
+        for name, symbol in (("repeatability", "r"), ("reproducibility", "R"))
+        if name in estimate
+    ]
+    if limits:
+        lines[-1] += f" ({100.0 * level:g} %); {', '.join(limits)}"
+    if (needed := estimate.get("specimens_for_10_percent")) is not None:
+        lines.append(f"+-10 % of the material needs some {needed} specimens")
     return lines
 
 

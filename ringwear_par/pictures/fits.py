@@ -1,5 +1,6 @@
 """Panels of a fit: readings with the model and its bands, residuals."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.units import in_signs
 from ringwear_par.pictures.panels import GREY, Axis, Band, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.instants import time_unit
@@ -18,6 +20,10 @@ _CLOSE = 1e-9
 RESIDUAL = "(data - model) / sd"
 #: standard deviations that axes of residuals have at least
 _REACH = 4.0
+#: from the middle of a specimen, its values by its own readings and with the others
+_ASIDE = 0.12
+#: specimens whose names have room
+_NAMED = 12
 #: readings whose noise has a bar each
 _FEW = 60
 
@@ -116,4 +122,48 @@ def residuals(series: Series) -> Panel:
         below, Axis(RESIDUAL, ends=(-reach, reach)), f"{series.title}, residuals",
         points=[Points(x, series.residuals, "", GREY, 4.0)],
         levels=(-series.quantile, series.quantile),
+    )  # fmt: skip
+
+
+def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
+    """Return the values of a key in each specimen, and the intervals of the material and the next.
+
+    Parameters
+    ----------
+    estimate : of a key that scatters, as in fit.json.
+    level : of its intervals.
+    """
+    entries, unit = estimate["each"], in_signs(estimate["unit"])
+    quantile = float(norm.ppf(0.5 + 0.5 * level))
+    places = np.arange(len(entries), dtype=float)
+    ends = np.array([-0.6, len(entries) - 0.4])
+    bands = []
+    for name, (low, high), opacity in (
+        ("the next specimen", estimate["next"], 0.15),
+        ("the material", estimate["interval"], 0.35),
+    ):
+        if low is not None and high is not None:
+            name = f"{100 * level:g} % of {name}"
+            low, high = np.full(2, low), np.full(2, high)
+            bands.append(
+                Band(ends, low, high, name, (f"{name}, from", f"{name}, to"), opacity=opacity)
+            )
+    drawn = []
+    for name, values_of, colour, shift in (
+        ("by its own readings", [one["alone"] for one in entries.values()], GREY, -_ASIDE),
+        ("in the light of the others", list(entries.values()), COLOURS[1], _ASIDE),
+    ):
+        values, sds = (np.array([one[n] for one in values_of]) for n in ("estimate", "sd"))
+        drawn.append(
+            Points(places + shift, values, name, colour, 6.0, hollow=shift < 0.0,
+                   errors=quantile * sds)
+        )  # fmt: skip
+    names = (
+        tuple(entries) if len(entries) <= _NAMED else tuple(map(str, range(1, len(entries) + 1)))
+    )
+    material = Curve(ends, np.full(2, estimate["estimate"]), "the material", COLOURS[0])
+    return Panel(
+        Axis("specimen", ends=(ends[0], ends[1]), categories=names),
+        Axis(f"{key} ({unit})" if unit not in ("1", "-") else key),
+        f"{key} of specimens", curves=[material], bands=bands, points=drawn,
     )  # fmt: skip

@@ -14,7 +14,14 @@ from ringwear_par.files import folders
 from ringwear_par.files.ordinary import read_bytes
 from ringwear_par.files.text import parse_json
 from ringwear_par.files.text import read_text as read_file
-from ringwear_par.identification.summary import counted, goodness, law_rows, series_rows
+from ringwear_par.identification.summary import (
+    counted,
+    goodness,
+    law_rows,
+    of_specimens,
+    scatter_lines,
+    series_rows,
+)
 from ringwear_par.pictures import fits
 from ringwear_par.pictures.style import in_words
 from ringwear_par.reports.blocks import (
@@ -121,7 +128,7 @@ def _summary(outcome: Mapping[str, Any]) -> list[Block]:
         goodness(outcome),
     ]
     blocks: list[Block] = [Lines([*map(with_signs, warnings)], warning=True)] if warnings else []
-    blocks += [Lines(lines), _estimates("Estimates", parameters, level)]
+    blocks += [Lines(lines), _estimates("Estimates", parameters, level), *_scatter(outcome)]
     unidentified = [
         f"{key}: {one['direction']}" for key, one in parameters.items() if one.get("direction")
     ]
@@ -155,6 +162,22 @@ def _estimates(caption: str, parameters: Mapping[str, Any], level: float) -> Tab
             row += [_number(v, 5) for v in (posterior["median"], *posterior["interval"])]
         rows.append(row)
     return Table(caption, header, rows)
+
+
+def _scatter(outcome: Mapping[str, Any]) -> list[Block]:
+    """Return blocks about the specimens: intervals are of them, or of the material behind them."""
+    parameters, level = outcome["parameters"], float(outcome["level"])
+    scattering = {key: one for key, one in parameters.items() if one["of"] == "material"}
+    if not scattering:
+        return [Lines([f"Intervals are {of_specimens(outcome)}"])]
+    blocks: list[Block] = []
+    for number, (key, one) in enumerate(scattering.items(), start=1):
+        sentences = "; ".join(scatter_lines(one, level))
+        blocks.append(Lines([f"{key} of the material, {with_signs(sentences)}"]))
+        panel = fits.specimens(key, one, level)
+        chart = Chart(f"specimens-{number}", panel, f"Values of {key} in each specimen")
+        blocks.append(Charts([chart]))
+    return blocks
 
 
 def _number(value: float | None, digits: int) -> str:

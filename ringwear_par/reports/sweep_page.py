@@ -30,10 +30,10 @@ from ringwear_par.studies.definition.variations import own_key
 from ringwear_par.studies.pictures.choice import Choice, choose
 from ringwear_par.studies.pictures.effects import effects, index_panels, pointed_cases
 from ringwear_par.studies.pictures.histories import case_words, histories
-from ringwear_par.studies.storage.end_values import entry_of, final_name
+from ringwear_par.studies.storage.end_values import end_value_of, final_name
 from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.storage.results_file import count_flags
-from ringwear_par.studies.storage.stored_variables import told_entry
+from ringwear_par.studies.storage.stored_variables import entry_label
 
 #: cases of the table
 _MOST = 1000
@@ -90,7 +90,7 @@ def _summary(ensemble: Ensemble) -> list[Block]:
     done = done_cases(ensemble)
     if done.any():
         rows = [
-            (_meaning(name), in_signs(entry_of(name)[0].stored.unit), *_quantiles(values[done]))
+            (_meaning(name), in_signs(end_value_of(name)[0].stored.unit), *_quantiles(values[done]))
             for name, values in ensemble.final.items()
             if np.isfinite(values[done]).any()
         ]
@@ -100,8 +100,8 @@ def _summary(ensemble: Ensemble) -> list[Block]:
 
 
 def _meaning(name: str) -> str:
-    final, entry = entry_of(name)
-    which = f"; {told_entry(final.stored, entry)}" if entry else ""
+    final, entry = end_value_of(name)
+    which = f"; {entry_label(final.stored, entry)}" if entry else ""
     return f"{final.stored.meaning.removesuffix(', at the last stored step')}{which}"
 
 
@@ -196,7 +196,8 @@ def _cases(ensemble: Ensemble) -> Table:
     header = ["case", "status", *ensemble.varied]
     finals = ensemble.final
     header += [
-        f"{name.replace('_', ' ')} ({in_signs(entry_of(name)[0].stored.unit)})" for name in finals
+        f"{name.replace('_', ' ')} ({in_signs(end_value_of(name)[0].stored.unit)})"
+        for name in finals
     ]
     remarks = {
         "flags": [", ".join(flags).replace("_", " ") for flags in ensemble.flags],

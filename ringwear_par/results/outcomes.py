@@ -24,6 +24,7 @@ _MODULES = {
     ("FitResult", "save"): f"{_FIT}.fit_folder",
     ("FitResult", "figure"): f"{_FIT}.figures",
     ("FitResult", "parameter_figure"): f"{_FIT}.figures",
+    ("FitResult", "specimen_figure"): f"{_FIT}.figures",
     ("MeasureResult", "summary"): f"{_MEASURING}.summary",
     ("MeasureResult", "save"): f"{_MEASURING}.measure_folder",
     ("MeasureResult", "figure"): f"{_MEASURING}.figures",
@@ -88,4 +89,15 @@ def figure(outcome: Any) -> "Figure":
 def parameter_figure(outcome: Any) -> "Figure":
     """Return the figure of the fitted keys of a fit."""
     drawn: Figure = _apply("parameter_figure", outcome)
+    return drawn
+
+
+def specimen_figure(outcome: Any) -> "Figure":
+    """Return the figure of the specimens of a fit with scatter.
+
+    Raises
+    ------
+    InputError : a fit without scatter.
+    """
+    drawn: Figure = _apply("specimen_figure", outcome)
     return drawn

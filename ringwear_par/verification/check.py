@@ -1,7 +1,7 @@
 """One comparison of a computed solution with an exact one."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -52,6 +52,25 @@ class Check:
             return None
         (n1, e1), (n2, e2) = clear[-2:]
         return math.log(e1 / e2) / math.log(n2 / n1)
+
+
+def checks_of(
+    errors: Sequence[Sequence[float]],
+    rows: Iterable[tuple[str, float] | tuple[str, float, float]],
+    sizes: tuple[int, ...] = SIZES,
+    kind: Kind = "reference",
+) -> Iterator[Check]:
+    """Return the checks of several errors that are computed together, one a row.
+
+    Parameters
+    ----------
+    errors : of each size, in the order of the rows; their signs do not matter.
+    rows : name, tolerance and, unless it is that of ``Check``, the reference's accuracy.
+    """
+    for values, row in zip(zip(*errors, strict=True), rows, strict=True):
+        name, tolerance = row[:2]
+        digits = row[2] if len(row) == 3 else Check.digits
+        yield Check(name, sizes, tuple(map(abs, values)), tolerance, digits, kind)
 
 
 def converging(name: str, error: Callable[[int], float], tolerance: float) -> Check:

@@ -12,7 +12,7 @@ from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.history.observers.trace import Trace, trace
 from ringwear_par.verification import reference
-from ringwear_par.verification.check import SIZES, Check, identity
+from ringwear_par.verification.check import SIZES, Check, checks_of, identity
 from ringwear_par.verification.fine import (
     CONTACT,
     FORCE,
@@ -158,11 +158,12 @@ def _finite_element_rows(name: str, histories: Iterable[Trace]) -> Iterator[Chec
         finite_element_errors(name, Mesh(n), first.pressure, first.approach)
         for n, first in ((h.physics.line.n, h.states[0].contact) for h in histories)
     ]
-    for key, tolerance, accuracy in (
-        ("approach", 3e-5, 1e-6), ("ring means", 5e-3, 2e-4), ("p(30)", 1e-3, 1e-4),
-    ):  # fmt: skip
-        yield Check(f"{name}, finite elements: {key}", SIZES,
-                    tuple(error[key] for error in errors), tolerance, accuracy)  # fmt: skip
+    rows = (
+        (f"{name}, finite elements: approach", 3e-5, 1e-6),
+        (f"{name}, finite elements: ring means", 5e-3, 2e-4),
+        (f"{name}, finite elements: p(30)", 1e-3, 1e-4),
+    )
+    yield from checks_of([list(error.values()) for error in errors], rows)
 
 
 def both_wear(name: str, rings: Rings, pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
@@ -206,6 +207,6 @@ def steady_rows(
                 abs(torque / (oblique * math.pi * (b * b - a * a)) - 1.0),
             )
         )
-    for i, text in enumerate(("pressure c/r", "approach rate", "torque")):
-        yield Check(f"{name}, both wear, steady: {text}", SIZES,
-                    tuple(error[i] for error in errors), 1e-6, 1e-9)  # fmt: skip
+    said = f"{name}, both wear, steady"
+    texts = "pressure c/r", "approach rate", "torque"
+    yield from checks_of(errors, [(f"{said}: {text}", 1e-6, 1e-9) for text in texts])

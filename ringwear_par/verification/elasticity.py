@@ -35,7 +35,7 @@ from ringwear_par.elasticity.stress.zone import ZoneStress
 from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.history.start import first_contact
 from ringwear_par.verification import reference
-from ringwear_par.verification.check import NU, SIZES, Check, converging
+from ringwear_par.verification.check import NU, SIZES, Check, checks_of, converging
 from ringwear_par.verification.paper import paper_case
 
 #: radius and height of the disc, over that of the contact
@@ -139,13 +139,16 @@ def stress_checks(comm: MPI.Comm) -> Iterator[Check]:
             1e-3, torsion,
         ),
     }  # fmt: skip
-    for i, (name, (tolerance, digits)) in enumerate(allowed.items()):
-        yield Check(name, SIZES, tuple(errors[i] for errors in all_errors), tolerance, digits)
-    values = [_paper_stresses(n, comm) for n in SIZES]
-    for i, ((name, depth), exact) in enumerate(reference.PAPER_STRESS.items()):
-        errors = tuple(abs(v[i] / exact - 1.0) for v in values)
-        label = f"paper, 50 MPa: {name}, {depth:g} mm under r = 30"
-        yield Check(label, SIZES, errors, 1e-4, 5e-6)
+    yield from checks_of(all_errors, [(name, *of) for name, of in allowed.items()])
+    exact = list(reference.PAPER_STRESS.values())
+    values = [(np.divide(_paper_stresses(n, comm), exact) - 1.0).tolist() for n in SIZES]
+    yield from checks_of(
+        values,
+        [
+            (f"paper, 50 MPa: {name}, {depth:g} mm under r = 30", 1e-4, 5e-6)
+            for name, depth in reference.PAPER_STRESS
+        ],
+    )
 
 
 def _under_a_disc(n: int, comm: MPI.Comm) -> tuple[float, ...]:

@@ -25,7 +25,7 @@ from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_lin
 from ringwear_par.elasticity.geometry.sections import Body, Material, Section
 from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.verification import layered_reference, reference
-from ringwear_par.verification.check import NU, SIZES, Check
+from ringwear_par.verification.check import NU, SIZES, Check, checks_of
 from ringwear_par.verification.half_space import GRADED, pressure_at, without_truncation
 from ringwear_par.verification.layered_reference import LayeredHalfSpace
 from ringwear_par.verification.paper import paper_case
@@ -115,8 +115,7 @@ def patch_checks(comm: MPI.Comm) -> Iterator[Check]:
         ("Lame, bonded sleeve", ("u_r of the bore", "pressure between"),
          [sleeve_errors(n, comm) for n in _COARSE]),
     ):  # fmt: skip
-        for i, value in enumerate(values):
-            yield Check(f"{name}: {value}", _COARSE, tuple(error[i] for error in errors), 1e-6)
+        yield from checks_of(errors, [(f"{name}: {value}", 1e-6) for value in values], _COARSE)
 
 
 def mode_errors(n: int, comm: MPI.Comm) -> tuple[float, float, float, float]:
@@ -173,12 +172,11 @@ def _root_mean_square(error: FloatArray, line: ContactLine) -> float:
 def mode_checks(comm: MPI.Comm) -> Iterator[Check]:
     """Check a finite disc with two layers under Bessel modes. Collective on comm."""
     errors = [mode_errors(n, comm) for n in SIZES]
-    for i, text in enumerate(
-        ("pressure J0: u of the face", "pressure J0: interfaces",
-         "shear J1: u of the face", "shear J1: interfaces")
-    ):  # fmt: skip
-        values = tuple(error[i] for error in errors)
-        yield Check(f"disc with two layers, {text}", SIZES, values, 1e-3)
+    texts = (
+        "pressure J0: u of the face", "pressure J0: interfaces", "shear J1: u of the face",
+        "shear J1: interfaces",
+    )  # fmt: skip
+    yield from checks_of(errors, [(f"disc with two layers, {text}", 1e-3) for text in texts])
 
 
 @dataclass(frozen=True)
@@ -230,16 +228,14 @@ def _half_space_rows(
                 float(np.abs(far.pressure - pressure)[inner].max()),
             )
         )
-    for i, (text, tolerance) in enumerate(
-        (
-            ("uniform pressure: u_z on the axis", 2e-4),
-            ("uniform pressure: u_z, worst to 0.9 a", 5e-4),
-            ("uniform pressure: u_z at the edge", 1e-3),
-            ("rigid flat punch: force", 5e-4),
-            ("rigid flat punch: p / p(mean), worst to 0.9 a", 5e-3),
-        )
-    ):
-        yield Check(f"{name}, {text}", _COARSE, tuple(error[i] for error in errors), tolerance)
+    rows = (
+        (f"{name}, uniform pressure: u_z on the axis", 2e-4),
+        (f"{name}, uniform pressure: u_z, worst to 0.9 a", 5e-4),
+        (f"{name}, uniform pressure: u_z at the edge", 1e-3),
+        (f"{name}, rigid flat punch: force", 5e-4),
+        (f"{name}, rigid flat punch: p / p(mean), worst to 0.9 a", 5e-3),
+    )
+    yield from checks_of(errors, rows, _COARSE)
 
 
 @dataclass(frozen=True)
@@ -302,10 +298,10 @@ def coating_checks(comm: MPI.Comm) -> Iterator[Check]:
                        for solution in solutions)  # fmt: skip
         yield Check(f"paper, hard coating: p({r:g})", SIZES, errors,
                     *((3e-4, 1.5e-5) if r == 30.0 else (2e-3, 1e-5)))  # fmt: skip
-    for i, text in enumerate(("force", "torque")):
-        errors = tuple(solution.on_fixed[i] for solution in solutions)
-        yield Check(f"paper, hard coating: {text} on the held faces", SIZES, errors, 1e-4,
-                    kind="identity")  # fmt: skip
+    rows = [
+        (f"paper, hard coating: {text} on the held faces", 1e-4) for text in ("force", "torque")
+    ]
+    yield from checks_of([solution.on_fixed for solution in solutions], rows, kind="identity")
 
 
 #: thin soft discs under a stiff ring: height (mm) and Poisson's ratio, and the ring's radii
@@ -354,8 +350,8 @@ def thin_disc_checks(comm: MPI.Comm) -> Iterator[Check]:
     for height, poisson in _THIN:
         errors = thin_disc_errors(height, poisson, sizes, comm)
         said = f"soft disc of {height:g} mm, nu {poisson:g}, under a narrower ring"
-        for i, (text, tolerance, digits) in enumerate(
-            (("approach", 3e-4, 4e-5), ("p 0.7 mm inside edges, p(mid)", 1e-3, 1e-4))
-        ):
-            yield Check(f"{said}: {text}", sizes, tuple(error[i] for error in errors), tolerance,
-                        digits)  # fmt: skip
+        rows = (
+            (f"{said}: approach", 3e-4, 4e-5),
+            (f"{said}: p 0.7 mm inside edges, p(mid)", 1e-3, 1e-4),
+        )
+        yield from checks_of(errors, rows, sizes)

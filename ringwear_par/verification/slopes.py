@@ -19,7 +19,7 @@ from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.start import first_contact
 from ringwear_par.verification import reference
-from ringwear_par.verification.check import NU, SIZES, Check, converging, identity
+from ringwear_par.verification.check import NU, SIZES, Check, checks_of, converging, identity
 from ringwear_par.verification.edges import both_wear, rows_against, steady_rows
 from ringwear_par.verification.fine import (
     CONTACT,
@@ -38,14 +38,9 @@ def slope_checks(comm: MPI.Comm) -> Iterator[Check]:
     yield converging("torsion of a ring with a conical top of 10 degrees: u_theta",
                      partial(torsion_error, comm=comm), 1e-3)  # fmt: skip
     bathed = [bathed_errors(n, comm) for n in SIZES]
-    for i, (text, tolerance) in enumerate(
-        (
-            ("approach", 1e-6),
-            ("uniform pressure, worst element", 1e-6),
-        )
-    ):
-        yield Check(f"cones of 5 degrees bathed in their pressure: {text}", SIZES,
-                    tuple(error[i] for error in bathed), tolerance)  # fmt: skip
+    said = "cones of 5 degrees bathed in their pressure"
+    rows = ((f"{said}: approach", 1e-6), (f"{said}: uniform pressure, worst element", 1e-6))
+    yield from checks_of(bathed, rows)
     for degrees in reference.CONE_APPROACH:
         yield from _finite_element_rows(degrees, comm)
     for degrees in (5, 10):
@@ -71,11 +66,11 @@ def _finite_element_rows(degrees: float, comm: MPI.Comm) -> Iterator[Check]:
         errors.append(cone_errors(degrees, case.line, first.pressure, first.approach))
     way = {0.0: "flat", 1.0: "rising"}.get(degrees, "falling")
     said = f"matched cones of {abs(degrees):g} degree, {way}" if degrees else "flat flush rings"
-    texts = {"approach": "approach", "p(r)": "p, worst of 5 radii"}
-    limits = {"approach": (1e-4, 5e-6), "p(r)": (2e-3, 2e-4)}
-    for key in errors[0]:
-        yield Check(f"{said}, finite elements: {texts[key]}", SIZES,
-                    tuple(error[key] for error in errors), *limits[key])  # fmt: skip
+    rows = (
+        (f"{said}, finite elements: approach", 1e-4, 5e-6),
+        (f"{said}, finite elements: p, worst of 5 radii", 2e-3, 2e-4),
+    )
+    yield from checks_of([list(error.values()) for error in errors], rows[: len(errors[0])])
 
 
 def _fine_rows(name: str, comm: MPI.Comm) -> Iterator[Check]:
@@ -93,12 +88,9 @@ def _fine_rows(name: str, comm: MPI.Comm) -> Iterator[Check]:
     )
     yield identity(f"{name}: torque, 1 / cos alpha of a flat face's", n,
                    float(error), 1e-12)  # fmt: skip
-    for text, errors in (
-        ("force", [h.balances.reaction for h in histories]),
-        ("torque", [h.balances.torque for h in histories]),
-    ):
-        yield Check(f"{name}: {text} on the held faces, all steps", SIZES, tuple(errors), 1e-4,
-                    kind="identity")  # fmt: skip
+    balances = [(h.balances.reaction, h.balances.torque) for h in histories]
+    rows = [(f"{name}: {text} on the held faces, all steps", 1e-4) for text in ("force", "torque")]
+    yield from checks_of(balances, rows, kind="identity")
     yield from steady_rows(name, rings, pairs, comm)
     yield from both_wear(name, rings, pairs[1], comm)
 

@@ -1,11 +1,9 @@
 """The wear of one implicit step: a convex part of the contact problem, whatever the laws.
 
-A body without layers has one; one with layers wears through as many of them as it gets. As a
-function of pressure that does not fall either; where little is left of a layer that does not wear
-at a pressure at which the next one does, it almost jumps.
+It does not fall with pressure. An element of a body with layers wears by the law of one of them in
+all of a step, see ``LayeredLaw.in_layers``.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -16,15 +14,15 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.schedules import history, take
 from ringwear_par.wear.averaging import averaged, averaged_rate
 from ringwear_par.wear.checked_law import complete
-from ringwear_par.wear.law import Law, Layers, WearLaw
-from ringwear_par.wear.layer_split import LayerSplit, d_split, split
+from ringwear_par.wear.law import Law, WearLaw
+from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
 
 _MEMORY_ITERATIONS = 60
 #: relative change at which the wear of a step is found, and below which it may stop falling
 _ROUND_OFF, _NOISE = 1e-15, 1e-9
-#: panels of integrals over pressure: alike, or halved towards a kink
-_PANELS, _HALVED_PANELS, _BISECTIONS = 8, 48, 60
+#: panels of integrals over pressure, and halvings towards the pressure that closes a gap
+_PANELS, _BISECTIONS = 8, 60
 _GAUSS = tuple(0.5 * v for v in np.polynomial.legendre.leggauss(8))
 
 
@@ -52,14 +50,12 @@ class WearingBody(NamedTuple):
     ----------
     side : 0 of lower, 1 of upper.
     law, at, average : as of the increment.
-    layers : of which it has one at least.
     """
 
     side: int
     law: Law
     at: LocalState
     average: FloatArray | None
-    layers: Layers
 
 
 @dataclass(frozen=True)
@@ -92,27 +88,24 @@ class WearIncrement:
     bodies: list[WearingBody] = field(init=False, repr=False, compare=False)
     #: whether all laws are local, so that ``d_depth_dp`` is the whole derivative
     local: bool = field(init=False, repr=False)
-    #: whether any body has more than one layer; then all laws are local
+    #: whether any body has layers, whose laws may differ from element to element
     layered: bool = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        bodies = []
-        for i, (law, at, average) in enumerate(zip(self.laws, self.at, self.averages, strict=True)):
-            if law is not None:
-                completed = complete(law)
-                bodies.append(WearingBody(i, completed, at, average, completed.layers(at)))
+        parts = enumerate(zip(self.laws, self.at, self.averages, strict=True))
+        bodies = [
+            WearingBody(i, complete(law), at, average)
+            for i, (law, at, average) in parts
+            if law is not None
+        ]
         object.__setattr__(self, "bodies", bodies)
         object.__setattr__(self, "local", all(a is None for a in self.averages))
-        object.__setattr__(self, "layered", any(len(body.layers.laws) > 1 for body in bodies))
+        layered = any(isinstance(body.law, LayeredLaw) for body in bodies)
+        object.__setattr__(self, "layered", layered)
         if self.closing is not None:
             object.__setattr__(self, "step", self.closing.step)
         elif isinstance(self.step, np.ndarray):
             object.__setattr__(self, "step", columns(self.step))
-
-    @property
-    def nearly_discontinuous(self) -> bool:
-        """Whether depth may almost jump with pressure: where there is a layer to get through."""
-        return self.layered and any(body.layers.remaining.any() for body in self.bodies)
 
     def history(self, i: int) -> "WearIncrement":
         """Return the increment of one of B histories."""
@@ -205,84 +198,19 @@ class WearIncrement:
         after = self.after_step(law, at, p)
         return self.step * law.d_rate_dp(p, after) / (1.0 - self.step * law.d_rate_dwear(p, after))
 
-    # -- by layer ----------------------------------------------------------------------------------
-
-    def _by_layer(
-        self, body: WearingBody, function: Callable[[Law, LocalState], FloatArray], p: FloatArray
-    ) -> FloatArray:
-        """Return a function of the law of each layer, (layers, ..., n), 0 where all is gone."""
-        laws, states, remaining, _ = body.layers
-        if len(laws) == 1:
-            return function(laws[0], states[0])[None]
-        values = np.zeros((len(laws), *np.broadcast_shapes(p.shape, remaining.shape[1:])))
-        for number, (law, at) in enumerate(zip(laws, states, strict=True)):
-            if number == len(remaining) or remaining[number].any():
-                values[number] = function(law, at)
-        return values
-
-    def _layer_depths(self, body: WearingBody, p: FloatArray) -> FloatArray:
-        """Return the depth that each layer would lose in all of the step, (layers, ..., n) mm."""
-        return self._by_layer(body, lambda law, at: self._depth(law, at, body.average, p), p)
-
-    def _layer_slopes(self, body: WearingBody, p: FloatArray) -> FloatArray:
-        """Return derivatives of local ``_layer_depths`` with respect to pressure, mm/MPa."""
-        return self._by_layer(body, lambda law, at: self._d_depth_dp(law, at, p), p)
-
-    def _split(self, body: WearingBody, p: FloatArray, share: FloatArray | float) -> LayerSplit:
-        return split(self._layer_depths(body, p), body.layers.remaining, share)
-
     # -- depths ------------------------------------------------------------------------------------
-
-    def depth_in_present_layer(self, p: FloatArray) -> FloatArray:
-        """Return the depths lost in contact all along in the layers at the faces, (2, ..., n) mm.
-
-        Of lower and upper, as if these layers had no end.
-        """
-        depths = np.zeros((2, *p.shape))
-        for body in self.bodies:
-            depths[body.side] = self.along_axis(body.layers.at_face(self._layer_depths(body, p)))
-        return depths
 
     def depth_if_always_in_contact(self, p: FloatArray) -> FloatArray:
         """Return the depths that lower and upper lose in contact all along, (2, ..., n) mm."""
-        if not self.layered:
-            return self.depth_in_present_layer(p)
-        return self._depths_in_share(p, 1.0)
-
-    def depths_in_share(
-        self, p: FloatArray, always: FloatArray, share: FloatArray | float
-    ) -> FloatArray:
-        """Return the depths that lower and upper lose in a share of the step, (2, ..., n) mm.
-
-        Parameters
-        ----------
-        always : ``depth_if_always_in_contact``.
-        share : (..., n) or a number; more than 1 where the step counts for longer.
-        """
-        return self._depths_in_share(p, share) if self.layered else share * always
-
-    def _depths_in_share(self, p: FloatArray, share: FloatArray | float) -> FloatArray:
         depths = np.zeros((2, *p.shape))
-        for body in self.bodies:
-            depths[body.side] = self.along_axis(self._split(body, p, share).depths.sum(axis=0))
+        for i, law, at, average in self.bodies:
+            depths[i] = self.along_axis(self._depth(law, at, average, p))
         return depths
 
     def depths(self, p: FloatArray) -> FloatArray:
         """Return the depths that lower and upper lose, (2, ..., n) mm."""
-        if self.closing is None:
-            return self.depth_if_always_in_contact(p)
-        always = self.depth_in_present_layer(p)
-        share = self.share(always)
-        return self._depths_in_share(p, share) if self.layered else always * share
-
-    def explicit(self, p: FloatArray) -> FloatArray:
-        """Return the depths that both lose at the rates of the start, (2, ..., n) mm."""
-        depths = np.zeros((2, *p.shape))
-        for body in self.bodies:
-            full = self._by_layer(body, lambda law, at: self.step * law.rate(p, at), p)
-            lost = split(full, body.layers.remaining, 1.0).depths.sum(axis=0)
-            depths[body.side] = self.along_axis(lost)
-        return depths
+        always = self.depth_if_always_in_contact(p)
+        return always if self.closing is None else always * self.share(always)
 
     def rates(self, p: FloatArray, depths: FloatArray) -> FloatArray:
         """Return the rates of wear at the end of the step, (2, ..., n) mm/s.
@@ -291,38 +219,18 @@ class WearIncrement:
         to be the same; of the depths, only laws that depend on them take any notice.
         """
         rates = np.zeros((2, *p.shape))
-        for i, law, at, average, _ in self.bodies:
+        for i, law, at, average in self.bodies:
             lost = depths[i] if self.obliquity is None else depths[i] / self.obliquity
             after = replace(at, wear=at.wear + lost) if law.remembers else at
             rates[i] = self.along_axis(averaged_rate(law, after, average, p))
         return rates
-
-    def integrated_rates(
-        self, p: FloatArray, depths: FloatArray, share: FloatArray | float
-    ) -> FloatArray:
-        """Return the rates integrated over a share of the step, (2, ..., n) mm, see ``rates``.
-
-        Through layers each rate lasts as long as its layer does.
-        """
-        if not self.layered:
-            return share * (self.step * self.rates(p, depths))
-        q = np.maximum(p, 0.0)
-
-        def rate(law: Law, at: LocalState) -> FloatArray:
-            return law.rate(q, self.after_step(law, at, q) if law.remembers else at)
-
-        integrals = np.zeros((2, *p.shape))
-        for body in self.bodies:
-            times, rates = self._split(body, p, share).times, self._by_layer(body, rate, p)
-            integrals[body.side] = self.along_axis((times * (self.step * rates)).sum(axis=0))
-        return integrals
 
     def share(self, always: FloatArray) -> FloatArray:
         """Return the share of the step, (..., n), that is left for wear once the gap is closed.
 
         Parameters
         ----------
-        always : (2, ..., n) mm, ``depth_in_present_layer``.
+        always : (2, ..., n) mm, ``depth_if_always_in_contact``.
         """
         total = always[0] + always[1]
         share = np.ones_like(total)
@@ -346,87 +254,22 @@ class WearIncrement:
         total = np.where(inside, total, 1.0)
         return np.where(inside, (gap * d_total / total - d_gap) / total, 0.0)
 
-    # -- layers ------------------------------------------------------------------------------------
-
-    def breakthrough_time(self, p: FloatArray, share: FloatArray | float) -> FloatArray:
-        """Return the share of the step after which bodies under layers are reached, (2, ..., n).
-
-        Infinite where they are not in the share that is worn, or were already; of a body that has
-        no layers too.
-        """
-        times = np.full((2, *p.shape), np.inf)
-        for body in self.bodies:
-            remaining = body.layers.remaining
-            if len(remaining):
-                parts = self._split(body, p, share)
-                now = parts.worn_through.all(axis=0) & (remaining[-1] > 0.0)
-                times[body.side] = np.where(now, parts.times[:-1].sum(axis=0), np.inf)
-        return times
-
-    def fraction_to_interface(self, p: FloatArray, share: FloatArray | float) -> FloatArray:
-        """Return shares of the step, (..., n), that end where a body gets to its next layer.
-
-        Of elements that would do so in a share of more than a step, but not in the step itself; the
-        given share of others.
-        """
-        shares = np.broadcast_to(np.asarray(share, dtype=float), p.shape)
-        for body in self.bodies:
-            if len(body.layers.laws) > 1:
-                full = self._layer_depths(body, p)
-                c, a = body.layers.remaining_at_face(full), body.layers.at_face(full)
-                ends = (a < c) & (shares * a > c)
-                shares = np.where(ends, np.divide(c, a, out=np.ones_like(a), where=ends), shares)
-        return shares
-
-    def rate_ratio_below(self, p: FloatArray, usual: Any, largest: float) -> FloatArray:
-        """Return how many times faster elements may wear under the layer that is worn, (..., n).
-
-        Which is what an error of depth in this layer becomes, by then of time; from 1 to
-        ``largest``. At the pressure, or at one that it may have fallen to when the layer is
-        through: near a threshold of the layer hardly anything is worn off it.
-
-        Parameters
-        ----------
-        usual : MPa, (..., n) or a number, such a pressure.
-        """
-        ratios = np.ones_like(p)
-        for body in self.bodies:
-            layers = body.layers
-            wears = layers.at_face(self._layer_depths(body, p)) > 0.0
-            for q in (p, np.minimum(p, usual)):
-                full = self._layer_depths(body, q)
-                here, below = layers.at_face(full), np.zeros_like(p)
-                for number in range(1, len(full)):
-                    below = np.where(
-                        number > layers.present, np.maximum(below, full[number]), below
-                    )
-                ratio = np.divide(
-                    below, here, out=np.full_like(p, largest), where=here * largest > below
-                )
-                ratios = np.maximum(ratios, np.where(wears & (below > 0.0), ratio, 1.0))
-        return ratios
-
     # -- in the contact problem --------------------------------------------------------------------
 
     def depth(self, p: FloatArray) -> FloatArray:
         """Return the growth of the gap, (..., n) mm."""
-        if self.layered:
-            lower, upper = self.depths(p)
-            return lower + upper
         return self._left(p) if self.closing is None else np.maximum(self._left(p), 0.0)
 
     def _left(self, p: FloatArray) -> FloatArray:
         """Return the depth of a step in contact all along beyond the gap, mm; may be negative."""
-        parts = [self._depth(law, at, average, p) for _, law, at, average, _ in self.bodies]
+        parts = [self._depth(law, at, average, p) for _, law, at, average in self.bodies]
         total = self.along_axis(total_of(parts))
         return total if self.closing is None else total - self.closing.gap
 
     def d_depth_dp(self, p: FloatArray) -> FloatArray:
         """Return d depth_e / d p_e, (..., n) mm/MPa; of local laws all there is."""
-        if self.layered:
-            return self._d_split_dp(p)
         slopes = []
-        for _, law, at, average, _ in self.bodies:
+        for _, law, at, average in self.bodies:
             if average is None:
                 slopes.append(self._d_depth_dp(law, at, p))
             else:
@@ -435,33 +278,11 @@ class WearIncrement:
         total = self.along_axis(total_of(slopes))
         return total if self.closing is None else np.where(self._left(p) >= 0.0, total, 0.0)
 
-    def _d_split_dp(self, p: FloatArray) -> FloatArray:
-        """Return d depth_e / d p_e through layers, (..., n) mm/MPa."""
-        full = [self._layer_depths(body, p) for body in self.bodies]
-        slopes = [self._layer_slopes(body, p) for body in self.bodies]
-        share: FloatArray | float = 1.0
-        d_share: FloatArray | float = 0.0
-        if self.closing is not None:
-            worn, slope = np.zeros_like(p), np.zeros_like(p)
-            for body, depths, d_depths in zip(self.bodies, full, slopes, strict=True):
-                worn += self.along_axis(body.layers.at_face(depths))
-                slope += self.along_axis(body.layers.at_face(d_depths))
-            share = self.share(np.stack([worn, np.zeros_like(worn)]))
-            d_share = self.d_share(worn, slope, 0.0)
-        total = np.zeros_like(p)
-        for body, depths, d_depths in zip(self.bodies, full, slopes, strict=True):
-            parts = split(depths, body.layers.remaining, share)
-            total += self.along_axis(d_split(depths, d_depths, parts, share, d_share))
-        return total
-
     def jacobian(self, p: FloatArray) -> FloatArray:
         """Return d depth_e / d p_f, (..., n, n) mm/MPa."""
         n = p.shape[-1]
         total, diagonal = np.zeros((*p.shape, n)), np.arange(n)
-        if self.layered:
-            total[..., diagonal, diagonal] = self.d_depth_dp(p)
-            return total
-        for _, law, at, average, _ in self.bodies:
+        for _, law, at, average in self.bodies:
             if average is None:
                 total[..., diagonal, diagonal] += self._d_depth_dp(law, at, p)
             else:
@@ -495,18 +316,12 @@ class WearIncrement:
             return 1.0
         total, q = worn.sum(axis=0), np.maximum(p, 0.0)
 
-        def grown(law: Law, at: LocalState) -> FloatArray:
-            if not law.remembers:
-                return np.zeros_like(q)
-            return 1.0 / (1.0 - self.step * law.d_rate_dwear(q, self.after_step(law, at, q))) - 1.0
-
         growth = np.ones_like(p)
-        for body in self.bodies:
-            if body.law.remembers:
-                share = np.divide(
-                    worn[body.side], total, out=np.zeros_like(total), where=total > 0.0
-                )
-                growth += share * body.layers.at_face(self._by_layer(body, grown, p))
+        for i, law, at, _ in self.bodies:
+            if law.remembers:
+                share = np.divide(worn[i], total, out=np.zeros_like(total), where=total > 0.0)
+                rise = law.d_rate_dwear(q, self.after_step(law, at, q))
+                growth += share * (1.0 / (1.0 - self.step * rise) - 1.0)
         return growth
 
     # -- potential ---------------------------------------------------------------------------------
@@ -516,8 +331,6 @@ class WearIncrement:
 
         Non-local laws: area integrals of it are those of the potential, not its values.
         """
-        if self.layered:
-            return self._potential_through_layers(p)
         if self.closing is None:
             return self._potential(p)
         low, high = np.zeros_like(p), np.maximum(p, 0.0)  # of the pressure that closes the gap
@@ -531,7 +344,7 @@ class WearIncrement:
 
     def _potential(self, p: FloatArray) -> FloatArray:
         parts = []
-        for _, law, at, average, _ in self.bodies:
+        for _, law, at, average in self.bodies:
             q = np.maximum(p if average is None else averaged(average, p), 0.0)
             part = None if law.remembers else law.potential(q, at)
             parts.append(self._integrated(law, at, q) if part is None else self.step * part)
@@ -545,50 +358,6 @@ class WearIncrement:
             for x, w in zip(*_GAUSS, strict=True):
                 share = (panel + 0.5 + x) / _PANELS
                 total += w / _PANELS * self._depth(law, at, None, low + share * span)
-        return total * span
-
-    def _potential_through_layers(self, p: FloatArray) -> FloatArray:
-        """Integrate by Gauss rules between the pressures at which an element is through a layer."""
-        top = np.maximum(p, 0.0)
-        low, total = np.zeros_like(top), np.zeros_like(top)
-        kinks = sum(len(body.layers.remaining) for body in self.bodies)
-        kinks += self.closing is not None
-        for number in range(kinks + 1):
-            high = self._next_kink(low, top) if number < kinks else top
-            total += self._between(low, high)
-            low = high
-        return total
-
-    def _passed(self, p: FloatArray) -> Any:
-        """Return how many layers an element is through, and whether it wears at all, (..., n)."""
-        share: FloatArray | float = 1.0
-        if self.closing is not None:
-            share = self.share(self.depth_in_present_layer(p))
-        count = np.broadcast_to(np.asarray(share) > 0.0, p.shape).astype(int)
-        for body in self.bodies:
-            count = count + self._split(body, p, share).worn_through.sum(axis=0)
-        return count
-
-    def _next_kink(self, low: FloatArray, high: FloatArray) -> FloatArray:
-        """Return the lowest pressures at which more layers are passed than just above others."""
-        before = self._passed(np.minimum(low * (1.0 + 1e-12) + 1e-300, high))
-        start, end = low.copy(), high.copy()
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (start + end)
-            more = self._passed(middle) > before
-            start, end = np.where(more, start, middle), np.where(more, middle, end)
-        return end
-
-    def _between(self, low: FloatArray, high: FloatArray) -> FloatArray:
-        """Integrate the depth between pressures by Gauss rules, finer towards the lower ones."""
-        total, span = np.zeros_like(low), high - low
-        if not span.any():
-            return total
-        for panel in range(_HALVED_PANELS + 1):
-            width = 0.5 ** (panel + 1) if panel < _HALVED_PANELS else 0.5**_HALVED_PANELS
-            start = width if panel < _HALVED_PANELS else 0.0
-            for x, w in zip(*_GAUSS, strict=True):
-                total += w * width * self.depth(low + (start + width * (0.5 + x)) * span)
         return total * span
 
 

@@ -7,7 +7,7 @@ not fall with pressure, so that the implicit step is a convex problem.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
-from typing import Any, ClassVar, NamedTuple, Protocol, Self, runtime_checkable
+from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -45,39 +45,6 @@ class WearLaw(Protocol):
     def rate(self, p: FloatArray, local: LocalState, /) -> FloatArray:
         """Return the rate of wear, (..., n) mm/s, at pressures p, (..., n) MPa, >= 0."""
         ...
-
-
-class Layers(NamedTuple):
-    """The layers of a body at the start of a step, from the contact face inwards.
-
-    Parameters
-    ----------
-    laws : of layers, and of the body itself.
-    states : local state of each.
-    remaining : (layers, ..., n) mm, thickness along the normal; none of the body itself.
-    present : (..., n) int, which of them is at the face.
-    """
-
-    laws: tuple["Law", ...]
-    states: Sequence[LocalState]
-    remaining: FloatArray
-    present: Any
-
-    def at_face(self, values: FloatArray) -> FloatArray:
-        """Return values, (layers + 1, ..., n), of the layer at the face of each element."""
-        at_face: FloatArray = values[-1]
-        for number in range(len(values) - 1):
-            at_face = np.where(self.present == number, values[number], at_face)
-        return at_face
-
-    def remaining_at_face(self, full: FloatArray) -> FloatArray:
-        """Return the remaining thickness at the face, infinite of the body itself.
-
-        Parameters
-        ----------
-        full : (layers + 1, ..., n), of which it has the shape.
-        """
-        return self.at_face(np.concatenate([self.remaining, np.full_like(full[:1], np.inf)]))
 
 
 class Law:
@@ -160,10 +127,6 @@ class Law:
         Laws may read it without remembering what is worn within the step.
         """
         return self.d_rate_dwear(p, local) if self.remembers else None
-
-    def layers(self, local: LocalState) -> Layers:
-        """Return the layers of a body at the start of a step: one, but of laws of several."""
-        return Layers((self,), (local,), local.wear[None][:0], 0)
 
     def parameter(self, name: str, local: LocalState) -> float | FloatArray:
         """Return the value of a numeric parameter: a number, or one that broadcasts with p.

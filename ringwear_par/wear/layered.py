@@ -1,4 +1,8 @@
-"""Wear through the layers of a body, each by its own law."""
+"""Wear through the layers of a body, each by its own law.
+
+An element is in one layer from the start of a step to its end, which is at the latest when it
+reaches the end of the layer, see ``history.schemes.interfaces``.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -6,11 +10,26 @@ from typing import Any, Self
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.schedules import Quantity
-from ringwear_par.wear.law import Law, Layers, stack_laws
-from ringwear_par.wear.layer_split import worn_through
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, columns
+from ringwear_par.schedules import Quantity, Stacked, Table
+from ringwear_par.wear.law import Law, stack_laws
 from ringwear_par.wear.local_state import LocalState
+from ringwear_par.wear.parameters import parameters_of
+
+#: share of the depth of a layer's end below which what is left above it is round-off
+_ROUND_OFF = 1e-13
+
+
+def worn_through(ends: FloatArray, wear: FloatArray) -> BoolArray:
+    """Tell where wear has come to the ends of layers, but for round-off.
+
+    Parameters
+    ----------
+    ends : (layers, n) or (..., n) float, mm, depths of the layers' ends.
+    wear : (..., n) float, mm.
+    """
+    through: BoolArray = ends - wear <= _ROUND_OFF * np.abs(ends)
+    return through
 
 
 @dataclass(frozen=True)
@@ -34,7 +53,7 @@ class NoWear(Law):
 
 @dataclass(frozen=True)
 class LayeredLaw(Law):
-    """The law of the layer that is at the face where and when a body wears.
+    """The law of the layer that an element is in.
 
     Laws that remember worn depth are told of what is worn off their own layer. Parameters are those
     of the body, by name, and of layers with laws of their own, "layers[0].k".
@@ -44,14 +63,23 @@ class LayeredLaw(Law):
     laws : of the layers from the contact face inwards, and of the body itself.
     thicknesses : mm, of the layers.
     has_law : which layers have a law of their own; the others wear as the body.
-    ends : (layers, n) mm, depth at which each layer ends, measured as ``LocalState.wear``; None:
-        as many thicknesses, at all elements.
+    ends : (layers, n) mm, or (layers, B, n) of B histories, depth at which each layer ends,
+        measured as ``LocalState.wear``; None: as many thicknesses, at all elements.
+    present : (..., n) int, the layers that elements are in, 0 at the unworn face; None: those at
+        the depth that is worn off.
     """
 
     laws: tuple[Law, ...]
     thicknesses: tuple[float, ...]
     has_law: tuple[bool, ...]
     ends: FloatArray | None = field(default=None, compare=False, repr=False)
+    present: IntArray | None = field(default=None, compare=False, repr=False)
+    #: one law whose parameters are those of each element's layer, where layers differ in no more
+    _joined: Law | None = field(default=None, init=False, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.present is not None:
+            object.__setattr__(self, "_joined", _joined(self.laws, self.present))
 
     @classmethod
     def of(
@@ -62,21 +90,14 @@ class LayeredLaw(Law):
         laws = (*(itself if law is None else law for law in layer_laws), itself)
         return cls(laws, tuple(thicknesses), tuple(law is not None for law in layer_laws))
 
-    def at(self, ends: FloatArray) -> Self:
-        """Return the law at elements, where layers end at these depths, (layers, n) mm."""
+    def at(self, ends: FloatArray | None) -> Self:
+        """Return the law at elements, where layers end at these depths, mm, see ``ends``."""
         return replace(self, ends=ends)
 
     @property
     def depths(self) -> FloatArray:
-        """(layers, n) or (layers, 1) mm, where layers end."""
+        """(layers, n), (layers, B, n) or (layers, 1) mm, where layers end."""
         return np.cumsum(self.thicknesses)[:, None] if self.ends is None else self.ends
-
-    def remaining(self, wear: FloatArray) -> FloatArray:
-        """Return the thickness that remains of layers, (layers, ..., n) mm, worn by (..., n) mm."""
-        ends = self.depths.reshape(len(self.thicknesses), *(1,) * (wear.ndim - 1), -1)
-        starts = np.concatenate([np.zeros_like(ends[:1]), ends[:-1]])
-        reached = np.maximum(wear, starts)
-        return np.where(worn_through(ends, reached), 0.0, ends - reached)
 
     def states(self, local: LocalState) -> list[LocalState]:
         """Return the local state of each layer: with the depth worn off the layer itself."""
@@ -86,25 +107,37 @@ class LayeredLaw(Law):
             for law, start in zip(self.laws, starts, strict=True)
         ]
 
-    def layers(self, local: LocalState) -> Layers:
-        """Return the layers at the start of a step."""
-        remaining = self.remaining(local.wear)
-        present = (remaining <= 0.0).sum(axis=0)
-        return Layers(self.laws, self.states(local), remaining, present)
+    def layers_at(self, wear: FloatArray) -> IntArray:
+        """Return the layers that are at the face, (..., n), worn by (..., n) mm."""
+        layers = np.zeros(wear.shape, dtype=np.int64)
+        for end in self.depths:
+            layers += worn_through(end, wear)
+        return layers
 
-    def present(self, wear: FloatArray) -> IntArray:
-        """Return which layer is at the face, (..., n), worn by (..., n) mm."""
-        return (self.remaining(wear) <= 0.0).sum(axis=0)
+    def in_layers(self, present: IntArray) -> Self:
+        """Return the law of elements in these layers, (..., n), whatever is worn off."""
+        return replace(self, present=present)
 
-    def _at_face(self, method: str, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return a method of the law of the layer that is at the face of each element."""
-        shape = np.broadcast_shapes(p.shape, local.wear.shape)
-        present = np.broadcast_to(self.present(local.wear), shape)
-        values = np.zeros(shape)
+    def end_of(self, layers: IntArray) -> FloatArray:
+        """Return the depths at which layers end, (..., n) mm, infinite of the body itself."""
+        ends = np.full(layers.shape, np.inf)
+        for number, end in enumerate(self.depths):
+            ends = np.where(layers == number, end, ends)
+        return ends
+
+    def _at_face(self, method: str, p: FloatArray, local: LocalState, *more: LocalState) -> Any:
+        """Return a method of the law of each element's layer; None where one has none."""
+        if self._joined is not None:
+            return getattr(self._joined, method)(p, local, *more)
+        present = self.layers_at(local.wear) if self.present is None else self.present
+        values: Any = None
         for number, (law, at) in enumerate(zip(self.laws, self.states(local), strict=True)):
             here = present == number
             if here.any():
-                values = np.where(here, getattr(law, method)(p, at), values)
+                of_layer = getattr(law, method)(p, at, *more)
+                if of_layer is None:
+                    return None
+                values = of_layer if values is None else np.where(here, of_layer, values)
         return values
 
     # -- as any law --------------------------------------------------------------------------------
@@ -179,14 +212,32 @@ class LayeredLaw(Law):
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
         return self._at_face("d_rate_dwear", p, local)
 
+    def d_rate_dlocal(self, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
+        """Return how the rate changes as speed, friction and slid do along those of another."""
+        return self._at_face("d_rate_dlocal", p, local, along)
+
     def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to a numeric parameter's value there."""
-        present, d_rate = self.present(local.wear), np.zeros_like(p)
-        states = self.states(local)
+        present = self.layers_at(local.wear) if self.present is None else self.present
+        states, d_rate = self.states(local), np.zeros_like(p)
         for number, short in self.having(name):
             of_layer = self.laws[number].d_rate_dparameter(short, p, states[number])
             d_rate = np.where(present == number, of_layer, d_rate)
         return d_rate
+
+    def potential(self, p: FloatArray, local: LocalState) -> FloatArray | None:
+        """Return the integral of the rate from 0 to p, MPa mm/s; None: by quadrature."""
+        return self._at_face("potential", p, local)
+
+    def onset(self, local: LocalState) -> float | FloatArray:
+        """Return the pressure, MPa, up to which nothing wears."""
+        if self._joined is not None:
+            return self._joined.onset(local)
+        present = self.layers_at(local.wear) if self.present is None else self.present
+        onset = np.zeros(present.shape)
+        for number, (law, at) in enumerate(zip(self.laws, self.states(local), strict=True)):
+            onset = np.where(present == number, law.onset(at), onset)
+        return onset
 
     def layer_ratios(self, friction: Any) -> list[Any]:
         """Return worn volume per dissipated energy of each layer and the body, 1/MPa, 0: none."""
@@ -210,17 +261,53 @@ class LayeredLaw(Law):
         ValueError : they differ in something else.
         """
         first = laws[0]
-        if any(
-            (law.thicknesses, law.has_law) != (first.thicknesses, first.has_law) for law in laws
-        ):
+        if any(law.has_law != first.has_law for law in laws):
             raise ValueError("laws of different layers cannot be stacked")
         stacks = [stack_laws(group) for group in zip(*(law.laws for law in laws), strict=True)]
-        return replace(first, laws=tuple(law for law in stacks if law is not None))
+        return replace(
+            first,
+            laws=tuple(law for law in stacks if law is not None),
+            ends=np.stack([law.depths for law in laws], axis=1),
+        )
 
     def history(self, i: int) -> Self:
         """Return the law of one of B histories."""
-        return replace(self, laws=tuple(law.history(i) for law in self.laws))
+        present, ends = self.present, self.ends
+        return replace(
+            self,
+            laws=tuple(law.history(i) for law in self.laws),
+            ends=ends if ends is None or ends.ndim < 3 else ends[:, i],
+            present=None if present is None else present[i],
+        )
 
     def take(self, histories: IntArray) -> Self:
         """Return the law of some of B histories."""
-        return replace(self, laws=tuple(law.take(histories) for law in self.laws))
+        present, ends = self.present, self.ends
+        return replace(
+            self,
+            laws=tuple(law.take(histories) for law in self.laws),
+            ends=ends if ends is None or ends.ndim < 3 else ends[:, histories],
+            present=None if present is None else present[histories],
+        )
+
+
+def _joined(laws: Sequence[Law], present: IntArray) -> Law | None:
+    """Return one law of elements in these layers, (..., n); None where laws differ too much.
+
+    Its parameters are arrays over the elements, so that rates take one evaluation.
+    """
+    first: Any = laws[0]
+    if any(type(law) is not type(first) or law.reads_wear for law in laws):
+        return None
+    changed: dict[str, Any] = {}
+    for name, parameter in parameters_of(type(first)).items():
+        values = [getattr(law, name) for law in laws]
+        if all(value is values[0] or np.array_equal(value, values[0]) for value in values):
+            continue
+        numbers = [value.numbers if isinstance(value, Stacked) else value for value in values]
+        if not parameter.numeric or any(n is None or isinstance(n, Table) for n in numbers):
+            return None
+        here = [present == layer for layer in range(len(laws))]
+        changed[name] = np.select(here, [columns(n) for n in numbers])
+    joined: Law = replace(first, **changed)
+    return joined

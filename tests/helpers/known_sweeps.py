@@ -4,12 +4,13 @@ import warnings
 
 import numpy as np
 from scipy.stats import qmc
+from stored_cases import StoredCase, block_of
 
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.definition.variations import Column
-from ringwear_par.studies.storage.blocks import Block, Record
-from ringwear_par.studies.storage.dataset import Listing, write_ensemble
+from ringwear_par.studies.storage.case_index import CaseIndex
 from ringwear_par.studies.storage.ensemble import read_ensemble
+from ringwear_par.studies.storage.results_writer import CaseList, write_results
 from ringwear_par.studies.storage.shards import Shard, read_shard
 
 
@@ -29,29 +30,24 @@ def write(
 
     stored = [n for n in range(count) if status[n] != "incomplete"]
 
-    def records():
-        for n in stored:
-            share = np.arange(steps[n] + 1) / steps[n]
-            arrays = {name: np.zeros(steps[n] + 1) for name in HISTORIES}
-            arrays["time"] = step[n] * np.arange(steps[n] + 1.0)
-            arrays["penetration"] = penetration[n] * share
-            arrays["worn_volume_lower"] = lower[n] * share
-            arrays["worn_volume_upper"] = upper[n] * share
-            arrays.update(step=np.arange(steps[n] + 1.0), r=np.ones(4), width=np.ones(4))
-            yield Record(
-                id=f"{n:016x}", toml="", status=status[n], error="", seconds=0.1, imbalance=0.0,
-                arrays=arrays, version="1",
-            )  # fmt: skip
+    def case(n):
+        share = np.arange(steps[n] + 1) / steps[n]
+        arrays = {name: np.zeros(steps[n] + 1) for name in HISTORIES}
+        arrays["time"] = step[n] * np.arange(steps[n] + 1.0)
+        arrays["penetration"] = penetration[n] * share
+        arrays["worn_volume_lower"] = lower[n] * share
+        arrays["worn_volume_upper"] = upper[n] * share
+        arrays.update(step=np.arange(steps[n] + 1.0), r=np.ones(4), width=np.ones(4))
+        return StoredCase(f"{n:016x}", status=status[n], columns=arrays)
 
     with Shard(folder / "all_0000.blocks") as shard:
-        shard.add(Block.of(list(records())))
-    index = read_shard(folder / "all_0000.blocks").index
+        shard.add(block_of([case(n) for n in stored]))
+    index = CaseIndex.of(read_shard(shard.path).blocks)
     columns = tuple(map(Column.of, map(list, zip(*rows, strict=True))))
     ids, entry = np.array([f"{n:016x}".encode() for n in range(count)]), np.full(count, -1)
     entry[stored] = np.arange(len(stored))
-    listing = Listing(
-        tuple(names),
-        columns,
+    cases = CaseList(
+        dict(zip(names, columns, strict=True)),
         ids,
         np.array(in_study),
         index,
@@ -59,8 +55,8 @@ def write(
         lambda missing: [""] * len(missing),
     )
     attributes = {"method": method, "study": "", "status": "complete", "ranks": 1}
-    write_ensemble(folder, listing, attributes)
-    (folder / "all_0000.blocks").unlink()
+    write_results(folder, cases, attributes)
+    shard.path.unlink()
     return read_ensemble(folder)
 
 

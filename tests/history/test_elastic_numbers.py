@@ -21,7 +21,7 @@ def number(case, key):
     return case.lower.young if key == "lower.young" else getattr(case.lower.layers[0], key[16:])
 
 
-def by_differences(case, key, share=1e-3):
+def by_differences(case, key, share=3e-4):
     value = number(case, key)
     less, more = (rw.simulate(case.replace({key: value * by})) for by in (1 - share, 1 + share))
     found = {
@@ -34,9 +34,10 @@ def by_differences(case, key, share=1e-3):
 
 @pytest.mark.parametrize(
     ("name", "changes", "tolerance"),
-    [("coated.toml", COATED, 1e-5), ("wear_through.toml", THROUGH, 2e-3)],
+    [("coated.toml", COATED, 1e-5), ("wear_through.toml", THROUGH, 2e-4)],
 )
 def test_derivatives_are_those_of_other_operators(name, changes, tolerance, comm):
+    """Differences are so small that no element gets through in another step."""
     case = rw.read_case(CASES / name, changes)
     result = rw.simulate(case, comm, derivatives=KEYS)
     for row, key in enumerate(KEYS):

@@ -37,7 +37,7 @@ def test_following_changes_little_and_keeps_the_balances(comm, scheme):
     case = paper_case(UPDATED, p0=(0.0, 0.0), k=(1e-7, 2e-8), stepping=scheme)
     history, moved = states(case, comm)
     still, fixed = states(replace(case, mesh=replace(UPDATED, geometry="fixed")), comm)
-    following, once = history.physics, history.physics.pair.cost.kernel_evaluations
+    following, once = history.physics, history.physics.pairs[0].cost.kernel_evaluations
     assert following.updates >= 4
     assert following.update_cost.kernel_evaluations > 0.5 * following.updates * once > 0.0
     assert still.physics.updates == 0

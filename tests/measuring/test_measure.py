@@ -290,9 +290,7 @@ def test_records_without_noise_have_finite_numbers(name, row, tmp_path):
 
 def test_readings_that_are_all_at_one_end_are_refused(tmp_path):
     rows = [*(f"{0.1 * i};{i};9" for i in range(100)), "72000;500;9"]
-    with pytest.raises(
-        rw.InputError, match=r"readings of wear are too unevenly spread over 20"
-    ):
+    with pytest.raises(rw.InputError, match=r"readings of wear are too unevenly spread over 20"):
         record(tmp_path, "gap", rows)
 
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import benchmark
 import benchmark_derivatives
 import benchmark_ensembles
-import board_at_scale
 import follow_the_wear
 import follow_through_coatings
 import numpy as np
 import pytest
+import queue_at_scale
 from mpi4py import MPI
 
 import ringwear_par as rw
@@ -55,9 +55,9 @@ def test_sweeps_are_measured_from_the_command_to_their_files():
 
 def test_a_board_of_many_ranks_is_simulated():
     rng = np.random.default_rng(1)
-    alone, work, questions = board_at_scale.simulated(20_000, 1, rng)
+    alone, work, questions = queue_at_scale.simulated(20_000, 1, rng)
     assert work > 0.999
-    seconds, work, more = board_at_scale.simulated(20_000, 16, rng)
+    seconds, work, more = queue_at_scale.simulated(20_000, 16, rng)
     assert alone / 16 < seconds < alone / 8
     assert 0.7 < work < 1.0
     assert more > questions

@@ -22,7 +22,9 @@ from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.definition.study import read_study
 from ringwear_par.studies.definition.texts import Texts
 from ringwear_par.studies.definition.variations import Column, split_key, varied_keys
-from ringwear_par.studies.storage.index import ENTRY, Index, Piece, join, latest, put
+from ringwear_par.studies.storage.blocks import BY_CASE, BY_STATE, CASE, Kind, PackedBlock
+from ringwear_par.studies.storage.case_index import CaseIndex
+from ringwear_par.studies.storage.padded_tables import fill
 
 pytestmark = pytest.mark.serial
 CASES = Path(__file__).parents[2] / "scripts/cases"
@@ -259,24 +261,34 @@ def test_groups_keep_their_numbers_when_cases_go():
     assert left.sizes.tolist() == [1, 0, 2]
 
 
-def an_index(ids, status, block="a"):
-    entries = np.zeros(len(ids), dtype=ENTRY)
-    entries["id"], entries["status"] = ids, status
-    return Index(entries, ("kind",), (block,))
+def a_block(name, rows, axes=(), **columns):
+    cases = np.zeros(len(rows), dtype=CASE)
+    for column, values in columns.items():
+        cases[column] = values
+    cases["rows"] = rows
+    return PackedBlock(Path(name), cases, (Kind("1"),), dict(axes), {}, 1, 0, 0, 0, {})
 
 
 def test_what_is_stored_twice_counts_once():
-    """As it was done first, or else as it was stored last."""
-    first = an_index(["a", "b", "c", "d"], [1, 2, 1, 2])
-    second = an_index(["b", "a", "longer"], [1, 1, 0], "b")
-    third = an_index(["c", "d"], [2, 2], "c")
-    index = latest(join([first, second, third]))
+    """As it was done first, or else as it failed last, or else as it was interrupted last."""
+    index = CaseIndex.of([
+        a_block("a", [0] * 4, id=["a", "b", "c", "d"], status=[1, 2, 1, 2]),
+        a_block("b", [0] * 3, id=["b", "a", "longer"], status=[1, 1, 0]),
+        a_block("c", [0] * 3, id=["c", "d", "a"], status=[2, 2, 0]),
+    ])  # fmt: skip
     found = {
-        identity.decode(): (status, index.blocks[block])
+        identity.decode(): (status, str(index.blocks[block].path))
         for identity, status, block in index.entries[["id", "status", "block"]].tolist()
     }
     assert found == {"a": (1, "b"), "b": (2, "a"), "c": (2, "c"), "d": (2, "a"), "longer": (0, "b")}
     assert index.find(np.array([b"d", b"x", b"longer"]))[1] == -1
+
+
+def test_a_case_that_was_not_begun_is_not_stored():
+    block = a_block("a", [0] * 3, id=["a", "b", "c"], seconds=[1.0, np.nan, 2.0])
+    index = CaseIndex.of([block])
+    assert index["id"].tolist() == [b"a", b"c"]
+    assert index["place"].tolist() == [0, 2]
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -288,18 +300,22 @@ def test_histories_come_into_their_places(seed):
     offsets = np.concatenate([[0], np.cumsum(lengths)])
     places = rng.permutation(count)[:4] if seed % 2 else np.arange(1, 5)
     at = rng.permutation(9)[:4] if seed % 4 else np.arange(3, 7)
-    for values in (rng.random(offsets[-1]), rng.random((offsets[-1], n))):
+    block = a_block("a", lengths, {"time": BY_STATE, "pressure": BY_STATE})
+    stored = {"time": rng.random(offsets[-1]), "pressure": rng.random((offsets[-1], n))}
+    for name, values in stored.items():
         table = np.full((9, 4, *(4,) * (values.ndim - 1)), np.nan)
         wanted = table.copy()
-        put(table, at, Piece(values, offsets), places, lengths[places])
+        fill(table, at, values, block, name, places)
         for row, place in zip(at, places, strict=True):
             own = values[offsets[place] : offsets[place + 1]]
             wanted[(row, *map(slice, own.shape))] = own
         assert np.array_equal(table, wanted, equal_nan=True)
     last = rng.random((count, n))
+    block = a_block("a", lengths, {"pressure": BY_CASE})
     table = np.full((9, 4, 4), np.nan)
     wanted = table.copy()
-    put(table, at, Piece(last), places, lengths[places])
+    some = lengths[places] > 0
+    fill(table, at[some], last, block, "pressure", places[some])
     for row, place in zip(at, places, strict=True):
         if lengths[place]:
             wanted[row, lengths[place] - 1, :n] = last[place]

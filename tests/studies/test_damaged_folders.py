@@ -9,20 +9,29 @@ import signal
 import subprocess
 import sys
 import zlib
+from dataclasses import replace
 
 import h5py
 import numpy as np
 import pytest
 import try_faults as faults
 from commands import SHELL_ENVIRONMENT
+from stored_cases import StoredCase, block_of
 from swept import write_study
 
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.studies.execution import scheduling, sweep, workers
+from ringwear_par.studies.execution import (
+    case_queue,
+    merging,
+    plan,
+    single_cases,
+    team_store,
+)
 from ringwear_par.studies.execution.sweep import run_sweep
-from ringwear_par.studies.storage import blocks, shards, store
-from ringwear_par.studies.storage.blocks import Block, Record
-from ringwear_par.studies.storage.index import DamagedError
+from ringwear_par.studies.execution.team_store import TeamStore
+from ringwear_par.studies.storage import blocks, results_file, shards
+from ringwear_par.studies.storage.blocks import CASE, DamagedError
+from ringwear_par.studies.storage.folder import SweepFolder
 from ringwear_par.studies.storage.shards import Shard, read_shard
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
@@ -42,7 +51,7 @@ DRAWS = ("_BUSY_SECONDS", "_LONGEST_SECONDS", "_LEAST_SECONDS")
 
 def draw_one_by_one(patch):
     for name in DRAWS:
-        patch.setattr(scheduling, name, 0.0)
+        patch.setattr(case_queue, name, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -86,9 +95,9 @@ def parts(path):
     content, at, found = path.read_bytes(), 0, []
     while at < len(content):
         _, size, count, data, _ = blocks._HEAD.unpack(content[at : at + blocks._HEAD.size])
-        ends = np.cumsum([at + blocks._HEAD.size, size, count * blocks._CASE.itemsize, data])
+        ends = np.cumsum([at + blocks._HEAD.size, size, count * CASE.itemsize, data])
         words, cases, arrays = (content[a:b] for a, b in itertools.pairwise(ends.tolist()))
-        cases = np.frombuffer(cases, dtype=blocks._CASE).copy()
+        cases = np.frombuffer(cases, dtype=CASE).copy()
         found.append([json.loads(words), cases, arrays])
         at = int(ends[-1])
     return found
@@ -116,7 +125,7 @@ def test_a_sweep_killed_while_it_writes_its_first_block(output, swept, comm, tol
 
 
 def blocks_of(path):
-    return read_shard(path).index.blocks
+    return read_shard(path).blocks
 
 
 @pytest.mark.parametrize("lost", [1, 7, 1000, "all but a byte"])
@@ -138,14 +147,14 @@ def test_a_block_that_was_being_written_when_the_sweep_was_killed(output, swept,
 @pytest.mark.parametrize(
     ("file", "function", "call"),
     [
-        ("operators.py", "write_operator", 1),  # assembly
+        ("shared_pairs.py", "write_pair", 1),  # assembly
         ("pathlib.py", "replace", 1),  # the operator's file has not its name yet
         ("shards.py", "add", 2),
-        ("dataset.py", "write_ensemble", 1),  # merging
+        ("results_writer.py", "write_results", 1),  # merging
         ("pathlib.py", "replace", 2),  # results.h5 is whole, but has not its name yet
         ("pathlib.py", "replace", 3),  # it has, cases.csv has not
-        ("store.py", "forget_shards", 1),
-        ("locks.py", "forget_slices", 1),  # shards are gone, their folder is not
+        ("folder.py", "forget_shards", 1),
+        ("folder.py", "forget_slices", 1),  # shards are gone, their folder is not
     ],
 )
 def test_a_sweep_killed_at_a_moment_of_note(tmp_path, swept, comm, file, function, call):
@@ -155,11 +164,11 @@ def test_a_sweep_killed_at_a_moment_of_note(tmp_path, swept, comm, file, functio
 import os, signal, sys
 from pathlib import Path
 from mpi4py import MPI
-from ringwear_par.studies.execution import scheduling
+from ringwear_par.studies.execution import case_queue
 from ringwear_par.studies.execution.sweep import run_sweep
 
 for name in {DRAWS}:  # one by one
-    setattr(scheduling, name, 0.0)
+    setattr(case_queue, name, 0.0)
 calls = iter(range({call}, 0, -1))
 
 def kill(frame, event, _):
@@ -188,20 +197,21 @@ run_sweep(*map(Path, sys.argv[1:]), MPI.COMM_SELF)
 @pytest.mark.parametrize("seen_under_way", [False, True])
 def test_shards_that_are_removed_under_a_sweep(tmp_path, swept, comm, monkeypatch, seen_under_way):
     study, reference, _ = swept
-    output, store_one = tmp_path / "out", workers.Worker._store
+    output, store_one = tmp_path / "out", TeamStore.add
     stored = []
 
-    def storing(self, columns, cases, ids, *more):
-        store_one(self, columns, cases, ids, *more)
-        stored.extend(ids)
+    def storing(self, columns, cases):
+        columns = store_one(self, columns, cases)
+        stored.extend(cases.ids)
         if len(stored) == 2:
             shutil.rmtree(output / "shards")
+        return columns
 
     with monkeypatch.context() as patch:
-        patch.setattr(workers.Worker, "_store", storing)
+        patch.setattr(TeamStore, "add", storing)
         draw_one_by_one(patch)
         patch.setattr(shards, "_SYNC_SECONDS", 0.0 if seen_under_way else 1e9)
-        patch.setattr(sweep, "PATIENCE_SECONDS", 0.3)
+        patch.setattr(merging, "PATIENCE_SECONDS", 0.3)
         with pytest.raises(ComputationError) as trouble:
             run_sweep(study, output, comm)
     assert len(str(trouble.value).splitlines()) == 1
@@ -224,8 +234,8 @@ def test_shards_that_are_removed_under_a_sweep(tmp_path, swept, comm, monkeypatc
 @pytest.fixture
 def looks(monkeypatch):
     """Looks for what is stored."""
-    looks, scan = [], store.Store.scan
-    monkeypatch.setattr(store.Store, "scan", lambda *a, **b: (looks.append(a), scan(*a, **b))[1])
+    looks, scan = [], SweepFolder.scan
+    monkeypatch.setattr(SweepFolder, "scan", lambda *a, **b: (looks.append(a), scan(*a, **b))[1])
     return looks
 
 
@@ -233,14 +243,16 @@ def test_a_shard_that_comes_to_light_late(output, swept, comm, monkeypatch):
     """As on a disk of the network: not there at the first look, and nothing is lost."""
     study, reference, _ = swept
     before = faults.done_before(output)
-    looks, scan = [], store.Store.scan
+    looks, scan = [], SweepFolder.scan
 
     def late(self, *words, **more):
         looks.append(words)
         index, notes = scan(self, *words, **more)
-        return index if len(looks) != 2 else index.only(np.arange(2)), notes
+        if len(looks) == 2:
+            index = replace(index, entries=index.entries[:2])
+        return index, notes
 
-    monkeypatch.setattr(store.Store, "scan", late)
+    monkeypatch.setattr(SweepFolder, "scan", late)
     run_sweep(study, output, comm)
     assert len(looks) == 3
     assert faults.seconds_by_id(output) == before
@@ -294,9 +306,9 @@ def change_words(name, value):
     return change
 
 
-def change_arrays(name, *entry):
+def change_columns(name, *entry):
     def change(words, cases):
-        words["arrays"][name] = entry
+        words["columns"][name] = entry
 
     return change
 
@@ -311,14 +323,15 @@ def change_cases(name, value):
 @pytest.mark.parametrize(
     "change",
     [
-        *(change_words(name, None) for name in ("elements", "sizes", "longest", "kinds", "arrays")),
-        change_words("elements", -1),
+        *(change_words(name, None) for name in ("sizes", "longest", "kinds", "columns")),
+        change_words("sizes", {"element": -1}),
+        change_words("sizes", {"element": None}),
         change_words("kinds", []),
         change_words("kinds", [["1", 3, ""]]),
-        change_arrays("time", "often", 8, 0),
-        change_arrays("time", "rows", 8, 0),
-        change_arrays("unknown", "rows", 8, 0),
-        change_arrays("time", "rows"),
+        change_columns("time", "often", 8, 0),
+        change_columns("time", "state", 8, 0),
+        change_columns("unknown", "state", 8, 0),
+        change_columns("time", "state"),
         change_cases("status", 7),
         change_cases("rows", -1),
         change_cases("rows", 0),
@@ -383,8 +396,8 @@ def test_what_is_damaged_within_a_block_takes_the_block_along(
     if what == "texts":
         packed = b"[[], [], []]"
         words, _, data = found[0]
-        size = words["arrays"]["toml"][1]
-        words["arrays"]["toml"] = "block", len(packed), zlib.crc32(packed)
+        size = words["columns"]["toml"][1]
+        words["columns"]["toml"] = "block", len(packed), zlib.crc32(packed)
         found[0][2] = data[:-size] + packed
         write_parts(shard, found)
     else:
@@ -406,9 +419,9 @@ def test_what_is_damaged_within_a_block_takes_the_block_along(
 def test_a_case_of_nobody(output, swept, comm, told):
     """That the study does not know, and whose text says nothing, is listed and no more."""
     study, reference, _ = swept
-    record = Record("stranger", "no = case =", "done", "", 1.0, math.nan, {}, "1")
+    stranger = StoredCase("stranger", "no = case =", seconds=1.0, imbalance=math.nan)
     with Shard(shard_of(output)) as shard:
-        shard.add(Block.of([record]))
+        shard.add(block_of([stranger]))
     run_sweep(study, output, comm, mix_versions=True)
     assert not told()
     rows = faults.table(output)
@@ -459,6 +472,36 @@ def test_checkpoints_in_flight(tmp_path, interrupted, swept, comm, told, one_by_
     assert not faults.differences(output, reference)
 
 
+@pytest.mark.parametrize("version", [team_store.__version__, "99.0"])
+def test_a_checkpoint_that_no_block_tells_of(
+    interrupted, swept, comm, told, one_by_one, monkeypatch, version
+):
+    """As after a kill between a checkpoint and the next: its case continues from it."""
+    study, reference, _ = swept
+    output = interrupted.parents[1]
+    (output / "results.h5").unlink()
+    for module in (plan, team_store):
+        monkeypatch.setattr(module, "__version__", version)
+    before, recorder = [], single_cases.Recorder
+    monkeypatch.setattr(
+        single_cases, "Recorder",
+        lambda cases, comm, start, **how: (
+            before.append(start) or recorder(cases, comm, start, **how)
+        ),
+    )  # fmt: skip
+    run_sweep(study, output, comm)
+    continued = [start for start in before if start is not None]
+    if version == "99.0":
+        (note,) = told()
+        assert note.startswith(f"{interrupted}: is of version ")
+        assert note.endswith("; this case starts anew")
+        assert not continued
+    else:
+        assert not told()
+        assert [start.path for start in continued] == [interrupted]
+        assert not faults.differences(output, reference)
+
+
 def test_a_checkpoint_of_a_case_that_has_ended_goes(interrupted, swept, comm, told, one_by_one):
     """As after a kill between storing the case and removing its checkpoint."""
     study, output, content = swept[0], interrupted.parents[1], interrupted.read_bytes()
@@ -486,7 +529,7 @@ def test_results_that_fail_only_when_they_are_read(swept, tmp_path, comm, told, 
         raise DamagedError(self.path)
 
     with monkeypatch.context() as patch:  # the index of cases is as it was
-        patch.setattr(store.results_file.ResultsBlock, "read", damaged)
+        patch.setattr(results_file.ResultsBlock, "read", damaged)
         with pytest.raises(ComputationError, match="6 of 9 cases that have ended are not stored"):
             run_sweep(changed, output, comm)
     assert len(looks) == 3

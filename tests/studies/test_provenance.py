@@ -6,7 +6,7 @@ from swept import CASE, table, variables, write_study
 import ringwear_par
 from ringwear_par import version
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.studies.execution import plan, workers
+from ringwear_par.studies.execution import plan, team_store
 from ringwear_par.studies.execution.sweep import sweep
 from ringwear_par.studies.storage.ensemble import open_ensemble
 
@@ -30,7 +30,7 @@ def swept(shared_path, comm):
 def test_another_version_does_not_mix_with_the_first(swept, shared_path, comm, monkeypatch):
     mine = ringwear_par.__version__
     swept("0, 20")
-    for module in (ringwear_par, version, plan, workers):
+    for module in (ringwear_par, version, plan, team_store):
         monkeypatch.setattr(module, "__version__", "99.0")
     assert swept("0, 20").computed == 0  # nothing to mix
     with pytest.raises(InputError) as raised:
@@ -59,10 +59,10 @@ def test_interrupted_cases_of_another_version_start_anew(
         ("incomplete", ringwear_par.__version__)
     ]
     comm.Barrier()
-    for module in (ringwear_par, version, plan, workers):
+    for module in (ringwear_par, version, plan, team_store):
         monkeypatch.setattr(module, "__version__", "99.0")
     read = []
-    monkeypatch.setattr("ringwear_par.studies.execution.workers.open_result", read.append)
+    monkeypatch.setattr("ringwear_par.studies.execution.team_store.open_result", read.append)
     assert swept("0", ranks_per_case=comm.size).done == 1
     assert not read
     assert comm.rank > 0 or "1 interrupted cases of another version start anew" in caplog.text

@@ -5,57 +5,56 @@ import os
 
 import numpy as np
 import pytest
+from stored_cases import StoredCase
+from stored_cases import block_of as block_of_cases
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.studies.storage import shards
-from ringwear_par.studies.storage.blocks import Block, Record, unpack_header
-from ringwear_par.studies.storage.index import DamagedError, Kind
+from ringwear_par.studies.storage.blocks import BY_STATE, DamagedError, Kind
 from ringwear_par.studies.storage.shards import Shard, drop_damaged_blocks, read_shard
 
 pytestmark = pytest.mark.serial
 
 
-def block_of(*names, version="1", **more):
+def block_of(*names):
     """A block of cases whose times are their numbers."""
-    records = []
+    cases = []
     for n, name in enumerate(names):
-        arrays = {"time": np.full(3, float(n)), "step": np.arange(3.0), "r": np.ones(4)}
-        arrays["pressure"] = np.full((3, 4), 10.0 * n)
-        records.append(Record(name, f"text {name}", "done", "", 1.0 + n, 0.5, arrays, version))
-    return Block.of(records, **more)
+        columns = {"time": np.full(3, float(n)), "step": np.arange(3.0), "r": np.ones(4)}
+        columns["pressure"] = np.full((3, 4), 10.0 * n)
+        cases.append(StoredCase(name, f"text {name}", "done", "", 1.0 + n, 0.5, columns))
+    return block_of_cases(cases)
 
 
 def test_a_block_comes_back(tmp_path):
-    failed = Record("bad", "its text", "failed", "no \N{GREEK SMALL LETTER MU}", 2.0, 0.0, {}, "2")
-    flagged = Record("odd", "y", "done", "", 3.0, 0.1, {}, "2", ("one", "two"))
+    error = "no \N{GREEK SMALL LETTER MU}"
+    failed = StoredCase("bad", "its text", "failed", error, 2.0)
+    flagged = StoredCase("odd", "y", "done", "", 3.0, 0.1, {}, ("one", "two"))
     with Shard(tmp_path / "a.blocks") as shard:
         shard.add(block_of("a", "b"))
-        shard.add(Block.of([failed, flagged]))
-    index = read_shard(shard.path).index
-    assert index["id"].tolist() == [b"a", b"b", b"bad", b"odd"]
-    assert index["status"].tolist() == [2, 2, 1, 2]
-    assert (index["rows"].tolist(), index["elements"].tolist()) == ([3, 3, 0, 0], [4, 4, 0, 0])
-    assert index["seconds"].tolist() == [1.0, 2.0, 2.0, 3.0]
-    kinds = [index.kinds[kind] for kind in index["kind"].tolist()]
-    assert kinds[0] == kinds[1] == Kind("1")
-    assert kinds[2:] == [Kind("2", (), failed.error), Kind("2", ("one", "two"))]
-    first, second = index.blocks
-    assert (first.fields, first.deep, second.fields) == (("pressure",), True, ())
-    pieces = first.read(["time", "pressure", "torque"])
-    assert pieces.keys() == {"time", "pressure"}
-    assert pieces["time"].values.tolist() == [0, 0, 0, 1, 1, 1]
-    assert pieces["pressure"].values.shape == (6, 4)
-    assert pieces["time"].offsets.tolist() == [0, 3, 6]
+        shard.add(block_of_cases([failed, flagged], "2"))
+    first, second = read_shard(shard.path).blocks
+    assert first.cases["id"].tolist() == [b"a", b"b"]
+    assert second.cases["id"].tolist() == [b"bad", b"odd"]
+    assert first.cases["status"].tolist() == [2, 2]
+    assert second.cases["status"].tolist() == [1, 2]
+    assert (first.cases["rows"].tolist(), first.cases["elements"].tolist()) == ([3, 3], [4, 4])
+    assert (second.cases["rows"].tolist(), second.cases["elements"].tolist()) == ([0, 0], [0, 0])
+    assert first.cases["seconds"].tolist() == [1.0, 2.0]
+    assert second.cases["seconds"].tolist() == [2.0, 3.0]
+    assert first.kinds == (Kind("1"),)
+    assert first.cases["kind"].tolist() == [0, 0]
+    kinds = [second.kinds[kind] for kind in second.cases["kind"].tolist()]
+    assert kinds == [Kind("2", (), error), Kind("2", ("one", "two"))]
+    assert first.axes["pressure"] == BY_STATE
+    assert (first.deep, second.deep) == (True, False)
+    columns = first.read(["time", "pressure", "torque"])
+    assert columns.keys() == {"time", "pressure"}
+    assert columns["time"].tolist() == [0, 0, 0, 1, 1, 1]
+    assert columns["pressure"].shape == (6, 4)
+    assert first.offsets.tolist() == [0, 3, 6]
     assert first.texts([1, 0]) == ["text b", "text a"]
     assert second.texts([0]) == ["its text"]
-
-
-def test_a_packed_block_is_read_from_memory_too(tmp_path):
-    packed = block_of("a").packed()
-    block, index = unpack_header(packed, 0, tmp_path / "none", packed)
-    assert block.stop == len(packed)
-    assert index["id"].tolist() == [b"a"]
-    assert block.read(["time"])["time"].values.tolist() == [0.0] * 3
 
 
 @pytest.fixture
@@ -68,25 +67,25 @@ def path(tmp_path):
 
 
 def names(path):
-    return b"".join(read_shard(path).index["id"].tolist()).decode()
+    return b"".join(name for b in read_shard(path).blocks for name in b.cases["id"]).decode()
 
 
 def test_it_survives_a_kill_at_any_byte(path):
     """Blocks that are whole are there, and the rest is known for what it is."""
     content = path.read_bytes()
-    ends = [block.stop for block in read_shard(path).index.blocks]
+    ends = [block.stop for block in read_shard(path).blocks]
     for size in range(len(content)):
         path.write_bytes(content[:size])
         contents = read_shard(path)
         whole = [end for end in ends if end <= size]
         assert contents.damaged == 0
         assert contents.end == (whole[-1] if whole else 0)
-        assert len(contents.index) == len(whole)
+        assert len(contents.blocks) == len(whole)
 
 
 def test_any_flipped_byte_costs_no_more_than_its_block(path, tmp_path):
     content = path.read_bytes()
-    ends = [block.stop for block in read_shard(path).index.blocks]
+    ends = [block.stop for block in read_shard(path).blocks]
     for at in range(0, len(content), 11):
         changed = bytearray(content)
         changed[at] ^= 0x55
@@ -99,7 +98,7 @@ def test_any_flipped_byte_costs_no_more_than_its_block(path, tmp_path):
 
 
 def test_damaged_data_are_not_taken_for_numbers(path):
-    block = read_shard(path).index.blocks[1]
+    block = read_shard(path).blocks[1]
     content = bytearray(path.read_bytes())
     content[block.start + 3] ^= 1
     path.write_bytes(content)

@@ -18,8 +18,13 @@ from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage.result_files import open_result
 from ringwear_par.results.variables import HISTORIES, PROFILES
 from ringwear_par.studies.definition.study import read_study
-from ringwear_par.studies.execution import estimate, operators, sweep, workers
-from ringwear_par.studies.storage import case_variables, dataset, results_file
+from ringwear_par.studies.execution import estimate, shared_pairs, single_cases, sweep
+from ringwear_par.studies.storage import (
+    case_table,
+    case_variables,
+    results_file,
+    results_writer,
+)
 from ringwear_par.studies.storage.ensemble import open_ensemble, read_ensemble
 
 
@@ -116,9 +121,9 @@ def test_fifty_geometries_cost_fifty_assemblies(write, shared_path, comm, monkey
         '"time.steps" = { values = [2] }\n'
     )
     assembled = []
-    original = operators.assemble
+    original = shared_pairs.assemble
     monkeypatch.setattr(
-        operators, "assemble",
+        shared_pairs, "assemble",
         lambda case, team: (assembled.append(case.upper.r), original(case, team))[1],
     )  # fmt: skip
     swept(study, shared_path / "out", comm)
@@ -150,7 +155,7 @@ def test_again_recomputes_nothing_and_changes_nothing(write, shared_path, comm, 
     study, folder = write(STUDY), shared_path / "out"
     swept(study, folder, comm)
     before, rows = variables(folder), table(folder)
-    monkeypatch.setattr(workers, "simulate_one", None)  # any case would fail
+    monkeypatch.setattr(single_cases, "simulate_one", None)  # any case would fail
     swept(study, folder, comm)
     same(before, variables(folder))
     assert table(folder) == rows
@@ -213,8 +218,8 @@ def test_files_do_not_depend_on_windows(write, shared_path, comm, monkeypatch):
     for name in ("whole", "parts"):
         if name == "parts":
             monkeypatch.setattr(results_file, "_WINDOW_BYTES", 4000)
-            monkeypatch.setattr(dataset, "WINDOW", 4)
-            monkeypatch.setattr(case_variables, "WINDOW", 4)
+            for module in (results_writer, case_table, case_variables):
+                monkeypatch.setattr(module, "WINDOW", 4)
         for n, text in enumerate(studies):
             swept(write(text), shared_path / name, comm)
             shutil.copytree(shared_path / name, shared_path / f"{name}{n}")
@@ -268,14 +273,14 @@ def test_a_failed_case_is_a_row_and_the_others_go_on(
 
 
 def test_an_operator_that_fails_fails_its_cases_only(write, shared_path, comm, monkeypatch):
-    original = operators.assemble
+    original = shared_pairs.assemble
 
     def assemble(case, team):
         if case.upper.r[0] == 28.0:
             raise ComputationError("the factorisation failed")
         return original(case, team)
 
-    monkeypatch.setattr(operators, "assemble", assemble)
+    monkeypatch.setattr(shared_pairs, "assemble", assemble)
     with pytest.raises(ComputationError, match="6 of 12 cases failed"):
         swept(write(STUDY), shared_path / "out", comm)
     comm.Barrier()

@@ -14,8 +14,7 @@ from waiting import STEPS, Waiting
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.results.execution import watch
-from ringwear_par.studies.execution import sweep as sweep_module
-from ringwear_par.studies.execution import workers
+from ringwear_par.studies.execution import summary, team_store
 from ringwear_par.studies.execution.sweep import run_sweep
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
@@ -304,7 +303,7 @@ def test_damaged_shard(tmp_path, held):
 def test_what_marks_a_stop_goes_through_no_link(tmp_path):
     elsewhere, mark = tmp_path / "elsewhere", tmp_path / "STOPPED"
     mark.symlink_to(elsewhere)
-    sweep_module._mark(mark)
+    summary._mark(mark)
     assert not elsewhere.exists()
     assert mark.is_file()
     assert not mark.is_symlink()
@@ -360,8 +359,8 @@ def test_signal_to_one_rank(tmp_path, held, number):
 def test_no_checkpoint_is_left(tmp_path, monkeypatch, one_by_one, comm):
     study = faults.write_study(tmp_path, count=2, steps=4, elements=(16,))
     monkeypatch.setattr(watch, "CHECKPOINT_SECONDS", 0.0)
-    written, write = [], workers.write_result
-    monkeypatch.setattr(workers, "write_result", lambda *w: (written.append(w), write(*w))[1])
+    written, write = [], team_store.write_result
+    monkeypatch.setattr(team_store, "write_result", lambda *w: (written.append(w), write(*w))[1])
     run_sweep(study, tmp_path / "out", comm)
     assert len(written) == 10 * 3
     assert not (tmp_path / "out" / "inflight").exists()

@@ -10,7 +10,7 @@ from ringwear_par.elasticity.geometry.slopes import case_slopes
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.execution.operators import map_operator, write_operator
+from ringwear_par.studies.execution.shared_pairs import map_pair, write_pair
 from ringwear_par.studies.execution.sweep import sweep
 
 
@@ -42,8 +42,8 @@ def case():
 
 def test_a_mapped_pair_is_the_one_assembled(case, shared_path, comm):
     path = shared_path / "pair.npy"
-    write_operator(path, case, comm)
-    pair, mapped = assemble(case, comm), map_operator(path, case, comm)
+    write_pair(path, case, comm)
+    pair, mapped = assemble(case, comm), map_pair(path, case, comm)
     assert np.array_equal(mapped.slope, pair.slope)
     assert pair.slope == pytest.approx(np.full(16, 0.3), rel=1e-8)
     for name in ("normal", "twist", "force_reaction", "torque_reaction"):

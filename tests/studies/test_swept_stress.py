@@ -12,13 +12,13 @@ import ringwear_par as rw
 from ringwear_par.elasticity.stress.recovery import StressRecovery
 from ringwear_par.errors import ComputationError
 from ringwear_par.studies.analysis.surrogate import surrogate
-from ringwear_par.studies.execution import workers
 from ringwear_par.studies.execution.sweep import sweep
+from ringwear_par.studies.execution.teams import Team
 from ringwear_par.studies.pictures.choice import choose
 from ringwear_par.studies.pictures.effects import effects
-from ringwear_par.studies.storage.end_values import drawn
+from ringwear_par.studies.storage.end_values import figure_columns
 from ringwear_par.studies.storage.ensemble import read_ensemble
-from ringwear_par.studies.storage.store import Store
+from ringwear_par.studies.storage.folder import SweepFolder
 
 LAYER = """
 [[lower.layers]]
@@ -256,7 +256,7 @@ def test_an_interrupted_case_keeps_its_stresses(comm, tmp_path, monkeypatch):
     case = COATED.replace("contact_elements = 16", 'contact_elements = 16\ngeometry = "updated"')
     study = write_study(tmp_path, comm, STUDY, case + 'times = "all"\n')
     sweep(study, tmp_path / "whole", comm)
-    step, made = workers.Worker._check_options, []
+    step, made = Team._observe, []
 
     def interrupting(self, snapshot=None):
         if snapshot is not None:
@@ -266,12 +266,12 @@ def test_an_interrupted_case_keeps_its_stresses(comm, tmp_path, monkeypatch):
         return step(self, snapshot)
 
     with monkeypatch.context() as patch:
-        patch.setattr(workers.Worker, "_check_options", interrupting)
+        patch.setattr(Team, "_observe", interrupting)
         with pytest.raises(ComputationError, match="stopped by SIGTERM"):
             sweep(study, tmp_path / "parts", comm)
     with rw.open_ensemble(tmp_path / "parts") as data:
         (going,) = np.flatnonzero(data.status == "incomplete")[:1]
-        assert len(Store(tmp_path / "parts", "").interrupted()) == 1
+        assert len(SweepFolder(tmp_path / "parts", "").checkpoints()) == 1
         begun = data.isel(case=int(going))
         assert np.isfinite(begun.max_mises[: int(begun.steps_stored)]).any()
     sweep(study, tmp_path / "parts", comm)
@@ -331,7 +331,7 @@ def test_errors_told_of_a_grid_are_those_of_fresh_cases(swept, tmp_path):
 def test_figures_and_pages_show_them(swept, tmp_path):
     ensemble = read_ensemble(swept)
     done = np.ones(len(ensemble.ids), dtype=bool)
-    assert drawn(ensemble.final, done) == [
+    assert figure_columns(ensemble.final, done) == [
         "penetration", "worn_volume_lower", "share_through_lower", "max_mises",
     ]  # fmt: skip
     labels = [" ".join(axes.get_ylabel().split()) for axes in rw.plot(swept).axes]

@@ -11,9 +11,12 @@ from swept import CASE, table, write_study
 from ringwear_par.errors import ComputationError
 from ringwear_par.history import batch
 from ringwear_par.results.execution.stopping import StopSignals
-from ringwear_par.studies.execution import operators, workers
-from ringwear_par.studies.execution.scheduling import Scheduler
+from ringwear_par.studies.execution import shared_pairs
+from ringwear_par.studies.execution.case_queue import SharedQueue
+from ringwear_par.studies.execution.plan import CaseSet
+from ringwear_par.studies.execution.summary import Timings
 from ringwear_par.studies.execution.sweep import sweep
+from ringwear_par.studies.execution.teams import Team
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 pytestmark = pytest.mark.mpi(min_size=2)
@@ -98,15 +101,15 @@ class Disk:
 
 def test_an_operator_that_one_rank_sees_late(swept, comm, monkeypatch):
     disk = Disk(comm, 5)
-    monkeypatch.setattr(operators.np, "load", disk)
+    monkeypatch.setattr(shared_pairs.np, "load", disk)
     assert swept().done == 12
     assert not disk.last or disk.late == 0
 
 
 def test_an_operator_that_one_rank_never_sees(swept, comm, monkeypatch):
     """Not the fault of a case: the sweep ends, and goes on another time."""
-    monkeypatch.setattr(operators.np, "load", Disk(comm, 10**9))
-    monkeypatch.setattr(operators, "PATIENCE_SECONDS", 0.2)
+    monkeypatch.setattr(shared_pairs.np, "load", Disk(comm, 10**9))
+    monkeypatch.setattr(shared_pairs, "PATIENCE_SECONDS", 0.2)
     with pytest.raises(ComputationError, match=r"cannot be mapped: .*the same command goes on"):
         swept()
     comm.Barrier()
@@ -115,19 +118,17 @@ def test_an_operator_that_one_rank_never_sees(swept, comm, monkeypatch):
 
 
 def test_a_signal_to_any_rank_ends_the_wait_for_an_operator(shared_path, comm):
-    """That another team was to provide."""
-    store = SimpleNamespace(
-        shard=lambda team: shared_path / f"{team}.blocks",
-        operator=lambda group: shared_path / f"{group}.npy",
+    """That another team was to provide: nobody draws any more."""
+    plan = SimpleNamespace(
+        folder=SimpleNamespace(operator=lambda group: shared_path / f"{group}.npy"),
+        cases=lambda *stretch: CaseSet([None], ["a"], None),
+        all_assemble=True,
     )
-    plan = SimpleNamespace(store=store, all_assemble=False)
     signals = StopSignals()
     if comm.rank == comm.size - 1:
         signals.received = signal.SIGTERM
-    scheduler = Scheduler([2], comm, 1, [1.0], lambda group: None)
-    worker = workers.Worker(plan, 0, scheduler, signals, None, comm, workers.Timings())
-    with pytest.raises(workers._StoppedError):
-        worker._find_operator(0, 1, None)
-    scheduler.wait_for_all(lambda: None)
-    assert comm.rank > 0 or scheduler.stopped
-    scheduler.destroy()
+    queue = SharedQueue([2], comm, 1, [1.0], lambda group: None)
+    Team(plan, comm, queue, None, signals, None, Timings()).work()
+    queue.wait_for_all(lambda: None)
+    assert comm.rank > 0 or queue.stopped
+    queue.destroy()

@@ -1,22 +1,22 @@
-"""A step that wears through layers: how its time divides, and what a contact asks of it."""
-
-from dataclasses import replace
+"""Elements in the layers of a body: which these are, and each by its own law."""
 
 import numpy as np
 import pytest
 
-from ringwear_par.contact.problem import project_to_wear_curve
+from ringwear_par.schedules import Table
 from ringwear_par.wear.increment import Closing, WearIncrement
+from ringwear_par.wear.law import stack_laws
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
-from ringwear_par.wear.layer_split import d_split, split
-from ringwear_par.wear.layered import LayeredLaw
+from ringwear_par.wear.layered import LayeredLaw, NoWear
 from ringwear_par.wear.local_state import LocalState
 
 N, STEP = 24, 5.0
 R = np.linspace(28.5, 31.5, N)
 COATING, UNDER, BODY = ThresholdLaw(2e-8, 30.0), PowerLaw(1e-10, 1.5), ThresholdLaw(3e-7)
+PRESENT = np.arange(N) % 3
+THICKNESSES = (1e-4, 2e-4)
 
 
 def local(wear=0.0):
@@ -24,67 +24,58 @@ def local(wear=0.0):
     return LocalState(0.0, R, speed, 0.1, np.full(N, wear), 0.0 * speed)
 
 
-def increment(laws, wear=0.0, thicknesses=(1e-4, 2e-4), **more):
-    law = LayeredLaw.of(thicknesses, laws[:-1], laws[-1])
-    return WearIncrement((law, None), (local(wear), local(wear)), STEP, **more)
+def law_of(laws, thicknesses=THICKNESSES):
+    return LayeredLaw.of(thicknesses, laws[:-1], laws[-1])
+
+
+def increment(laws, present=PRESENT, **more):
+    law = law_of(laws).in_layers(present)
+    return WearIncrement((law, None), (local(), local()), STEP, **more)
 
 
 @pytest.mark.parametrize("short", [0.0, 1e-15, 5e-14])
-def test_a_layer_of_which_round_off_is_left_is_worn_through_in_the_step_and_after_it(short):
+def test_a_layer_of_which_round_off_is_left_is_worn_through(short):
     end = 1e-4
-    worn = np.full((2, 1), end * (1.0 - short))
-    gone = split(worn, np.full((1, 1), end), 1.0)
-    law = LayeredLaw.of((end,), (COATING,), BODY)
-    assert gone.worn_through.all()
-    assert gone.depths[0] == end
-    assert (law.remaining(worn[0]) == 0.0).all()
-    assert (law.present(worn[0]) == 1).all()
+    law = law_of((COATING, BODY), (end,))
+    assert (law.layers_at(np.full(N, end * (1.0 - short))) == 1).all()
+    assert (law.layers_at(np.full(N, end * (1.0 - 1e-9))) == 0).all()
 
 
-def test_time_divides_among_all_layers_that_a_step_passes():
-    full = np.array([[1.0, 1.0, 0.0, 4.0], [2.0, 2.0, 1.0, 6.0], [8.0, 8.0, 8.0, 8.0]])
-    left = np.array([[2.0, 0.5, 1.0, 1.0], [1.0, 1.0, 1.0, 3.0]])
-    gone = split(full, left, 1.0)
-    np.testing.assert_allclose(gone.times.sum(axis=0), 1.0, rtol=1e-15)
-    np.testing.assert_allclose(
-        gone.depths, [[1.0, 0.5, 0.0, 1.0], [0.0, 1.0, 0.0, 3.0], [0.0, 0.0, 0.0, 2.0]], rtol=1e-15
-    )
-    np.testing.assert_allclose(gone.depths, gone.times * full, rtol=1e-15)
-    # a share that ends at an interface gets there
-    share = np.array([0.1, 0.3, 0.7]) / np.array([0.3, 0.7, 0.9])
-    a, c = np.array([[0.3, 0.7, 0.9], [1.0, 1.0, 1.0]]), np.array([[0.1, 0.3, 0.7]])
-    assert split(a, c, share).worn_through.all()
-
-
-def test_derivatives_of_a_passage_are_those_of_its_depth():
-    rng = np.random.default_rng(1)
-    full, left = rng.uniform(0.1, 2.0, (3, N)), rng.uniform(0.0, 1.0, (2, N))
-    d_full, d_left, d_share = rng.normal(size=(3, N)), rng.normal(size=(2, N)), rng.normal(size=N)
-    share = rng.uniform(0.5, 2.0, N)
-
-    def depth(h):
-        return split(full + h * d_full, left + h * d_left, share + h * d_share).depths.sum(axis=0)
-
-    found = d_split(full, d_full, split(full, left, share), share, d_share, d_left)
-    np.testing.assert_allclose((depth(1e-7) - depth(-1e-7)) / 2e-7, found, rtol=1e-6, atol=1e-7)
+def test_layers_are_those_at_the_depth_that_is_worn_off():
+    law = law_of((COATING, UNDER, BODY))
+    layers = law.layers_at(np.array([0.0, 0.5e-4, 1e-4, 2.9e-4, 3e-4, 1.0]))
+    assert layers.tolist() == [0, 0, 1, 1, 2, 2]
+    np.testing.assert_allclose(law.end_of(layers), [1e-4, 1e-4, 3e-4, 3e-4, np.inf, np.inf])
 
 
 CASES = {
-    "through two": ((COATING, UNDER, BODY), 0.0),
-    "begun": ((COATING, UNDER, BODY), 0.5e-4),
-    "soft under hard": ((BODY, COATING, BODY), 0.0),
-    "little left": ((COATING, BODY, BODY), 1e-4 - 1e-9),
-    "remembers": ((RunningInLaw(2e-8, 9e-8, 0.0, depth=1e-3), COATING, BODY), 0.2e-4),
+    "one kind": (COATING, BODY, ThresholdLaw(5e-8, 10.0)),
+    "several kinds": (COATING, UNDER, BODY),
+    "does not wear": (COATING, NoWear(), BODY),
+    "remembers": (RunningInLaw(2e-8, 9e-8, 0.0, depth=1e-3), COATING, BODY),
+    "in time": (ThresholdLaw(Table((0.0, 1.0), (1e-8, 2e-8)), 30.0), BODY, COATING),
 }
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_each_element_wears_by_the_law_of_its_layer(name):
+    """To the last bit, or to that of what settles together with all elements."""
+    laws, p = CASES[name], np.linspace(0.0, 200.0, N)
+    during = increment(laws)
+    alone = [WearIncrement((law, None), (local(), local()), STEP) for law in laws]
+    for method in ("depth", "d_depth_dp"):
+        values = np.array([getattr(own, method)(p) for own in alone])
+        rtol = 1e-14 if name == "remembers" else 0.0
+        expected = values[PRESENT, np.arange(N)]
+        np.testing.assert_allclose(getattr(during, method)(p), expected, rtol=rtol)
 
 
 @pytest.mark.parametrize("closing", [False, True])
 @pytest.mark.parametrize("name", CASES)
 def test_depth_does_not_fall_and_has_its_slope_and_its_integral(name, closing):
-    laws, wear = CASES[name]
-    gap = np.where(np.arange(N) % 3 == 0, 3e-5, 0.0)
+    gap = np.where(np.arange(N) % 4 == 0, 3e-5, 0.0)
     more = {"closing": Closing(gap, np.full(N, STEP))} if closing else {}
-    during = increment(laws, wear, **more)
+    during = increment(CASES[name], **more)
     p = np.linspace(0.0, 200.0, 4001)[:, None] * np.ones(N)
     depths = np.array([during.depth(row) for row in p])
     assert (np.diff(depths, axis=0) >= -1e-18).all()
@@ -93,7 +84,7 @@ def test_depth_does_not_fall_and_has_its_slope_and_its_integral(name, closing):
     change = (during.depth(tried + h * direction) - during.depth(tried - h * direction)) / (2 * h)
     off = np.abs(change - during.d_depth_dp(tried) * direction)
     assert np.median(off) <= 1e-6 * np.abs(change).max()
-    assert (off <= 1e-4 * np.abs(change).max()).mean() > 0.9  # the others pass an interface
+    assert (off <= 1e-4 * np.abs(change).max()).mean() > 0.9  # the others pass a kink
     rule = np.trapezoid if hasattr(np, "trapezoid") else np.trapz
     np.testing.assert_allclose(
         during.potential(p[-1]), rule(depths, p[:, 0], axis=0), rtol=2e-4, atol=1e-9
@@ -101,44 +92,42 @@ def test_depth_does_not_fall_and_has_its_slope_and_its_integral(name, closing):
 
 
 def test_both_bodies_lose_what_the_share_of_the_step_leaves_them():
-    """Energy, where a law is k mu p V: depths by layer over k are the work of the time there is."""
-    lower = LayeredLaw.of(
-        (1e-4, 2e-4), (ThresholdLaw(1e-8), ThresholdLaw(5e-8)), ThresholdLaw(2e-7)
-    )
-    upper = LayeredLaw.of((5e-5,), (ThresholdLaw(3e-8),), ThresholdLaw(1e-7))
+    """Energy, where a law is k mu p V: depths over k are the work of the time there is."""
+    lower = law_of((ThresholdLaw(1e-8), ThresholdLaw(5e-8), ThresholdLaw(2e-7)))
+    upper = law_of((ThresholdLaw(3e-8), ThresholdLaw(1e-7)), (5e-5,))
+    layers = PRESENT, np.arange(N) % 2
+    laws = lower.in_layers(layers[0]), upper.in_layers(layers[1])
     at, p = local(), np.linspace(10.0, 300.0, N)
     gap = np.where(np.arange(N) % 2 == 0, 2e-5, 0.0)
-    during = WearIncrement((lower, upper), (at, at), STEP, closing=Closing(gap, np.full(N, STEP)))
-    inside = during.share(during.depth_in_present_layer(p))
+    during = WearIncrement(laws, (at, at), STEP, closing=Closing(gap, np.full(N, STEP)))
+    inside = during.share(during.depth_if_always_in_contact(p))
     lost, work = during.depths(p), inside * STEP * at.power * p
-    for law, depth in zip((lower, upper), lost, strict=True):
-        starts = np.concatenate([[[0.0]], law.depths])
-        ends = np.append(law.depths, [[np.inf]], axis=0)
-        parts = np.clip(depth, starts, ends) - starts
-        by_layer = sum(part / own.k for part, own in zip(parts, law.laws, strict=True))
-        np.testing.assert_allclose(by_layer, work, rtol=1e-13)
-    np.testing.assert_allclose(lost.sum(axis=0), during.depth(p), rtol=1e-15)
-    np.testing.assert_allclose(during.integrated_rates(p, lost, inside), lost, rtol=1e-14)
+    for law, present, depth in zip(laws, layers, lost, strict=True):
+        k = np.array([own.k for own in law.laws])[present]
+        np.testing.assert_allclose(depth / k, work, rtol=1e-13)
+    np.testing.assert_allclose(lost.sum(axis=0), during.depth(p), rtol=1e-12, atol=1e-20)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_histories_in_their_layers_are_those_alone(name):
+    first, *others = CASES[name]
+    changed = [first, *others] if name == "in time" else [first.with_parameter("k", 7e-8), *others]
+    law = stack_laws([law_of(CASES[name]), law_of(changed)])
+    present = np.array([PRESENT, np.roll(PRESENT, 1)])
+    p, at = np.linspace(0.0, 200.0, 2 * N).reshape(2, N), local()
+    both = LocalState(np.zeros(2), R, at.speed, np.full(2, 0.1), np.zeros((2, N)), 0.0 * p)
+    during = WearIncrement((law.in_layers(present), None), (both, both), np.full(2, STEP))
+    depths = during.depth(p)
+    for i, laws in enumerate((CASES[name], changed)):
+        np.testing.assert_array_equal(increment(laws, present[i]).depth(p[i]), depths[i])
+        np.testing.assert_array_equal(during.history(i).depth(p[i]), depths[i])
+        one = np.array([i])
+        np.testing.assert_array_equal(during.take(one).depth(p[one])[0], depths[i])
 
 
 def test_layers_of_one_law_are_no_layers():
     at, p = local(), np.linspace(0.0, 300.0, N)
     plain = WearIncrement((BODY, None), (at, at), STEP)
     layered = increment((BODY, BODY, BODY))
-    np.testing.assert_allclose(layered.depths(p), plain.depths(p), rtol=1e-14)
-    np.testing.assert_allclose(layered.d_depth_dp(p), plain.d_depth_dp(p), rtol=1e-13)
-
-
-def test_a_step_is_put_back_on_a_curve_that_almost_jumps():
-    """1e-10 mm of a coating left that does not wear below 60 MPa, on a body that does."""
-    during = increment((ThresholdLaw(1e-8, 60.0), BODY), 1e-4 - 1e-10, (1e-4,))
-    ones = np.ones(N)
-    scale, weight = ones, 1e6 * ones
-    before, after = 59.0 * ones, 64.0 * ones
-    there = project_to_wear_curve(during, before, after, scale, weight)
-    total = after + weight * during.depth(before)
-    np.testing.assert_allclose(there + weight * during.depth(there), total, rtol=1e-8)
-    assert (during.depth(there) < 1e-5).all()
-    assert (during.depth(after) > 3e-4).all()
-    straight = replace(during, laws=(BODY, None))
-    assert project_to_wear_curve(straight, before, after, scale, weight) is after
+    np.testing.assert_array_equal(layered.depths(p), plain.depths(p))
+    np.testing.assert_array_equal(layered.d_depth_dp(p), plain.d_depth_dp(p))

@@ -100,8 +100,14 @@ def _add_points(
 
 
 @compiled
-def _padded(work: FloatArray, first: int, last: int, count: int) -> int:
-    """Repeat the last of each row up to whole vectors; return how many there are then."""
+def padded(work: FloatArray, first: int, last: int, count: int) -> int:
+    """Repeat the last number of rows of a tile up to whole vectors; return how many there are.
+
+    Parameters
+    ----------
+    first, last : numbers of the rows from, and up to which.
+    count : numbers that each has.
+    """
     whole = count + -count % _VECTOR
     for row in range(first, last):
         for i in range(row * TILE + count, row * TILE + whole):
@@ -126,7 +132,7 @@ def _integrate_together(
         work[_AR + i], work[_AZ + i] = lines[0, e] - xr, lines[1, e] - xz
         work[_DR + i], work[_DZ + i] = lines[2, e], lines[3, e]
         work[_LENGTH + i], work[_NR + i], work[_NZ + i] = lines[4, e], lines[5, e], lines[6, e]
-    count = _padded(work, TILE_ROWS, TILE_ROWS + 7, len(chosen))
+    count = padded(work, TILE_ROWS, TILE_ROWS + 7, len(chosen))
     for row in range(20):
         work[_H + row * TILE : _H + row * TILE + count] = 0.0
     at_once = TILE // count
@@ -146,7 +152,7 @@ def _integrate_together(
 @compiled(fastmath={"contract"}, error_model="numpy")
 def _add_tile(work: FloatArray, count: int, at: int, xr: float, poisson: float) -> None:
     """Add points of one element to its integrals, the first of the rows of H and G."""
-    filled = _padded(work, 0, 4, count)
+    filled = padded(work, 0, 4, count)
     fill_tile(work, filled, xr, poisson)
     for i in range(count):
         t, w = work[_T + i], work[_WEIGHT + i]
@@ -293,7 +299,7 @@ def _dot(x: FloatArray, y: FloatArray) -> float:
 
 
 @compiled
-def _element_lines(boundary: BoundaryMesh) -> FloatArray:
+def element_lines(boundary: BoundaryMesh) -> FloatArray:
     """Return (7, k): first node r and z, vector, length, outward normal of each element."""
     k = len(boundary.elements)
     lines = np.empty((7, k))
@@ -378,7 +384,7 @@ def assemble_rows(
     """
     elements, load, traction = boundary.elements, conditions.load, dofs.traction
     k = len(elements)
-    soft, lines = 1.0 / young, _element_lines(boundary)
+    soft, lines = 1.0 / young, element_lines(boundary)
     # u* = (r1 e_r - thinner (z1 - z) e_z) / r has no axial stress, and stresses that stay finite as
     # Poisson's ratio goes to 1/2; its traction, along r, is this over r
     thinner, star_r = 2.0 * poisson / (1.0 - poisson), lines[5] / (1.0 - poisson)

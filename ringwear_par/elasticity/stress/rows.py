@@ -16,12 +16,10 @@ from ringwear_par.elasticity.bem.boundary import BoundaryMesh
 from ringwear_par.elasticity.bem.compiling import compiled
 from ringwear_par.elasticity.bem.kernels import TILE
 from ringwear_par.elasticity.bem.quadrature import MAX_POINTS, Quadrature
+from ringwear_par.elasticity.bem.rows import MAX_PARTS as MAX_PARTS
+from ringwear_par.elasticity.bem.rows import element_lines, padded
 from ringwear_par.elasticity.stress.kernels import N_KERNELS, STRESS_TILE_ROWS, fill_stress_tile
 
-#: doubles that the widest vectors of common processors hold
-_VECTOR = 4
-#: most parts of an element that wait to be integrated
-MAX_PARTS = 128
 # rows of the work space behind the tile: a point's parameter on its element, and its weight
 _T, _WEIGHT = STRESS_TILE_ROWS * TILE, (STRESS_TILE_ROWS + 1) * TILE
 WORK = (STRESS_TILE_ROWS + 2) * TILE
@@ -40,11 +38,7 @@ def _add_tile(
     torsion: FloatArray,
 ) -> None:
     """Add quadrature points to the columns of their elements."""
-    whole = count + -count % _VECTOR
-    for row in range(4):
-        for i in range(row * TILE + count, row * TILE + whole):
-            work[i] = work[row * TILE + count - 1]
-    fill_stress_tile(work, whole, r, poisson)
+    fill_stress_tile(work, padded(work, 0, 4, count), r, poisson)
     for i in range(count):
         e, t, w = owner[i], work[_T + i], work[_WEIGHT + i]
         traction = 2 * (n_nodes + e)
@@ -71,10 +65,14 @@ def _add_tile(
 
 @compiled
 def _add_own_column(
-    node: int, boundary: BoundaryMesh, poisson: float, normal: FloatArray, torsion: FloatArray
+    node: int,
+    nodes: FloatArray,
+    lines: FloatArray,
+    poisson: float,
+    normal: FloatArray,
+    torsion: FloatArray,
 ) -> None:
     """Subtract the integrals over u*, t* of the nearest node, and add the stress of u*."""
-    nodes, elements = boundary.nodes, boundary.elements
     n_nodes = len(nodes)
     # stresses rr = tt of u_r = r where zz is 0, and what it is thinner by
     across, thinner = 1.0 / (1.0 - poisson), 2.0 * poisson / (1.0 - poisson)
@@ -91,12 +89,8 @@ def _add_own_column(
         for v in range(n_nodes):
             total += normal[row, 2 * v] * nodes[v, 0]
             total -= normal[row, 2 * v + 1] * thinner * (nodes[v, 1] - nodes[node, 1])
-        for e in range(len(elements)):
-            dr = nodes[elements[e, 2], 0] - nodes[elements[e, 0], 0]
-            dz = nodes[elements[e, 2], 1] - nodes[elements[e, 0], 1]
-            length = math.hypot(dr, dz)
-            at = 2 * (n_nodes + e)
-            total += across * normal[row, at] * (dz / length)
+        for e in range(lines.shape[1]):
+            total += across * normal[row, 2 * (n_nodes + e)] * lines[5, e]
         added = across if row < 2 else 0.0
         normal[row, 2 * node] += (added - total) / r
     for row in range(2):
@@ -132,7 +126,7 @@ def stress_rows(
     torsion : (p, 2, m + k) float, set: rt, tz for the theta ones.
     most_parts : most parts of an element that may wait to be integrated.
     """
-    nodes, elements = boundary.nodes, boundary.elements
+    nodes, elements, lines = boundary.nodes, boundary.elements, element_lines(boundary)
     n_nodes = len(nodes)
     work, owner = np.zeros(WORK), np.zeros(TILE, dtype=np.int64)
     part_from, part_span = np.empty(most_parts), np.empty(most_parts)
@@ -143,11 +137,9 @@ def stress_rows(
         r, z = points[p, 0], points[p, 1]
         count = int(np.int64(0))  # a literal would be compiled once more
         for e in range(len(elements)):
-            first, last = elements[e, 0], elements[e, 2]
-            ar, az = nodes[first, 0] - r, nodes[first, 1] - z
-            dr, dz = nodes[last, 0] - nodes[first, 0], nodes[last, 1] - nodes[first, 1]
-            length = math.hypot(dr, dz)
-            nr, nz = dz / length, -dr / length
+            ar, az = lines[0, e] - r, lines[1, e] - z
+            dr, dz, length = lines[2, e], lines[3, e], lines[4, e]
+            nr, nz = lines[5, e], lines[6, e]
             part_from[0], part_span[0] = 0.0, 1.0
             parts = 1
             while parts > 0:
@@ -183,5 +175,5 @@ def stress_rows(
                 count += n
                 evaluations += n
         _add_tile(work, owner, count, r, poisson, elements, n_nodes, normal[p], torsion[p])
-        _add_own_column(nearest[p], boundary, poisson, normal[p], torsion[p])
+        _add_own_column(nearest[p], nodes, lines, poisson, normal[p], torsion[p])
     return evaluations

@@ -17,6 +17,7 @@ from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import InputError, legible
 from ringwear_par.history.derivatives.elastic_numbers import compliance_change, elastic_numbers
 from ringwear_par.history.elastic.bodies import young
+from ringwear_par.history.elastic.compliances import key_of
 from ringwear_par.wear.averaging import d_averaging
 from ringwear_par.wear.law import Law
 from ringwear_par.wear.layered import LayeredLaw
@@ -120,22 +121,26 @@ class Sensitivity:
     Parameters
     ----------
     keys : of the numbers.
-    cases : one case, or several of one pair.
-    pair : of the cases.
+    cases : one case, or several.
+    pairs : of each.
     """
 
-    def __init__(self, keys: Sequence[str], cases: Sequence[Case], pair: ContactPair) -> None:
-        self.keys, self._arm = tuple(keys), pair.line.arm
+    def __init__(
+        self, keys: Sequence[str], cases: Sequence[Case], pairs: Sequence[ContactPair]
+    ) -> None:
+        line, slope = pairs[0].line, pairs[0].slope
+        self.keys, self._arm = tuple(keys), line.arm
+        #: whether a last row is that of the end of the step, which then may be an interface's
+        self.moving_ends = any(isinstance(law, LayeredLaw) for law in cases[0].laws)
         rows = {key: row for row, key in enumerate(keys)}
         #: rows and names of the parameters of the laws of lower and upper
         self._laws = tuple(
             [(row, name) for key, row in rows.items() if (name := _name_of_number(body, key))]
             for body in BODIES
         )
-        self._whole_laws = cases[0].laws
         #: of bodies, which number is the length of their averages, and what it does to these
         self.averages: dict[int, tuple[int, FloatArray]] = {}
-        line, true_area = pair.line, pair.line.area * obliquity(pair.slope)
+        true_area = line.area * obliquity(slope)
         for body, (numbers, law) in enumerate(zip(self._laws, cases[0].laws, strict=True)):
             for row in [row for row, name in numbers if name == "length"]:
                 assert law is not None
@@ -153,7 +158,7 @@ class Sensitivity:
             if row is not None
         }
         #: (P, ...) derivatives of the force, N, or of the displacement, mm
-        self.load = np.zeros((len(keys), len(cases)))
+        self.load = self.zeros(len(cases))
         for key, row in rows.items():
             if key == "load.pressure":
                 self.load[row] = [case.area for case in cases]
@@ -161,18 +166,19 @@ class Sensitivity:
                 self.load[row] = 1.0
         elastic = {"lower.young", "upper.young", *elastic_numbers(cases[0])}
         self.elastic = [
-            (row, _Elastic.of(cases, pair, key)) for key, row in rows.items() if key in elastic
+            (row, _Elastic.of(cases, pairs, key)) for key, row in rows.items() if key in elastic
         ]
+        rows_of_keys = [*keys, ""][: len(self)]
         #: of bodies with layers, (layers, P), which number is the thickness of which layer
         self.thicknesses = {
-            i: np.array([[key == f"{body}.layers[{j}].thickness" for key in keys]
+            i: np.array([[key == f"{body}.layers[{j}].thickness" for key in rows_of_keys]
                          for j in range(len(ring.layers))], dtype=float)
             for i, (body, ring) in enumerate(zip(BODIES, cases[0].rings, strict=True))
             if ring.layers
         }  # fmt: skip
 
     def __len__(self) -> int:
-        return len(self.keys)
+        return len(self.keys) + self.moving_ends
 
     def take(self, histories: IntArray) -> "Sensitivity":
         """Return the sensitivity of some of B histories."""
@@ -186,18 +192,21 @@ class Sensitivity:
         """Return derivatives (P, ...) that are 0."""
         return np.zeros((len(self), *shape))
 
-    def rates(
-        self, i: int, law: Law, p: FloatArray, at: LocalState, layer: int | None
-    ) -> FloatArray:
+    def layer_starts(self, i: int, law: Law) -> FloatArray | float:
+        """Return derivatives of the depths at which layers start, see ``VaryingNumbers``."""
+        thicknesses = self.thicknesses.get(i)
+        if thicknesses is None or not thicknesses.any() or not isinstance(law, LayeredLaw):
+            return 0.0
+        assert law.present is not None
+        starts = np.concatenate([np.zeros_like(thicknesses[:1]), np.cumsum(thicknesses, axis=0)])
+        return np.moveaxis(starts[law.present], -1, 0)
+
+    def rates(self, i: int, law: Law, p: FloatArray, at: LocalState) -> FloatArray:
         """Return derivatives of rates with respect to the numbers, see ``VaryingNumbers``."""
-        out, whole = self.zeros(*p.shape), self._whole_laws[i]
+        out = self.zeros(*p.shape)
         for row, name in self._laws[i]:
-            if layer is not None and isinstance(whole, LayeredLaw):
-                in_layer = whole.of_layer(name, layer)
-                if in_layer is None or in_layer not in law.numeric:
-                    continue
-                name = in_layer
-            out[row] = law.d_rate_dparameter(name, p, at)
+            if name in law.numeric:
+                out[row] = law.d_rate_dparameter(name, p, at)
         if self.friction is not None:
             size, still = columns(self._sizes[self.friction]), np.zeros(p.shape[-1])
             along = LocalState(0.0, at.r, still, size, still, still)
@@ -224,7 +233,7 @@ class Sensitivity:
 
 @dataclass(frozen=True)
 class _Elastic:
-    """Derivatives of the compliance with respect to a number, those of m pairs of moduli.
+    """Derivatives with respect to a number of m compliances, of other pairs or moduli.
 
     Parameters
     ----------
@@ -239,20 +248,21 @@ class _Elastic:
     which: Any
 
     @classmethod
-    def of(cls, cases: Sequence[Case], pair: ContactPair, key: str) -> "_Elastic":
-        """Return the derivatives of some cases."""
-        moduli = [young(case) for case in cases]
-        firsts = dict(zip(moduli, cases, strict=True))
-        places = {both: place for place, both in enumerate(firsts)}
+    def of(cls, cases: Sequence[Case], pairs: Sequence[ContactPair], key: str) -> "_Elastic":
+        """Return the derivatives of some cases, each on its pair."""
+        operators = [key_of(pair, young(case)) for pair, case in zip(pairs, cases, strict=True)]
+        firsts = dict(zip(operators, zip(pairs, cases, strict=True), strict=True))
+        places = {operator: place for place, operator in enumerate(firsts)}
         every = [
-            pair.d_compliance(both, compliance_change(case, pair, key))
-            for both, case in firsts.items()
+            pair.d_compliance(young(case), compliance_change(case, pair, key))
+            for pair, case in firsts.values()
         ]
+        area = pairs[0].line.area
         return cls(
-            np.array([(matrix / pair.line.area[:, None]).T for matrix, _, _ in every]),
+            np.array([(matrix / area[:, None]).T for matrix, _, _ in every]),
             np.array([collocated.T for _, collocated, _ in every]),
             np.array([twist for _, _, twist in every]),
-            np.array([places[both] for both in moduli]),
+            np.array([places[operator] for operator in operators]),
         )
 
     def take(self, histories: IntArray) -> "_Elastic":

@@ -1,4 +1,4 @@
-"""The compliances of B histories on one contact pair, each at its own moduli."""
+"""The compliances of B histories on one contact line, each of its own pair and moduli."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,6 +13,14 @@ from ringwear_par.contact.engine import ContactEngine
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
 
+#: identity of a contact pair, and Young's moduli of lower and upper
+OperatorKey = tuple[int, tuple[float, float]]
+
+
+def key_of(pair: ContactPair, young: tuple[float, float]) -> OperatorKey:
+    """Return the key of a compliance among those of some pairs."""
+    return id(pair), young
+
 
 @dataclass(frozen=True)
 class Compliances:
@@ -20,11 +28,12 @@ class Compliances:
 
     Parameters
     ----------
-    every : compliances at all the different moduli, that of the first history first.
+    every : compliances of all different pairs and moduli, that of the first history first.
     which : (B,) int, the one of each history.
     diagonal : (B, n) float, mm/MPa, displacement of each element under its own pressure alone.
     stiffness : (B,) float, MPa/mm, uniform pressure over the mean displacement that it makes.
     twist : (B, n) float, mm/MPa, see ``ContactCompliance``.
+    force_reaction, torque_reaction : (B, 2, n) float, mm^2 and mm^3, see there.
     symmetry_defect : (B,) float, see there.
     """
 
@@ -33,19 +42,23 @@ class Compliances:
     diagonal: FloatArray
     stiffness: FloatArray
     twist: FloatArray
+    force_reaction: FloatArray
+    torque_reaction: FloatArray
     symmetry_defect: FloatArray
 
     @classmethod
     def of(
         cls,
+        pairs: Sequence[ContactPair],
         moduli: Sequence[tuple[float, float]],
-        pair: ContactPair,
-        known: Mapping[tuple[float, float], ContactCompliance],
+        known: Mapping[OperatorKey, ContactCompliance],
     ) -> Self:
-        """Return the compliances of histories; some may be known by their moduli."""
-        places = {both: place for place, both in enumerate(dict.fromkeys(moduli))}
-        every = [known.get(both) or pair.compliance(both) for both in places]
-        return cls._of(every, np.array([places[both] for both in moduli]))
+        """Return the compliances of histories; some may be known."""
+        keys = [key_of(*row) for row in zip(pairs, moduli, strict=True)]
+        pair_of = dict(zip(keys, pairs, strict=True))
+        places = {key: place for place, key in enumerate(pair_of)}
+        every = [known.get(key) or pair.compliance(key[1]) for key, pair in pair_of.items()]
+        return cls._of(every, np.array([places[key] for key in keys]))
 
     @classmethod
     def of_each(cls, compliances: Sequence[ContactCompliance]) -> Self:
@@ -61,6 +74,8 @@ class Compliances:
             np.array([np.diagonal(c.matrix) / area for c in every])[which],
             np.array([float(area.sum() / c.matrix.sum()) for c in every])[which],
             np.array([c.twist for c in every])[which],
+            np.array([c.force_reaction for c in every])[which],
+            np.array([c.torque_reaction for c in every])[which],
             np.array([c.symmetry_defect for c in every])[which],
         )
 

@@ -16,7 +16,7 @@ from ringwear_par.history.elastic.bodies import bodies, operator_key
 from ringwear_par.history.observers.selection import Selection
 from ringwear_par.history.snapshots import Instant, Snapshot
 from ringwear_par.history.state import State
-from ringwear_par.wear.layer_split import worn_through
+from ringwear_par.wear.layered import worn_through
 
 #: pressure, or stress, of an outermost element over that of the fourth, from which on it is
 #: infinite there

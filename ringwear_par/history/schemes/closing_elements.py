@@ -15,7 +15,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, columns, inner
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.state import State
-from ringwear_par.wear.increment import Closing, WearIncrement
+from ringwear_par.wear.increment import Closing
 
 #: gaps that a step may close, in what the fastest element wears in it
 _REACH = 2.0
@@ -37,24 +37,16 @@ class ClosingElements:
     gap : (..., n) float, mm, of these elements at the start, 0 elsewhere.
     area : (n,) float, mm^2.
     force_kept : whether the others carry what these do not.
-    first_weight : (..., n) float, how many times its weight the first stage counts for elements
-        that wear through a layer after it, see ``with_layer_crossings``; 1 for all others.
     """
 
     gap: FloatArray
     area: FloatArray
     force_kept: bool
-    first_weight: FloatArray | float = 1.0
 
     @property
     def mask(self) -> BoolArray:
         """Which elements these are, (..., n)."""
-        return (self.gap > 0.0) | (np.asarray(self.first_weight) < 1.0)
-
-    @property
-    def first(self) -> FloatArray:
-        """How many times its weight the first stage counts for these elements, (..., n)."""
-        return np.where(self.gap > 0.0, 0.0, self.first_weight)
+        return self.gap > 0.0
 
     def closing(self, step: FloatArray, stretch: FloatArray) -> Closing:
         """Return gaps and steps of elements in a stage, whose step (s) is stretched for each."""
@@ -120,34 +112,6 @@ def find_closing_elements(
     return ClosingElements(
         np.where(chosen, gap, 0.0), physics.area, physics.inputs.force is not None
     )
-
-
-def with_layer_crossings(
-    physics: Physics,
-    closing: ClosingElements | None,
-    first: WearIncrement,
-    p: FloatArray,
-    share: float,
-) -> ClosingElements | None:
-    """Return the closing elements, and with them those that get to the next layer after a stage.
-
-    The pressure of the first stage is not that of the next layer: it wears such an element as long
-    as its layer lasts, and the last stage does for the rest of the step.
-
-    Parameters
-    ----------
-    p : (..., n) float, MPa, of the first stage.
-    share : of that stage's length, what it stands for.
-    """
-    if not first.layered:
-        return closing
-    counts = first.fraction_to_interface(p, share) / share
-    if closing is not None:
-        counts = np.where(closing.gap > 0.0, 1.0, counts)
-    if not (counts < 1.0).any():
-        return closing
-    gap = np.zeros_like(p) if closing is None else closing.gap
-    return ClosingElements(gap, physics.area, physics.inputs.force is not None, counts)
 
 
 def entry_error(

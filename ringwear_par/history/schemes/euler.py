@@ -11,7 +11,8 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, columns
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.schemes.step import Step, advanced, first_through
+from ringwear_par.history.schemes.interfaces import Passage, end_at_interfaces
+from ringwear_par.history.schemes.step import Step, advanced
 from ringwear_par.history.schemes.tangent import along_step
 from ringwear_par.history.state import State
 from ringwear_par.schedules import mean
@@ -19,54 +20,48 @@ from ringwear_par.schedules import mean
 
 def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
     """Return the explicit step to a time."""
+    physics = physics.in_present_layers(state.wear)
     length = end - state.time
     omega = mean(physics.inputs.omega, state.time, end)
     p, rates = state.contact.pressure, state.rates
     if not physics.inputs.steady_speed:
         rates = physics.rates(state.time, omega, state.wear, p)
     depths, volumes = columns(length) * rates, length * physics.integrals(rates)
-    through = None
-    if physics.inputs.layered:
-        start = physics.increment(state.time, omega, state.wear, length)
-        depths = start.explicit(p)
-        volumes = physics.integrals(depths)
-        through = first_through(state, (state.time, length, start, p, 1.0))
-    along = along_step(physics, contacts, state)
+    along = along_step(physics, contacts, state, end)
     if along is not None:
         along.explicit(physics.increment(state.time, omega, state.wear, length), p)
         along.work(length, omega, p, along.pressure)
     contact = contacts.solve(physics.contact_inputs(end, state.wear + depths), p, along=along)
     then = physics.rates_at(end, state.wear + depths, contact.pressure)
     energy = length * omega * physics.torque(p)
-    after = advanced(physics, state, end, depths, volumes, energy, contact, then, along, through)
-    return _judged(state, after)
+    after = advanced(physics, state, end, depths, volumes, energy, contact, then, along)
+    passage = Passage.of(physics, state, after, state.time, omega, p)
+    return end_at_interfaces(contacts, state, _judged(state, after), passage, along)
 
 
 def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
     """Return the implicit step to a time."""
+    physics = physics.in_present_layers(state.wear)
     length = end - state.time
     omega = mean(physics.inputs.omega, state.time, end)
     during = physics.increment(end, omega, state.wear, length)
-    along = along_step(physics, contacts, state)
+    along = along_step(physics, contacts, state, end)
     contact = contacts.solve(
         physics.contact_inputs(end, state.wear, during), state.contact.pressure, along=along
     )
     p = contact.pressure
     depths = during.depths(p)
-    if physics.inputs.layered:
-        volumes = physics.integrals(during.integrated_rates(p, depths, 1.0))
-    else:
-        then = during.rates(p, depths)
-        volumes = length * physics.integrals(then)
+    then = during.rates(p, depths)
+    volumes = length * physics.integrals(then)
     if not physics.inputs.rates_last:
         then = physics.rates_at(end, state.wear + depths, p)
     energy = length * omega * physics.torque(p)
     if along is not None:
         along.implicit()
         along.work(length, omega, p, along.pressure)
-    through = first_through(state, (state.time, length, during, p, 1.0))
-    after = advanced(physics, state, end, depths, volumes, energy, contact, then, along, through)
-    return _judged(state, after)
+    after = advanced(physics, state, end, depths, volumes, energy, contact, then, along)
+    passage = Passage.of(physics, state, after, end, omega, p)
+    return end_at_interfaces(contacts, state, _judged(state, after), passage, along)
 
 
 def _judged(state: State, after: State) -> Step:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, columns, inner
+from ringwear_par.arrays import FloatArray, columns, inner
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.physics import Physics
@@ -25,14 +25,13 @@ from ringwear_par.history.schemes.closing_elements import (
     ClosingElements,
     entry_error,
     find_closing_elements,
-    with_layer_crossings,
 )
-from ringwear_par.history.schemes.step import Step, advanced, first_through
+from ringwear_par.history.schemes.interfaces import Passage, end_at_interfaces
+from ringwear_par.history.schemes.step import Step, advanced
 from ringwear_par.history.schemes.tangent import Along, along_step
 from ringwear_par.history.state import State
 from ringwear_par.schedules import in_time
 from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.layer_split import worn_through
 
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 # weights of the rates at 0, gamma and 1; what the integral of the quadratic through them has more
@@ -45,21 +44,11 @@ _LACKING = 1.0 / 6.0 - (
 )
 #: what the first stage wears off counts (1 - gamma) h, the stage itself was gamma h long
 _SHARE = (1.0 - GAMMA) / GAMMA
-#: share of what rates change in a step that counts as its error where elements get through a layer:
-#: depths through 10 random coatings of 3 um, whose thresholds were below the mean pressure, were
-#: within 0.0092 um of converged ones with a tolerance of 0.0025 um of each step by itself. With one
-#: of 0.01 um of the history, the worst of 17 random coatings was off by 0.109 um
-_FIRST_ORDER = 0.25
-#: by how many times at most an error of depth in a layer counts more than one in the next, which
-#: wears so many times faster and begins to do so too late or too early: near the threshold of a
-#: layer there is no bound. The worst of 160 random coatings of 3 um was off by 0.42 um with 20, by
-#: 0.029 with 3000; of the 22 worst ones, which take 2.5 times the steps, by 0.24 with 100 and 0.056
-#: with 1000
-_FASTER = 3000.0
 
 
 def step(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
     """Return the step to a time."""
+    physics = physics.in_present_layers(state.wear)
     length = end - state.time
     middle = state.time + GAMMA * length
     speeds = [in_time(physics.inputs.omega, t) for t in (state.time, middle, end)]
@@ -69,19 +58,17 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         None if closing is None else closing.closing(GAMMA * length, np.ones_like(closing.gap))
     )
     first = physics.increment(middle, speeds[1], state.wear, GAMMA * length, gap_closing)
-    along = along_step(physics, contacts, state, closing)
+    along = along_step(physics, contacts, state, end, closing)
     stage = contacts.solve(
         physics.contact_inputs(middle, state.wear, first), state.contact.pressure, along=along
     )
     worn_first = first.depth_if_always_in_contact(stage.pressure)
-    closing = with_layer_crossings(physics, closing, first, stage.pressure, _SHARE)
-    counts = 1.0 if closing is None else closing.stage_weights(stage.pressure, closing.first)
-    lost_first = first.depths_in_share(stage.pressure, worn_first, _SHARE * counts)
+    counts = 1.0 if closing is None else closing.stage_weights(stage.pressure, 0.0)
+    lost_first = _SHARE * counts * worn_first
     carried = state.wear + lost_first
     if along is not None:
-        along.hold(closing, _SHARE, GAMMA * length)
         along.first_stage(stage.pressure, counts, _SHARE)
-    last, contact, counts_last, inside = _last_stage(
+    last, contact, counts_last = _last_stage(
         physics, contacts, closing, end, speeds[2], carried, length, stage.pressure, along
     )
     worn_last = last.depth_if_always_in_contact(contact.pressure)
@@ -98,30 +85,18 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     )
     energy = length * inner(_WEIGHTS, powers)
     depths = lost_first + losses
-    through = None
-    if physics.inputs.layered:
-        volumes = physics.integrals(
-            first.integrated_rates(stage.pressure, worn_first, _SHARE * counts)
-            + last.integrated_rates(contact.pressure, worn_last, inside)
-        )
-        through = first_through(
-            state,
-            (state.time, GAMMA * length, first, stage.pressure, _SHARE * counts),
-            (end - GAMMA * length, GAMMA * length, last, contact.pressure, inside),
-        )
-    else:
-        then = last.rates(contact.pressure, worn_last)
-        volumes = length * physics.integrals(
-            _WEIGHTS[1] * (counts * first.rates(stage.pressure, worn_first))
-            + _WEIGHTS[2] * (counts_last * then)
-        )
+    then = last.rates(contact.pressure, worn_last)
+    volumes = length * physics.integrals(
+        _WEIGHTS[1] * (counts * first.rates(stage.pressure, worn_first))
+        + _WEIGHTS[2] * (counts_last * then)
+    )
     if not physics.inputs.rates_last:
         then = physics.rates(end, speeds[2], state.wear + depths, contact.pressure)
     if along is not None:
         along.last_stage(last, contact.pressure, GAMMA * length)
         for i, d_p in enumerate(along.counted, start=1):
             along.work(_WEIGHTS[i] * length, speeds[i], pressures[i], d_p)
-    after = advanced(physics, state, end, depths, volumes, energy, contact, then, along, through)
+    after = advanced(physics, state, end, depths, volumes, energy, contact, then, along)
     standard = worn_last  # in a last stage of its usual length
     if closing is not None:
         standard = np.where(closing.mask, 0.0, worn_last / np.where(closing.mask, 1.0, counts_last))
@@ -131,19 +106,13 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     ).sum(axis=0)
     if closing is not None:  # those make one step of first order, see ``entry_error``
         defect = np.where(closing.mask, 0.0, defect)
-    crossing: BoolArray | bool = False
-    if physics.inputs.layered:
-        defect, crossing = _through_defect(
-            physics, state, after, closing, last, stage.pressure, defect,
-            (standard - worn_first).sum(axis=0), worn_last,
-        )  # fmt: skip
     rise = (standard / GAMMA - columns(length) * state.rates).sum(axis=0)
     if closing is not None:
         rise = np.where(closing.mask, 0.0, rise)
     feedback = _Feedback(
         last, last.slope(contact.pressure), last.memory(contact.pressure, worn_last)
     )
-    errors = np.stack([np.where(crossing, 0.0, rise), state.error])
+    errors = np.stack([rise, state.error])
     # the wear that the defect undoes by the pressure that it takes away
     reliefs = contacts.engine.derivatives.response(
         np.concatenate([defect[None], feedback.memory * errors])
@@ -159,10 +128,10 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     defect = defect + errors[0] + changes[0]
     carried = errors[1] + changes[1]
     after = replace(after, error=carried + defect)
-    if last.layered:
-        usual = _mean_pressure(physics, contact)
-        defect = defect * last.rate_ratio_below(contact.pressure, usual, _FASTER)
-    return Step(
+    passage = Passage.of(physics, state, after, end, speeds[2], contact.pressure)
+    if passage is not None:
+        defect = defect * passage.growth_at(_mean_pressure(physics, contact))
+    judged = Step(
         after,
         _largest(defect),
         _largest(after.error),
@@ -172,6 +141,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         _largest(carried),
         ((state.contact.pressure <= 0.0) & (losses.sum(axis=0) > 0.0)).any(axis=-1),
     )
+    return end_at_interfaces(contacts, state, judged, passage, along)
 
 
 @dataclass(frozen=True)
@@ -215,21 +185,21 @@ def _last_stage(
     length: FloatArray,
     near: FloatArray,
     along: Along | None,
-) -> tuple[WearIncrement, ContactState, FloatArray | float, FloatArray | float]:
-    """Return the last stage, its contact, how many times its weight it counts, (..., n).
+) -> tuple[WearIncrement, ContactState, FloatArray | float]:
+    """Return the last stage, its contact, and how many times its weight it counts, (..., n).
 
-    And which share of its elements' own steps, which are longer by as much, they wear.
     ``near`` are pressures near those at its end, (..., n) MPa.
     """
     step = GAMMA * length
     if closing is None:
         last = physics.increment(end, speed, carried, step)
         contact = contacts.solve(physics.contact_inputs(end, carried, last), near, along=along)
-        return last, contact, 1.0, 1.0
-    counts = np.where(closing.mask, 1.0 + (1.0 - closing.first) * _SHARE, 1.0)
+        return last, contact, 1.0
+    counts = np.where(closing.mask, 1.0 + _SHARE, 1.0)
     last = physics.increment(end, speed, carried, step, closing.closing(step, counts))
     contact = contacts.solve(physics.contact_inputs(end, carried, last), near, along=along)
-    p, inside = contact.pressure, last.share(last.depth_in_present_layer(contact.pressure))
+    p = contact.pressure
+    inside = last.share(last.depth_if_always_in_contact(p))
     if closing.force_kept:
         # the others' weight depends on what closing elements carry: so little that twice will do
         if along is not None:
@@ -241,49 +211,8 @@ def _last_stage(
         again = contacts.solve(inputs, near, already_solved=solved, along=along)
         more = np.where(solved[0], 0, contact.iterations)
         contact = replace(again, iterations=again.iterations + more)
-        inside = last.share(last.depth_in_present_layer(contact.pressure))
-    return last, contact, counts * inside, inside
-
-
-def _through_defect(
-    physics: Physics,
-    before: State,
-    after: State,
-    closing: ClosingElements | None,
-    last: WearIncrement,
-    near: FloatArray,
-    defect: FloatArray,
-    changed: FloatArray,
-    worn_last: FloatArray,
-) -> tuple[FloatArray, BoolArray]:
-    """Return the defect, (..., n) mm, of steps in which elements get to their next layer.
-
-    And which steps these are, (..., 1).
-
-    The stages do not know when in the step that is, and when the others take over what such an
-    element carried: what the rates change counts as of first order.
-
-    Parameters
-    ----------
-    near : (..., n) MPa, of the first stage, at which the next layer would have worn.
-    defect : of the quadratic, which holds in all other steps.
-    changed : (..., n) mm, what both stages differ in, in the length of one.
-    """
-    now = np.zeros(physics.inputs.shape, dtype=bool)
-    for ends, *worn in zip(physics.layer_ends, before.wear, after.wear, strict=True):
-        for end in () if ends is None else ends:
-            was, is_ = (worn_through(end, depths) for depths in worn)
-            now |= is_ & ~was
-    some = now.any(axis=-1, keepdims=True)
-    if not some.any():
-        return defect, some
-    first_order = _FIRST_ORDER / GAMMA * changed
-    if closing is not None:
-        crossing_layers = np.asarray(closing.first_weight) < 1.0
-        first_order = np.where(closing.mask, 0.0, first_order)
-        settled = _FIRST_ORDER * (last.depth_if_always_in_contact(near) - worn_last).sum(axis=0)
-        first_order = np.where(crossing_layers, settled, first_order)
-    return np.where(some, first_order, defect), some
+        inside = last.share(last.depth_if_always_in_contact(contact.pressure))
+    return last, contact, counts * inside
 
 
 def _scale(physics: Physics, before: ContactState, after: ContactState) -> FloatArray:

@@ -11,14 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, columns
+from ringwear_par.arrays import FloatArray
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.tangent import Along
 from ringwear_par.history.state import State
 from ringwear_par.history.validity.state_limits import checked
-from ringwear_par.wear.increment import WearIncrement
 
 
 @dataclass(frozen=True)
@@ -42,6 +41,8 @@ class Step:
         history before it; 0 from a scheme that does not carry it.
     closing : (B,), whether elements came into contact within the step, which errors of wear
         do not know of.
+    too_far : (B,), whether an element went too far beyond its layer; the step is no good then.
+    interface : (B,), s, when the first element got to the end of its layer, or is expected to.
     """
 
     state: State
@@ -52,6 +53,8 @@ class Step:
     pressure_error: Any = 0.0
     carried_error: Any = 0.0
     closing: Any = False
+    too_far: Any = False
+    interface: Any = np.inf
 
 
 Scheme = Callable[[Physics, CorrectedContacts, State, FloatArray], Step]
@@ -67,7 +70,6 @@ def advanced(
     contact: ContactState,
     rates: FloatArray,
     along: Along | None,
-    through: FloatArray | None = None,
 ) -> State:
     """Return the state at the end of a step.
 
@@ -78,7 +80,6 @@ def advanced(
     energy : (B,), N mm, dissipated in it.
     rates : (2, ..., n) float, mm/s, of wear at its end.
     along : derivatives along it, where they are asked for.
-    through : (2, ...) float, s, when wear first got through the layers, see ``first_through``.
 
     Raises
     ------
@@ -87,26 +88,6 @@ def advanced(
     after = State(
         end, state.wear + depths, state.worn + volumes, state.energy + energy, contact, rates,
         state.error, state.meshed_wear, state.gap_offset,
-        None if along is None else along.reached(contact), through,
+        None if along is None else along.reached(contact), state.through,
     )  # fmt: skip
     return checked(physics.case, after)
-
-
-def first_through(
-    state: State, *parts: tuple[FloatArray, FloatArray, WearIncrement, Any, Any]
-) -> Any:
-    """Return when wear first got through the layers, (2, ...) s; None where there are none.
-
-    Parameters
-    ----------
-    parts : of a step, one after the other: start and length (s) of what the whole step of its
-        increment stands for, the increment, the pressure and the share of the step that is worn.
-    """
-    if not parts[0][2].layered:
-        return None
-    assert state.through is not None
-    first = state.through
-    for start, length, increment, p, share in parts:
-        after = increment.breakthrough_time(p, share)
-        first = np.minimum(first, (columns(start) + columns(length) * after).min(axis=-1))
-    return first

@@ -13,17 +13,20 @@ Derivatives with respect to P numbers are (P, ..., n) of fields, (P, ...) of a h
 and (2, P, ..., n) of what both bodies have.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, columns, inner
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, columns, inner
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.closing_elements import ClosingElements
 from ringwear_par.history.state import State, Tangent
-from ringwear_par.wear.increment import WearIncrement
+from ringwear_par.wear.increment import WearIncrement, total_of
+from ringwear_par.wear.law import Law, WearLaw
 from ringwear_par.wear.linearised import LinearisedIncrement, linearise
 
 # -- along one step --------------------------------------------------------------------------------
@@ -37,6 +40,7 @@ class Along:
     physics : with its ``sensitivity``.
     contacts : of the histories.
     before : at the start of the step; None: there is no step, and nothing was worn.
+    length : (B,) s, of the step, if there is one.
     closing : the elements that wear may bring into contact in it.
     """
 
@@ -45,6 +49,7 @@ class Along:
         physics: Physics,
         contacts: CorrectedContacts,
         before: Tangent | None,
+        length: FloatArray | None = None,
         closing: ClosingElements | None = None,
     ) -> None:
         assert physics.sensitivity is not None
@@ -55,9 +60,17 @@ class Along:
         if before is None:
             before = Tangent(
                 np.stack([zeros(*shape)] * 2), zeros(*shape[:-1]), zeros(*shape),
-                zeros(*shape), zeros(*shape[:-1]),
+                zeros(*shape), *[zeros(*shape[:-1])] * 3,
             )  # fmt: skip
         self._before = before
+        #: (P, ...) of the length of the step, over it; None: it stays
+        self._stretch: FloatArray | None = None
+        if self._numbers.moving_ends and length is not None:
+            ends = np.zeros_like(before.time)
+            ends[-1] = 1.0
+            self._stretch = (ends - before.time) / length
+        #: (P, ...) s, see ``Tangent``
+        self._interface = zeros(*shape[:-1])
         #: (2, P, ..., n) mm, of the wear that a stage starts from
         self.wear = before.wear
         #: (P, ..., n) MPa and (P, ...) mm, of the last contact
@@ -71,11 +84,11 @@ class Along:
         self._closes: FloatArray | None = None
         if closing is not None:
             self._closes = np.where(closing.gap > 0.0, before.gap, 0.0)
-        #: (P, ..., n) of what the first stage counts for closing elements
-        self._d_first: FloatArray | float = 0.0
         #: (P, ..., n) s, of the steps of elements
         self._step: FloatArray | None = None
         self._energy = before.energy
+        #: (P, ..., n) MPa, of the pressure in the last part of the step
+        self._last = before.pressure
 
     # -- contact -----------------------------------------------------------------------------------
 
@@ -91,7 +104,7 @@ class Along:
         self._numbers.add_gap(gap, p, at)
         slope: FloatArray | None = None
         if during is not None:
-            linearised = self._linearise(during, p, self._step, instant=False)
+            linearised = self._linearise(during, p, self._d_step(during), instant=False)
             worn, slope = linearised.in_contact_problem(p, self._closes)
             gap += worn
             self._linearised = linearised
@@ -110,6 +123,13 @@ class Along:
             self.pressure[:, histories], self.approach[:, histories] = solved
         self._near = self.pressure
 
+    def _d_step(self, increment: WearIncrement) -> FloatArray | None:
+        """Return derivatives of the steps of elements, (P, ..., n) s; None: 0."""
+        if self._stretch is None:
+            return self._step
+        d_step = increment.step * self._stretch[..., None]
+        return d_step if self._step is None else d_step + self._step
+
     def _linearise(
         self, increment: WearIncrement, p: FloatArray, d_step: FloatArray | None, instant: bool
     ) -> LinearisedIncrement:
@@ -118,7 +138,7 @@ class Along:
 
     def unhindered(self) -> dict[int, FloatArray]:
         """Return derivatives of what the last stage wears off bodies all along, (P, ..., n) mm."""
-        return {} if self._linearised is None else self._linearised.depths_in_share(self.pressure)
+        return {} if self._linearised is None else self._linearised.depths(self.pressure)
 
     def _wear_off(self, lost: dict[int, FloatArray]) -> None:
         """Add to derivatives of the wear."""
@@ -130,11 +150,13 @@ class Along:
 
     def explicit(self, increment: WearIncrement, p: FloatArray) -> None:
         """Wear off what an explicit step does at the pressure of its start."""
-        linearised = self._linearise(increment, p, None, instant=True)
-        self._wear_off(linearised.depths_in_share(self._before.pressure))
+        linearised = self._linearise(increment, p, self._d_step(increment), instant=True)
+        self._last = self._before.pressure
+        self._wear_off(linearised.depths(self._before.pressure))
 
     def implicit(self) -> None:
         """Wear off what the last stage does."""
+        self._last = self.pressure
         self._wear_off(self.unhindered())
 
     def first_stage(self, p: FloatArray, counts: FloatArray | float, share: float) -> None:
@@ -149,29 +171,10 @@ class Along:
         first = self._counted = self.pressure
         d_counts: FloatArray | float = 0.0
         if self._closing is not None:
-            d_counts = self._closing.d_stage_weights(p, first, self._closing.first, self._d_first)
+            d_counts = self._closing.d_stage_weights(p, first, 0.0, 0.0)
             self._counted = counts * first + d_counts * p
         self._wear_off(self._lost(share * counts, share * d_counts))
         self._near = self._first = first
-
-    def hold(self, closing: ClosingElements | None, share: float, step: FloatArray) -> None:
-        """Take note of the elements that get to the next layer after the first stage.
-
-        Parameters
-        ----------
-        closing : they, and those that wear brings into contact.
-        share : of the first stage's length, what it stands for.
-        step : s, of the last stage.
-        """
-        if closing is self._closing or closing is None or self._linearised is None:
-            return
-        self._closing = closing
-        if self._closes is None:
-            self._closes = np.zeros_like(self._before.gap)
-        crossing_layers = np.asarray(closing.first_weight) < 1.0
-        d_share = self._linearised.fraction_to_interface(share, self.pressure)
-        self._d_first = np.where(crossing_layers, d_share / share, 0.0)
-        self._step = -columns(step) * share * self._d_first
 
     def lengthen(self, last: WearIncrement, p: FloatArray, step: FloatArray) -> None:
         """Take note that the last stage is tried again, its steps being those that ``p`` asks for.
@@ -184,16 +187,13 @@ class Along:
         whole = last.step / columns(step)
         inside, d_inside = self._inside(last, p)
         counts = whole * inside
-        d_late = whole * d_inside
-        d_step: FloatArray | float = 0.0 if self._step is None else self._step
-        d_late = d_late + inside * d_step / columns(step)
-        d_counts = self._closing.d_stage_weights(p, self.pressure, counts, d_late)
-        self._step = np.where(self._closing.mask, d_step, columns(step) * d_counts)
+        d_counts = self._closing.d_stage_weights(p, self.pressure, counts, whole * d_inside)
+        self._step = np.where(self._closing.mask, 0.0, columns(step) * d_counts)
         self._near = self._first
 
     def last_stage(self, last: WearIncrement, p: FloatArray, step: FloatArray) -> None:
         """Wear off what the last stage of two does, see ``first_stage`` and ``lengthen``."""
-        self._counted_last = self.pressure
+        self._last = self._counted_last = self.pressure
         inside: FloatArray | float = 1.0
         d_inside: FloatArray | float = 0.0
         if self._closing is not None:
@@ -208,21 +208,75 @@ class Along:
     def _inside(self, last: WearIncrement, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return ``WearIncrement.share`` at a solution, (..., n), and its derivatives."""
         assert self._linearised is not None
-        depth = last.depth_in_present_layer(p)
-        d_depth = self._linearised.depth_in_present_layer(self.pressure)
+        depth = last.depth_if_always_in_contact(p)
+        d_depth = total_of(list(self.unhindered().values()))
         return last.share(depth), last.d_share(depth[0] + depth[1], d_depth, self._closes)
 
     def _lost(self, share: Any, d_share: Any) -> dict[int, FloatArray]:
         """Return derivatives of what the last stage wears off in a share of its step."""
         if self._linearised is None:
             return {}
-        return self._linearised.depths_in_share(self.pressure, share, d_share)
+        return self._linearised.depths(self.pressure, share, d_share)
+
+    def _ends(self, laws: Sequence[WearLaw | Law | None]) -> FloatArray:
+        """Return derivatives of the ends of layers, (2, P, ..., n) mm, from the next laws."""
+        ends = np.zeros_like(self.wear)
+        for i, law in enumerate(laws):
+            if isinstance(law, Law):
+                ends[i] += self._numbers.layer_starts(i, law)
+        return ends
+
+    def end_at_interface(
+        self, tangent: Tangent | None, laws: Sequence[WearLaw | Law | None], left: FloatArray
+    ) -> Tangent:
+        """Return the derivatives at the end of a step with those of an end at an interface.
+
+        Parameters
+        ----------
+        laws : of lower and upper, of the next layers.
+        left : (2, ..., n) s, until elements are at the ends of their layers.
+        """
+        assert tangent is not None
+        self._interface = _moved_ends(left, self._ends(laws) - self.wear)
+        return replace(tangent, interface=self._interface)
+
+    def cross(
+        self,
+        crossing: BoolArray,
+        second: tuple[WearIncrement, WearIncrement],
+        p: FloatArray,
+        since: FloatArray,
+        faster: FloatArray,
+    ) -> None:
+        """Wear what was lost beyond the ends of layers off the next ones.
+
+        Parameters
+        ----------
+        crossing : (2, ..., n), which elements come to their next layer.
+        second : what these lose in a second before it and in it, the end of the step included.
+        p : (..., n) MPa, of the last part of the step.
+        since : (2, ..., n) s, for how long they have lost it.
+        faster : (2, ..., n), rates in the next layer over those before it.
+        """
+        ends = self._ends(second[1].laws)
+        reached = np.where(crossing[:, None], ends, self.wear)
+        here, below = (
+            linearise(increment, p, self._numbers, d_wear, None, instant=True).depths(self._last)
+            for increment, d_wear in zip(second, (self.wear, reached), strict=True)
+        )
+        self.wear = self.wear.copy()
+        for i in here:
+            beyond = faster[i] * (self.wear[i] - ends[i])
+            depth = beyond + since[i] * (below[i] - faster[i] * here[i])
+            self.wear[i] = np.where(crossing[i], ends[i] + depth, self.wear[i])
 
     def work(self, lasts: FloatArray, omega: FloatArray, p: FloatArray, d_p: FloatArray) -> None:
         """Dissipate the energy of a time, s, at a speed, rad/s, and a pressure."""
         power = omega * d_torque(self._physics, p, d_p)
         if self._numbers.omega is not None:
             power[self._numbers.omega] += self._physics.torque(p)
+        if self._stretch is not None:
+            power += self._stretch * (omega * self._physics.torque(p))
         self._energy = self._energy + lasts * power
 
     @property
@@ -232,7 +286,10 @@ class Along:
 
     def reached(self, contact: ContactState) -> Tangent:
         """Return the derivatives of the state at the end, whose contact is the last one."""
-        return Tangent(self.wear, self._energy, self.pressure, self._d_gap(contact), self.approach)
+        return Tangent(
+            self.wear, self._energy, self.pressure, self._d_gap(contact), self.approach,
+            np.zeros_like(self._interface), self._interface,
+        )  # fmt: skip
 
     def _d_gap(self, contact: ContactState) -> FloatArray:
         """Return derivatives of the gap: 0 in contact."""
@@ -250,10 +307,34 @@ def along_step(
     physics: Physics,
     contacts: CorrectedContacts,
     state: State,
+    end: FloatArray,
     closing: ClosingElements | None = None,
 ) -> Along | None:
-    """Return the derivatives along a step from a state; None where there are none."""
-    return None if physics.sensitivity is None else Along(physics, contacts, state.tangent, closing)
+    """Return the derivatives along a step from a state to a time; None where there are none."""
+    if physics.sensitivity is None:
+        return None
+    return Along(physics, contacts, state.tangent, end - state.time, closing)
+
+
+def _moved_ends(left: FloatArray, d_left: FloatArray) -> FloatArray:
+    """Return derivatives of the end of a step, (P, B) s, that keep an element where it is.
+
+    That is the nearest one to the end of its layer.
+
+    Parameters
+    ----------
+    left : (2, B, n) s, until elements are at the ends of their layers; infinite where never.
+    d_left : (2, P, B, n) mm, of what is left of layers; the last row is with respect to the end of
+        the step.
+    """
+    _, count, n = left.shape
+    first, histories = left.transpose(1, 0, 2).reshape(count, -1).argmin(axis=1), np.arange(count)
+    body, e = first // n, first % n
+    d_first = d_left[body, :, histories, e].T
+    moves = np.isfinite(left[body, histories, e]) & (d_first[-1] < 0.0)
+    moved = np.divide(-d_first, d_first[-1], out=np.zeros_like(d_first), where=moves)
+    moved[-1] = 0.0
+    return moved
 
 
 # -- what is stored --------------------------------------------------------------------------------
@@ -269,7 +350,7 @@ def variables(physics: Physics, state: State) -> dict[str, Any]:
         return {}
     p, d_p = state.contact.pressure, tangent.pressure
     volumes = physics.integrals(tangent.wear)
-    return {
+    values = {
         "d_approach": tangent.approach,
         "d_force": numbers.load
         if physics.inputs.force is not None
@@ -284,6 +365,7 @@ def variables(physics: Physics, state: State) -> dict[str, Any]:
         "d_wear_lower": tangent.wear[0],
         "d_wear_upper": tangent.wear[1],
     }
+    return {name: value[: len(numbers.keys)] for name, value in values.items()}
 
 
 def d_torque(physics: Physics, p: FloatArray, d_p: FloatArray) -> FloatArray:

@@ -40,6 +40,7 @@ from ringwear_par.identification.definition.problem import (
     Series,
     Settings,
 )
+from ringwear_par.identification.definition.scatter import check_scatter, read_groups
 from ringwear_par.identification.definition.series import read_series
 
 #: what a fit needs of histories, and how they are stepped
@@ -93,6 +94,7 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     if faults:
         raise InputError(*faults)
     _check_counts(name, parameters, experiments, faults)
+    check_scatter(name, parameters, experiments, settings.intervals, faults)
     alternatives = {}
     for law, (changes, law_parameters) in laws.items():
         alternatives[law] = Problem(
@@ -101,6 +103,7 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
             design,
         )  # fmt: skip
         _check_counts(f"{name}: compare.{law}", law_parameters, experiments, faults)
+        check_scatter(f"{name}: compare.{law}", law_parameters, experiments, (), faults)
     if faults:
         raise InputError(*faults)
     return Problem(
@@ -202,6 +205,7 @@ class _Experiments:
             keys = override(override(self._base, _STEPPING), changes)
             self._keys[name] = override(keys, {**_STEPPING, **_OUTPUT})
             case = self._case(said, self._keys[name], changes, parameters, faults)
+        groups = read_groups(reader, name)
         data = reader.raw("data")
         reader.finish()
         if not isinstance(data, list) or not data:
@@ -220,7 +224,7 @@ class _Experiments:
                     "be once"
                 )
             series.append(readings)
-        return None if case is None else Experiment(name, case, _named(series))
+        return None if case is None else Experiment(name, case, _named(series), groups)
 
     def _changes(self, reader: TableReader, faults: list[str]) -> dict[str, Any]:
         table = reader.raw("set", {})
@@ -292,7 +296,7 @@ class _Experiments:
             case = self._case(said, keys, changes, parameters, faults)
             if case is None:
                 break  # the others have the same fault
-            changed.append(Experiment(experiment.name, case, experiment.series))
+            changed.append(replace(experiment, case=case))
         return tuple(changed)
 
 

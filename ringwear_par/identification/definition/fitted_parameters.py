@@ -19,6 +19,7 @@ from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.history.derivatives.elastic_numbers import elastic_numbers
 from ringwear_par.history.derivatives.numbers import differentiable
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
+from ringwear_par.identification.definition.scatter import read_scatter
 from ringwear_par.identification.definition.schema import PARAMETER
 from ringwear_par.studies.definition.variations import split_key
 from ringwear_par.wear.catalogue import LAWS
@@ -68,14 +69,20 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
         )
         return None
     before = len(faults)
+    scatter = None
     if isinstance(table, Mapping):
         unit, converted = unit_of(key), dict[str, Any]()
+        scatter = read_scatter(
+            said, key, table.get("scatter"), table.get("scale") == "log", unit, faults
+        )
         for name, value in table.items():
+            if name == "scatter":
+                continue
             try:
                 converted[name] = in_unit(value, unit)
             except RejectedError as reason:
                 faults.append(f"{said}: {name} = {shortened(value)}: must be in {unit} ({reason})")
-        if len(converted) < len(table):
+        if len(converted) < len(table.keys() - {"scatter"}):
             return None
         table = converted
     reader = TableReader(said, table, faults, PARAMETER)
@@ -94,7 +101,7 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
             reader.wrong("start", f"must be within its bounds, {bounds[0]:g} to {bounds[1]:g}")
     if len(faults) > before or start is None or bounds is None:
         return None
-    return FittedParameter(key, start, bounds, log, prior)
+    return FittedParameter(key, start, bounds, log, prior, scatter)
 
 
 def ordered_keys(parameters: Sequence[FittedParameter]) -> list[tuple[int, int]]:

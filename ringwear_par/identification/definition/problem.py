@@ -35,6 +35,25 @@ class Prior(NamedTuple):
     sd: float
 
 
+#: by what tests differ where values scatter, the smallest groups first
+GROUPS = ("specimen", "batch", "lab")
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """How the value of a key differs between specimens, batches and laboratories.
+
+    Sizes are standard deviations of the key's unknown.
+    """
+
+    #: by the name of the groups; None where it is fitted
+    sizes: Mapping[str, float | None]
+    #: of the half-t prior of sizes that are fitted
+    scale: float = 0.3
+    #: what a dry run and a design take sizes to be that are fitted
+    start: float = 0.15
+
+
 @dataclass(frozen=True)
 class FittedParameter:
     """A case key whose value is sought.
@@ -49,6 +68,8 @@ class FittedParameter:
     bounds: tuple[float, float]
     log: bool = False
     prior: Prior | None = None
+    #: None: all tests have the same value
+    scatter: Scatter | None = None
 
     def unknown(self, value: float) -> float:
         """Return the unknown of a value."""
@@ -147,6 +168,8 @@ class Experiment:
     name: str
     case: Case
     series: tuple[Series, ...]
+    #: names of the specimen, its batch and the laboratory
+    groups: tuple[str, str, str] = ("", "", "")
 
     @property
     def n(self) -> int:
@@ -233,6 +256,11 @@ class Problem:
             sorted(self.hashes.items()), __version__,
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+    @property
+    def scatters(self) -> bool:
+        """Whether the values of some key differ between tests."""
+        return any(parameter.scatter is not None for parameter in self.parameters)
 
     @property
     def start(self) -> dict[str, float]:

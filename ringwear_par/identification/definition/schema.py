@@ -91,6 +91,26 @@ def _prior() -> Values:
     return Values("any", read, "{ normal = [mean, sd] }, two numbers, sd > 0")
 
 
+def _scatter_size() -> Values:
+    """Return standard deviations, and the word that has them fitted."""
+
+    def read(value: Any) -> float | str:
+        return value if value == "fit" else number(0.0).read(value)
+
+    return Values("any", read, '"fit", or a number > 0')
+
+
+def _half_t() -> Values:
+    """Return the scales of half-t distributions."""
+
+    def read(value: Any) -> float:
+        if not isinstance(value, Mapping) or value.keys() != {"half_t"}:
+            raise RejectedError
+        return number(0.0).read(value["half_t"])
+
+    return Values("any", read, "{ half_t = scale }, a number > 0")
+
+
 _COLUMNS = anything('texts for "time" and "value"; of a profile for "r" and "value"')
 _CASE_KEYS = anything("a table of case keys and their values")
 _BOUNDS = pair(-math.inf)
@@ -156,6 +176,20 @@ KEYS: tuple[Key, ...] = (
         "log: the logarithm of the key is fitted", "linear"),
     Key("fit.parameters.KEY.prior", *_prior(), "KEY's",
         "what is known of the key without these readings: a normal distribution", None),
+    Key("fit.parameters.KEY.scatter", *anything('"fit", a number > 0, or a table'), "-",
+        "scatter of the key between specimens: \"fit\", a known standard deviation, or a table of "
+        "these for specimen, batch and lab", None),
+    *(Key(f"fit.parameters.KEY.scatter.{group}", *_scatter_size(),
+          "KEY's; 1 where scale = \"log\"", f"standard deviation between {groups} (of the "
+          "logarithm where scale = \"log\"), or \"fit\"", None)
+      for group, groups in (("specimen", "specimens"), ("batch", "batches"),
+                            ("lab", "laboratories"))),
+    Key("fit.parameters.KEY.scatter.prior", *_half_t(), "KEY's; 1 where scale = \"log\"",
+        "scale of the half-t prior (4 degrees of freedom) of fitted scatter; default 0.3 where "
+        "scale = \"log\", else it must be given", None),
+    Key("fit.parameters.KEY.scatter.start", *number(0.0), "KEY's; 1 where scale = \"log\"",
+        "size of a fitted scatter that --dry-run and design take as true; default: half the scale "
+        "of the prior", None),
     Key("fit.starts", *whole(1, _MOST_STARTS), "-",
         "number of searches: one from fit.parameters.KEY.start, the others from Sobol' points "
         "within the bounds", _USUAL.starts),
@@ -173,6 +207,13 @@ KEYS: tuple[Key, ...] = (
         _USUAL.loss),
     Key("experiment.name", *text("a text, its name"), "-",
         "name of the test; names must differ"),
+    Key("experiment.specimen", *text("a text"), "-",
+        "specimen of the test; tests of one specimen share its values; default: the test's name",
+        None),
+    Key("experiment.batch", *text("a text"), "-", "batch of the specimen; default: one for all",
+        None),
+    Key("experiment.lab", *text("a text"), "-", "laboratory of the specimen; default: one for all",
+        None),
     Key("experiment.set", *_CASE_KEYS, "-",
         "case keys that differ in this test; no fitted ones", None),
     Key("experiment.data.quantity", *one_of(*QUANTITIES), "-",
@@ -240,10 +281,11 @@ KEYS: tuple[Key, ...] = (
     Key("design.budget.experiments", *whole(1, _MOST_EXPERIMENTS), "-", "number of next tests",
         _SPACE.experiments),
 )  # fmt: skip
-FIT, PARAMETER, EXPERIMENT, DATA, SD, NUISANCE, DESIGN, VARY, BUDGET = (
+FIT, PARAMETER, SCATTER, EXPERIMENT, DATA, SD, NUISANCE, DESIGN, VARY, BUDGET = (
     keys_of_table(KEYS, table)
     for table in (
-        "fit", "fit.parameters.KEY", "experiment", "experiment.data",
+        "fit", "fit.parameters.KEY", "fit.parameters.KEY.scatter", "experiment",
+        "experiment.data",
         "experiment.data.sd",
         "experiment.data.nuisance.KIND", "design", "design.vary", "design.budget",
     )

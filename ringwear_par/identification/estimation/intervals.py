@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.definition.problem import FittedParameter
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.model.noise import information_share
 
@@ -154,13 +155,18 @@ def _follows(covariance: FloatArray, j: int, vague: Sequence[int]) -> bool:
 
 
 def _vague(misfit: Misfit, j: int, sd: float) -> bool:
-    """Tell whether the interval of an unknown is wider than its bounds, or than one may be."""
+    """Tell whether the interval of an unknown of some sd is too wide, see ``is_vague``."""
     level = misfit.problem.settings.level
-    half = float(norm.ppf(0.5 + 0.5 * level)) * sd
-    widest = 0.5 * (misfit.upper[j] - misfit.lower[j])
-    if misfit.problem.parameters[j].log:
+    return is_vague(misfit.problem.parameters[j], float(norm.ppf(0.5 + 0.5 * level)) * sd)
+
+
+def is_vague(parameter: FittedParameter, half_width: float) -> bool:
+    """Tell whether the interval of an unknown is wider than its bounds, or than one may be."""
+    low, high = map(parameter.unknown, parameter.bounds)
+    widest = 0.5 * (high - low)
+    if parameter.log:
         widest = min(widest, _WIDEST_LOG)
-    return not half <= widest
+    return not half_width <= widest
 
 
 def _judged(

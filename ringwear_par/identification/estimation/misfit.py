@@ -17,7 +17,7 @@ from scipy.optimize import lsq_linear
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.definition.fitted_parameters import ordered_keys
 from ringwear_par.identification.definition.problem import Experiment, Prior, Problem, Series
-from ringwear_par.identification.model.histories import STEPS, Histories, HistoryError
+from ringwear_par.identification.model.histories import ROUGH_STEPS, STEPS, Histories, HistoryError
 from ringwear_par.identification.model.noise import (
     log_constant,
     log_volume,
@@ -78,6 +78,7 @@ class Misfit:
     priors : of unknowns, by their numbers.
     noise_scale : of each series, by which its sd is multiplied.
     steps : about how many a history makes.
+    exact : whether the operators of histories are; those of a search may be interpolated.
     response_cache : readings of each test with derivatives, or why there are none, by its number
         and the bytes of the keys' values.
     """
@@ -94,7 +95,7 @@ class Misfit:
                 self.n = rows.stop
         self.data = np.concatenate([record.series.value for record in self.records])
         self.noise_scale = np.ones(len(self.records))
-        self.steps = STEPS
+        self.steps, self.exact = STEPS, True
         self.response_cache: dict[tuple[int, bytes], FloatArray | HistoryError] = {}
         self._lay_out_unknowns()
 
@@ -139,17 +140,19 @@ class Misfit:
 
     def compute(self, points: Sequence[FloatArray]) -> None:
         """Have the histories at unknowns computed together, and keep them. Not collective."""
-        values = list({v.tobytes(): v for v in map(self.values, points)}.values())
-        pairs = [
-            (i, test)
-            for i, v in enumerate(values)
-            for test in range(len(self.problem.experiments))
-            if (test, v.tobytes()) not in self.response_cache
-        ]
+        tests = range(len(self.problem.experiments))
+        self._compute([(test, v) for v in map(self.values, points) for test in tests])
+
+    def _compute(self, wanted: Sequence[tuple[int, FloatArray]]) -> None:
+        """Have the histories of tests at values of the keys computed together, and keep them."""
+        new = {(test, v.tobytes()): v for test, v in wanted}
+        new = {key: v for key, v in new.items() if key not in self.response_cache}
+        values = list({v.tobytes(): v for v in new.values()}.values())
+        numbers = {v.tobytes(): i for i, v in enumerate(values)}
+        pairs = [(numbers[content], test) for test, content in new]
         if pairs:
-            responses = self._histories.read(np.array(values), pairs, self.steps)
-            for (i, test), response in zip(pairs, responses, strict=True):
-                self.response_cache[test, values[i].tobytes()] = response
+            responses = self._histories.read(np.array(values), pairs, self.steps, exact=self.exact)
+            self.response_cache.update(zip(new, responses, strict=True))
 
     def is_computed(self, x: FloatArray) -> bool:
         """Tell whether the histories at unknowns were computed."""
@@ -161,11 +164,14 @@ class Misfit:
         for key in [key for key in self.response_cache if key[1] in past]:
             del self.response_cache[key]
 
-    def keep_only(self, x: FloatArray) -> None:
-        """Forget all histories but those at unknowns. Not collective."""
-        self.compute([x])
-        remaining = self.values(x).tobytes()
-        self.response_cache = {k: v for k, v in self.response_cache.items() if k[1] == remaining}
+    def keep_only(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> None:
+        """Forget all histories but those at unknowns, see ``evaluate``. Not collective."""
+        self._response(x, test_unknowns)
+        remaining = {
+            (test, values.tobytes())
+            for test, values in enumerate(self.values_of_tests(x, test_unknowns))
+        }
+        self.response_cache = {k: v for k, v in self.response_cache.items() if k in remaining}
 
     def part_from_histories(self) -> None:
         """Let the histories' engines and communicator go: responses computed so far remain."""
@@ -176,12 +182,30 @@ class Misfit:
         self.steps *= 2
         self.response_cache = {}
 
-    def _response(self, x: FloatArray) -> FloatArray:
+    def be_exact(self, exact: bool) -> None:
+        """Have histories on exact operators from now on, or rough ones: interpolated, few steps."""
+        if exact != self.exact:
+            self.steps = STEPS if exact else ROUGH_STEPS
+            self.exact, self.response_cache = exact, {}
+
+    def values_of_tests(self, x: FloatArray, test_unknowns: FloatArray | None) -> list[FloatArray]:
+        """Return the fitted keys' values (m,) of each test.
+
+        Parameters
+        ----------
+        test_unknowns : (tests, m) unknowns of each; None: those of x are the same for all.
+        """
+        if test_unknowns is None:
+            return [self.values(x)] * len(self.problem.experiments)
+        return [self.values(unknowns) for unknowns in test_unknowns]
+
+    def _response(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> FloatArray:
         """Return the readings of all tests and their derivatives by the values, (n, 1 + m)."""
-        self.compute([x])
-        key, responses = self.values(x).tobytes(), []
-        for test in range(len(self.problem.experiments)):
-            response = self.response_cache[test, key]
+        wanted = list(enumerate(self.values_of_tests(x, test_unknowns)))
+        self._compute(wanted)
+        responses = []
+        for test, values in wanted:
+            response = self.response_cache[test, values.tobytes()]
             if isinstance(response, HistoryError):
                 raise response
             responses.append(response)
@@ -198,26 +222,39 @@ class Misfit:
 
     # from readings to residuals
 
-    def columns(self, x: FloatArray) -> FloatArray:
+    def columns(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> FloatArray:
         """Return derivatives (n, u) of the readings with respect to the unknowns. Not collective.
 
+        Parameters
+        ----------
+        test_unknowns : (tests, m) unknowns of the keys in each test, see ``evaluate``.
+
         Raises
         ------
         HistoryError : there is no history.
         """
-        key_columns = self._response(x)[:, 1:] * self.problem.slopes(self.values(x))
+        counts = [experiment.n for experiment in self.problem.experiments]
+        slopes = [self.problem.slopes(v) for v in self.values_of_tests(x, test_unknowns)]
+        key_columns = self._response(x, test_unknowns)[:, 1:] * np.repeat(slopes, counts, axis=0)
         return np.concatenate([key_columns, self.nuisance_columns], axis=1)
 
-    def evaluate(self, x: FloatArray) -> Evaluation:
+    def evaluate(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> Evaluation:
         """Return the residuals at unknowns (u,). Not collective.
+
+        Parameters
+        ----------
+        test_unknowns : (tests, m) unknowns of the keys in each test, where their values scatter;
+            priors are of those of x.
 
         Raises
         ------
         HistoryError : there is no history.
         """
-        values, response = self.values(x), self._response(x)
+        values, response = self.values(x), self._response(x, test_unknowns)
         model = response[:, 0] + self.nuisance_columns @ x[self._m :]
-        rows = np.concatenate([(model - self.data)[:, None], self.columns(x)], axis=1)
+        rows = np.concatenate(
+            [(model - self.data)[:, None], self.columns(x, test_unknowns)], axis=1
+        )
         rows = self.whitened(rows)
         noise, noise_jacobian = rows[:, 0], rows[:, 1:]
         loss, slope = loss_roots(self.problem.settings.loss, noise)
@@ -282,8 +319,14 @@ class Misfit:
         constant = log_constant(self.problem.settings.loss)
         return float(-0.5 * loss @ loss - scatter - self.n * constant)
 
-    def with_best_nuisances(self, values: Sequence[float]) -> FloatArray:
+    def with_best_nuisances(
+        self, values: Sequence[float] | FloatArray, test_unknowns: FloatArray | None = None
+    ) -> FloatArray:
         """Return unknowns (u,) at values of the fitted keys, with the best nuisances for them.
+
+        Parameters
+        ----------
+        test_unknowns : (tests, m) unknowns of the keys in each test, see ``evaluate``.
 
         Raises
         ------
@@ -294,7 +337,7 @@ class Misfit:
         x = np.concatenate([unknowns, np.clip(np.zeros(len(lower)), lower, upper)])
         if len(x) == self._m:
             return x
-        evaluation = self.evaluate(x)
+        evaluation = self.evaluate(x, test_unknowns)
         rows = np.array([True] * self.n + [j >= self._m for j, _ in self.priors])
         columns = evaluation.jacobian[rows, self._m :]
         size = np.linalg.norm(columns, axis=0)

@@ -53,12 +53,16 @@ def record_warnings(
     misfit: Misfit, x: FloatArray, evaluation: Evaluation
 ) -> tuple[FitWarning, ...]:
     """Return warnings about single records of a fit, whose unknowns are x at the optimum."""
-    return (*_oppositions(misfit, x), *_trends(misfit, evaluation))
+    nuisances = misfit.nuisance_columns @ x[len(misfit.problem.parameters) :]
+    return (
+        *_oppositions(misfit, evaluation.model - nuisances),
+        *_trends(misfit, evaluation),
+    )
 
 
-def _oppositions(misfit: Misfit, x: FloatArray) -> list[FitWarning]:
-    """Return warnings about records that fall where the model's rise."""
-    model, warnings = misfit.model_readings(x), []
+def _oppositions(misfit: Misfit, model: FloatArray) -> list[FitWarning]:
+    """Return warnings about records that fall where the model's, without nuisances, rise."""
+    warnings = []
     for experiment, series, rows in misfit.records:
         record = _Record(experiment, series, misfit.sd[rows], model[rows])
         if series.quantity == "torque" or series.profile or not record.opposes():

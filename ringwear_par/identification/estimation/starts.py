@@ -15,7 +15,7 @@ from ringwear_par.files.writing import atomic_write
 from ringwear_par.identification.estimation.likelihood import MarginalLikelihood
 from ringwear_par.identification.estimation.minimise import minimise
 from ringwear_par.identification.estimation.misfit import Misfit
-from ringwear_par.identification.model.histories import Histories
+from ringwear_par.identification.model.histories import ROUGH_STEPS, Histories
 from ringwear_par.identification.model.rounds import Rounds, StoppedError, WaitFor, side_by_side
 
 log = logging.getLogger(__name__)
@@ -25,8 +25,8 @@ _STILL = 1e-6
 #: folder in that of the outcome, until this is whole
 PROGRESS = "progress"
 _SEED = 0
-#: points of which a start is the best, and steps of the histories that tell
-_LOT, _COARSE = 8, 10
+#: points of which a start is the best
+_LOT = 8
 #: how often points are drawn, each time as many as before, where too few of them are cases
 _DOUBLINGS = 6
 #: starts that advance side by side
@@ -166,7 +166,7 @@ def start_points(misfit: Misfit, histories: Histories) -> FloatArray:
     values = np.array([misfit.values(x) for x in drawn])
     marginal = MarginalLikelihood(misfit)
     moves, improbable = np.zeros((len(drawn), m)), np.full(len(drawn), np.inf)
-    for i, response in enumerate(histories.responses(values, _COARSE)):
+    for i, response in enumerate(histories.responses(values, ROUGH_STEPS, exact=misfit.exact)):
         if not isinstance(response, Exception):
             slopes = misfit.whitened(response[:, 1:] * problem.slopes(values[i]))
             moves[i] = np.linalg.norm(slopes, axis=0)

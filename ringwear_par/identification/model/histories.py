@@ -19,6 +19,7 @@ from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import ComputationError, InputError, reason_of
 from ringwear_par.history.derivatives.elastic_numbers import is_elastic
 from ringwear_par.history.elastic.bodies import operator_key
+from ringwear_par.history.elastic.interpolated_pairs import InterpolatedPairs, interpolate
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.identification.definition.problem import Experiment, Problem
 from ringwear_par.identification.model.readings import Reader, Trajectory, lost_mass
@@ -29,6 +30,8 @@ from ringwear_par.wear.layered import LayeredLaw
 
 #: of a test with constant conditions
 STEPS = 40
+#: of tests of which rough histories will do: they say where a search is to go
+ROUGH_STEPS = 10
 #: sd, by which steps half as long may move what a fit seeks
 MOST_SHIFT_SD = 0.2
 #: by which there are more, equal ones where layers may be worn through
@@ -94,7 +97,9 @@ def _limited(grown: FloatArray, count: int) -> FloatArray:
 
 
 #: most operators kept of points that have some of their own
-_MOST_PAIRS = 32
+_MOST_PAIRS = 64
+#: bodies assembled for a search by start: each of its some ten points would need three or more
+_BODIES_A_START = 16
 #: a point, and an experiment
 Pair = tuple[int, int]
 
@@ -129,7 +134,9 @@ class Histories:
         }
         self._pairs: dict[Hashable, ContactPair] = {}
         #: those of the last points
-        self._at_points: dict[Hashable, ContactPair] = {}
+        self._at_points: dict[tuple[Hashable, bool], ContactPair] = {}
+        #: where those of other points may come from in a search
+        self._interpolated: dict[Hashable, InterpolatedPairs] = {}
         for key, experiment in zip(self._owners, problem.experiments, strict=True):
             if key not in self._pairs:
                 self._pairs[key] = assemble(experiment.case, comm)
@@ -137,7 +144,12 @@ class Histories:
         self.count = 0
 
     def responses(
-        self, points: FloatArray, steps: int = STEPS, *, derivatives: bool = True
+        self,
+        points: FloatArray,
+        steps: int = STEPS,
+        *,
+        derivatives: bool = True,
+        exact: bool = True,
     ) -> list[FloatArray | HistoryError]:
         """Return readings and derivatives of all experiments at some points. Not collective.
 
@@ -148,6 +160,7 @@ class Histories:
         points : (p, m) values of the fitted keys.
         steps : about how many a history makes.
         derivatives : whether they are asked for.
+        exact : whether operators are, or may be interpolated, see ``interpolate``.
 
         Returns
         -------
@@ -156,7 +169,7 @@ class Histories:
         """
         every = range(len(self._experiments))
         pairs = [(i, e) for i in range(len(points)) for e in every]
-        parts = dict(zip(pairs, self.read(points, pairs, steps, derivatives), strict=True))
+        parts = dict(zip(pairs, self.read(points, pairs, steps, derivatives, exact), strict=True))
         responses: list[FloatArray | HistoryError] = []
         for i in range(len(points)):
             parts_of_point = [parts[i, e] for e in every]
@@ -202,38 +215,34 @@ class Histories:
         pairs: Sequence[Pair],
         steps: int = STEPS,
         derivatives: bool = True,
+        exact: bool = True,
     ) -> list[FloatArray | HistoryError]:
         """Return the readings at some of the points, of an experiment each, or why not."""
-        grids = {e: step_times(self._experiments[e], steps).tolist() for _, e in pairs}
-        groups: dict[Hashable, list[int]] = defaultdict(list)
-        wanted: dict[int, Case] = {}
+        by_experiment: dict[int, list[int]] = defaultdict(list)
+        for number, (_, experiment) in enumerate(pairs):
+            by_experiment[experiment].append(number)
         readings: dict[int, FloatArray | HistoryError] = {}
-        for experiment in grids:
-            numbers_of_experiment = [
-                number for number, (_, e) in enumerate(pairs) if e == experiment
-            ]
-            cases = self._cases(
-                experiment, points[[pairs[number][0] for number in numbers_of_experiment]]
-            )
-            for number, case in zip(numbers_of_experiment, cases, strict=True):
-                if isinstance(case, HistoryError):
-                    readings[number] = case
-                else:
-                    wanted[number] = case
-        for number in sorted(wanted):
-            experiment = pairs[number][1]
-            changes = experiment in self._elastic
-            owner = operator_key(wanted[number]) if changes else self._owners[experiment]
-            groups[owner].append(number)
-        for key, numbers in groups.items():
-            try:
-                pair = self._pair(key, wanted[numbers[0]])
-            except ComputationError as error:
-                readings |= dict.fromkeys(numbers, HistoryError(reason_of(error)))
-                continue
-            keys = self._keys if derivatives else ()
+        cases: dict[int, Case] = {}
+        operators: dict[int, ContactPair] = {}
+        for experiment, numbers in by_experiment.items():
+            at = points[[pairs[number][0] for number in numbers]]
+            for number, case in zip(numbers, self._cases(experiment, at), strict=True):
+                try:
+                    if isinstance(case, HistoryError):
+                        raise case
+                    cases[number] = case
+                    operators[number] = self._operator(experiment, case, exact)
+                except ComputationError as error:
+                    readings[number] = HistoryError(reason_of(error))
+        groups: dict[Hashable, list[int]] = defaultdict(list)
+        for number in sorted(operators):
+            groups[self._owners[pairs[number][1]]].append(number)
+        keys = self._keys if derivatives else ()
+        grids = {e: step_times(self._experiments[e], steps).tolist() for e in by_experiment}
+        for numbers in groups.values():
             parts = computed(
-                [wanted[number] for number in numbers], pair, results=True, derivatives=keys,
+                [cases[number] for number in numbers], [operators[number] for number in numbers],
+                results=True, derivatives=keys,
                 step_times=[grids[pairs[number][1]] for number in numbers],
             )  # fmt: skip
             for part in parts:
@@ -243,19 +252,49 @@ class Histories:
                         readings[number] = HistoryError(reason_of(result))
                     else:
                         reader = self._readers[pairs[number][1]]
-                        readings[number] = reader.read(_trajectory(result, wanted[number], keys))
+                        readings[number] = reader.read(_trajectory(result, cases[number], keys))
         self.count += len(pairs)
         return [readings[number] for number in range(len(pairs))]
 
-    def _pair(self, key: Hashable, case: Case) -> ContactPair:
-        """Return the pair of a case, assembled by this rank alone where there is none yet."""
-        if key in self._pairs:
+    def interpolate(self, problem: Problem, comm: MPI.Comm) -> None:
+        """Prepare operators for a search, between exact ones, where these pay. Collective."""
+        bounds = {parameter.key: parameter.bounds for parameter in problem.parameters}
+        most = _BODIES_A_START * problem.settings.starts
+        for experiment in sorted(self._elastic):
+            owner = self._owners[experiment]
+            if owner in self._interpolated:
+                continue
+            case = self._experiments[experiment].case
+            pairs = interpolate(case, self._pairs[owner], bounds, most, comm)
+            if pairs is not None:
+                self._interpolated[owner] = pairs
+
+    @property
+    def are_interpolated(self) -> bool:
+        """Whether there are operators for a search."""
+        return bool(self._interpolated)
+
+    def _operator(self, experiment: int, case: Case, exact: bool) -> ContactPair:
+        """Return the pair of a case of an experiment.
+
+        Where each value has its own, it is interpolated, or assembled by this rank alone.
+        """
+        owner = self._owners[experiment]
+        if experiment not in self._elastic:
+            return self._pairs[owner]
+        exact = exact or owner not in self._interpolated
+        key = operator_key(case)
+        if exact and key in self._pairs:
             return self._pairs[key]
-        if key not in self._at_points:
+        if (key, exact) not in self._at_points:
             while len(self._at_points) >= _MOST_PAIRS:
                 del self._at_points[next(iter(self._at_points))]
-            self._at_points[key] = assemble(case, MPI.COMM_SELF, use_kept=False)
-        return self._at_points[key]
+            self._at_points[key, exact] = (
+                assemble(case, MPI.COMM_SELF, use_kept=False)
+                if exact
+                else self._interpolated[owner].of(case)
+            )
+        return self._at_points[key, exact]
 
 
 def _trajectory(result: Result, case: Case, keys: Sequence[str]) -> Trajectory:

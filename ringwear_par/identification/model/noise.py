@@ -92,6 +92,16 @@ class NuisanceProjection:
         self._basis, self._values = basis[:, independent], values[independent]
         self._right = right[: len(self._values)]
 
+    @property
+    def log_volume(self) -> float:
+        """Logarithm of the determinant of the normal matrix of those that do something."""
+        return float(2.0 * (np.log(self._values).sum() + np.log(self._size).sum()))
+
+    @property
+    def leverage(self) -> FloatArray:
+        """(n,) share of each residual that nuisances take away."""
+        return np.einsum("ij,ij->i", self._basis, self._basis)
+
     def rest(self, rows: FloatArray) -> FloatArray:
         """Return the rest of rows (n, ...) that nuisances cannot make."""
         rest: FloatArray = rows - self._basis @ (self._basis.T @ rows)

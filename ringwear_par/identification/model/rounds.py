@@ -173,12 +173,14 @@ class Rounds(Histories):
         pairs: Sequence[Pair],
         steps: int = STEPS,
         derivatives: bool = True,
+        exact: bool = True,
     ) -> list[FloatArray | HistoryError]:
         """Return them, computed by all ranks where this one leads; else by itself."""
         if not self._leads:
-            return super().read(points, pairs, steps, derivatives)
+            return super().read(points, pairs, steps, derivatives, exact)
         count = self.count + len(pairs)
-        request = points, sorted(pairs, key=lambda p: (self._order[p[1]], p[1])), steps, derivatives
+        order = sorted(pairs, key=lambda p: (self._order[p[1]], p[1]))
+        request = points, order, steps, derivatives, exact
         responses = dict(self._share(*self._comm.bcast(request)))
         self.count = count
         if self._progress is not None:
@@ -186,7 +188,12 @@ class Rounds(Histories):
         return [responses[pair] for pair in pairs]
 
     def _share(
-        self, points: FloatArray, pairs: Sequence[Pair], steps: int, derivatives: bool
+        self,
+        points: FloatArray,
+        pairs: Sequence[Pair],
+        steps: int,
+        derivatives: bool,
+        exact: bool,
     ) -> list[tuple[Pair, FloatArray | HistoryError]]:
         """Compute this rank's share of what the first one asks, which is told all. Collective."""
         rank, size = self._comm.rank, self._comm.size
@@ -195,7 +202,7 @@ class Rounds(Histories):
         error: Exception | None = None
         try:
             if share and not self._signals.received:
-                responses = super().read(points, share, steps, derivatives)
+                responses = super().read(points, share, steps, derivatives, exact)
         except Exception as failure:
             error = failure if self._comm.size == 1 else as_ours(failure)
         parts = list(zip(share, responses, strict=False))

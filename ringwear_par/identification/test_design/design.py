@@ -150,14 +150,18 @@ def design(
         return problem, prior, tuple(candidates(problem.design, problem.experiments[0]))
 
     problem, prior, tests = on_first_rank(comm, read)
-    of_file, failures, more = information_of_tests(problem, problem.experiments, prior.draws, comm)
+    of_file, failures, more = information_of_tests(
+        problem, problem.experiments, prior.draws, prior.scatter, comm
+    )
     if failures:
         number, why = min(failures.items())
         raise ComputationError(
             f'{problem.name}: experiment "{problem.experiments[number].name}": {why}'
         )
     experiments = [test.experiment for test in tests]
-    information, failures, histories = information_of_tests(problem, experiments, prior.draws, comm)
+    information, failures, histories = information_of_tests(
+        problem, experiments, prior.draws, prior.scatter, comm
+    )
     left = [number for number in range(len(tests)) if number not in failures]
     shortest = min((tests[number].seconds for number in left), default=np.inf)
     space = problem.design

@@ -102,6 +102,11 @@ def summary(design: DesignResult) -> str:
         else "; without priors or an earlier fit (--after) it holds there only"
     )  # fmt: skip
     lines.append(f"{where}: {about}{spread}")
+    if scattering := [p.key for p in problem.parameters if p.scatter is not None]:
+        lines.append(
+            f"each test is of a new specimen, between which {', '.join(scattering)} scatters; "
+            "what follows is of the material"
+        )
     names = [name_of_tests(design, one) for one in design.designs[:_LISTED]]
     width = max(map(len, names))
     for name, one in zip(names, design.designs, strict=False):

@@ -22,9 +22,11 @@ from ringwear_par.identification.definition.problem import (
     Series,
     reflected,
 )
+from ringwear_par.identification.definition.scatter import expected_sizes
 from ringwear_par.identification.model.noise import NuisanceProjection, information_share, whitened
 from ringwear_par.identification.model.readings import nuisance_columns
 from ringwear_par.identification.model.rounds import Rounds
+from ringwear_par.identification.scatter.likelihood import of_new_specimen
 from ringwear_par.results.execution.stopping import StopSignals
 
 #: draws of the keys, and their seed
@@ -52,6 +54,8 @@ class PriorInformation:
     #: sd that an earlier fit has found, in the data's unit, and that unit: by experiment and
     #: series.
     noise: Mapping[tuple[str, str], tuple[float, str]]
+    #: (m,) variances of the unknowns between specimens
+    scatter: FloatArray
 
 
 def widths(problem: Problem) -> FloatArray:
@@ -69,13 +73,15 @@ def prior_information(problem: Problem, after: str | Path | None) -> PriorInform
     """
     parameters = problem.parameters
     noise: dict[tuple[str, str], tuple[float, str]] = {}
+    sizes = expected_sizes(problem)
     if after is None:
         nominal = np.array([_expected(p) for p in parameters])
         pairs = zip(parameters, nominal.tolist(), strict=True)
         by = [0.0 if p.prior is None else p.slope(v) / p.prior.sd for p, v in pairs]
         information = np.diag(np.square(by))
     else:
-        nominal, information, noise = _earlier(problem, Path(after))
+        nominal, information, noise, fitted_sizes = _earlier(problem, Path(after))
+        sizes |= {key: size for key, size in fitted_sizes.items() if key in sizes}
     width = widths(problem)
     values, vectors = np.linalg.eigh(information * np.outer(width, width))
     informed = values > _WEAK
@@ -92,6 +98,8 @@ def prior_information(problem: Problem, after: str | Path | None) -> PriorInform
     return PriorInformation(
         nominal, information, draws, str(after or ""),
         bool((values > _UNINFORMED).all()), noise,
+        np.array([sum(size**2 for (k, _), size in sizes.items() if k == key)
+                  for key in problem.keys], dtype=float),
     )  # fmt: skip
 
 
@@ -130,8 +138,13 @@ def _expected(parameter: FittedParameter) -> float:
 
 def _earlier(
     problem: Problem, folder: Path
-) -> tuple[FloatArray, FloatArray, dict[tuple[str, str], tuple[float, str]]]:
-    """Return estimates, their information (of the unknowns) and fitted noise of an earlier fit."""
+) -> tuple[
+    FloatArray,
+    FloatArray,
+    dict[tuple[str, str], tuple[float, str]],
+    dict[tuple[str, str], float],
+]:
+    """Return estimates, information of the unknowns, fitted noise and scatters of a fit."""
     path, keys = folder / "fit.json", list(problem.keys)
     try:
         text = read_text(path)
@@ -149,6 +162,11 @@ def _earlier(
             for experiment, series in outcome["experiments"].items()
             for name, entry in series.items()
             if "sd" in entry
+        }
+        sizes = {
+            (key, group): float(scatter["known" if "known" in scatter else "estimate"])
+            for key, estimate in estimates.items()
+            for group, scatter in estimate.get("scatter", {}).items()
         }
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"--after {path}: is no outcome of ringwear fit; {_ALLOWED}") from error
@@ -171,11 +189,15 @@ def _earlier(
                 f"{problem.name}, {low:g} to {high:g}"
             )
         changes.append(parameter.slope(value) / (value if log else 1.0))
-    return nominal, information * np.outer(changes, changes), noise
+    return nominal, information * np.outer(changes, changes), noise, sizes
 
 
 def information_of_tests(
-    problem: Problem, tests: Sequence[Experiment], draws: FloatArray, comm: MPI.Intracomm
+    problem: Problem,
+    tests: Sequence[Experiment],
+    draws: FloatArray,
+    scatter: FloatArray,
+    comm: MPI.Intracomm,
 ) -> tuple[FloatArray, dict[int, str], int]:
     """Return the information of each test. Collective on comm; its ranks share each draw.
 
@@ -184,6 +206,7 @@ def information_of_tests(
     Parameters
     ----------
     draws : (d, m) values of the keys.
+    scatter : (m,) variances of the unknowns between specimens; each test is of a new one.
 
     Returns
     -------
@@ -212,9 +235,8 @@ def information_of_tests(
                     continue
                 by_series = _series_information(problem, test, response[:, 1:] * slopes)
                 for number in group:
-                    matrices[d, number] = sum(
-                        by_series[id(series)] for series in tests[number].series
-                    )
+                    of_readings = sum(by_series[id(series)] for series in tests[number].series)
+                    matrices[d, number] = of_new_specimen(np.asarray(of_readings), scatter)
         return matrices, failures, rounds.count
 
     return rounds.lead(compute)

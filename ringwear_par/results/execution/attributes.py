@@ -100,7 +100,7 @@ def assembly_cost(physics: Physics, *, shared: bool = True) -> BodyCost:
     shared : whether a pair counts that was assembled elsewhere.
     """
     counted = shared or not physics.pair_is_shared
-    return physics.update_cost + physics.pair.cost if counted else physics.update_cost
+    return physics.update_cost + physics.pairs[0].cost if counted else physics.update_cost
 
 
 def wall_times(physics: Physics, stepping: float, output: float) -> dict[str, float]:

@@ -56,6 +56,7 @@ _NUMBERS: dict[str, tuple[str, type]] = {
     "progress.iterations": ("iterations", int),
     "progress.next_step": ("next_step", float),
     "progress.rejected": ("rejected", int),
+    "progress.interface": ("interface", float),
     "updates": ("assemblies", int),
     "state.contact.approach": ("approach", float),
     "state.contact.force": ("force", float),

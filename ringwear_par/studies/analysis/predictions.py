@@ -10,7 +10,7 @@ from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.errors import InputError, legible
 from ringwear_par.studies.analysis.regression import Part
 from ringwear_par.studies.analysis.responses import DEPTHS, LARGEST
-from ringwear_par.studies.storage.end_values import entry_of
+from ringwear_par.studies.storage.end_values import end_value_of
 
 #: leave-out errors above this part of a response's spread are called coarse
 COARSE = 0.1
@@ -211,4 +211,4 @@ def _as_text(value: Any) -> str:
 
 def unit_of(name: str) -> str:
     """Return the unit of a response."""
-    return "mm" if name in (*DEPTHS, *LARGEST) else entry_of(name)[0].stored.unit
+    return "mm" if name in (*DEPTHS, *LARGEST) else end_value_of(name)[0].stored.unit

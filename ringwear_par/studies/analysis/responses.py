@@ -8,9 +8,9 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError
 from ringwear_par.results.variables import LAYER_HISTORIES
-from ringwear_par.studies.storage.end_values import FINAL, entries, entry_of
+from ringwear_par.studies.storage.end_values import MAIN_END_VALUES, end_value_of, entries
 from ringwear_par.studies.storage.ensemble import Ensemble
-from ringwear_par.studies.storage.stored_variables import ROWS
+from ringwear_par.studies.storage.stored_variables import AT_STATES
 
 #: of all random choices: the same results give the same figure
 SEED = 1
@@ -46,8 +46,8 @@ def read_responses(
     parts = [cases[start : start + block] for start in range(0, len(cases), block)]
     read = [dict(_read_responses(ensemble, part, times)) for part in parts]
     values = {name: np.concatenate([of_part[name] for of_part in read]) for name in read[0]}
-    for name in [name for name in values if name not in (*FINAL, *DEPTHS)]:
-        if not (entry_of(name)[0].smooth and np.isfinite(values[name]).all()):
+    for name in [name for name in values if name not in (*MAIN_END_VALUES, *DEPTHS)]:
+        if not (end_value_of(name)[0].smooth and np.isfinite(values[name]).all()):
             del values[name]
     mid_points = ensemble.profiles("r", cases)
     same = mid_points is not None and np.ptp(mid_points, axis=0).max() <= 1e-9
@@ -71,8 +71,8 @@ def _read_responses(
             yield name, final[cases]
     else:
         states = _States(ensemble.histories("time", cases), stored, times)
-        for final_value in dict.fromkeys(entry_of(name)[0] for name in ensemble.final):
-            if final_value.source in ROWS:
+        for final_value in dict.fromkeys(end_value_of(name)[0] for name in ensemble.final):
+            if final_value.source in AT_STATES:
                 values = states.of(ensemble.histories(final_value.source, cases))
                 yield from entries(final_value, values).items()
     for name in DEPTHS:

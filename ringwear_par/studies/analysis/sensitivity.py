@@ -22,8 +22,7 @@ from ringwear_par.studies.analysis.predictions import COARSE, Surrogate, share_w
 from ringwear_par.studies.analysis.regression import Part
 from ringwear_par.studies.analysis.responses import SEED, chosen_cases, done_cases
 from ringwear_par.studies.definition.designs import SAMPLED
-from ringwear_par.studies.storage.end_values import drawn as drawn_outputs
-from ringwear_par.studies.storage.end_values import final_name
+from ringwear_par.studies.storage.end_values import figure_columns, final_name
 from ringwear_par.studies.storage.ensemble import Ensemble
 
 log = logging.getLogger(__name__)
@@ -72,7 +71,7 @@ class Indices:
 
 def sensitivity_indices(ensemble: Ensemble, surrogate: Surrogate | None) -> tuple[Indices, ...]:
     """Return the indices of outputs: of the surrogate where it is good, or else of the sample."""
-    outputs = drawn_outputs(ensemble.final, done_cases(ensemble))
+    outputs = figure_columns(ensemble.final, done_cases(ensemble))
     indices: dict[str, Indices] = {}
     if surrogate is not None and len(surrogate.parts[0].keys) > 1:
         part = surrogate.parts[0]

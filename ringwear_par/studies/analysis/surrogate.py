@@ -36,7 +36,7 @@ from ringwear_par.studies.analysis.responses import (
     read_responses,
     upper_limit,
 )
-from ringwear_par.studies.storage.end_values import FINAL
+from ringwear_par.studies.storage.end_values import MAIN_END_VALUES
 from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 
 if TYPE_CHECKING:
@@ -169,7 +169,7 @@ def _identity(ensemble: Ensemble, times: FloatArray | None) -> str:
 def _fit(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
     """Return the surrogate of all cases that are done, a part for each combination of texts."""
     done = done_cases(ensemble) & (ensemble.steps_stored > 1)
-    done &= np.isfinite([ensemble.final[name] for name in FINAL]).all(axis=0)
+    done &= np.isfinite([ensemble.final[name] for name in MAIN_END_VALUES]).all(axis=0)
     designed = ensemble.spacings
     texts: list[str] = []
     numbers: list[str] = []

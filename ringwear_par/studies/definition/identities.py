@@ -101,7 +101,8 @@ def identities_of(rows: CaseColumns, firsts: Mapping[int, int]) -> Any:
         for (path, entry), i in rows.numbers.items():
             name = path if entry is None else f"{path}{entry}" if path in LAYERS else ""
             key = key_of(name) if name else None
-            write = partial(_number_pair, name, key.default) if key else _number_text
+            begin = f", {json.dumps(name)}: "
+            write = partial(_number_pair, begin, key.default) if key else _number_text
             written[i] = part.columns[i].by_case(write)
         for kind, cases in by_kind(rows.kinds[window]):
             if kind in firsts:
@@ -122,7 +123,7 @@ def _number_text(raw: Any) -> str:
     return repr(float(raw))
 
 
-def _number_pair(path: str, default: Any, raw: Any) -> str:
+def _number_pair(begin: str, default: Any, raw: Any) -> str:
     """Return the JSON pair of a number, "" for the default of its key."""
     value = float(raw)
-    return "" if value == default else f", {json.dumps(path)}: {value!r}"
+    return "" if value == default else begin + repr(value)

@@ -63,8 +63,11 @@ class Column:
         return value.item() if isinstance(value, np.generic) else value
 
     def part(self, cases: slice | IntArray) -> "Column":
-        """Return the column of some of the cases, without the values that they do not have."""
-        used, codes = np.unique(self.codes[cases], return_inverse=True)
+        """Return the column of some of the cases, of few of them without the other values."""
+        chosen = self.codes[cases]
+        if len(chosen) >= len(self.values):
+            return Column(self.values, chosen)
+        used, codes = np.unique(chosen, return_inverse=True)
         return Column(self.values[used], codes.astype(np.int32))
 
     def mapped(self, function: Callable[[Any], Any]) -> "Column":
@@ -138,8 +141,8 @@ class Variation:
             return Column.chosen(self.values, (u * len(self.values)).astype(np.int64))
         low, high = self.values
         values = low * (high / low) ** u if self.spacing == "log" else low + (high - low) * u
-        if not self.whole:
-            return Column.of(values)
+        if not self.whole:  # hardly any are alike
+            return Column(values, np.arange(len(values), dtype=np.int32))
         distinct, codes = np.unique(np.rint(values), return_inverse=True)
         return Column.chosen(list(map(int, distinct.tolist())), codes.astype(np.int64))
 

@@ -22,7 +22,7 @@ from ringwear_par.results.variables import HISTORIES
 _NUMBERS, _FIELDS, _MOST = 2**21, 32, 2048
 #: batches of a block: as histories end others take their places, until none are left in it
 _BATCHES = 4
-#: of what is stored of a block, which waits in memory until all of it has ended; derivatives come
+#: of the stored histories of a block, in memory until all of them have ended; derivatives come
 #: on top, as many times as much as there are: smaller blocks would be slower than these are large
 _BLOCK_BYTES = 64e6
 
@@ -54,11 +54,11 @@ class PairResources:
 
 
 def default_batch(cases: Sequence[Case]) -> int:
-    """Return how many of some cases to step together, where nobody says.
+    """Return how many of some cases to step together by default.
 
-    More histories share what Python takes for each operation: 64 elements, one core, 512, 1,024 and
-    2,048 of them: 1,090, 860 and 740 us a history. Where moduli differ each has matrices of its
-    own, which are to stay in the cache.
+    More histories share the time that Python takes for each operation: 64 elements, one core, 512,
+    1,024 and 2,048 of them: 1,090, 860 and 740 us a history. Where moduli differ each has matrices
+    of its own, which are to stay in the cache.
     """
     n = cases[0].mesh.contact_elements
     matrices = len({young(case) for case in cases}) > 1
@@ -93,7 +93,7 @@ class Computed:
 
     @property
     def columns(self) -> HistoryColumns:
-        """What is stored, in the order of the numbers."""
+        """The histories as they are stored, in the order of the numbers."""
         return self.recorder.columns(self.failures)
 
     def results(self) -> list[Result | Exception]:
@@ -103,7 +103,7 @@ class Computed:
 
 def computed(
     cases: Sequence[Case],
-    pair: ContactPair,
+    pair: ContactPair | Sequence[ContactPair],
     *,
     resources: PairResources | None = None,
     batch: int | None = None,
@@ -114,21 +114,23 @@ def computed(
 ) -> Iterator[Computed]:
     """Yield blocks of cases as they are computed, on this rank alone, until ``stop`` says so.
 
-    Each case gets the same, to the last bit, in whatever company. Failures are among what is
-    computed. What was begun when all are stopped is thrown away.
+    Each case gets the same, to the last bit, in whatever company. Failures are among
+    the blocks. Histories under way when all are stopped are thrown away.
 
     Parameters
     ----------
-    cases : that share a contact pair.
+    cases : that share a contact pair, or contact elements.
+    pair : of the cases, or of each.
     resources : of the pair; None: those of these cases alone.
     batch : most histories that step at a time; a block has some times as many.
-    stop : asked between two steps, and may answer others meanwhile.
+    stop : called between two steps, and may answer other ranks meanwhile.
     results : whether there are to be results.
     derivatives : keys that the histories are to have derivatives with respect to.
     step_times : s, ends of the steps of each case, its own end the last; None: as cases say.
     """
-    resources = resources or PairResources(pair, MPI.COMM_SELF)
-    for numbers in _together(cases):
+    pairs = [pair] * len(cases) if isinstance(pair, ContactPair) else pair
+    resources = resources or PairResources(pairs[0], MPI.COMM_SELF)
+    for numbers in _batches(cases):
         numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
         most = batch or default_batch([cases[number] for number in numbers])
         longest = max((cases[n] for n in numbers), key=lambda case: case.stored_rows)
@@ -141,8 +143,8 @@ def computed(
                 results=results,
             )  # fmt: skip
             outcome = simulate(
-                block, MPI.COMM_SELF, pair=pair, observers=[recorder, lambda _: stop()], most=most,
-                derivatives=derivatives,
+                block, MPI.COMM_SELF, pair=[pairs[n] for n in part],
+                observers=[recorder, lambda _: stop()], most=most, derivatives=derivatives,
                 step_times=None if step_times is None else [step_times[n] for n in part],
             )  # fmt: skip
             if outcome.stopped:
@@ -150,7 +152,13 @@ def computed(
             yield Computed(tuple(part), recorder, outcome.failures)
 
 
-def _together(cases: Sequence[Case]) -> list[list[int]]:
+def failed_columns(cases: Sequence[Case], error: Exception, comm: MPI.Comm) -> HistoryColumns:
+    """Return the histories of cases that fail before their start, all for the same reason."""
+    recorder = Recorder(cases, comm, stresses=lambda case: None, results=False)
+    return recorder.columns(dict.fromkeys(range(len(cases)), error))
+
+
+def _batches(cases: Sequence[Case]) -> list[list[int]]:
     """Return the numbers of cases that step together, and those of cases that step alone."""
     groups: dict[Hashable, list[int]] = defaultdict(list)
     for number, case in enumerate(cases):

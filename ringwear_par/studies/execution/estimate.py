@@ -1,4 +1,4 @@
-"""The dry run of a sweep: what there is to do, and about how long it will take."""
+"""The dry run of a sweep: how many cases are left, and about how long they take."""
 
 import time
 
@@ -15,7 +15,7 @@ from ringwear_par.results.execution.progress import duration
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.studies.execution.batches import computed
 from ringwear_par.studies.execution.plan import Plan
-from ringwear_par.studies.execution.workers import goes_with_others
+from ringwear_par.studies.execution.single_cases import is_batchable
 
 #: memory of a rank without its matrices (Python, MPI, PETSc, compiled code)
 _BARE_BYTES = 250e6
@@ -47,11 +47,11 @@ def _timed(plan: Plan) -> str:
         f"{plan.total} cases, {plan.done} done, {plan.failed} failed before",
         f"{len(study.members)} distinct operator(s), {len(left)} still needed",
     ]
-    if plan.others:
+    if plan.not_in_study:
         lines.insert(
             1,
-            f"{plan.others} cases in {request.folder} are not of this study; they stay there, "
-            'with in_study = "no"',
+            f"{plan.not_in_study} cases in {request.folder} are not of this study; they stay "
+            'there, with in_study = "no"',
         )
     if not left:
         return "\n".join(lines)
@@ -65,7 +65,7 @@ def _timed(plan: Plan) -> str:
 
     def enough(snapshot: Snapshot) -> bool:
         if snapshot.step is None or case.time.adaptive:
-            return False  # adaptive steps grow: what the first ones take says little
+            return False  # adaptive steps grow: the first ones say little
         return time.perf_counter() - t2 > _TRIAL_SECONDS
 
     simulate_one(case, MPI.COMM_SELF, pair=pair, observers=[recorder, enough])
@@ -73,12 +73,16 @@ def _timed(plan: Plan) -> str:
     reached = float(recorder.last.state.time[0])
     t3 = time.perf_counter()
     alone = (t3 - t2) * case.time.end / reached
-    each = _side_by_side(plan, group, pair, alone)
-    together = "" if each == alone else f", {1e3 * each:.2g} ms for each that goes side by side"
+    seconds_of_case = _side_by_side(plan, group, pair, alone)
+    together = (
+        ""
+        if seconds_of_case == alone
+        else f", {1e3 * seconds_of_case:.2g} ms for each that goes side by side"
+    )
     assembly = (t1 - t0) * study.assembly / study.assembly[group]
     count, memory = plan.cases_left, _BARE_BYTES * request.ranks + plan.memory_needed()
     cases = np.concatenate([plan.todo[k] for k in left])
-    stepping = each * float(study.work[cases].sum()) / study.work[number]
+    stepping = seconds_of_case * float(study.work[cases].sum()) / study.work[number]
     seconds = _START_SECONDS + _CASE_SECONDS * count
     seconds += (float(assembly[left].sum()) + stepping) / request.ranks
     size = sum(table.nbytes for table in recorder.columns().histories.values())
@@ -104,7 +108,7 @@ def _side_by_side(plan: Plan, group: int, pair: ContactPair, alone: float) -> fl
     numbers = plan.todo[group]
     most = min(_TRIED, int(_TRIED_OF * plan.cases_left), int(_TRIAL_SECONDS / alone))
     tried, case = min(len(numbers), most), plan.study.case(int(numbers[0]))
-    if tried < 2 or plan.request.ranks_per_case > 1 or not goes_with_others(case):
+    if tried < 2 or plan.request.ranks_per_case > 1 or not is_batchable(case):
         return alone
     cases, _ = plan.study.cases_and_texts(
         numbers[np.linspace(0, len(numbers) - 1, tried).astype(int)]

@@ -1,23 +1,27 @@
-"""What a sweep has to do: the cases of a study, or of a slice of it, that are not stored yet."""
+"""The plan of a sweep: the cases of a study, or of a slice of it, that are not stored yet."""
 
 import logging
 import os
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, IntArray
+from ringwear_par.cases.case import Case
 from ringwear_par.errors import InputError
 from ringwear_par.history.validity.case_limits import memory_needed
 from ringwear_par.studies.definition.case_columns import Groups
 from ringwear_par.studies.definition.study import Study
-from ringwear_par.studies.storage.index import DONE, FAILED, NOTHING, Index
-from ringwear_par.studies.storage.locks import locked
+from ringwear_par.studies.definition.texts import Texts
+from ringwear_par.studies.storage.blocks import DONE, FAILED
+from ringwear_par.studies.storage.case_index import EMPTY, CaseIndex
+from ringwear_par.studies.storage.folder import SweepFolder, locked
 from ringwear_par.studies.storage.results_file import RESULTS
-from ringwear_par.studies.storage.store import Store
 from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)
@@ -56,7 +60,7 @@ class Request:
 
         Raises
         ------
-        InputError : with what is allowed.
+        InputError : with the numbers that are allowed.
         """
         if self.part is not None:
             number, count = self.part
@@ -74,21 +78,41 @@ class Request:
             )
 
 
+class CaseSet(NamedTuple):
+    """Some cases of a study.
+
+    Parameters
+    ----------
+    cases : the cases.
+    ids : of each.
+    texts : of each as a case file.
+    """
+
+    cases: Sequence[Case]
+    ids: Sequence[str]
+    texts: Texts
+
+    def part(self, places: Sequence[int]) -> "CaseSet":
+        """Return some of them."""
+        cases, ids = [self.cases[i] for i in places], [self.ids[i] for i in places]
+        return CaseSet(cases, ids, self.texts.part(places))
+
+
 @dataclass(frozen=True)
 class Plan:
-    """What is to be done, the same on all ranks.
+    """The cases that a sweep computes, the same on all ranks.
 
     Parameters
     ----------
     request : how.
     study : the study.
-    store : its folder.
+    folder : its files.
     todo : for each group of the study, its cases that are to be computed here.
-    in_flight : ids of cases that were interrupted.
-    interrupted : those of them that go on from their checkpoint.
-    mine : (cases,) which cases are of this slice.
+    checkpoints : ids of cases that were interrupted.
+    interrupted : those of them that continue from their checkpoint.
+    in_slice : (cases,) which cases are of this slice.
     done, failed : how many of them had ended before.
-    others : how many cases the folder holds that are not of the study.
+    not_in_study : how many cases the folder holds that are not of the study.
     flagged : how many have the same flags, by these.
     all_assemble : whether all ranks assemble each operator (there are fewer than teams) or the team
         that takes its group.
@@ -96,25 +120,25 @@ class Plan:
 
     request: Request
     study: Study
-    store: Store
+    folder: SweepFolder
     todo: Groups
-    in_flight: frozenset[str]
+    checkpoints: frozenset[str]
     interrupted: frozenset[str]
-    mine: BoolArray
+    in_slice: BoolArray
     done: int
     failed: int
-    others: int
+    not_in_study: int
     flagged: Counter[tuple[str, ...]]
     all_assemble: bool
 
     @property
     def total(self) -> int:
         """Number of the cases of this study, or slice."""
-        return int(self.mine.sum())
+        return int(self.in_slice.sum())
 
-    def count(self, index: Index) -> tuple[int, int]:
+    def count(self, index: CaseIndex) -> tuple[int, int]:
         """Return how many of the cases are stored, done and failed."""
-        entry = index.find(self.study.identities[self.mine])
+        entry = index.find(self.study.identities[self.in_slice])
         status = index["status"][entry[entry >= 0]]
         return int((status == DONE).sum()), int((status == FAILED).sum())
 
@@ -123,11 +147,18 @@ class Plan:
         """Number of the cases that are to be computed."""
         return len(self.todo.cases)
 
+    def cases(self, group: int, first: int, count: int) -> CaseSet:
+        """Return some cases of a group that are to be computed, from a place on."""
+        numbers = self.todo[group][first : first + count]
+        cases, texts = self.study.cases_and_texts(numbers)
+        ids: list[str] = self.study.identities[numbers].astype(str).tolist()
+        return CaseSet(cases, ids, texts)
+
     @property
     def left(self) -> list[int]:
         """Numbers of the groups that still have cases."""
-        found: list[int] = np.flatnonzero(self.todo.sizes).tolist()
-        return found
+        groups: list[int] = np.flatnonzero(self.todo.sizes).tolist()
+        return groups
 
     def memory_needed(self) -> float:
         """Return an estimate of the bytes that all ranks need together, libraries excluded.
@@ -146,60 +177,62 @@ class Plan:
             )
             largest = max(memory_needed(case, request.ranks) for case in first)
             return largest + (request.teams - 1) * histories
-        each = sorted((memory_needed(case, request.ranks_per_case) for case in first), reverse=True)
-        return sum(each[: request.teams])
+        needed = sorted(
+            (memory_needed(case, request.ranks_per_case) for case in first), reverse=True
+        )
+        return sum(needed[: request.teams])
 
 
-def make_plan(study: Study, request: Request, held: ExitStack | None) -> Plan:
-    """Look what is done of a study. On one rank.
+def make_plan(study: Study, request: Request, locks: ExitStack | None) -> Plan:
+    """Look which cases of a study are stored. On one rank.
 
     Parameters
     ----------
-    held : keeps the lock on the folder; None: for a look only, which changes nothing.
+    locks : keeps the lock on the folder; None: for a look only, which changes nothing.
 
     Raises
     ------
-    InputError : the folder, or what it holds; or the memory that all teams need together.
+    InputError : the folder, or a file in it; or the memory that all teams need together.
     ComputationError : the folder is in use by a process of a killed sweep.
     """
-    folder, part = request.folder, request.part
-    store = Store(folder, f"{part[0]}-{part[1]}" if part else "")
-    index = NOTHING
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is a file; must be a folder, or a new name")
-    if held is not None:
-        store.open()
-        held.enter_context(locked(folder, store.part))
-        store.clear()
-        index, notes = store.scan(study.identities, mend=True)
+    path, part = request.folder, request.part
+    folder = SweepFolder(path, f"{part[0]}-{part[1]}" if part else "")
+    index = EMPTY
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path}: is a file; must be a folder, or a new name")
+    if locks is not None:
+        folder.open()
+        locks.enter_context(locked(path, folder.part))
+        folder.clear()
+        index, notes = folder.scan(mend=True)
         for note in notes:
             log.warning("%s", note)
-    elif (folder / "shards").is_dir() or (folder / RESULTS).exists():
-        with locked(folder, store.part):
-            index, _ = store.scan(study.identities, mend=False)
-    mine = _slice(study, part)
+    elif (path / "shards").is_dir() or (path / RESULTS).exists():
+        with locked(path, folder.part):
+            index, _ = folder.scan(mend=False)
+    in_slice = _slice(study, part)
     entry = index.find(study.identities)
     status = np.where(entry >= 0, index["status"][entry], -1) if len(index) else entry
     ended = (status == DONE) | ((status == FAILED) & (not request.retry_failed))
-    todo = study.members.only(mine & ~ended)
+    todo = study.members.only(in_slice & ~ended)
     if not request.mix_versions:
-        _refuse_other_versions(folder, index, entry[ended], bool(len(todo.cases)))
-    kept = mine & ended
+        _refuse_other_versions(path, index, entry[ended], bool(len(todo.cases)))
+    stored = in_slice & ended
     flags: Counter[tuple[str, ...]] = Counter()
-    for kind, n in Counter(index["kind"][entry[kept]].tolist()).items():
+    for kind, n in Counter(index["kind"][entry[stored]].tolist()).items():
         if index.kinds[kind].flags:
             flags[index.kinds[kind].flags] += n
-    in_flight = frozenset(path.stem for path in store.interrupted())
+    checkpoints = frozenset(path.stem for path in folder.checkpoints())
     plan = Plan(
         request,
         study,
-        store,
+        folder,
         todo,
-        in_flight,
-        _interrupted(store, in_flight, index, entry),
-        mine,
-        int((status[kept] == DONE).sum()),
-        int((status[kept] == FAILED).sum()),
+        checkpoints,
+        checkpoints - _of_other_versions(index),
+        in_slice,
+        int((status[stored] == DONE).sum()),
+        int((status[stored] == FAILED).sum()),
         len(index) - int((entry >= 0).sum()),
         flags,
         len(study.members) <= request.teams,
@@ -208,34 +241,23 @@ def make_plan(study: Study, request: Request, held: ExitStack | None) -> Plan:
     return plan
 
 
-def _interrupted(
-    store: Store, in_flight: frozenset[str], index: Index, entry: IntArray
-) -> frozenset[str]:
-    """Return the cases that go on from a checkpoint: a case has one version from start to end."""
-    if not in_flight:
-        return frozenset()
-    stored = index.entries[entry[entry >= 0]]
-    going_on = set()
-    for identity, kind, block in stored[["id", "kind", "block"]][
-        np.isin(stored["id"], [os.fsencode(name) for name in in_flight])
-    ].tolist():
-        path = store.inflight(identity.decode())
-        same_version = index.kinds[kind].version == __version__
-        if index.blocks[block].path == path and same_version:
-            going_on.add(path.stem)
-    return frozenset(going_on)
+def _of_other_versions(index: CaseIndex) -> set[str]:
+    """Return the ids of cases that another version began: a case has one from start to end."""
+    kinds = [i for i, kind in enumerate(index.kinds) if kind.version != __version__]
+    ids: list[bytes] = index["id"][np.isin(index["kind"], kinds)].tolist()
+    return {identity.decode() for identity in ids}
 
 
-def _refuse_other_versions(folder: Path, index: Index, kept: IntArray, more: bool) -> None:
+def _refuse_other_versions(folder: Path, index: CaseIndex, stored: IntArray, more: bool) -> None:
     """Raise where cases of several versions would come together.
 
     Parameters
     ----------
-    kept : what is stored and not computed again.
+    stored : entries of the cases that are not computed again.
     more : whether this version computes others.
     """
     counts: Counter[str] = Counter()
-    for kind, n in Counter(index["kind"][kept].tolist()).items():
+    for kind, n in Counter(index["kind"][stored].tolist()).items():
         counts[index.kinds[kind].version] += n
     if more:
         counts.setdefault(__version__, 0)
@@ -249,7 +271,7 @@ def _refuse_other_versions(folder: Path, index: Index, kept: IntArray, more: boo
 
 
 def _check_memory(plan: Plan) -> None:
-    """Refuse what this machine cannot hold, as if all ranks were on it."""
+    """Refuse a plan that this machine has no memory for, as if all ranks were on it."""
     needed = plan.memory_needed()
     memory = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
     teams, m = plan.request.teams, plan.request.ranks_per_case
@@ -271,6 +293,6 @@ def _slice(study: Study, part: tuple[int, int] | None) -> BoolArray:
     work = study.work[groups.cases] + share
     middle = (np.cumsum(work) - 0.5 * work) / work.sum()
     number = np.minimum((middle * part[1]).astype(int), part[1] - 1)
-    mine = np.zeros(len(number), dtype=bool)
-    mine[groups.cases] = number == part[0] - 1
-    return mine
+    in_slice = np.zeros(len(number), dtype=bool)
+    in_slice[groups.cases] = number == part[0] - 1
+    return in_slice

@@ -1,19 +1,42 @@
-"""What a sweep did, in a few lines."""
+"""The summary of a sweep: where its time went, how many cases have ended, and any trouble."""
 
+import logging
 from collections import Counter
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from mpi4py import MPI
+
+from ringwear_par.errors import ComputationError, InputError, RingwearError
+from ringwear_par.files.writing import atomic_write
+from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.execution.progress import duration
-from ringwear_par.studies.execution.workers import Timings
+from ringwear_par.results.execution.stopping import name_of, remark
+from ringwear_par.studies.execution.plan import Plan
 from ringwear_par.studies.storage.results_file import RESULTS, TABLE, count_flags
 
-_KNOWN = ("stepping", "assembly", "waiting", "output")
+log = logging.getLogger(__name__)
+
+_PARTS = ("stepping", "assembly", "waiting", "output")
+
+
+@dataclass
+class Timings:
+    """Where a rank's time went, s, and its counts; flags of the cases that have some."""
+
+    stepping: float = 0.0
+    assembly: float = 0.0
+    waiting: float = 0.0
+    output: float = 0.0
+    operators: int = 0
+    worst: float = 0.0
+    flagged: Counter[tuple[str, ...]] = field(default_factory=Counter)
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What a sweep did; ``str`` of it is what the command prints.
+    """The summary of a sweep; the command prints it as a text.
 
     Parameters
     ----------
@@ -50,7 +73,7 @@ class Summary:
         ]
         if self.computed:
             ranks = len(self.timings)
-            spent = {name: sum(getattr(t, name) for t in self.timings) for name in _KNOWN}
+            spent = {name: sum(getattr(t, name) for t in self.timings) for name in _PARTS}
             spent["start and merging"] = self.seconds * ranks - sum(spent.values())
             shares = (f"{100.0 * s / (self.seconds * ranks):.1f} % {n}" for n, s in spent.items())
             rate = self.computed / self.seconds
@@ -71,3 +94,59 @@ class Summary:
         elif self.merged:
             lines.append(f"{self.folder / TABLE}, {self.folder / RESULTS}")
         return "\n".join(lines)
+
+
+def trouble_of(
+    plan: Plan,
+    summary: Summary,
+    counted: tuple[int, int],
+    troubles: list[RingwearError],
+    received: int,
+    comm: MPI.Comm,
+) -> RingwearError | None:
+    """Return the trouble of a sweep in one sentence, if any, the same on all ranks. Collective.
+
+    Parameters
+    ----------
+    counted : cases done and failed, of which ``summary`` says how many are stored.
+    """
+    ended = f"{summary.done + summary.failed} of {summary.total} cases are stored"
+    if troubles:
+        if isinstance(troubles[0], InputError):
+            return troubles[0]
+        if comm.rank == 0:  # beside results of an earlier study, which look complete
+            with suppress(OSError), atomic_write(plan.folder.stopped):
+                pass
+        return ComputationError(f"{troubles[0]}; {ended}, and the same command goes on")
+    stopped = summary.computed < plan.cases_left
+    if stopped:
+        on_first_rank(comm, lambda: _mark(plan.folder.stopped))
+    stored = summary.done, summary.failed
+    # cases that failed before and are still stored must not make up for lost ones
+    lost = max(counted[0] - stored[0], sum(counted) - sum(stored))
+    if lost > 0:
+        return ComputationError(
+            f"{summary.folder}: {lost} of {sum(counted)} cases that have ended are not stored any "
+            f"more (files in {summary.folder / 'shards'} were removed or damaged); {ended}, and "
+            "the same command computes the others again"
+        )
+    if stopped:
+        name = name_of(received) if received else "a team"
+        return ComputationError(
+            f"stopped by {name}, incomplete: {ended}, and the same command goes on"
+            f"{remark(received)}"
+        )
+    if summary.failed:
+        where = summary.folder / TABLE
+        reasons = "merging tells why" if plan.folder.part else f"{where} says why of each"
+        return ComputationError(f"{summary.failed} of {summary.total} cases failed; {reasons}")
+    return None
+
+
+def _mark(path: Path) -> None:
+    """Make an empty file in place of whatever has its name, or say why it cannot be."""
+    try:
+        with atomic_write(path):
+            pass
+    except OSError as error:
+        log.warning("%s: cannot be written: %s", path, error.strerror)

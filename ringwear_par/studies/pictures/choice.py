@@ -19,8 +19,7 @@ from ringwear_par.studies.analysis.regression import Part, untested
 from ringwear_par.studies.analysis.responses import done_cases
 from ringwear_par.studies.analysis.sensitivity import Indices
 from ringwear_par.studies.definition.designs import SAMPLED
-from ringwear_par.studies.storage.end_values import drawn as drawn_outputs
-from ringwear_par.studies.storage.end_values import shown as display_of
+from ringwear_par.studies.storage.end_values import display_of, figure_columns
 from ringwear_par.studies.storage.ensemble import Ensemble
 
 #: keys that are drawn: with more of them the figure is of no use
@@ -263,7 +262,7 @@ def choose(ensemble: Ensemble, surrogate: Surrogate | None, indices: Sequence[In
         raise InputError(
             f"{ensemble.path}: has no case that is done ({counts}); must have one at least"
         )
-    outputs = drawn_outputs(ensemble.final, cases)
+    outputs = figure_columns(ensemble.final, cases)
     varied = [
         Key.of(name, values[cases], ensemble.spacings.get(name, (None,))[0])
         for name, values in ensemble.varied.items()

@@ -15,8 +15,7 @@ from ringwear_par.pictures.style import COLOURS
 from ringwear_par.studies.analysis.responses import SEED, chosen_cases
 from ringwear_par.studies.analysis.sensitivity import Indices
 from ringwear_par.studies.pictures.choice import LOG_VALUE, Arrangement, Choice, Key, spans
-from ringwear_par.studies.storage.end_values import final_name
-from ringwear_par.studies.storage.end_values import shown as display_of
+from ringwear_par.studies.storage.end_values import display_of, final_name
 from ringwear_par.studies.storage.ensemble import Ensemble
 
 #: cases that have a point against a key, and so many of them a running median

@@ -15,7 +15,7 @@ from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.instants import time_unit
 from ringwear_par.studies.analysis.responses import chosen_cases
 from ringwear_par.studies.pictures.choice import LOG_VALUE, Choice, spans
-from ringwear_par.studies.storage.end_values import shown as display_of
+from ringwear_par.studies.storage.end_values import display_of
 from ringwear_par.studies.storage.ensemble import Ensemble
 
 #: so few cases are drawn one by one

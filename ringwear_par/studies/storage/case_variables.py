@@ -2,7 +2,7 @@
 
 import math
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import h5py
@@ -25,11 +25,6 @@ _ENCODED = {"_Encoding": "utf-8"}
 def text_dtype(size: int) -> Any:
     """Return the type of texts of at most so many bytes, which gzip shrinks as no others."""
     return h5py.string_dtype("utf-8", max(size, 1))
-
-
-def text_window(kind: Any) -> int:
-    """Return how many cases to write the texts of at once."""
-    return min(WINDOW, cases_at_once(kind.itemsize))
 
 
 def make_scales(
@@ -57,23 +52,58 @@ def make_scales(
         file[name].make_scale(name)
 
 
-class ColumnWriter:
-    """Writes a variable window by window; what is compressed by itself.
+class CaseVariable:
+    """A variable over all cases, in chunks that hold whole histories as far as they are small.
 
-    HDF5 would do it as well; but much of what gzip is worth its time for is the same again and
-    again, such as the radii of the contact elements, and then need not be compressed again.
+    A compressed one is compressed here: HDF5 would do it as well, but much of what gzip is worth
+    its time for is the same again and again, such as the radii of the contact elements.
 
     Parameters
     ----------
-    dataset : whose windows are whole chunks, but for the last.
+    file : with the dimensions.
+    variable : which.
+    kind : type of the values.
+    window : cases that are written at once; a chunk has no more.
+    sample : its first values, which say whether gzip is worth it; or else ``gzip``.
     """
 
-    def __init__(self, dataset: h5py.Dataset) -> None:
-        self._dataset, self._known = dataset, (b"", b"")
-        self._direct = dataset.compression == "gzip" and dataset.chunks[1:] == dataset.shape[1:]
+    def __init__(
+        self,
+        file: h5py.File,
+        variable: Variable,
+        kind: Any,
+        window: int = WINDOW,
+        *,
+        sample: Any = None,
+        gzip: bool = False,
+    ) -> None:
+        shape = tuple(len(file[name]) for name in variable.dimensions)
+        size, chunks = np.dtype(kind).itemsize, list(shape)
+        for axis in range(len(shape)):
+            rest = size * math.prod(chunks[axis + 1 :])
+            chunks[axis] = min(shape[axis], max(1, int(_CHUNK_BYTES // rest)))
+        rows = power_of_2(_CHUNK_BYTES / (size * math.prod(chunks[1:])))
+        chunks[0] = min(shape[0], rows, window)
+        if sample is not None:
+            first = np.ascontiguousarray(sample[tuple(map(slice, chunks))]).tobytes()
+            gzip = len(zlib.compress(first, 1)) * _WORTH_IT < len(first)
+        extra: dict[str, Any] = {"compression": "gzip", "compression_opts": 1} if gzip else {}
+        if np.dtype(kind).kind == "f":
+            extra["fillvalue"] = np.nan
+        self._dataset = file.create_dataset(
+            variable.name, shape, dtype=kind, chunks=tuple(chunks), **extra
+        )
+        self._dataset.attrs.update(variable.attributes)
+        if np.dtype(kind).kind == "S":
+            self._dataset.attrs.update(_ENCODED)
+        for axis, name in enumerate(variable.dimensions):
+            self._dataset.dims[axis].attach_scale(file[name])
+        self._direct = gzip and tuple(chunks[1:]) == shape[1:]
+        #: the last chunk, and its compressed bytes
+        self._chunk = (b"", b"")
 
     def write(self, start: int, values: Any) -> None:
-        """Write the values of cases from one on."""
+        """Write the values of cases from one on: whole chunks, but for the last."""
         dataset = self._dataset
         if not self._direct:
             dataset[start : start + len(values)] = values
@@ -82,46 +112,23 @@ class ColumnWriter:
         for first in range(0, len(values), rows):
             data = np.ascontiguousarray(values[first : first + rows], dtype=dataset.dtype).tobytes()
             data += bytes(math.prod(dataset.chunks) * dataset.dtype.itemsize - len(data))
-            if data != self._known[0]:
-                self._known = data, zlib.compress(data, 1)
-            dataset.id.write_direct_chunk((start + first, *rest), self._known[1])
+            if data != self._chunk[0]:
+                self._chunk = data, zlib.compress(data, 1)
+            dataset.id.write_direct_chunk((start + first, *rest), self._chunk[1])
 
 
-def make_variable(
-    file: h5py.File,
-    variable: Variable,
-    kind: Any,
-    window: int,
-    *,
-    sample: Any = None,
-    gzip: bool = False,
-) -> h5py.Dataset:
-    """Make a variable, in chunks that hold whole histories as far as they are small.
+def write_texts(
+    file: h5py.File, variable: Variable, longest: int, texts: Callable[[slice], Any]
+) -> None:
+    """Write texts of cases, window by window.
 
     Parameters
     ----------
-    window : cases that are written at once; a chunk has no more.
-    sample : its first values, which tell whether gzip is worth it; or else ``gzip``.
+    longest : bytes of the longest.
+    texts : returns those of a stretch of the cases, as bytes.
     """
-    shape = tuple(len(file[name]) for name in variable.dimensions)
-    size = np.dtype(kind).itemsize
-    chunks = list(shape)
-    for axis in range(len(shape)):
-        rest = size * math.prod(chunks[axis + 1 :])
-        chunks[axis] = min(shape[axis], max(1, int(_CHUNK_BYTES // rest)))
-    chunks[0] = min(shape[0], power_of_2(_CHUNK_BYTES / (size * math.prod(chunks[1:]))), window)
-    extra: dict[str, Any] = {}
-    if np.dtype(kind).kind == "f":
-        extra["fillvalue"] = np.nan
-    if sample is not None:
-        first = np.ascontiguousarray(sample[tuple(map(slice, chunks))]).tobytes()
-        gzip = len(zlib.compress(first, 1)) * _WORTH_IT < len(first)
-    if gzip:
-        extra |= {"compression": "gzip", "compression_opts": 1}
-    dataset = file.create_dataset(variable.name, shape, dtype=kind, chunks=tuple(chunks), **extra)
-    dataset.attrs.update(variable.attributes)
-    if np.dtype(kind).kind == "S":
-        dataset.attrs.update(_ENCODED)
-    for axis, name in enumerate(variable.dimensions):
-        dataset.dims[axis].attach_scale(file[name])
-    return dataset
+    kind = text_dtype(longest)
+    window = min(WINDOW, cases_at_once(kind.itemsize))
+    column, count = CaseVariable(file, variable, kind, window, gzip=True), len(file["case"])
+    for start in range(0, count, window):
+        column.write(start, texts(slice(start, min(start + window, count))))

@@ -1,4 +1,4 @@
-"""The numbers that a sweep tells of each case: in ``cases.csv``, in figures, of surrogates."""
+"""The end values of a case, in ``cases.csv``, figures and surrogates: names, units, how drawn."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -20,29 +20,29 @@ from ringwear_par.results.variables import (
 )
 from ringwear_par.studies.storage.stored_variables import (
     BODY,
-    EACH,
     FIELDS,
+    OF_A_CASE,
     STRESS,
     axis_of,
-    entries_of,
-    told_entry,
+    entry_label,
+    entry_names,
 )
 
 #: those that all cases have
-FINAL = ("penetration", "worn_volume_lower", "worn_volume_upper")
+MAIN_END_VALUES = ("penetration", "worn_volume_lower", "worn_volume_upper")
 _MM3, _UM = "mm\N{SUPERSCRIPT THREE}", "\N{MICRO SIGN}m"
 _ENTRY = re.compile(rf"(.+)\[(\d+|{BODY})\]")
 
 
 @dataclass(frozen=True)
-class Final:
+class EndValue:
     """A number of each case, or one a layer or point, which have names of their own.
 
     Parameters
     ----------
-    name : of what it is called.
-    source : the variable that it is taken of.
-    stored : how the results file has it.
+    name : in the table.
+    source : name of the variable that it is taken of.
+    stored : the variable of the results file.
     smooth : whether surrogates answer for it: places of the largest stress jump.
     """
 
@@ -60,83 +60,85 @@ class Final:
         last : (cases,) row of each case that is taken, -1 for none.
         """
         some = np.flatnonzero(last >= 0)
-        if self.source in EACH or (self.source in FIELDS and table.ndim == 2):
+        if self.source in OF_A_CASE or (self.source in FIELDS and table.ndim == 2):
             rows = table[some]
         else:
             rows = table[some, last[some]]
         if self.source in FIELDS:
             rows = np.min(rows, axis=-1, where=np.isfinite(rows), initial=np.inf)
             rows = np.where(np.isfinite(rows), rows, np.nan)
-        found = np.full((len(table), *rows.shape[1:]), np.nan)
-        found[some] = rows
-        return found
+        values = np.full((len(table), *rows.shape[1:]), np.nan)
+        values[some] = rows
+        return values
 
 
-def _final(name: str, source: Variable, meaning: str = "") -> Final:
+def _end_value(name: str, source: Variable, meaning: str = "") -> EndValue:
     axis = axis_of(source)
     stored = replace(
         source, name=f"final_{name}", dimensions=("case", axis) if axis else ("case",),
         integer=False, meaning=meaning or f"{source.meaning}, at the last stored step",
     )  # fmt: skip
-    return Final(name, source.name, stored)
+    return EndValue(name, source.name, stored)
 
 
-def _stress(source: Variable) -> Final:
+def _stress(source: Variable) -> EndValue:
     meaning = f"{source.meaning}, at the last time that it is stored of"
-    return replace(_final(source.name, source, meaning), smooth=source.unit == "MPa")
+    end_value = _end_value(source.name, source, meaning)
+    return replace(end_value, smooth=source.unit == "MPa")
 
 
-def _of_layers() -> Iterable[Final]:
+def _of_layers() -> Iterable[EndValue]:
     bodies = (LAYER_VOLUMES, LAYER_HISTORIES, TIMES_THROUGH, LAYER_PROFILES)
     for volumes, share, time, left in zip(*(table.values() for table in bodies), strict=True):
-        yield _final(volumes.name, volumes)
-        yield _final(share.name, share)
-        yield Final(time.name, time.name, replace(time, dimensions=("case",)))
-        yield _final(f"least_{left.name}", left, f"least {left.meaning}, at the last stored step")
+        yield _end_value(volumes.name, volumes)
+        yield _end_value(share.name, share)
+        yield EndValue(time.name, time.name, replace(time, dimensions=("case",)))
+        least = f"least {left.meaning}, at the last stored step"
+        yield _end_value(f"least_{left.name}", left, least)
 
 
 #: in the order of the table
-FINALS = {
-    final.name: final
-    for final in (
-        *(_final(name, HISTORIES[name]) for name in FINAL),
+END_VALUES = {
+    end_value.name: end_value
+    for end_value in (
+        *(_end_value(name, HISTORIES[name]) for name in MAIN_END_VALUES),
         *_of_layers(),
         *map(_stress, STRESS.values()),
     )
 }
-#: of each stored variable, what it tells
-BY_SOURCE = {final.source: final for final in FINALS.values()}
-#: tells which states have stress
-STRESS_ASKED = MAX_MISES[0].name
+#: by the variable that each is taken of
+BY_SOURCE = {end_value.source: end_value for end_value in END_VALUES.values()}
+#: the variable that is finite at the states with stress
+STRESS_STATES = MAX_MISES[0].name
 
 
-def entry_of(name: str) -> tuple[Final, str]:
-    """Return what a number is one of, and which, "" for one that stands alone."""
-    found = _ENTRY.fullmatch(name)
-    return (FINALS[found[1]], found[2]) if found else (FINALS[name], "")
+def end_value_of(name: str) -> tuple[EndValue, str]:
+    """Return the end value that a column is of, and its entry, "" where it has but one."""
+    match = _ENTRY.fullmatch(name)
+    return (END_VALUES[match[1]], match[2]) if match else (END_VALUES[name], "")
 
 
-def entries(final: Final, values: FloatArray) -> dict[str, FloatArray]:
+def entries(end_value: EndValue, values: FloatArray) -> dict[str, FloatArray]:
     """Return numbers of cases by their names, the last axis of those that have one taken apart."""
-    if not axis_of(final.stored):
-        return {final.name: values}
-    names = entries_of(final.stored, values.shape[-1])
-    return {f"{final.name}[{name}]": values[..., i] for i, name in enumerate(names)}
+    if not axis_of(end_value.stored):
+        return {end_value.name: values}
+    names = entry_names(end_value.stored, values.shape[-1])
+    return {f"{end_value.name}[{name}]": values[..., i] for i, name in enumerate(names)}
 
 
-def last_asked(table: FloatArray) -> IntArray:
+def last_with_stress(table: FloatArray) -> IntArray:
     """Return the last row of each case that has stress, -1 for none.
 
     Parameters
     ----------
-    table : (cases, rows) of ``STRESS_ASKED``.
+    table : (cases, rows) of ``STRESS_STATES``.
     """
-    there = np.isfinite(table)
-    last: IntArray = table.shape[1] - 1 - there[:, ::-1].argmax(axis=1)
-    return np.where(there.any(axis=1), last, -1)
+    finite = np.isfinite(table)
+    last: IntArray = table.shape[1] - 1 - finite[:, ::-1].argmax(axis=1)
+    return np.where(finite.any(axis=1), last, -1)
 
 
-class Shown(NamedTuple):
+class Display(NamedTuple):
     """How a number is drawn: times a factor, and under which name, with its unit."""
 
     factor: float
@@ -150,57 +152,57 @@ class Shown(NamedTuple):
 
 
 _BODY = {
-    "worn_volume": Shown(1.0, "worn volume", _MM3),
-    "share_through": Shown(100.0, "share worn through", "%"),
-    "time_through": Shown(1.0, "worn through from", "s"),
-    "least_layer_left": Shown(1e3, "least left of layers", _UM),
+    "worn_volume": Display(1.0, "worn volume", _MM3),
+    "share_through": Display(100.0, "share worn through", "%"),
+    "time_through": Display(1.0, "worn through from", "s"),
+    "least_layer_left": Display(1e3, "least left of layers", _UM),
 }
-_SHOWN = {
-    "penetration": Shown(1e3, "penetration", _UM),
-    "max_mises": Shown(1.0, "largest von Mises stress", "MPa"),
-    "max_mises_r": Shown(1.0, "its radius", "mm"),
-    "max_mises_z": Shown(1.0, "its height", "mm"),
-    "max_mises_layer": Shown(1.0, "its layer", "1"),
-    "mises": Shown(1.0, "von Mises stress", "MPa"),
-    "max_shear": Shown(1.0, "largest shear stress", "MPa"),
+_DISPLAYS = {
+    "penetration": Display(1e3, "penetration", _UM),
+    "max_mises": Display(1.0, "largest von Mises stress", "MPa"),
+    "max_mises_r": Display(1.0, "its radius", "mm"),
+    "max_mises_z": Display(1.0, "its height", "mm"),
+    "max_mises_layer": Display(1.0, "its layer", "1"),
+    "mises": Display(1.0, "von Mises stress", "MPa"),
+    "max_shear": Display(1.0, "largest shear stress", "MPa"),
     **{
-        f"{name}_{body}": shown._replace(name=f"{shown.name}, {body}")
-        for name, shown in _BODY.items()
+        f"{name}_{body}": display._replace(name=f"{display.name}, {body}")
+        for name, display in _BODY.items()
         for body in ("lower", "upper")
     },
     **{
-        name: told._replace(name=f"{told.name}, {body}")
-        for table, told in (
-            (LAYER_VOLUMES, Shown(1.0, "worn volume", _MM3)),
-            (LAYER_STRESS, Shown(1.0, "largest von Mises stress", "MPa")),
+        name: display._replace(name=f"{display.name}, {body}")
+        for table, display in (
+            (LAYER_VOLUMES, Display(1.0, "worn volume", _MM3)),
+            (LAYER_STRESS, Display(1.0, "largest von Mises stress", "MPa")),
         )
         for name, body in zip(table, ("lower", "upper"), strict=True)
     },
 }
 
 
-def shown(name: str) -> Shown:
+def display_of(name: str) -> Display:
     """Return how a number is drawn."""
-    final, entry = entry_of(name)
-    found = _SHOWN[final.name]
+    end_value, entry = end_value_of(name)
+    display = _DISPLAYS[end_value.name]
     if not entry:
-        return found
-    return found._replace(name=f"{found.name}, {told_entry(final.stored, entry)}")
+        return display
+    return display._replace(name=f"{display.name}, {entry_label(end_value.stored, entry)}")
 
 
 def final_name(name: str) -> str:
-    """Return what sentences call a number."""
-    return f"final {shown(name).name}"
+    """Return the name of a number in sentences."""
+    return f"final {display_of(name).name}"
 
 
-def drawn(final: Mapping[str, Any], cases: Any) -> list[str]:
-    """Return which numbers of some cases figures show.
+def figure_columns(final: Mapping[str, Any], cases: Any) -> list[str]:
+    """Return the numbers of some cases that figures draw.
 
     Volumes of bodies that wear in some of them, or of the lower one; shares worn through, where
     there are some; the largest stress. Numbers of each layer and point would make figures that
     nobody reads.
     """
-    worn = [name for name in FINAL[1:] if np.nan_to_num(final[name][cases]).any()]
+    worn = [name for name in MAIN_END_VALUES[1:] if np.nan_to_num(final[name][cases]).any()]
     through = [name for name in LAYER_HISTORIES if np.nan_to_num(final.get(name, [])).any()]
-    stress = [STRESS_ASKED] if STRESS_ASKED in final else []
+    stress = [STRESS_STATES] if STRESS_STATES in final else []
     return ["penetration", *(worn or ["worn_volume_lower"]), *through, *stress]

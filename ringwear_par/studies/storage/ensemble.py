@@ -22,16 +22,14 @@ from ringwear_par.results.storage.hdf5 import (
 )
 from ringwear_par.results.variables import HISTORIES, LINE, Variable
 from ringwear_par.studies.definition.variations import path_of, read_variations
-from ringwear_par.studies.storage.end_values import FINAL, FINALS, entries
-from ringwear_par.studies.storage.index import split_flags
-from ringwear_par.studies.storage.results_file import (
+from ringwear_par.studies.storage.end_values import END_VALUES, MAIN_END_VALUES, entries
+from ringwear_par.studies.storage.results_file import FILE_KIND, RESULTS, SOFTWARE, split_flags
+from ringwear_par.studies.storage.stored_variables import (
+    AT_STATES,
+    FIELDS,
     OF_CASES,
-    RESULTS,
-    SOFTWARE,
-    WHAT,
     over_cases,
 )
-from ringwear_par.studies.storage.stored_variables import FIELDS, ROWS
 
 if TYPE_CHECKING:
     import xarray
@@ -51,7 +49,7 @@ class Ensemble:
     varied : values by varied key, (cases,) float, or str where they are not numbers.
     final : last stored values by name, (cases,) float, see ``finals``; NaN where nothing is stored.
     attributes : of the file: ``method`` of the design, ``study``, ``status``, versions.
-    flags : what makes the answer of a case doubtful, (cases,).
+    flags : reasons to doubt the answer of a case, (cases,).
     """
 
     path: Path
@@ -78,9 +76,9 @@ class Ensemble:
             return {}
         varied = read_variations("study", vary, str(design.get("method", "grid")), [])
         return {
-            each.name: (each.spacing == "log", (each.values[0], each.values[1]))
-            for each in varied
-            if each.spacing != "values"
+            variation.name: (variation.spacing == "log", (variation.values[0], variation.values[1]))
+            for variation in varied
+            if variation.spacing != "values"
         }
 
     def histories(self, name: str, cases: IntArray) -> FloatArray:
@@ -90,9 +88,9 @@ class Ensemble:
         ------
         InputError : the file is damaged.
         """
-        with reading(self.path, SOFTWARE, WHAT) as file:
+        with reading(self.path, SOFTWARE, FILE_KIND) as file:
             sizes = {"case": len(self.ids)}
-            return find_array(file, over_cases(ROWS[name]), sizes)[cases]
+            return find_array(file, over_cases(AT_STATES[name]), sizes)[cases]
 
     def text(self, case: int) -> str:
         """Read a case as a case file.
@@ -101,7 +99,7 @@ class Ensemble:
         ------
         InputError : the file is damaged.
         """
-        with reading(self.path, SOFTWARE, WHAT) as file:
+        with reading(self.path, SOFTWARE, FILE_KIND) as file:
             return read_text(find_texts(file, "case_toml", {"case": len(self.ids)})[case])
 
     def profiles(self, name: str, cases: IntArray) -> FloatArray | None:
@@ -115,7 +113,7 @@ class Ensemble:
         InputError : the file is damaged.
         """
         variable = {**LINE, **FIELDS}[name]
-        with reading(self.path, SOFTWARE, WHAT) as file:
+        with reading(self.path, SOFTWARE, FILE_KIND) as file:
             if name not in file:
                 return None
             if name in FIELDS and file[name].ndim == 2:
@@ -140,7 +138,7 @@ def read_ensemble(folder: Path) -> Ensemble:
             f"{path}: does not exist; must be written by ringwear sweep (without --slice), which "
             "goes on where it was interrupted"
         )
-    with reading(path, SOFTWARE, WHAT) as file:
+    with reading(path, SOFTWARE, FILE_KIND) as file:
         sizes: dict[str, int] = {}
         ids, status, error, in_study = (
             tuple(map(read_text, find_texts(file, name, sizes)[:]))
@@ -164,17 +162,15 @@ def read_ensemble(folder: Path) -> Ensemble:
 
 def _final(file: h5py.File, sizes: dict[str, int]) -> dict[str, FloatArray]:
     """Return the last values that all cases have, and those others that are stored."""
-    found: dict[str, FloatArray] = {}
-    for final in FINALS.values():
-        if final.name in FINAL or final.stored.name in file:
-            found |= entries(final, read_array(file, final.stored, sizes))
-    return found
+    columns: dict[str, FloatArray] = {}
+    for end_value in END_VALUES.values():
+        if end_value.name in MAIN_END_VALUES or end_value.stored.name in file:
+            columns |= entries(end_value, read_array(file, end_value.stored, sizes))
+    return columns
 
 
 def _flags(file: h5py.File, sizes: dict[str, int]) -> tuple[tuple[str, ...], ...]:
-    """Return the flags of each case, none where the file is older than they are."""
-    if "flags" not in file:
-        return ((),) * sizes["case"]
+    """Return the flags of each case."""
     return tuple(split_flags(read_text(text)) for text in find_texts(file, "flags", sizes)[:])
 
 

@@ -1,8 +1,8 @@
-"""What a sweep has computed while it is at work: one file a team, blocks of cases end to end.
+"""Shards: the cases of a sweep at work, one file a team, blocks of cases end to end.
 
 Blocks are added at the end, and never changed. A case is done once its block is written: a process
-that is killed loses the block that it was writing; what a power failure can take is what was
-written in the last second. The headers of the blocks are the index (see ``blocks``).
+that is killed loses the block that it was writing; a power failure can take the blocks of the last
+second. The headers of the blocks are the index (see ``blocks``).
 """
 
 import fcntl
@@ -12,15 +12,20 @@ import shutil
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.files.ordinary import open_ordinary
 from ringwear_par.files.writing import atomic_write
-from ringwear_par.studies.storage.blocks import MARKER, Block, PackedBlock, is_torn, unpack_header
-from ringwear_par.studies.storage.index import DamagedError, Index, join
+from ringwear_par.studies.storage.blocks import (
+    MARKER,
+    Block,
+    DamagedError,
+    PackedBlock,
+    is_torn,
+    unpack_header,
+)
 
 _SYNC_SECONDS = 1.0
 #: how long to wait for processes of a killed sweep to end, and between two looks
@@ -119,18 +124,17 @@ class Shard:
         self.close()
 
 
-@dataclass(frozen=True, eq=False)
-class ShardContents:
+class ShardContents(NamedTuple):
     """The cases of a shard.
 
     Parameters
     ----------
-    index : of its good blocks.
+    blocks : its good ones.
     damaged : how many stretches of the file are no good blocks.
     end : where the last good block ends; behind it, if anything, is one that was cut off.
     """
 
-    index: Index
+    blocks: tuple[PackedBlock, ...]
     damaged: int
     end: int
 
@@ -146,45 +150,35 @@ def read_shard(path: Path) -> ShardContents | None:
     """
     if not path.is_file():  # a pipe may keep its reader waiting
         return None
-    parts: list[Index] = []
-    damaged = end = 0
-    for begin, block in _scan(path):
-        if isinstance(block, bytes):
-            if is_torn(block):
-                return ShardContents(join(parts), damaged, begin)
-            damaged += 1
-        else:
-            parts.append(block[1])
-            end = block[0].stop
-    return None if damaged and not parts else ShardContents(join(parts), damaged, end)
-
-
-def _scan(path: Path) -> Iterator[tuple[int, bytes | tuple[PackedBlock, Index]]]:
-    """Yield where each block begins, with its index, and stretches that are none, in their order.
-
-    Of these what tells whether they are the beginning of a block.
-    """
+    blocks: list[PackedBlock] = []
+    damaged = end = at = 0
     try:
-        with open_ordinary(path) as file:
-            _lock(file, path, fcntl.LOCK_SH)
-            if not os.fstat(file.fileno()).st_size:
-                return
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-                at = 0
-                while at < len(content):
-                    begin = at
-                    while (block := unpack_header(content, at, path)) is None:
-                        at = content.find(MARKER, at + 1)
-                        if at < 0:
-                            at = len(content)
-                            break
-                    if at > begin:
-                        yield begin, content[begin:at] if block is None else b"\0"
-                    if block is not None:
-                        yield at, block
-                        at = block[0].stop
+        with open_ordinary(path) as file, _mapped(file, path) as content:
+            while at < len(content):
+                block = unpack_header(content, at, path)
+                if block is not None:
+                    damaged += at > end
+                    blocks.append(block)
+                    at = end = block.stop
+                else:
+                    at = content.find(MARKER, at + 1)
+                    if at < 0:
+                        damaged += not is_torn(content[end:])
+                        break
     except OSError as error:
         raise ComputationError(f"{path}: cannot be read: {error.strerror or error}") from error
+    return None if damaged and not blocks else ShardContents(tuple(blocks), damaged, end)
+
+
+@contextmanager
+def _mapped(file: BinaryIO, path: Path) -> Iterator[Any]:
+    """Give the contents of a shard, locked, without reading them."""
+    _lock(file, path, fcntl.LOCK_SH)
+    if not os.fstat(file.fileno()).st_size:  # nothing is mapped of an empty file
+        yield b""
+        return
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        yield content
 
 
 def cut(path: Path, end: int) -> None:
@@ -205,25 +199,23 @@ def drop_damaged_blocks(path: Path, copy: Path) -> bool:
 
     Parameters
     ----------
-    copy : name of a copy of what there was.
+    copy : name of a copy of the damaged file.
 
     Raises
     ------
     ComputationError : the file cannot be read or written.
     """
-    good, size = [], 0
-    for begin, block in _scan(path):
-        if not isinstance(block, bytes):
-            with suppress(DamagedError):  # of its data
-                block[0].check()
-                good.append((begin, block[0].stop))
-                size += block[0].stop - begin
-    if size == path.stat().st_size:
+    contents, good = read_shard(path), list[PackedBlock]()
+    for block in contents.blocks if contents is not None else ():
+        with suppress(DamagedError):  # of its data
+            block.check()
+            good.append(block)
+    if sum(block.stop - block.begin for block in good) == path.stat().st_size:
         return False
     with _reporting_unwritable(path):
         shutil.copy(path, copy)
         with copy.open("rb") as source, atomic_write(path) as name, name.open("wb") as target:
-            for begin, stop in good:
-                source.seek(begin)
-                target.write(source.read(stop - begin))
+            for block in good:
+                source.seek(block.begin)
+                target.write(source.read(block.stop - block.begin))
     return True

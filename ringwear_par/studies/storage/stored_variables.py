@@ -1,9 +1,7 @@
-"""What a sweep stores of each case, by the axes that it runs over.
-
-Beside what every case has, there is what cases with layers have, and those with [stress].
-"""
+"""The variables of a sweep's files, in one table: of its cases, and of each case over them all."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from ringwear_par.results.variables import (
@@ -15,32 +13,58 @@ from ringwear_par.results.variables import (
     LAYER_STRESS,
     LAYER_VOLUMES,
     LINE,
+    POINT,
     POINT_STRESS,
     POINTS,
     PROFILES,
+    STEP,
     TIMES_THROUGH,
     UPPER_LAYER,
     Variable,
 )
 
-#: at each stored state a number, or one a layer or point: padded with NaN where cases have others
+#: at the stored states that stress is computed for
 STRESS = {**LARGEST_STRESS, **LAYER_STRESS, **POINT_STRESS}
-ROWS = {**HISTORIES, **LAYER_HISTORIES, **LAYER_VOLUMES, **STRESS}
+#: at each stored state a number, or one a layer or point: padded with NaN where cases have others
+AT_STATES = {**HISTORIES, **LAYER_HISTORIES, **LAYER_VOLUMES, **STRESS}
 #: along the contact line, at each stored state or at the last one
 FIELDS = {**PROFILES, **LAYER_PROFILES}
 #: a number of each case, or one a point
-EACH = {**TIMES_THROUGH, **POINTS}
-_NUMBERS = {**ROWS, **EACH}
-#: what not all cases have
-OPTIONAL = tuple(name for name in (*FIELDS, *ROWS, *EACH) if name not in HISTORIES)
+OF_A_CASE = {**TIMES_THROUGH, **POINTS}
+#: the stored variables of a case's history; all but ``HISTORIES`` are of some cases only
+STORED = {**AT_STATES, **LINE, **FIELDS, **OF_A_CASE}
+#: and the numbers of the steps, which all cases of a file may have in common
+COLUMNS = {STEP.name: STEP, **STORED}
+
+#: variables of results.h5 with dimension (case,)
+OF_CASES = {
+    variable.name: variable
+    for variable in (
+        Variable("case_toml", ("case",), "1", "the case as a case file"),
+        Variable("status", ("case",), "1", "done, failed or incomplete"),
+        Variable("error", ("case",), "1", "why the case failed"),
+        Variable("in_study", ("case",), "1", "whether the study still has the case"),
+        Variable("version", ("case",), "1", "version of ringwear-par that computed the case"),
+        Variable("flags", ("case",), "1", "what makes the answer doubtful, separated by commas"),
+        Variable("seconds", ("case",), "s", "wall time of the case"),
+        Variable(
+            "imbalance", ("case",), "1",
+            "worst balance of force, volume, energy or KKT residual of its steps",
+        ),
+        Variable("steps_stored", ("case",), "1", "number of stored steps", integer=True),
+        Variable("elements", ("case",), "1", "number of contact elements", integer=True),
+    )
+}  # fmt: skip
+
 #: axes beside those of steps and elements, and their coordinates
-AXES = {
-    LAYER.name: LAYER,
-    UPPER_LAYER.name: UPPER_LAYER,
-    "point": Variable("point", ("point",), "1", "point of stress.points", integer=True),
-}
+AXES = {axis.name: axis for axis in (LAYER, UPPER_LAYER, POINT)}
 #: in the place of a layer's number, since cases of a sweep may have other numbers of layers
 BODY = "body"
+
+
+def over_cases(variable: Variable) -> Variable:
+    """Return a variable of one case as the results of all have it, padded with NaN."""
+    return replace(variable, dimensions=("case", *variable.dimensions), integer=False)
 
 
 def axis_of(variable: Variable) -> str:
@@ -53,36 +77,31 @@ def has_layers(variable: Variable) -> bool:
     return axis_of(variable) in (LAYER.name, UPPER_LAYER.name)
 
 
-def entries_of(variable: Variable, size: int) -> tuple[str, ...]:
+def entry_names(variable: Variable, size: int) -> tuple[str, ...]:
     """Return the names of the numbers of a variable with such an axis."""
     numbers = tuple(map(str, range(size)))
     return (*numbers[:-1], BODY) if has_layers(variable) else numbers
 
 
-def told_entry(variable: Variable, entry: str) -> str:
-    """Return what one of the numbers of a variable with such an axis is called."""
+def entry_label(variable: Variable, entry: str) -> str:
+    """Return the name in sentences of one of the numbers of a variable with such an axis."""
     if entry == BODY:
         return "the body itself"
     return f"{axis_of(variable).removesuffix('_upper')} {entry}"
 
 
-def sizes_of(arrays: Mapping[str, Any]) -> dict[str, int]:
-    """Return the sizes of such axes of a case's arrays, or of those of cases of one pair."""
-    return {
-        axis: int(values.shape[-1])
-        for name, values in arrays.items()
-        if name in _NUMBERS and (axis := axis_of(_NUMBERS[name]))
-    }
+def sizes_of(columns: Mapping[str, Any]) -> dict[str, int]:
+    """Return the sizes of all axes but those of cases and steps of some columns."""
+    sizes: dict[str, int] = {}
+    for name, values in columns.items():
+        sizes.update(zip(_axes(name), values.shape[-1:], strict=False))
+    return sizes
 
 
-def is_wide(name: str) -> bool:
-    """Tell whether a variable has more than a number at each state, or of each case."""
-    variable = _NUMBERS.get(name)
-    return name in FIELDS or name in LINE or (variable is not None and bool(axis_of(variable)))
+def shape_of(name: str, sizes: Mapping[str, int]) -> tuple[int, ...]:
+    """Return the shape of a variable at one state, or of one case."""
+    return tuple(sizes[axis] for axis in _axes(name))
 
 
-def width(name: str, elements: int, sizes: Mapping[str, int]) -> int:
-    """Return how many numbers a variable has at each state, or of each case."""
-    if not is_wide(name):
-        return 1
-    return elements if name in FIELDS or name in LINE else sizes[axis_of(_NUMBERS[name])]
+def _axes(name: str) -> tuple[str, ...]:
+    return tuple(axis for axis in COLUMNS[name].dimensions if axis != "step")

@@ -50,7 +50,9 @@ def keys_of(path, tables):
 def in_schema(table):
     """Return the keys of a table that the schema has."""
     paths = [key.path.removeprefix(table) for key in KEYS if key.path.startswith(table)]
-    return {re.sub(r"^(parameters|data|vary|budget|nuisance|sd)\..*", r"\1", p) for p in paths}
+    return {
+        re.sub(r"^(parameters|scatter|data|vary|budget|nuisance|sd)\..*", r"\1", p) for p in paths
+    }
 
 
 @pytest.mark.parametrize(

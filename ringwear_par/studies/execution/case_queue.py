@@ -1,4 +1,4 @@
-"""The scheduler of a sweep: teams of ranks draw cases from a board that rank 0 keeps.
+"""The queue of a sweep: teams of ranks draw cases from it; rank 0 has it.
 
 Every team first takes whole groups of cases, longest first, so that an operator is assembled once,
 by the team that takes its group. When no group is left untaken, a team that is free helps with the
@@ -6,14 +6,15 @@ group that has most cases left.
 
 Rank 0 computes cases like all others, and answers them between two steps of its own. Questions with
 answers work on every network; memory that other ranks change without rank 0's doing does not (Open
-MPI 4 offers it over TCP and fails). A team asks for as many cases at once as keep it busy for some
+MPI 4 offers it over TCP and fails). A team draws as many cases at once as keep it busy for some
 time, fewer towards the end, so that waiting for an answer costs little; but not very few, as cases
-that go side by side take hardly longer than one. The first cases are dealt without a question: rank
-0 may be in the middle of its first assembly.
+that step side by side take less time each (64 elements: 3.4 ms of 64, 1.7 of 256, 1.2 of 1,024).
+The first cases are dealt without a question: rank 0 may be in the middle of its first assembly.
 """
 
 import time
 from collections.abc import Callable, Sequence
+from enum import IntEnum, auto
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,17 +22,23 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import IntArray
 
-#: what a team is to be busy for with what it draws, s; it may be so much longer with twice as many
-#: as before: cases that go side by side take less time each; and what is not divided any more
-_BUSY_SECONDS, _LONGEST_SECONDS, _LEAST_SECONDS = 0.5, 2.0, 0.1
-#: how long who waits for an answer sleeps between two looks
+#: how long the cases that a team draws are to take, s; it may be so much longer with twice as many
+#: as before: cases that step side by side take less time each; and how short they may become
+_BUSY_SECONDS, _LONGEST_SECONDS, _LEAST_SECONDS = 0.5, 2.0, 0.3
+#: how long a rank that waits for an answer sleeps between two looks
 _NAP_SECONDS = 0.0005
-#: questions: more cases, nobody to draw any more, whether that is so
-_DRAW, _STOP, _LOOK = range(3)
-_QUESTION, _ANSWER = 1, 2
+_QUESTION_TAG, _ANSWER_TAG = 1, 2
 
 
-class Cases(NamedTuple):
+class _Question(IntEnum):
+    """A question to rank 0: more cases, nobody to draw any more, whether that is so."""
+
+    DRAW = auto()
+    STOP = auto()
+    LOOK = auto()
+
+
+class Stretch(NamedTuple):
     """Some cases of a group, from a place in it on."""
 
     group: int
@@ -39,17 +46,17 @@ class Cases(NamedTuple):
     number: int
 
 
-_NOTHING = Cases(0, 0, 0)
+_NO_CASES = Stretch(0, 0, 0)
 
 
-class Board:
-    """Which cases are drawn, and what became of them.
+class CaseQueue:
+    """Which cases are drawn, and how many have ended.
 
     Parameters
     ----------
     sizes : number of cases to be computed of each group.
     teams : that draw.
-    seconds : about what a case of each group takes, until it is known.
+    seconds : estimate for a case of each group, until its time is known.
     """
 
     def __init__(
@@ -57,31 +64,33 @@ class Board:
     ) -> None:
         self._sizes = np.array(sizes, dtype=np.int64)
         self._left, self._ended = self._sizes.copy(), np.zeros_like(self._sizes)
-        self._mean, self._drawn = np.array(seconds, dtype=float), np.zeros_like(self._sizes)
+        self._seconds, self._drawn = np.array(seconds, dtype=float), np.zeros_like(self._sizes)
         self._all_left, self._untaken = int(self._sizes.sum()), 0
-        self._teams = teams
+        self._teams, self._largest_share = teams, -(-self._all_left // teams)
+        #: number of cases whose seconds are known best
+        self._timed = np.zeros_like(self._sizes)
         self._groups: dict[int, int] = {}
         self.done, self.failed, self.stopped = 0, 0, False
 
-    def draw(self, team: int) -> Cases | None:
+    def draw(self, team: int) -> Stretch | None:
         """Return cases that nobody else draws; None if none are left, or all are to stop."""
         if self.stopped or not self._all_left:
             return None
         group = self._groups.get(team)
         if group is None or not self._left[group]:
             group = self._groups[team] = self._next_group()
-        left, mean = int(self._left[group]), max(float(self._mean[group]), _NAP_SECONDS)
+        left, seconds = int(self._left[group]), max(float(self._seconds[group]), _NAP_SECONDS)
         share = left
         # as long as there are other groups to take, teams need not share this one
         if self._untaken == len(self._sizes) and self._teams > 1:
-            own = -(-self._all_left // self._teams)
-            share = max(own // 2, min(own, int(_LEAST_SECONDS / mean)))
-        twice = min(2 * int(self._drawn[group]), int(_LONGEST_SECONDS / mean))
-        number = max(min(left, share, max(int(_BUSY_SECONDS / mean), twice)), 1)
+            of_team = -(-self._all_left // self._teams)
+            share = max(of_team // 2, min(self._largest_share, int(_LEAST_SECONDS / seconds)))
+        twice = min(2 * int(self._drawn[group]), int(_LONGEST_SECONDS / seconds))
+        number = max(min(left, share, max(int(_BUSY_SECONDS / seconds), twice)), 1)
         self._drawn[group] = number
         self._left[group] -= number
         self._all_left -= number
-        return Cases(group, int(self._sizes[group]) - left, number)
+        return Stretch(group, int(self._sizes[group]) - left, number)
 
     def _next_group(self) -> int:
         while self._untaken < len(self._sizes):
@@ -93,16 +102,21 @@ class Board:
 
     def count(self, group: int, done: int, failed: int, seconds: float) -> bool:
         """Count cases that have ended; tell whether they were the last of their group."""
+        ended = done + failed
+        if not ended:
+            return False
         self.done += done
         self.failed += failed
-        self._ended[group] += done + failed
-        if done + failed:  # of late: cases that go side by side take less than a first one
-            self._mean[group] = seconds / (done + failed)
-        return bool(done + failed) and self._ended[group] == self._sizes[group]
+        self._ended[group] += ended
+        if ended >= self._timed[group]:
+            self._seconds[group], self._timed[group] = seconds / ended, ended
+        else:  # fewer cases side by side take more time each, which says nothing of many
+            self._seconds[group] = min(self._seconds[group], seconds / ended)
+        return bool(self._ended[group] == self._sizes[group])
 
 
-class Scheduler:
-    """Draws cases on the first rank of each team; the board is on rank 0 of a communicator.
+class SharedQueue:
+    """The queue as every rank has it: the first rank of each team draws, rank 0 answers.
 
     Making and destroying it is collective. Rank 0 has to ``serve`` as long as others may ask.
 
@@ -111,7 +125,7 @@ class Scheduler:
     sizes : number of cases to be computed of each group.
     comm : communicator.
     teams : into which it is divided.
-    seconds : about what a case of each group takes.
+    seconds : estimate for a case of each group.
     group_ended : called on rank 0 with the number of a group whose last case has ended.
     """
 
@@ -124,22 +138,22 @@ class Scheduler:
         group_ended: Callable[[int], None],
     ) -> None:
         self._comm = comm.Dup()  # no message of anybody else
-        board = Board(sizes, teams, seconds)  # as it begins, every rank knows it
-        dealt = {leader: board.draw(leader) for leader in range(0, comm.size, comm.size // teams)}
-        self._board = board if comm.rank == 0 else None
+        queue = CaseQueue(sizes, teams, seconds)  # as it begins, every rank knows it
+        dealt = {leader: queue.draw(leader) for leader in range(0, comm.size, comm.size // teams)}
+        self._queue = queue if comm.rank == 0 else None
         self._group_ended, self._status = group_ended, MPI.Status()
-        self._dealt, self._group = dealt.get(comm.rank) or _NOTHING, 0
+        self._dealt, self._group = dealt.get(comm.rank) or _NO_CASES, 0
         self._stopped = False
         self._done, self._failed, self._seconds = 0, 0, 0.0
 
-    def draw(self) -> Cases | None:
+    def draw(self) -> Stretch | None:
         """Return some cases of a group that nobody else draws. Not collective.
 
-        None if there are none left, or all are asked to stop.
+        None if there are none left, or all are to stop.
         """
         if not self._dealt.number and not self._stopped:
-            self._ask(_DRAW)
-        drawn, self._dealt = self._dealt, _NOTHING
+            self._ask(_Question.DRAW)
+        drawn, self._dealt = self._dealt, _NO_CASES
         self._group = drawn.group
         return drawn if drawn.number and not self._stopped else None
 
@@ -149,29 +163,29 @@ class Scheduler:
         self._failed += failed
         self._seconds += seconds
 
-    def ask_to_stop(self) -> None:
+    def stop(self) -> None:
         """Let nobody draw any more. Not collective."""
         if not self._stopped or self._done + self._failed:
-            self._ask(_STOP)
+            self._ask(_Question.STOP)
 
     @property
     def stopped(self) -> bool:
-        """Whether somebody asked to stop."""
+        """Whether nobody is to draw any more."""
         if not self._stopped:
-            self._ask(_LOOK)
+            self._ask(_Question.LOOK)
         return self._stopped
 
     def ended(self) -> tuple[int, int]:
         """Return how many cases are done, and how many have failed: (0, 0) but on rank 0."""
-        return (0, 0) if self._board is None else (self._board.done, self._board.failed)
+        return (0, 0) if self._queue is None else (self._queue.done, self._queue.failed)
 
     def serve(self, _: Any = None) -> bool:
-        """Answer whoever has asked, on rank 0: an observer of its histories. Not collective."""
-        if self._board is not None and self._comm.size > 1:
-            while self._comm.Iprobe(MPI.ANY_SOURCE, _QUESTION, self._status):
+        """Answer questions of other ranks, on rank 0: an observer. Not collective."""
+        if self._queue is not None and self._comm.size > 1:
+            while self._comm.Iprobe(MPI.ANY_SOURCE, _QUESTION_TAG, self._status):
                 source, question = self._status.Get_source(), np.empty(5, dtype=np.int64)
-                self._comm.Recv(question, source, _QUESTION)
-                self._comm.Send(self._answer(source, question), source, _ANSWER)
+                self._comm.Recv(question, source, _QUESTION_TAG)
+                self._comm.Send(self._answer(source, question), source, _ANSWER_TAG)
         return False
 
     def wait_for_all(self, meanwhile: Callable[[], None]) -> None:
@@ -179,14 +193,14 @@ class Scheduler:
 
         Parameters
         ----------
-        meanwhile : called now and then; may ask to stop.
+        meanwhile : called now and then; may stop all.
         """
         everybody = self._comm.Ibarrier()
         while not everybody.Test():
             self.serve()
             meanwhile()
             time.sleep(_NAP_SECONDS)
-        # what was asked until then is still to be answered
+        # questions until then are still to be answered
         everybody = self._comm.Ibarrier()
         while not everybody.Test():
             self.serve()
@@ -196,31 +210,31 @@ class Scheduler:
         """Free the communicator. Collective."""
         self._comm.Free()
 
-    def _ask(self, what: int) -> None:
-        """Tell what has ended since; note what rank 0 answers."""
+    def _ask(self, kind: _Question) -> None:
+        """Say how many cases have ended since; note the answer of rank 0."""
         ended = self._done, self._failed, round(1e6 * self._seconds)
-        question = np.array([what, self._group, *ended], dtype=np.int64)
-        if self._board is not None:
+        question = np.array([kind, self._group, *ended], dtype=np.int64)
+        if self._queue is not None:
             answer = self._answer(0, question)
         else:
             answer = np.empty(4, dtype=np.int64)
-            answered = self._comm.Irecv(answer, 0, _ANSWER)
-            self._comm.Send(question, 0, _QUESTION)
+            answered = self._comm.Irecv(answer, 0, _ANSWER_TAG)
+            self._comm.Send(question, 0, _QUESTION_TAG)
             while not answered.Test():
                 time.sleep(_NAP_SECONDS)
         self._done, self._failed, self._seconds = 0, 0, 0.0
         *drawn, stopped = answer.tolist()
         self._stopped = bool(stopped)
-        if what == _DRAW:
-            self._dealt = Cases(*drawn)
+        if kind == _Question.DRAW:
+            self._dealt = Stretch(*drawn)
 
     def _answer(self, rank: int, question: IntArray) -> IntArray:
-        """Return the answer to a rank: what it has drawn, and whether all are to stop."""
-        board = self._board
-        assert board is not None
-        what, group, done, failed, microseconds = question.tolist()
-        if done + failed and board.count(group, done, failed, 1e-6 * microseconds):
+        """Return the answer to a rank: the cases that it has drawn, and whether all are to stop."""
+        queue = self._queue
+        assert queue is not None
+        kind, group, done, failed, microseconds = question.tolist()
+        if done + failed and queue.count(group, done, failed, 1e-6 * microseconds):
             self._group_ended(group)
-        board.stopped |= what == _STOP
-        drawn = board.draw(rank) if what == _DRAW else None
-        return np.array([*(drawn or _NOTHING), board.stopped], dtype=np.int64)
+        queue.stopped |= kind == _Question.STOP
+        drawn = queue.draw(rank) if kind == _Question.DRAW else None
+        return np.array([*(drawn or _NO_CASES), queue.stopped], dtype=np.int64)

@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import pytest
 
-from ringwear_par.studies.execution import scheduling
-from ringwear_par.studies.execution.scheduling import Board, Cases, Scheduler
+from ringwear_par.studies.execution import case_queue
+from ringwear_par.studies.execution.case_queue import CaseQueue, SharedQueue, Stretch
 
 
 @pytest.fixture
@@ -15,7 +15,7 @@ def scheduler(comm):
 
     def scheduler(sizes):
         ended = []
-        made.append(Scheduler(sizes, comm, comm.size, [1.0] * len(sizes), ended.append))
+        made.append(SharedQueue(sizes, comm, comm.size, [1.0] * len(sizes), ended.append))
         return made[-1], ended
 
     yield scheduler
@@ -35,9 +35,9 @@ def work(scheduler):
     return drawn
 
 
-@pytest.mark.parametrize("busy", [0.0, scheduling._BUSY_SECONDS])
+@pytest.mark.parametrize("busy", [0.0, case_queue._BUSY_SECONDS])
 def test_each_case_is_drawn_once(comm, scheduler, monkeypatch, busy):
-    monkeypatch.setattr(scheduling, "_BUSY_SECONDS", busy)
+    monkeypatch.setattr(case_queue, "_BUSY_SECONDS", busy)
     sizes = [50, 0, 7, 1, 300]
     board, ended = scheduler(sizes)
     drawn = work(board)
@@ -51,7 +51,7 @@ def test_each_case_is_drawn_once(comm, scheduler, monkeypatch, busy):
 def test_nobody_draws_after_a_stop(comm, scheduler):
     board, _ = scheduler([1000])
     if comm.rank == comm.size - 1:
-        board.ask_to_stop()
+        board.stop()
     while not board.stopped:
         board.serve()
     assert board.draw() is None
@@ -62,9 +62,9 @@ def test_nobody_draws_after_a_stop(comm, scheduler):
 def test_nobody_waits_for_rank_0_to_get_a_first_group(comm, scheduler):
     """It assembles its own."""
     board, _ = scheduler([0, *[5] * comm.size])
-    assert board.draw() == Cases(1 + comm.rank, 0, 1)
+    assert board.draw() == Stretch(1 + comm.rank, 0, 1)
     comm.Barrier()
-    board.ask_to_stop()
+    board.stop()
     board.wait_for_all(lambda: None)
 
 
@@ -73,7 +73,7 @@ def test_who_waits_may_ask_all_to_stop(comm, scheduler):
     board, _ = scheduler([10])
     while comm.rank == 0 and not board.stopped:
         board.serve()
-    board.wait_for_all(board.ask_to_stop)
+    board.wait_for_all(board.stop)
     assert board.draw() is None
 
 
@@ -84,7 +84,7 @@ def test_what_was_counted_before_a_stop_is_told(comm, scheduler):
         mine += cases.number
         board.count(cases.number, 0, 1e-4 * cases.number)
         board.serve()
-    board.ask_to_stop()
+    board.stop()
     board.wait_for_all(lambda: None)
     done = comm.allreduce(mine)
     assert comm.bcast(board.ended()) == (done, 0)
@@ -98,28 +98,28 @@ def test_a_board_without_cases(scheduler):
 
 
 def test_teams_take_groups_before_they_share_one():
-    board = Board([4, 6, 2], 3, [1.0] * 3)
+    board = CaseQueue([4, 6, 2], 3, [1.0] * 3)
     taken = [board.draw(team) for team in (0, 1, 2)]
-    assert taken == [Cases(0, 0, 1), Cases(1, 0, 1), Cases(2, 0, 1)]
-    assert board.draw(2) == Cases(2, 1, 1)
-    assert board.draw(2) == Cases(1, 1, 1)  # the most are left there
+    assert taken == [Stretch(0, 0, 1), Stretch(1, 0, 1), Stretch(2, 0, 1)]
+    assert board.draw(2) == Stretch(2, 1, 1)
+    assert board.draw(2) == Stretch(1, 1, 1)  # the most are left there
 
 
 def test_what_is_drawn_at_once_keeps_a_team_busy_and_shrinks_towards_the_end():
     seconds, teams = 0.01, 2
-    board = Board([1000], teams, [1.0])
-    assert board.draw(0) == Cases(0, 0, 1)  # nothing is known of its time
+    board = CaseQueue([1000], teams, [1.0])
+    assert board.draw(0) == Stretch(0, 0, 1)  # nothing is known of its time
     board.count(0, 1, 0, seconds)
     drawn = []
     while (cases := board.draw(0)) is not None:
         drawn.append(cases.number)
         last = board.count(0, cases.number, 0, cases.number * seconds)
-    assert drawn[0] == round(scheduling._BUSY_SECONDS / seconds)
+    assert drawn[0] == round(case_queue._BUSY_SECONDS / seconds)
     left = 999
     for before, count in pairwise([drawn[0], *drawn]):
-        least = min(scheduling._LEAST_SECONDS / seconds, -(-left // teams))
+        least = case_queue._LEAST_SECONDS / seconds
         assert count <= max(-(-left // teams) // 2, least, 1)
-        assert count <= min(2 * before, scheduling._LONGEST_SECONDS / seconds)
+        assert count <= min(2 * before, case_queue._LONGEST_SECONDS / seconds)
         left -= count
     largest = drawn.index(max(drawn))
     assert drawn[largest:] == sorted(drawn[largest:], reverse=True)
@@ -127,21 +127,31 @@ def test_what_is_drawn_at_once_keeps_a_team_busy_and_shrinks_towards_the_end():
 
 
 def test_short_cases_are_not_drawn_one_by_one():
-    """Half of what is left for each would be 16, 8, 4, 2 and 1."""
-    board, drawn = Board([64], 2, [1e-3]), []
+    """Half of what is left for each would be 16, 8, 4, 2 and 1, all of which take about as long."""
+    board, drawn = CaseQueue([64], 2, [1e-3]), []
     while (cases := board.draw(len(drawn) % 2)) is not None:
         drawn.append(cases.number)
         board.count(0, cases.number, 0, 1e-3 * cases.number)
-    assert drawn[:2] == [32, 16]
-    assert Board([64], 1, [1e-3]).draw(0) == Cases(0, 0, 64)
+    assert drawn == [32, 32]
+    assert CaseQueue([64], 1, [1e-3]).draw(0) == Stretch(0, 0, 64)
 
 
 def test_cases_that_go_side_by_side_are_drawn_as_many_as_that_takes():
     """Where one takes long, but a hundred hardly longer."""
-    board, drawn = Board([10_000], 2, [1.0]), []
+    board, drawn = CaseQueue([10_000], 2, [1.0]), []
     for _ in range(12):
         drawn.append(board.draw(0).number)
         board.count(0, drawn[-1], 0, 0.6 + 0.005 * drawn[-1])
     assert drawn[:4] == [1, 2, 4, 8]
     assert drawn[-1] > 128
-    assert max(0.6 + 0.005 * count for count in drawn) < 2.0 * scheduling._LONGEST_SECONDS
+    assert max(0.6 + 0.005 * count for count in drawn) < 2.0 * case_queue._LONGEST_SECONDS
+
+
+def test_small_pieces_do_not_make_the_next_ones_smaller():
+    """They take more time a case, since fewer step side by side: towards the end of two teams."""
+    queue, drawn = CaseQueue([4096], 2, [3e-3]), []
+    while (cases := queue.draw(len(drawn) % 2)) is not None:
+        drawn.append(cases.number)
+        queue.count(0, cases.number, 0, 0.05 + 6e-4 * cases.number)
+    assert sum(drawn) == 4096
+    assert min(drawn[:-1]) > 100

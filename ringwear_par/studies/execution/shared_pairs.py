@@ -2,6 +2,7 @@
 
 import io
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,22 +11,73 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.history.elastic.pairs import assemble, from_stacked, to_stacked
 from ringwear_par.parallel import on_first_rank, together
+from ringwear_par.studies.execution.plan import Plan
+from ringwear_par.studies.execution.summary import Timings
 
-#: how long a file that is there may stay unseen by another machine (NFS: a minute by default), and
-#: between two looks
+#: how long a file may stay unseen by another machine (NFS: a minute by default), and between two
+#: looks for it
 PATIENCE_SECONDS = 75.0
-_NAP_SECONDS = 0.05
+_NAP_SECONDS = 0.01
 
 
 class StorageError(ComputationError):
     """The disk; not the fault of a case."""
 
 
-def write_operator(path: Path, case: Case, comm: MPI.Comm) -> None:
+class StoppedError(RingwearError):
+    """All are to stop, and there is no pair yet."""
+
+
+def provide_pair(plan: Plan, group: int, comm: MPI.Comm, timings: Timings) -> None:
+    """Assemble a group's pair into its file, or leave the reason of a failure. Collective."""
+    t0 = time.perf_counter()
+    write_pair(plan.folder.operator(group), plan.study.case(int(plan.todo[group][0])), comm)
+    timings.operators += 1
+    timings.assembly += time.perf_counter() - t0
+
+
+def await_pair(
+    path: Path, case: Case, comm: MPI.Comm, stopped: Callable[[], bool], received: Callable[[], int]
+) -> ContactPair:
+    """Return the pair of a case that another team provides. Collective on comm.
+
+    Parameters
+    ----------
+    path : of its file.
+    stopped : called now and then on the first rank; tells whether all are to stop.
+    received : returns the signal that this rank has received, or 0.
+
+    Raises
+    ------
+    StoppedError : all are to stop.
+    StorageError : one of the ranks does not see the file, or not the whole of it.
+    ComputationError : there is no such pair.
+    """
+    failure, agreed = _reason_file(path), 0
+
+    def look() -> str | None:
+        """Return "" once it is there, why it never will be, or None as long as it may."""
+        if path.exists():
+            return ""
+        if failure.exists():
+            return failure.read_text(encoding="utf-8")
+        if agreed or stopped():
+            raise StoppedError
+        return None
+
+    while (reason := on_first_rank(comm, look)) is None:
+        time.sleep(_NAP_SECONDS)
+        agreed = comm.allreduce(received(), MPI.MAX)
+    if reason:
+        raise ComputationError(reason)
+    return map_pair(path, case, comm)
+
+
+def write_pair(path: Path, case: Case, comm: MPI.Comm) -> None:
     """Assemble the pair of a case into a file, or leave the reason of a failure beside it.
 
     Collective on comm.
@@ -51,7 +103,7 @@ def write_operator(path: Path, case: Case, comm: MPI.Comm) -> None:
         else:
             np.save(content, stacked)
         try:
-            with atomic_write(reason_of_failure(path) if reason else path) as temporary:
+            with atomic_write(_reason_file(path) if reason else path) as temporary:
                 temporary.write_bytes(content.getbuffer())
         except OSError as error:
             raise StorageError(f"{path}: {error.strerror or error}") from error
@@ -59,12 +111,12 @@ def write_operator(path: Path, case: Case, comm: MPI.Comm) -> None:
     on_first_rank(comm, write)
 
 
-def reason_of_failure(path: Path) -> Path:
+def _reason_file(path: Path) -> Path:
     """Return the file that says why there is no operator."""
     return path.with_suffix(".error")
 
 
-def map_operator(path: Path, case: Case, comm: MPI.Comm) -> ContactPair:
+def map_pair(path: Path, case: Case, comm: MPI.Comm) -> ContactPair:
     """Map the pair of a case from its file. Collective on comm.
 
     Raises

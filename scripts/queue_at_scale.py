@@ -1,8 +1,8 @@
-"""What a sweep's board costs with many more ranks than there are here, simulated.
+"""What a sweep's queue costs with many more ranks than there are here, simulated.
 
-    python scripts/board_at_scale.py [--cases 1e6 1e8] [--ranks 1 64 4096]
+    python scripts/queue_at_scale.py [--cases 1e6 1e8] [--ranks 1 64 4096]
 
-The board is the program's own; ranks, their work and messages are events. A draw of n cases takes a
+The queue is the program's own; ranks, their work and messages are events. A draw of n cases takes a
 rank BEGIN + (CASE + STORE) n, give or take a few per cent. Rank 0 works like the others, and
 answers between two of its rounds, one question after another; what an answer takes is measured
 here. The start of processes and what follows the last case are not in it. Efficiency is that of
@@ -15,7 +15,7 @@ import time
 
 import numpy as np
 
-from ringwear_par.studies.execution.scheduling import _NAP_SECONDS, Board
+from ringwear_par.studies.execution.case_queue import _NAP_SECONDS, CaseQueue
 
 #: s, of a draw however small, of each of its cases, and of storing it: adaptive histories on 64
 #: elements, measured by ``benchmark.py --ensembles``
@@ -27,18 +27,18 @@ SPREAD, GUESS = 0.05, 0.01
 
 
 def answer_seconds(ranks: int) -> float:
-    """Return what the board takes to answer a question of one of so many ranks, measured."""
-    board, count = Board([10**9], ranks, [GUESS]), 20_000
+    """Return what the queue takes to answer a question of one of so many ranks, measured."""
+    queue, count = CaseQueue([10**9], ranks, [GUESS]), 20_000
     begun = time.perf_counter()
     for i in range(count):
-        board.count(0, 1, 0, 1e-3)
-        board.draw(i % ranks)
+        queue.count(0, 1, 0, 1e-3)
+        queue.draw(i % ranks)
     return (time.perf_counter() - begun) / count
 
 
 def simulated(cases: int, ranks: int, rng: np.random.Generator) -> tuple[float, float, int]:
     """Return the seconds of a sweep, the share of work in the ranks' time, and the questions."""
-    board, answer = Board([cases], ranks, [GUESS]), answer_seconds(ranks) + MESSAGE
+    queue, answer = CaseQueue([cases], ranks, [GUESS]), answer_seconds(ranks) + MESSAGE
     #: when a rank has ended so many cases, and how long they took
     ends: list[tuple[float, int, int, float]] = []
     work = end = free = own_end = 0.0  # rank 0 is free to answer; its own cases end
@@ -46,7 +46,7 @@ def simulated(cases: int, ranks: int, rng: np.random.Generator) -> tuple[float, 
 
     def draw(rank: int, now: float) -> None:
         nonlocal work, end, own_end
-        drawn = board.draw(rank)
+        drawn = queue.draw(rank)
         if drawn is None:
             end = max(end, now)
             return
@@ -64,7 +64,7 @@ def simulated(cases: int, ranks: int, rng: np.random.Generator) -> tuple[float, 
         questions += 1
         heard = min(now + ROUND * rng.random(), own_end) if rank and now < own_end else now
         free = max(free, heard) + answer
-        board.count(0, ended, 0, seconds)
+        queue.count(0, ended, 0, seconds)
         draw(rank, free + (_NAP_SECONDS * rng.random() if rank else 0.0))
     return end, work / (ranks * end), questions
 

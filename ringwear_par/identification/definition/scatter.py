@@ -1,0 +1,160 @@
+"""``scatter`` of a fitted key: how its values differ between specimens, batches, laboratories."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import IntArray
+from ringwear_par.cases.tables import TableReader
+from ringwear_par.errors import legible
+from ringwear_par.identification.definition.problem import (
+    GROUPS,
+    Experiment,
+    FittedParameter,
+    Problem,
+    Scatter,
+)
+from ringwear_par.identification.definition.schema import SCATTER
+
+#: scale of the prior of sizes that are fitted, of logarithms
+_LOG_SCALE = 0.3
+#: of a logarithm: a factor of 20 is no scatter of one material
+_LARGEST = 3.0
+#: sizes that one fit may estimate: the grid of more is too coarse
+_MOST_FITTED = 3
+#: what the machine is set to is the same for all specimens
+_SETTINGS = ("load.",)
+#: of the names of groups
+PLURALS = {"specimen": "specimens", "batch": "batches", "lab": "laboratories"}
+
+
+def read_scatter(
+    said: str, key: str, value: Any, log: bool, unit: str, faults: list[str]
+) -> Scatter | None:
+    """Return the scatter of a fitted key, and add what is wrong with it to the faults.
+
+    Parameters
+    ----------
+    said : how sentences about the key begin.
+    value : "fit", a number or a table; None for none.
+    unit : of the key.
+    """
+    if value is None:
+        return None
+    if key.startswith(_SETTINGS):
+        faults.append(
+            f"{said}: scatter: {key} is set by the machine; must be of a wear law, "
+            "contact.friction, a modulus or a layer"
+        )
+        return None
+    table = value if isinstance(value, Mapping) else {"specimen": value}
+    reader = TableReader(f"{said}.scatter", table, faults, SCATTER)
+    before = len(faults)
+    size_unit = "1" if log else unit
+    sizes = {group: reader.read(group, unit=size_unit) for group in GROUPS if group in reader}
+    scale, start = (
+        reader.read("prior", unit=size_unit),
+        reader.read("start", unit=size_unit),
+    )
+    for name in (*GROUPS, "prior", "start"):
+        reader.raw(name)
+    reader.finish()
+    if not sizes and len(faults) == before:
+        reader.fault(f"must have one of {', '.join(GROUPS)}")
+    for group, size in sizes.items():
+        if log and isinstance(size, float) and size > _LARGEST:
+            reader.wrong(group, f"must be at most {_LARGEST:g}, of the logarithm")
+    if not log and scale is None and "fit" in sizes.values():
+        reader.wrong(
+            "prior", f'must be {{ half_t = scale }} in {unit} where scale = "linear" and the '
+            'scatter is "fit"'
+        )  # fmt: skip
+    if len(faults) > before:
+        return None
+    scale = _LOG_SCALE if scale is None else scale
+    known = {group: size if isinstance(size, float) else None for group, size in sizes.items()}
+    return Scatter(known, scale, 0.5 * scale if start is None else start)
+
+
+def read_groups(reader: TableReader, name: str) -> tuple[str, str, str]:
+    """Return the specimen, batch and laboratory of an experiment of some name."""
+    specimen, batch, lab = (reader.read(group) for group in GROUPS)
+    return (specimen or name, batch or "", lab or "")
+
+
+def group_numbers(experiments: Sequence[Experiment], group: str) -> IntArray:
+    """Return the numbers (tests,) of the specimens, batches or laboratories of tests."""
+    place = GROUPS.index(group)
+    names = [experiment.groups[place] for experiment in experiments]
+    order = {name: number for number, name in enumerate(dict.fromkeys(names))}
+    return np.array([order[name] for name in names])
+
+
+def check_scatter(
+    name: str,
+    parameters: Sequence[FittedParameter],
+    experiments: Sequence[Experiment],
+    intervals: Sequence[str],
+    faults: list[str],
+) -> None:
+    """Add what readings cannot tell of the scatters to the faults.
+
+    Parameters
+    ----------
+    name : of the file.
+    intervals : that are asked for.
+    """
+    scatters = [(p.key, p.scatter) for p in parameters if p.scatter is not None]
+    if not scatters or not experiments:
+        return
+    for group, place in (("batch", 1), ("lab", 2)):
+        seen: dict[str, str] = {}
+        for experiment in experiments:
+            specimen, of = experiment.groups[0], experiment.groups[place]
+            if seen.setdefault(specimen, of) != of:
+                faults.append(
+                    f'{name}: specimen "{legible(specimen)}" is of {group} "{legible(of)}" and of '
+                    f'"{legible(seen[specimen])}"; must be of one'
+                )
+    fitted = [(key, group) for key, s in scatters for group, v in s.sizes.items() if v is None]
+    if len(fitted) > _MOST_FITTED:
+        faults.append(f'{name}: {len(fitted)} scatters are "fit"; must be at most {_MOST_FITTED}')
+    for key, group in fitted:
+        if group_numbers(experiments, group).max() == 0:
+            plural = PLURALS[group]
+            faults.append(
+                f"{name}: scatter of {key} between {plural} cannot be found from one "
+                f"{group}; must be a number, or 2 {plural} at least"
+            )
+    for key, scatter in scatters:
+        fits = [group for group, size in scatter.sizes.items() if size is None]
+        for i, small in enumerate(fits):
+            for large in fits[i + 1 :]:
+                if _same_groups(experiments, small, large):
+                    faults.append(
+                        f"{name}: scatter of {key}: {large} and {small} are the same groups; "
+                        'only one of both can be "fit"'
+                    )
+    if set(intervals) - {"linear"}:
+        faults.append(
+            f"{name}: fit.intervals = {list(intervals)}: are not known with scatter; must be "
+            '["linear"]'
+        )
+
+
+def _same_groups(experiments: Sequence[Experiment], small: str, large: str) -> bool:
+    """Tell whether each of the larger groups has one of the smaller ones."""
+    pairs = zip(group_numbers(experiments, small), group_numbers(experiments, large), strict=True)
+    members = list({(int(a), int(b)) for a, b in pairs})
+    return len(members) == len({b for _, b in members})
+
+
+def expected_sizes(problem: Problem) -> dict[tuple[str, str], float]:
+    """Return the sizes of all scatters in a plan, by key and group."""
+    return {
+        (p.key, group): p.scatter.start if size is None else size
+        for p in problem.parameters
+        if p.scatter is not None
+        for group, size in p.scatter.sizes.items()
+    }

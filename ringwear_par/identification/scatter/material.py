@@ -1,0 +1,217 @@
+"""The material behind specimens that differ: its values, how they scatter, and each specimen's."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student_t
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.definition.problem import FittedParameter
+from ringwear_par.identification.definition.scatter import PLURALS
+from ringwear_par.identification.estimation.intervals import ParameterEstimate, is_vague
+from ringwear_par.identification.estimation.misfit import Evaluation
+from ringwear_par.identification.estimation.record_checks import FitWarning
+from ringwear_par.identification.scatter.mixture import Mixture
+from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size, SizePosterior
+
+#: ISO 5725: limit of the difference of two results that is exceeded once in twenty times
+_LIMIT = 2.8
+#: groups of which the prior says more than they do
+_FEW = 2
+#: relative half width of the material's interval for which specimens are counted
+_WANTED, _MOST_SPECIMENS = 0.10, 10_000
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What a fit with scatter knows of the material and of its specimens."""
+
+    parameters: tuple[FittedParameter, ...]
+    #: numbers of the keys in the mixed model; the others are held at their bounds
+    free: tuple[int, ...]
+    posterior: ScatterPosterior
+    sizes: tuple[Size, ...]
+    #: names of the groups of each level
+    names: tuple[tuple[str, ...], ...]
+    #: tests alone: (tests, free) estimate and sd of the unknowns, others as estimated
+    alone: FloatArray
+    alone_sd: FloatArray
+    #: of intervals
+    level: float
+    #: (tests, m) unknowns of the keys in each test
+    test_unknowns: FloatArray
+    #: (u,) unknowns: those of the material, and the nuisances of all tests
+    x: FloatArray
+    evaluation: Evaluation
+    #: (u, u) of these unknowns, and (n,) sd of the model's readings
+    covariance: FloatArray
+    band: FloatArray
+    #: -2 log likelihood of the readings with the priors' squares, nuisances at their best
+    deviance: float
+
+    @property
+    def n_fitted_sizes(self) -> int:
+        """Number of the sizes that were fitted."""
+        return sum(size.known is None for size in self.sizes)
+
+    @property
+    def effective_number(self) -> float:
+        """Number of the values of keys that readings have to determine, as shrinkage counts it."""
+        s = self.posterior.solutions
+        variances = np.diagonal(s.covariance, axis1=1, axis2=2)
+        shares = 1.0 - variances * self.posterior.model.precision
+        return float(self.posterior.weights @ shares.sum(axis=1))
+
+    def material(self, key: int) -> Mixture:
+        """Return the distribution of the material's unknown of a key that is free."""
+        return self.posterior.material(self.free.index(key))
+
+    def levels_of(self, key: int) -> list[int]:
+        """Return the numbers of the levels at which a key scatters."""
+        if key not in self.free:
+            return []
+        place = self.free.index(key)
+        return [i for i, v in enumerate(self.posterior.model.levels) if v.key == place]
+
+    def size(self, level: int) -> SizePosterior:
+        """Return the posterior of the size of a level's scatter."""
+        return self.posterior.size(level, self.level)
+
+    def interval(self, key: int, mixture: Mixture) -> tuple[float, float]:
+        """Return the interval of a key's value, of what is known of its unknown."""
+        low, high = mixture.interval(self.level)
+        parameter = self.parameters[key]
+        return parameter.value(low), parameter.value(high)
+
+    def estimate(self, key: int) -> ParameterEstimate:
+        """Return the estimate of the material's value of a key that is free."""
+        parameter, mixture = self.parameters[key], self.material(key)
+        value = parameter.value(mixture.mean)
+        low, high = mixture.interval(self.level)
+        bounds = [parameter.unknown(bound) for bound in parameter.bounds]
+        limits = (
+            None if low <= bounds[0] else parameter.value(low),
+            None if high >= bounds[1] else parameter.value(high),
+        )
+        vague = is_vague(parameter, 0.5 * (high - low))
+        return ParameterEstimate(
+            parameter.key, value, mixture.sd * parameter.slope(value),
+            (None, None) if vague else limits,
+            "not identified" if vague else "identified",
+            f"the readings of these tests hardly tell the material's {parameter.key}"
+            if vague
+            else "",
+        )  # fmt: skip
+
+    def specimens_needed(self, key: int) -> int | None:
+        """Return how many specimens tell the material's value to 10 %; None for no such number.
+
+        Of a key whose logarithm is sought, with scatter between specimens.
+        """
+        levels = [i for i in self.levels_of(key) if self._name(i) == "specimen"]
+        if not levels or not self.parameters[key].log:
+            return None
+        test_sd = float(np.median(self.alone_sd[:, self.free.index(key)]))
+        sd = np.hypot(self._median_size(levels[0]), test_sd)
+        quantile = 0.5 + 0.5 * self.level
+        n = 2
+        while float(student_t.ppf(quantile, n - 1)) * sd / np.sqrt(n) > _WANTED:
+            n += 1
+            if n > _MOST_SPECIMENS:
+                return None
+        return n
+
+    def _name(self, level: int) -> str:
+        return self.posterior.model.levels[level].name
+
+    def _median_size(self, level: int) -> float:
+        known = self.sizes[level].known
+        return self.size(level).median if known is None else known
+
+    def entry(self, key: int) -> dict[str, Any]:
+        """Return the entries of a key in fit.json, beside its estimate."""
+        if key not in self.free:
+            return {}
+        levels = self.levels_of(key)
+        if not levels:
+            return {"interval_of": "scatter integrated"}
+        parameter, place = self.parameters[key], self.free.index(key)
+        following = self.posterior.next_specimen(place)
+        sizes = {self._name(i): self._median_size(i) for i in levels}
+        entry: dict[str, Any] = {
+            "of": "material",
+            "interval_of": "scatter integrated",
+            "scatter": {self._name(i): self._size_entry(i) for i in levels},
+            "next": list(self.interval(key, following)),
+            "each": self._groups_entry(key, levels),
+        }
+        if parameter.log:
+            variance = float(
+                self.posterior.weights @ (self.posterior.solutions.tau[:, levels] ** 2).sum(axis=1)
+            )
+            entry["mean"] = parameter.value(self.material(key).mean + 0.5 * variance)
+        if "specimen" in sizes:
+            entry["repeatability"] = {"s_r": sizes["specimen"], "r": _LIMIT * sizes["specimen"]}
+        if len(sizes) > 1:
+            total = float(np.sqrt(sum(size**2 for size in sizes.values())))
+            entry["reproducibility"] = {"s_R": total, "R": _LIMIT * total}
+        if (needed := self.specimens_needed(key)) is not None:
+            entry["specimens_for_10_percent"] = needed
+        return entry
+
+    @property
+    def warnings(self) -> tuple[FitWarning, ...]:
+        """Warnings about scatters of which readings say next to nothing."""
+        warnings = []
+        for key, parameter in enumerate(self.parameters):
+            for i in self.levels_of(key):
+                count, plural = len(self.names[i]), PLURALS[self._name(i)]
+                if self.sizes[i].known is None and count <= _FEW:
+                    text = (
+                        f"the scatter of {parameter.key} is from {count} {plural}: its interval, "
+                        "and that of the material, are mostly the prior's; 3 or more tell"
+                    )
+                    values = {"groups": count, "level": self._name(i)}
+                    warnings.append(FitWarning("few-specimens", text, (), (parameter.key,), values))
+        return tuple(warnings)
+
+    def _size_entry(self, level: int) -> dict[str, Any]:
+        groups = len(self.names[level])
+        if (known := self.sizes[level].known) is not None:
+            return {"known": known, "groups": groups}
+        size = self.size(level)
+        return {
+            "estimate": size.median,
+            "interval": list(size.interval),
+            "reml": size.restricted,
+            "verdict": "at bound" if size.at_bound else "identified",
+            "groups": groups,
+        }
+
+    def _groups_entry(self, key: int, levels: Sequence[int]) -> dict[str, Any]:
+        """Return each group of the level with the smallest groups: shrunk, and alone."""
+        parameter, place = self.parameters[key], self.free.index(key)
+        finest = max(levels, key=lambda i: len(self.names[i]))
+        groups = self.posterior.model.levels[finest].group
+        variance = sum(self._median_size(i) ** 2 for i in levels)
+        entries = {}
+        for number, name in enumerate(self.names[finest]):
+            tests = np.flatnonzero(groups == number)
+            shrunk = self.posterior.of_test(int(tests[0]), place)
+            weight = 1.0 / self.alone_sd[tests, place] ** 2
+            alone = float(weight @ self.alone[tests, place] / weight.sum())
+            alone_sd = float(1.0 / np.sqrt(weight.sum()))
+            value, alone_value = parameter.value(shrunk.mean), parameter.value(alone)
+            entries[name] = {
+                "estimate": value,
+                "sd": shrunk.sd * parameter.slope(value),
+                "interval": list(self.interval(key, shrunk)),
+                "alone": {
+                    "estimate": alone_value,
+                    "sd": alone_sd * parameter.slope(alone_value),
+                },
+                "shrinkage": alone_sd**2 / (alone_sd**2 + variance),
+            }
+        return entries

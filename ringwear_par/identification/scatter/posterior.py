@@ -1,0 +1,249 @@
+"""What is known after the sizes of all scatters are integrated over a grid.
+
+A size has a half-t prior with four degrees of freedom: with few specimens the likelihood alone
+hardly bounds it, and intervals at its best value hold the truth too rarely.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.batched import concat
+from ringwear_par.identification.scatter.likelihood import MixedModel, Solutions
+from ringwear_par.identification.scatter.mixture import Mixture
+
+#: degrees of freedom of the priors of sizes
+_DEGREES = 4.0
+#: points of the grid along each axis, by the number of axes
+_POINTS = {1: 60, 2: 40, 3: 20}
+#: ends of the grid over the scale of the prior
+_GRID = (0.007, 17.0)
+#: of -2 log likelihood: a finer grid covers what is as near as this to the best
+_NEAR = 8.0
+#: of -2 log likelihood, by which a size of 0 is worse than the best where it is excluded at 90 %
+_AT_BOUND = 2.71
+
+
+@dataclass(frozen=True)
+class Size:
+    """A size that is known, or has a prior.
+
+    Parameters
+    ----------
+    known : the size, None where it is to be fitted.
+    scale : of its half-t prior.
+    """
+
+    known: float | None
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """The points of a size.
+
+    Parameters
+    ----------
+    points : (k,) float, increasing; one where the size is known.
+    weights : (k,) float, prior density times the width that a point stands for.
+    """
+
+    points: FloatArray
+    weights: FloatArray
+
+
+def prior_density(size: FloatArray, scale: float) -> FloatArray:
+    """Return the half-t density of sizes, but for a constant."""
+    return (1.0 + (size / scale) ** 2 / _DEGREES) ** (-0.5 * (_DEGREES + 1.0))
+
+
+def axis(size: Size, points: int, ends: tuple[float, float] | None = None) -> Axis:
+    """Return the axis of a size; points are equal in the logarithm."""
+    if size.known is not None:
+        return Axis(np.array([size.known]), np.ones(1))
+    low, high = ends or (_GRID[0] * size.scale, _GRID[1] * size.scale)
+    values = np.geomspace(low, high, points)
+    return Axis(values, values * prior_density(values, size.scale))
+
+
+def grid(axes_of_sizes: Sequence[Axis]) -> tuple[FloatArray, FloatArray]:
+    """Return all combinations of points, (G, sizes), and their weights, (G,)."""
+    points = np.array(list(itertools.product(*(a.points for a in axes_of_sizes))))
+    weights = np.array([np.prod(w) for w in itertools.product(*(a.weights for a in axes_of_sizes))])
+    return points.reshape(len(weights), len(axes_of_sizes)), weights
+
+
+@dataclass(frozen=True, eq=False)
+class SizePosterior:
+    """What is known of one size.
+
+    Parameters
+    ----------
+    median : of its posterior.
+    interval : of the asked level; from 0 where 0 is not excluded.
+    restricted : the size of the largest restricted likelihood.
+    at_bound : whether a size of 0 is not excluded by the readings.
+    """
+
+    median: float
+    interval: tuple[float, float]
+    restricted: float
+    at_bound: bool
+
+
+@dataclass(frozen=True, eq=False)
+class ScatterPosterior:
+    """The posterior of mixed models over the grid of their sizes.
+
+    Parameters
+    ----------
+    models : one for each point of the process noise, one at least; of the same levels.
+    solutions : at the points of the grid, those of each model after another.
+    weights : (G,) float, posterior probability of each point.
+    """
+
+    models: tuple[MixedModel, ...]
+    solutions: Solutions
+    weights: FloatArray
+
+    @property
+    def model(self) -> MixedModel:
+        """The first model, for what all share: levels, and the layout of effects."""
+        return self.models[0]
+
+    def material(self, key: int) -> Mixture:
+        """Return the distribution of a key's value of the material."""
+        s = self.solutions
+        return Mixture(self.weights, s.effects[:, key], s.covariance[:, key, key])
+
+    def next_specimen(self, key: int) -> Mixture:
+        """Return the distribution of a key's value of one more specimen, of a new batch and lab."""
+        material = self.material(key)
+        levels = [i for i, level in enumerate(self.model.levels) if level.key == key]
+        spread = (self.solutions.tau[:, levels] ** 2).sum(axis=1)
+        return Mixture(self.weights, material.means, material.variances + spread)
+
+    def of_test(self, test: int, key: int) -> Mixture:
+        """Return the distribution of a key's value in one test, in the light of the others."""
+        s, row = self.solutions, self._rows(test)[:, key]
+        means = np.einsum("gi,gi->g", row, s.effects)
+        variances = np.einsum("gi,gij,gj->g", row, s.covariance, row)
+        return Mixture(self.weights, means, variances)
+
+    def unknowns(self, test: int) -> FloatArray:
+        """Return the means (m,) of the unknowns of a test."""
+        means = np.einsum("gki,gi->gk", self._rows(test), self.solutions.effects)
+        return self.weights @ means
+
+    def _rows(self, test: int) -> FloatArray:
+        """Return (G, m, m + groups) what effects are in the unknowns of a test."""
+        return self.model.columns(test) * self.model.scales(self.solutions.tau)[:, None, :]
+
+    @property
+    def _material_rows(self) -> FloatArray:
+        """(G, m, m + groups), what effects are in the unknowns of the material."""
+        m, size = self.model.m, self.solutions.effects.shape[1]
+        return np.broadcast_to(np.eye(m, size), (len(self.weights), m, size))
+
+    def _between(self, first: FloatArray, second: FloatArray) -> FloatArray:
+        """Return the covariance (m, m) of two combinations (G, m, m + groups) of the effects."""
+        s, w = self.solutions, self.weights
+        within = np.einsum("g,gki,gij,glj->kl", w, first, s.covariance, second, optimize=True)
+        means = [np.einsum("gki,gi->gk", rows, s.effects) for rows in (first, second)]
+        one, other = (values - w @ values for values in means)
+        covariance: FloatArray = within + np.einsum("g,gk,gl->kl", w, one, other)
+        return covariance
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(m, m) of the material's unknowns."""
+        return self._between(self._material_rows, self._material_rows)
+
+    def covariance_of_test(self, test: int) -> FloatArray:
+        """Return the covariance (m, m) of the unknowns of a test."""
+        rows = self._rows(test)
+        return self._between(rows, rows)
+
+    def covariance_of_test_and_material(self, test: int) -> FloatArray:
+        """Return the covariance (m, m) of the unknowns of a test with those of the material."""
+        rows = self._rows(test)
+        return self._between(rows, self._material_rows)
+
+    def size(self, level: int, probability: float) -> SizePosterior:
+        """Return the posterior of the size of a level's scatter.
+
+        Parameters
+        ----------
+        level : number of the level.
+        probability : of its interval.
+        """
+        tau = self.solutions.tau[:, level]
+        points = np.unique(tau)
+        mass = np.array([self.weights[tau == point].sum() for point in points])
+        centred = np.cumsum(mass) - 0.5 * mass
+        tail = 0.5 * (1.0 - probability)
+        low, median, high = np.interp([tail, 0.5, 1.0 - tail], centred, points)
+        best = int(np.argmin(self.solutions.restricted))
+        without = self.solutions.tau.copy()
+        without[:, level] = 0.0
+        combinations = np.unique(without, axis=0)
+        at_zero = min(model.solve(combinations).restricted.min() for model in self.models)
+        at_bound = bool(at_zero - self.solutions.restricted[best] < _AT_BOUND)
+        return SizePosterior(
+            float(median),
+            (0.0 if at_bound else float(low), float(high)),
+            0.0 if at_zero <= self.solutions.restricted[best] else float(tau[best]),
+            at_bound,
+        )
+
+
+def integrate(
+    models: Sequence[MixedModel], prior: FloatArray, sizes: Sequence[Size]
+) -> ScatterPosterior:
+    """Return the posterior of mixed models over the sizes of their levels.
+
+    With three sizes to be fitted, a coarse grid finds where the likelihood is, and a second one
+    covers that.
+
+    Parameters
+    ----------
+    models : one for each point of the process noise; one where there is none.
+    prior : (models,) float, prior weights of these points.
+    sizes : of the levels.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError : the tests and priors together do not determine the material.
+    """
+    unknown = sum(size.known is None for size in sizes) + (len(models) > 1)
+    present = [axis(size, _POINTS.get(unknown, 1)) for size in sizes]
+    posterior = _posterior(models, prior, present)
+    if unknown < 3:
+        return posterior
+    restricted, tau = posterior.solutions.restricted, posterior.solutions.tau
+    near = tau[restricted < restricted.min() + _NEAR]
+    finer = [
+        axis(size, _POINTS[3], _widened(before, near[:, i]))
+        for i, (size, before) in enumerate(zip(sizes, present, strict=True))
+    ]
+    return _posterior(models, prior, finer)
+
+
+def _widened(before: Axis, near: FloatArray) -> tuple[float, float]:
+    """Return the ends of an axis that holds some of its points, and one more on each side."""
+    low = max(int(np.searchsorted(before.points, near.min())) - 1, 0)
+    high = min(int(np.searchsorted(before.points, near.max())) + 1, len(before.points) - 1)
+    return float(before.points[low]), float(before.points[high])
+
+
+def _posterior(
+    models: Sequence[MixedModel], prior: FloatArray, present: Sequence[Axis]
+) -> ScatterPosterior:
+    tau, weights = grid(present)
+    solutions = concat([model.solve(tau) for model in models])
+    likelihood = np.exp(-0.5 * (solutions.restricted - solutions.restricted.min()))
+    posterior = likelihood * np.outer(prior, weights).ravel()
+    return ScatterPosterior(tuple(models), solutions, posterior / posterior.sum())

@@ -1,0 +1,199 @@
+"""Teams of ranks at work: cases are drawn, computed on the pair of their group, and stored."""
+
+import time
+
+from mpi4py import MPI
+
+from ringwear_par.cases.case import Case
+from ringwear_par.errors import ComputationError
+from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.options import reject_unused_options
+from ringwear_par.parallel import together
+from ringwear_par.results.execution.progress import SweepProgress
+from ringwear_par.results.execution.stopping import StopSignals
+from ringwear_par.results.result import HistoryColumns
+from ringwear_par.studies.execution.batches import PairResources, computed, failed_columns
+from ringwear_par.studies.execution.case_queue import SharedQueue, Stretch
+from ringwear_par.studies.execution.plan import CaseSet, Plan
+from ringwear_par.studies.execution.shared_pairs import (
+    StoppedError,
+    StorageError,
+    await_pair,
+    provide_pair,
+)
+from ringwear_par.studies.execution.single_cases import is_batchable, simulate_alone
+from ringwear_par.studies.execution.summary import Timings
+from ringwear_par.studies.execution.team_store import TeamStore
+
+#: s, between two questions of a team that waits for a pair whether all are to stop
+_ASK_SECONDS = 0.5
+
+
+class Team:
+    """Computes the cases that it draws; everything is collective on its communicator.
+
+    Parameters
+    ----------
+    plan : of the sweep.
+    comm : communicator of the team.
+    queue : that cases are drawn from.
+    store : where cases are stored.
+    signals : that ask to stop.
+    progress : bar of rank 0 of the sweep, else None.
+    timings : where the time goes.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        comm: MPI.Comm,
+        queue: SharedQueue,
+        store: TeamStore,
+        signals: StopSignals,
+        progress: SweepProgress | None,
+        timings: Timings,
+    ) -> None:
+        self._plan, self._comm, self._queue, self._store = plan, comm, queue, store
+        self._signals, self._progress, self._timings = signals, progress, timings
+        self._options_checked = False
+        self._group = -1
+        self._resources: PairResources | None = None
+
+    def work(self) -> None:
+        """Draw and compute cases until none is left or somebody asks to stop.
+
+        Raises
+        ------
+        ComputationError : a case could not be stored.
+        InputError : an option for PETSc that nobody used.
+        """
+        comm, queue = self._comm, self._queue
+        while True:
+            drawn = None
+            if comm.rank == 0:
+                if self._signals.received:
+                    queue.stop()
+                drawn = queue.draw()
+            if comm.size > 1:
+                drawn = comm.bcast(drawn)
+            if drawn is None:
+                return
+            if not self._compute(drawn):
+                if comm.rank == 0:
+                    queue.stop()
+                return
+
+    def _compute(self, stretch: Stretch) -> bool:
+        """Compute some cases and store them, in blocks; tell whether all of them have ended.
+
+        All ranks of the team go the same way.
+        """
+        with together(self._comm):
+            drawn = self._plan.cases(*stretch)
+        try:
+            resources = self._resources_of(stretch, drawn.cases[0])
+        except StoppedError:
+            return False
+        except StorageError:
+            raise
+        except ComputationError as error:  # the same for all of them
+            self._add(failed_columns(drawn.cases, error, self._comm), drawn, 0.0)
+            return True
+        places: list[int] = []
+        if self._comm.size == 1:
+            begun, cases = self._plan.interrupted, zip(drawn.ids, drawn.cases, strict=True)
+            places = [
+                i for i, (n, case) in enumerate(cases) if n not in begun and is_batchable(case)
+            ]
+        if places and not self._simulate_batched(resources, drawn.part(places)):
+            return False
+        for i in sorted(set(range(stretch.number)) - set(places)):
+            if self._stopping() or not self._simulate_alone(resources, drawn.part([i])):
+                return False
+        return True
+
+    def _simulate_batched(self, resources: PairResources, cases: CaseSet) -> bool:
+        """Compute cases of a pair side by side, and store them in blocks; tell as above."""
+
+        def stop() -> bool:
+            self._observe()
+            return bool(self._signals.received)
+
+        started, ended = time.perf_counter(), 0
+        for block in computed(cases.cases, resources.pair, resources=resources, stop=stop):
+            seconds = time.perf_counter() - started
+            self._timings.stepping += seconds
+            self._add(block.columns, cases.part(block.numbers), seconds)
+            ended += len(block.numbers)
+            started = time.perf_counter()
+        self._timings.stepping += time.perf_counter() - started
+        return ended == len(cases.cases)
+
+    def _simulate_alone(self, resources: PairResources, case: CaseSet) -> bool:
+        """Compute a case by itself, with checkpoints, and store it; tell whether it has ended."""
+        started, signals, comm = time.perf_counter(), self._signals, self._comm
+        try:
+            columns = simulate_alone(
+                case.cases[0], case.ids[0], resources, self._store, signals, [self._observe], comm
+            )
+        finally:
+            self._timings.stepping += time.perf_counter() - started
+        self._add(columns, case, time.perf_counter() - started)
+        return columns.status != ("incomplete",)
+
+    def _observe(self, _: Snapshot | None = None) -> bool:
+        """Check options, answer other ranks, show progress: an observer."""
+        if self._timings.operators and not self._options_checked:  # once a solver was made
+            with together(self._comm):
+                reject_unused_options()
+            self._options_checked = True
+        self._queue.serve()
+        if self._progress is not None:
+            self._progress()
+        return False
+
+    def _stopping(self) -> bool:
+        """Tell whether a signal has reached any rank of the team."""
+        if self._comm.size == 1:
+            return bool(self._signals.received)
+        return bool(self._comm.allreduce(self._signals.received, MPI.MAX))
+
+    def _add(self, columns: HistoryColumns, cases: CaseSet, seconds: float) -> None:
+        """Store cases that took so many seconds in one block, and count those that have ended."""
+        t0 = time.perf_counter()
+        columns = self._store.add(columns, cases)
+        self._timings.output += time.perf_counter() - t0
+        if columns.status == ("incomplete",):
+            return
+        self._timings.worst = max(self._timings.worst, float(columns.imbalance.max()))
+        if self._comm.rank == 0:
+            self._timings.flagged.update(flags for flags in columns.flags if flags)
+            failed = columns.status.count("failed")
+            self._queue.count(len(cases.ids) - failed, failed, seconds)
+
+    def _resources_of(self, stretch: Stretch, case: Case) -> PairResources:
+        """Return the pair of a group, with its stresses; its first case's team assembles it."""
+        group = stretch.group
+        if self._resources is None or group != self._group:
+            if stretch.first == 0 and not self._plan.all_assemble:
+                provide_pair(self._plan, group, self._comm, self._timings)
+            t0, last_question = time.perf_counter(), 0.0
+
+            def stopped() -> bool:
+                nonlocal last_question
+                if time.perf_counter() - last_question > _ASK_SECONDS:
+                    last_question = time.perf_counter()
+                    if self._queue.stopped:
+                        return True
+                self._queue.serve()
+                if self._progress is not None:
+                    self._progress()
+                return False
+
+            pair = await_pair(
+                self._plan.folder.operator(group), case, self._comm, stopped,
+                lambda: self._signals.received,
+            )  # fmt: skip
+            self._timings.waiting += time.perf_counter() - t0
+            self._resources, self._group = PairResources(pair, self._comm), group
+        return self._resources

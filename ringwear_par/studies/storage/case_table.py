@@ -1,0 +1,230 @@
+"""The table of cases: a number or a word of each in a column, ``cases.csv`` and its meanings."""
+
+import csv
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+
+from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.cases.schema import unit_of
+from ringwear_par.cases.text import toml_value
+from ringwear_par.cases.values import is_number
+from ringwear_par.errors import InputError
+from ringwear_par.results.variables import POINT_R, POINT_SIDE, POINT_Z, Variable
+from ringwear_par.studies.definition.variations import Column, own_key, value_of
+from ringwear_par.studies.storage.case_variables import WINDOW, CaseVariable, write_texts
+from ringwear_par.studies.storage.end_values import END_VALUES, end_value_of, entries
+from ringwear_par.studies.storage.results_file import TABLE
+from ringwear_par.studies.storage.stored_variables import OF_CASES, axis_of, entry_label
+
+#: the meanings of the table's columns, named as CSV on the Web has it
+TABLE_MEANINGS = f"{TABLE}-metadata.json"
+#: columns of the table before and after the end values
+_BEFORE, _AFTER = ("status", "error"), ("seconds", "in_study", "version", "flags")
+
+
+class Words(NamedTuple):
+    """Texts of cases, few of which differ.
+
+    Parameters
+    ----------
+    distinct : as bytes.
+    codes : (cases,) int, which of them each case has.
+    """
+
+    distinct: Any
+    codes: IntArray
+
+    @classmethod
+    def of(cls, texts: Sequence[str], codes: IntArray) -> "Words":
+        """Return the words of some texts and the numbers of those that cases have."""
+        return cls(np.array([text.encode() for text in texts] or [b""])[: len(texts)], codes)
+
+    def part(self, cases: slice) -> Any:
+        """Return the texts of some cases, as bytes."""
+        return self.distinct[self.codes[cases]]
+
+
+@dataclass(frozen=True, eq=False)
+class CaseTable:
+    """Numbers and words of all cases.
+
+    Parameters
+    ----------
+    ids : (cases,) bytes.
+    varied : varied keys, None where a case has no such.
+    words : by name, see ``OF_CASES``.
+    numbers : likewise.
+    end_values : by name, see ``END_VALUES``: (cases,) or (cases, layers or points).
+    """
+
+    ids: Any
+    varied: Mapping[str, Column]
+    words: Mapping[str, Words]
+    numbers: Mapping[str, Any]
+    end_values: Mapping[str, FloatArray]
+
+    def store(self, file: h5py.File) -> None:
+        """Write the variables into a results file that does not have them yet."""
+        for name, words in self.words.items():
+            write_texts(file, OF_CASES[name], words.distinct.dtype.itemsize, words.part)
+        for name, values in self.numbers.items():
+            CaseVariable(file, OF_CASES[name], values.dtype).write(0, values)
+        for name, values in self.end_values.items():
+            stored = END_VALUES[name].stored
+            if stored.name not in file:  # a time of a layer is an end value, and stored as it is
+                CaseVariable(file, stored, float).write(0, values)
+        for name, column in self.varied.items():
+            self._store_varied(file, name, column)
+        file.attrs["coordinates"] = " ".join(self.varied)
+
+    def _store_varied(self, file: h5py.File, name: str, column: Column) -> None:
+        """Write a varied key, as texts where its values are not all numbers."""
+        variable = Variable(name, ("case",), unit_of(name) or "1", own_key(name).meaning)
+        if column.numbers is not None:
+            CaseVariable(file, variable, float).write(0, column.numbers)
+        elif all(value is None or is_number(value) for value in column.distinct):
+            values = column.by_case(lambda value: math.nan if value is None else float(value))
+            CaseVariable(file, variable, float).write(0, np.array(values))
+        else:
+            words = Words.of(list(map(_cell, column.distinct)), column.codes.astype(np.int64))
+            write_texts(file, variable, words.distinct.dtype.itemsize, words.part)
+
+    def write_csv(self, path: Path) -> None:
+        """Write the table."""
+        with path.open("w", newline="", encoding="utf-8") as handle:
+            table = csv.writer(handle)
+            table.writerow(("case", *self.varied, *_BEFORE, *self._columns(), *_AFTER))
+            for start in range(0, len(self.ids), WINDOW):
+                table.writerows(self._rows(slice(start, start + WINDOW)))
+
+    def _columns(self) -> dict[str, FloatArray]:
+        """Return the end values by column of the table, in its order."""
+        columns: dict[str, FloatArray] = {}
+        for name, end_value in END_VALUES.items():
+            if name in self.end_values:
+                columns |= entries(end_value, self.end_values[name])
+        return columns
+
+    def _rows(self, cases: slice) -> Iterator[tuple[str, ...]]:
+        seconds = self.numbers["seconds"][cases].tolist()
+        words = {name: _texts(words.part(cases)) for name, words in self.words.items()}
+        return zip(
+            _texts(self.ids[cases]),
+            *(column.part(cases).by_case(_cell) for column in self.varied.values()),
+            *(words[name] for name in _BEFORE),
+            *(
+                ["" if v != v else repr(v) for v in values[cases].tolist()]
+                for values in self._columns().values()
+            ),
+            ["" if v != v else f"{v:.4f}" for v in seconds],
+            *(words[name] for name in _AFTER[1:]),
+            strict=True,
+        )
+
+    def meanings(self, file: h5py.File) -> str:
+        """Return units and meanings of the columns (W3C, Metadata for Tabular Data).
+
+        Parameters
+        ----------
+        file : the results, with places of points.
+        """
+        columns = [{"titles": "case", "dc:description": "id of the case, of its content"}]
+        for name in self.varied:
+            columns.append(_column(name, own_key(name).meaning, unit_of(name)))
+        columns += [_column(name, OF_CASES[name].meaning, OF_CASES[name].unit) for name in _BEFORE]
+        places = _places(file)
+        for name in self._columns():
+            end_value, entry = end_value_of(name)
+            meaning = end_value.stored.meaning
+            if entry:
+                meaning += f"; {entry_label(end_value.stored, entry)}"
+            if axis_of(end_value.stored) == "point":
+                meaning += places[int(entry)]
+            columns.append(_column(name, meaning, end_value.stored.unit))
+        columns += [_column(name, OF_CASES[name].meaning, OF_CASES[name].unit) for name in _AFTER]
+        table = {
+            "@context": ["http://www.w3.org/ns/csvw", {"@language": "en"}],
+            "url": TABLE,
+            "tableSchema": {"columns": columns},
+        }
+        return json.dumps(table, indent=1) + "\n"
+
+
+def extended(varied: Mapping[str, Column], texts: Iterable[str]) -> dict[str, Column]:
+    """Return columns of varied keys with further cases, whose values are looked up in their texts.
+
+    None where such a case has no such key.
+    """
+    rows = [_values_in(text, tuple(varied)) for text in texts]
+    if not rows:
+        return dict(varied)
+    values_of_keys = zip(*rows, strict=True)
+    return {
+        name: _joined(column, values)
+        for (name, column), values in zip(varied.items(), values_of_keys, strict=True)
+    }
+
+
+def _values_in(text: str, names: Sequence[str]) -> tuple[Any, ...]:
+    try:
+        keys = read_keys(text)
+        return tuple(value_of(keys, name) for name in names)
+    except InputError:
+        return (None,) * len(names)
+
+
+def _joined(column: Column, values: Sequence[Any]) -> Column:
+    """Return a column with further cases, each with a value of its own."""
+    distinct = column.distinct
+    more = len(distinct) + np.arange(len(values))
+    return Column.chosen([*distinct, *values], np.concatenate([column.codes, more]))
+
+
+def _cell(value: Any) -> str:
+    """Return the text of a varied key's value."""
+    if isinstance(value, str):
+        return value
+    return "" if value is None else toml_value(value)
+
+
+def _texts(words: Any) -> list[str]:
+    return [word.decode() for word in words.tolist()]
+
+
+def _column(name: str, meaning: str, unit: str) -> dict[str, str]:
+    text = {} if unit in ("", "1") else {"schema:unitText": unit}
+    return {"titles": name, "dc:description": meaning, **text}
+
+
+def _places(file: h5py.File) -> list[str]:
+    """Return where each point is, in words; "" of one that is not in the same place in all."""
+    if POINT_R.name not in file:
+        return []
+    r, z = (_common_values(file, name, np.nan) for name in (POINT_R.name, POINT_Z.name))
+    sides: list[Any] = [None] * len(r)
+    if POINT_SIDE.name in file:
+        sides = _common_values(file, POINT_SIDE.name, b"")
+    return [
+        "" if at is None or height is None
+        else f" at r = {at:.9g} mm, z = {height:.9g} mm" + (f", {side.decode()}" if side else "")
+        for at, height, side in zip(r, z, sides, strict=True)
+    ]  # fmt: skip
+
+
+def _common_values(file: h5py.File, name: str, unknown: Any) -> list[Any]:
+    """Return the value of each point in all cases that know it; None where cases differ."""
+    table = file[name]
+    distinct: list[set[Any]] = [set() for _ in range(table.shape[1])]
+    for start in range(0, len(table), WINDOW):
+        for values, column in zip(distinct, table[start : start + WINDOW].T, strict=True):
+            known = ~np.isnan(column) if unknown is np.nan else column != unknown
+            values.update(np.unique(column[known]).tolist())
+    return [values.pop() if len(values) == 1 else None for values in distinct]

@@ -1,0 +1,162 @@
+"""Scatter between specimens: against dense likelihoods, limits, and its coverage."""
+
+import numpy as np
+import pytest
+
+from ringwear_par.identification.scatter.likelihood import Level, MixedModel, of_new_specimen
+from ringwear_par.identification.scatter.mixture import Mixture
+from ringwear_par.identification.scatter.posterior import Size, integrate
+from ringwear_par.identification.scatter.reduction import LinearisedTest, ReducedTest, reduce_test
+
+pytestmark = pytest.mark.serial
+
+
+def reduced(jacobian, z):
+    """A test whose readings have unit noise and no nuisances."""
+    return ReducedTest(jacobian.T @ jacobian, jacobian.T @ z, float(z @ z), 0.0)
+
+
+def laboratory(seed=3, count=5, readings=7, unknowns=2):
+    rng = np.random.default_rng(seed)
+    jacobians = rng.standard_normal((count, readings, unknowns))
+    return jacobians, rng.standard_normal((count, readings)) * 3.0
+
+
+def test_likelihoods_are_those_of_the_dense_covariance():
+    jacobians, z = laboratory()
+    specimen = Level(0, "specimen", np.arange(5))
+    batch = Level(1, "batch", np.array([0, 0, 1, 1, 1]))
+    precision, mean = np.array([0.0, 0.5]), np.array([0.0, 1.5])
+    tests = [reduced(j, y) for j, y in zip(jacobians, z, strict=True)]
+    tau = np.array([[0.3, 0.7], [0.0, 0.2], [2.0, 0.0]])
+    solved = MixedModel(tests, [specimen, batch], precision, mean).solve(tau)
+
+    x, y = jacobians.reshape(-1, 2), z.ravel()
+    number = np.repeat(np.arange(5), 7)
+    for i, (first, second) in enumerate(tau):
+        same = number[:, None] == number
+        together = batch.group[number][:, None] == batch.group[number]
+        covariance = (
+            np.eye(35)
+            + first**2 * same * np.outer(x[:, 0], x[:, 0])
+            + second**2 * together * np.outer(x[:, 1], x[:, 1])
+        )
+        inverse = np.linalg.inv(covariance)
+        normal = x.T @ inverse @ x + np.diag(precision)
+        beta = np.linalg.solve(normal, x.T @ inverse @ y + precision * mean)
+        rest = y - x @ beta
+        square = rest @ inverse @ rest + precision @ (beta - mean) ** 2
+        marginal = square + np.linalg.slogdet(covariance)[1]
+        assert solved.effects[i, :2] == pytest.approx(beta, rel=1e-10)
+        assert solved.covariance[i, :2, :2] == pytest.approx(np.linalg.inv(normal), rel=1e-10)
+        assert solved.marginal[i] == pytest.approx(marginal, rel=1e-12)
+        restricted = marginal + np.linalg.slogdet(normal)[1]
+        assert solved.restricted[i] == pytest.approx(restricted, rel=1e-12)
+
+
+@pytest.mark.parametrize("process", [False, True])
+def test_reduced_tests_are_those_of_the_dense_covariance(process):
+    """Noise, one free nuisance, one with a prior, and wear's own noise at three sizes."""
+    rng = np.random.default_rng(8)
+    n, sd, prior_mean, prior_sd = 12, 0.3, 0.4, 2.0
+    jacobian, z = rng.standard_normal((n, 2)), rng.standard_normal(n)
+    free, known = np.ones(n), np.linspace(0.0, 1.0, n)
+    depth, answer = np.linspace(0.1, 1.0, n), rng.uniform(0.5, 1.5, n)
+    kernel = np.outer(answer, answer) * np.minimum.outer(depth, depth)
+    test = LinearisedTest(
+        z / sd,
+        jacobian / sd,
+        np.column_stack([free, known]) / sd,
+        np.array([[0.0, 1.0 / prior_sd]]),
+        np.array([prior_mean / prior_sd]),
+        2.0 * n * np.log(sd),
+        kernel / sd**2 if process else None,
+    )
+    sizes = (0.0, 0.04, 0.5) if process else (0.0,)
+    for size, found in zip(sizes, reduce_test(test, sizes), strict=True):
+        covariance = sd**2 * np.eye(n) + prior_sd**2 * np.outer(known, known) + size * kernel
+        inverse = np.linalg.inv(covariance)
+        across = free @ inverse @ free
+        projected = inverse - np.outer(inverse @ free, free @ inverse) / across
+        y = z - prior_mean * known
+        assert found.information == pytest.approx(jacobian.T @ projected @ jacobian, rel=1e-10)
+        assert found.score == pytest.approx(jacobian.T @ projected @ y, rel=1e-9)
+        assert found.square == pytest.approx(y @ projected @ y, rel=1e-9)
+        volume = np.linalg.slogdet(covariance)[1] + np.log(across) - 2.0 * np.log(prior_sd)
+        assert found.log_volume + found.log_nuisances == pytest.approx(volume, rel=1e-10)
+
+
+def test_nuisances_that_do_the_same_count_once():
+    z, jacobian = np.array([1.0, 2.0, 4.0, 3.0]), np.array([[0.0], [1.0], [2.0], [5.0]])
+    none = np.zeros((0, 2))
+    once = LinearisedTest(z, jacobian, np.ones((4, 1)), none[:, :1], np.zeros(0), 0.0)
+    twice = LinearisedTest(z, jacobian, np.ones((4, 2)), none, np.zeros(0), 0.0)
+    assert reduce_test(twice)[0].information == pytest.approx(reduce_test(once)[0].information)
+
+
+def test_information_of_new_specimens_adds():
+    jacobians, z = laboratory()
+    tests = [reduced(j, y) for j, y in zip(jacobians, z, strict=True)]
+    model = MixedModel(tests, [Level(1, "specimen", np.arange(5))], np.zeros(2), np.zeros(2))
+    covariance = model.solve(np.array([[0.4]])).covariance[0, :2, :2]
+    variances = np.array([0.0, 0.4**2])
+    added = sum(of_new_specimen(test.information, variances) for test in tests)
+    assert added == pytest.approx(np.linalg.inv(covariance), rel=1e-10)
+
+
+def test_without_scatter_it_is_the_common_fit():
+    jacobians, z = laboratory()
+    tests = [reduced(j, y) for j, y in zip(jacobians, z, strict=True)]
+    model = MixedModel(tests, [Level(0, "specimen", np.arange(5))], np.zeros(2), np.zeros(2))
+    posterior = integrate([model], np.ones(1), [Size(0.0, 0.3)])
+    common = np.linalg.lstsq(jacobians.reshape(-1, 2), z.ravel(), rcond=None)[0]
+    assert posterior.material(0).mean == pytest.approx(common[0], rel=1e-10)
+    assert posterior.of_test(2, 0).mean == pytest.approx(common[0], rel=1e-10)
+
+
+def test_large_scatter_leaves_each_test_its_own_value():
+    jacobians, z = laboratory(unknowns=1)
+    tests = [reduced(j, y) for j, y in zip(jacobians, z, strict=True)]
+    model = MixedModel(tests, [Level(0, "specimen", np.arange(5))], np.zeros(1), np.zeros(1))
+    posterior = integrate([model], np.ones(1), [Size(1e3, 0.3)])
+    alone = [np.linalg.lstsq(j, y, rcond=None)[0][0] for j, y in zip(jacobians, z, strict=True)]
+    each = [posterior.of_test(i, 0).mean for i in range(5)]
+    assert each == pytest.approx(alone, rel=1e-6)
+    assert posterior.material(0).mean == pytest.approx(np.mean(alone), rel=1e-6)
+    assert posterior.unknowns(3) == pytest.approx([alone[3]], rel=1e-6)
+
+
+def test_quantiles_of_a_mixture():
+    mixture = Mixture(np.array([0.25, 0.75]), np.array([1.0, 1.0]), np.array([4.0, 4.0]))
+    assert mixture.interval(0.95) == pytest.approx((1 - 2 * 1.959964, 1 + 2 * 1.959964), abs=1e-6)
+    assert (mixture.mean, mixture.sd) == pytest.approx((1.0, 2.0))
+    far = Mixture(np.array([0.5, 0.5]), np.array([-10.0, 10.0]), np.array([1.0, 1.0]))
+    assert far.quantile(0.25) == pytest.approx(-10.0, abs=1e-9)
+    assert far.sd == pytest.approx(np.sqrt(101.0))
+
+
+@pytest.mark.parametrize(("tau", "count", "half_width"), [(0.12, 5, 15.0), (0.3, 3, 42.0)])
+def test_intervals_hold_the_material_the_size_and_the_next_specimen(tau, count, half_width):
+    """Coverage of 300 sets, to four standard deviations of it; one value for all holds in 0.25."""
+    rng, sd, sets = np.random.default_rng(11), 0.02, 300
+    level, information = Level(0, "specimen", np.arange(count)), np.array([[sd**-2]])
+    hits, widths = np.zeros(3), []
+    for _ in range(sets):
+        values = np.hypot(tau, sd) * rng.standard_normal(count)
+        tests = [
+            ReducedTest(information, v / sd**2 * np.ones(1), (v / sd) ** 2, 0.0) for v in values
+        ]
+        model = MixedModel(tests, [level], np.zeros(1), np.zeros(1))
+        posterior = integrate([model], np.ones(1), [Size(None, 0.3)])
+        low, high = posterior.material(0).interval(0.95)
+        widths.append(50.0 * (high - low))
+        size = posterior.size(0, 0.95).interval
+        next_low, next_high = posterior.next_specimen(0).interval(0.95)
+        hits += [
+            low < 0.0 < high,
+            size[0] < tau < size[1],
+            next_low < tau * rng.standard_normal() < next_high,
+        ]
+    tolerance = 4.0 * np.sqrt(0.05 * 0.95 / sets)
+    assert hits / sets == pytest.approx(0.96, abs=tolerance)
+    assert np.median(widths) == pytest.approx(half_width, rel=0.1)
