@@ -230,7 +230,7 @@ def summary(fit: "FitResult") -> str:
         *_parameter_lines(outcome),
     ]
     if fit.material is None:
-        lines.append(f"  {of_specimens(outcome)}")
+        lines.append(f"  intervals {of_specimens(outcome)}")
     if fit.posterior is not None:
         lines += _posterior_lines(fit, fit.posterior, outcome)
     lines += [f"warning: {sentence}" for sentence in fit.warnings]
@@ -259,8 +259,8 @@ def of_specimens(outcome: Outcome) -> str:
     count = outcome["specimens"]
     specimens = "this specimen" if count == 1 else f"these {count} specimens"
     return (
-        f"of {specimens}; repeats of a material scatter more "
-        '(scatter = "fit" where there are repeats)'
+        f"of {specimens} only: repeats of a material scatter more "
+        '(with repeats, use scatter = "fit")'
     )
 
 
@@ -343,7 +343,7 @@ def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
     if limits:
         lines[-1] += f" ({100.0 * level:g} %); {', '.join(limits)}"
     if (needed := estimate.get("specimens_for_10_percent")) is not None:
-        lines.append(f"+-10 % of the material needs some {needed} specimens")
+        lines.append(f"an interval of +-10 % for the material needs some {needed} specimens")
     return lines
 
 

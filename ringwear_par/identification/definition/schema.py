@@ -186,7 +186,7 @@ KEYS: tuple[Key, ...] = (
                             ("lab", "laboratories"))),
     Key("fit.parameters.KEY.scatter.prior", *_half_t(), "KEY's; 1 where scale = \"log\"",
         "scale of the half-t prior (4 degrees of freedom) of fitted scatter; default 0.3 where "
-        "scale = \"log\", else it must be given", None),
+        "scale = \"log\", else required", None),
     Key("fit.parameters.KEY.scatter.start", *number(0.0), "KEY's; 1 where scale = \"log\"",
         "size of a fitted scatter that --dry-run and design take as true; default: half the scale "
         "of the prior", None),

@@ -100,7 +100,7 @@ class Material:
             parameter.key, value, mixture.sd * parameter.slope(value),
             (None, None) if vague else limits,
             "not identified" if vague else "identified",
-            f"the readings of these tests hardly tell the material's {parameter.key}"
+            f"the readings of these tests hardly determine {parameter.key} of the material"
             if vague
             else "",
         )  # fmt: skip
@@ -170,8 +170,9 @@ class Material:
                 count, plural = len(self.names[i]), PLURALS[self._name(i)]
                 if self.sizes[i].known is None and count <= _FEW:
                     text = (
-                        f"the scatter of {parameter.key} is from {count} {plural}: its interval, "
-                        "and that of the material, are mostly the prior's; 3 or more tell"
+                        f"the scatter of {parameter.key} is from only {count} {plural}: the "
+                        "intervals of the scatter and of the material depend mostly on the prior; "
+                        f"3 or more {plural} are needed"
                     )
                     values = {"groups": count, "level": self._name(i)}
                     warnings.append(FitWarning("few-specimens", text, (), (parameter.key,), values))
