@@ -296,6 +296,8 @@ def _parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
     width, lines = max(map(len, parameters)), []
     for key, estimate in parameters.items():
         text, (low, high) = value_text(estimate), estimate["interval"]
+        if estimate["of"] == "material":
+            text += " of the material"
         if low is not None and high is not None:
             limits = f"from {low:.5g} to {high:.5g}"
         elif low is None and high is None:
@@ -305,7 +307,6 @@ def _parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
         by = ", likelihood profile" * (estimate["interval_of"] == "likelihood profile")
         if estimate["verdict"] != "not identified":
             text += f"  {limits} ({100 * level:g} %{by})"
-        text = text.replace("  ", " of the material  ", 1) if estimate["of"] == "material" else text
         lines.append(f"  {key.ljust(width)}  {text}  {estimate['verdict']}")
         lines += [f"    {line}" for line in scatter_lines(estimate, level)]
     return lines
@@ -323,7 +324,8 @@ def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
     unit_of_size = " %" if log else unit
     sizes = []
     for group, scatter in estimate["scatter"].items():
-        between = f"between {scatter['groups']} {PLURALS[group]} "
+        count = scatter["groups"]
+        between = f"between {count} {PLURALS[group] if count > 1 else group} "
         if "known" in scatter:
             sizes.append(f"{between}{size(scatter['known'])}{unit_of_size} (given)")
             continue

@@ -67,6 +67,8 @@ def read_scatter(
             reader.wrong(
                 group, f"must be at most {_LARGEST:g} (standard deviation of the logarithm)"
             )
+    if log and scale is not None and scale > _LARGEST:
+        reader.wrong("prior", f"must be at most {_LARGEST:g} (standard deviation of the logarithm)")
     if not log and scale is None and "fit" in sizes.values():
         reader.wrong(
             "prior", f'must be {{ half_t = scale }} in {unit} where scale = "linear" and the '
