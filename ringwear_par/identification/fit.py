@@ -144,7 +144,8 @@ def run_fit(
         print(result.summary())
         if problem.alternatives and not compare:
             log.info(
-                "[compare] was not looked at: --compare fits %s", ", ".join(problem.alternatives)
+                "laws of [compare] were not fitted: --compare fits %s",
+                ", ".join(problem.alternatives),
             )
 
 

@@ -74,9 +74,10 @@ def disagreements(
         own_sd = float(np.median(a[informed] ** -0.5))
         unit = "" if parameter.log else unit_of_key(problem, parameter.key)
         text = (
-            f"{parameter.key} of tests of {'equal' if equal else 'different'} conditions scatters "
-            f"by {_size(heterogeneity.scatter, parameter.log)}{unit} (DerSimonian-Laird) where "
-            f'readings explain {_size(own_sd, parameter.log)}{unit}: scatter = "fit"'
+            f"{parameter.key} scatters between tests of {'equal' if equal else 'different'} "
+            f"conditions by {_size(heterogeneity.scatter, parameter.log)}{unit} "
+            "(DerSimonian-Laird), but the readings explain only "
+            f'{_size(own_sd, parameter.log)}{unit}: use scatter = "fit"'
             f"{'' if equal else ', or another law'}"
         )
         values = {**heterogeneity._asdict(), "p": heterogeneity.probability, "readings": own_sd}

@@ -105,7 +105,7 @@ class Material:
         value, sd, (low, high) = parameter.value(unknown), mixture.sd, mixture.interval(self.level)
         natural = sd * parameter.slope(value)
         if is_vague(parameter, 0.5 * (high - low)) or is_mere_prior(parameter, natural):
-            direction = f"these tests hardly tell {parameter.key} of the material"
+            direction = f"these tests hardly determine {parameter.key} of the material"
             return ParameterEstimate(
                 parameter.key, value, natural, (None, None), "not identified", direction
             )
@@ -187,8 +187,8 @@ class Material:
         warnings = []
         if not self.converged:
             text = (
-                "values of specimens have not come to stay: what is said of the material is of the "
-                "last round; fewer keys, or priors, help"
+                "the iteration over values of specimens has not converged: numbers of the material "
+                "are from its last round; fit fewer keys, or add priors"
             )
             warnings.append(FitWarning("scatter-not-converged", text, ()))
         for key, parameter in enumerate(self.parameters):
@@ -196,8 +196,9 @@ class Material:
                 count, plural = len(self.names[i]), PLURALS[self._name(i)]
                 if self.sizes[i].known is None and count <= _FEW:
                     text = (
-                        f"the scatter of {parameter.key} is from {count} {plural}: its interval "
-                        "and that of the material are mostly the prior's; 3 or more are needed"
+                        f"the scatter of {parameter.key} is from only {count} {plural}: the "
+                        "intervals of the scatter and of the material depend mostly on the prior; "
+                        f"3 or more {plural} are needed"
                     )
                     values = {"groups": count, "level": self._name(i)}
                     warnings.append(FitWarning("few-specimens", text, (), (parameter.key,), values))

@@ -105,7 +105,9 @@ def test_tests_that_disagree_are_told(tables):
     assert doubt.values["p"] < 1e-6
     assert 0.5 * SCATTER < doubt.values["scatter"] < 2.0 * SCATTER
     assert 'scatter = "fit"' in doubt.text
-    assert "of these 5 specimens; repeats of a material scatter more" in fit.summary()
+    assert (
+        "intervals of these 5 specimens only: repeats of a material scatter more" in fit.summary()
+    )
     with pytest.raises(InputError, match="no key of the fit has scatter"):
         fit.plot_specimens()
 
@@ -193,11 +195,11 @@ def test_bounds_of_the_material(tables):
     ("scatter", "sentence"),
     [
         (0.0, "specimen = 0.0: must be \"fit\", or a number > 0"),
-        (3.5, "specimen = 3.5: must be at most 3, of the logarithm"),
+        (3.5, "specimen = 3.5: must be at most 3 (standard deviation of the log"),
         ({"specimn": 0.1}, "specimn: unknown key (did you mean specimen?)"),
         ({"start": 0.1}, "must have one of specimen, batch, lab"),
         ("fitt", "specimen = \"fitt\": must be \"fit\", or a number > 0"),
-        ({"batch": "fit"}, "between batches cannot be found from one batch; must be"),
+        ({"batch": "fit"}, "between batches cannot be fitted to one batch; must be"),
     ],
 )  # fmt: skip
 def test_scatters_that_are_refused(tables, scatter, sentence):
@@ -216,12 +218,12 @@ def test_groups_that_are_refused(tables):
     moved = with_scatter(tables)
     for experiment, batch in zip(moved["experiment"][:2], ("a", "b"), strict=True):
         experiment |= {"specimen": "S1", "batch": batch}
-    with pytest.raises(InputError, match='"S1" is of batch "b" and of "a"; must be of one'):
+    with pytest.raises(InputError, match='"S1" is of batch "b" and of "a"; must be of one batch'):
         read_fit(moved)
     one = with_scatter(tables)
     for experiment in one["experiment"]:
         experiment["specimen"] = "S1"
-    with pytest.raises(InputError, match="between specimens cannot be found from one specimen"):
+    with pytest.raises(InputError, match="between specimens cannot be fitted to one specimen"):
         read_fit(one)
 
 
@@ -237,7 +239,7 @@ def test_keys_and_intervals_that_are_refused(tables):
     assert (scatter.scale, scatter.start) == (5.0, 2.5)
     sampled = with_scatter(tables)
     sampled["fit"]["intervals"] = ["profile"]
-    with pytest.raises(InputError, match="are not known with scatter; must be"):
+    with pytest.raises(InputError, match="are not possible with scatter; must be"):
         read_fit(sampled)
     loaded = copy.deepcopy(tables)
     for experiment in loaded["experiment"]:
