@@ -111,7 +111,7 @@ _FIT_FILE = _argument("source", type=_path, metavar="FIT.toml", help="fit file")
 _FOLDER = _output("DIR", dest="folder")
 _NO_CACHE = _flag(
     "--no-cache",
-    "assemble every shape, neither read nor write stored ones (ringwear info says where they are)",
+    "assemble every contact pair, neither read nor write stored ones (their folder: ringwear info)",
 )
 
 COMMANDS = {
@@ -120,59 +120,63 @@ COMMANDS = {
         *_CASE,
         _flag("--restart",
               "continue RUN.h5 where it was interrupted, or to a larger time.steps or time.end"),
-        _flag("--overwrite", "replace what RUN.h5 holds, an interrupted run too"),
+        _flag("--overwrite", "replace RUN.h5, even if it holds an interrupted run"),
         _NO_CACHE,
         _argument("--plot", type=_figure, dest="figure", metavar="FIG.png",
                   help="draw the history at the end"),
     ), solves=True, stopped=f" before the first step{UNWRITTEN}"),
     "sweep": Command(
-        "compute every case of a study, or go on with it", "studies.execution.sweep:run_sweep", (
+        "compute every case of a study, or continue an interrupted sweep",
+        "studies.execution.sweep:run_sweep", (
         _argument("study", type=_path, metavar="STUDY.toml", help="study file"),
         _FOLDER,
         _argument("--ranks-per-case", type=int, default=1, metavar="M",
-                  help="ranks that share a case; must divide their number (default: %(default)s)"),
+                  help="ranks that share a case; must divide the number of ranks (default: "
+                  "%(default)s)"),
         _argument("--slice", type=_slice, metavar="I/N", dest="part",
-                  help="compute the I-th of N slices only; without it, slices are merged"),
+                  help="compute the I-th of N slices only; a sweep without --slice merges them"),
         _flag("--retry-failed", "compute failed cases again as well"),
         _flag("--mix-versions",
-              "go on where another version of this program has computed cases; the variable "
-              "version tells them apart"),
+              "continue a sweep that another version of this program has begun; the variable "
+              "version of the results names the version of each case"),
         _flag("--dry-run",
-              "count cases and operators, estimate memory and time; write nothing"),
+              "count cases and assemblies, estimate memory and time; write nothing"),
         _NO_CACHE,
     ), solves=True, stopped="; the same command goes on"),
     "fit": Command(
-        "find parameters of the wear law from measurements, with intervals",
+        "fit parameters of the wear law to measurements, with confidence intervals",
         "identification.fit:run_fit", (
         _FIT_FILE,
         _FOLDER,
-        _flag("--dry-run", "print the intervals to be expected from the start; write nothing"),
-        _flag("--restart", "use the optima that an interrupted fit has stored"),
+        _flag("--dry-run", "print the intervals to expect if the starts are true; write nothing"),
+        _flag("--restart", "continue an interrupted fit from its stored optima"),
         _flag("--compare", "fit the laws of [compare] as well"),
         _NO_CACHE,
     ), solves=True, stopped=f" before the first start{UNWRITTEN}"),
     "design": Command(
-        "find the next tests that tell most, from [design] of a fit file",
+        "choose the most informative next tests, from [design] of a fit file",
         "identification.test_design.design:run_design", (
         _FIT_FILE,
         _FOLDER,
         _argument("--after", type=_path, metavar="DIR",
-                  help="folder of a fit whose information counts"),
-        _argument("--criterion", choices=("D", "A", "eig"), help="instead of that of the fit file"),
+                  help="folder of a fit, whose measurements count as well"),
+        _argument("--criterion", choices=("D", "A", "eig"),
+                  help="criterion, instead of design.criterion of the fit file"),
         _NO_CACHE,
     ), solves=True, stopped=UNWRITTEN),
     "measure": Command(
-        "compute steady wear rates and friction from a rig's own files, by no model",
+        "compute steady wear rates and friction from a rig's files, without a contact model",
         "measuring.measure:run_measure", (
         _argument("sources", type=_path, nargs="+", metavar="W.csv or MEASURE.toml",
-                  help="records of one rig, or a measure file alone"),
+                  help="record files of one rig, or one measure file"),
         _FOLDER,
         _argument("--case", type=_path, metavar="RIG.toml",
-                  help="case file of the rig, of records: rings, load, speed, densities"),
-        _argument("--masses", type=_path, metavar="M.csv", help="weighings, of records"),
+                  help="case file of the rig (rings, load, speed, densities), with record files"),
+        _argument("--masses", type=_path, metavar="M.csv",
+                  help="table of weighings, with record files"),
     ), serial=True, stopped=UNWRITTEN),
     "plot": Command(
-        "draw the figures of the paper from result files, or those of a sweep",
+        "draw figures from result files of runs, or from the folder of a sweep",
         "studies.pictures.plot:plot_stored", (
         _argument("results", type=_path, nargs="+", metavar="RUN.h5 or DIR"),
         _output("FIG.png"),
@@ -181,11 +185,11 @@ COMMANDS = {
                   "penetration, approach, force, torque, energy, volume, rate, pv, through, in "
                   "this order (default: wear,penetration)"),
         _argument("--steps", metavar="LIST",
-                  help="steps whose profiles are drawn, such as 1,50,100 (default: first and "
-                  "quarters)"),
+                  help="steps whose profiles are drawn, such as 1,50,100 (default: the first, and "
+                  "at each quarter)"),
         _argument("--times", metavar="LIST",
-                  help="or times, nearest to which states are stored, in s or such as "
-                  '"0.5 h, 2 h"'),
+                  help="times instead of steps, in s or such as '0.5 h, 2 h'; the nearest stored "
+                  "profiles are drawn"),
         _argument("--profiles-of", type=_path, nargs="+", metavar="RUN.h5",
                   help="draw the profiles of these files only (default: of all)"),
     ), serial=True, stopped=UNWRITTEN),
@@ -205,31 +209,33 @@ COMMANDS = {
               "write the stresses along the interfaces between layers to .vtkhdf or .csv"),
     ), serial=True, stopped=UNWRITTEN),
     "report": Command(
-        "write a page of stored results that opens in any browser", "reports.report:report", (
+        "write one HTML page of a run, a sweep, a fit, a design or a measurement",
+        "reports.report:report", (
         _argument("source", type=_path, metavar="RUN.h5 or DIR"),
         _output("REPORT.html"),
     ), serial=True, stopped=UNWRITTEN),
     "explore": Command(
-        "serve a page on this machine with sliders for a case's numbers",
+        "open a page in the browser with sliders for the numbers of a case",
         "explorer.server:explore", (
         *_CASE,
         _argument("--port", type=_port, default=0, metavar="N",
-                  help="of the address (default: any free one)"),
+                  help="port of the page's address (default: any free one)"),
         _argument("--no-browser", action="store_false", dest="browser",
                   help="print the address, but open no browser"),
         _NO_CACHE,
     ), solves=True),
     "laws": Command(
-        "print what the wear laws of a case do, and test their derivatives",
+        "print the rates of a case's wear laws, and test their derivatives",
         "cases.files.law_trials:check_laws", _CASE, serial=True),
     "verify": Command(
-        "run the reference solutions; print error and observed order of each",
+        "compare with reference solutions; print error and observed order of each",
         "verification.verify:verify", (), solves=True),
-    "info": Command("print versions, MPI and PETSc builds, ranks and threads", "info:print_info", (
+    "info": Command(
+        "print versions, MPI and PETSc builds, ranks and threads, or all keys of files",
+        "info:print_info", (
         _argument("--schema", nargs="*", metavar="WORD",
-                  help="print the keys of case, study, measure and fit files, or of one of these: "
-                  "case, study, measure or fit; behind it, or alone, a word of the rows to print, "
-                  "such as wear.lower"),
+                  help="print the keys of all files, or of case, study, measure or fit files; a "
+                  "further word, such as wear.lower, prints only the rows that contain it"),
     )),
 }  # fmt: skip
 

@@ -55,8 +55,8 @@ def _ring_keys(ring: str, name: str) -> list[Key]:
         ),
         Key(
             f"{ring}.density", *number(0.0), "g/mm^3",
-            "for the lost mass of summaries and fits; of the body itself, its layers have their "
-            "own", None,
+            "density of the body under its layers (each layer has its own), for the lost mass in "
+            "summaries and fits", None,
         ),
         Key(
             f"{ring}.layers",
@@ -66,10 +66,10 @@ def _ring_keys(ring: str, name: str) -> list[Key]:
                 MOST_LAYERS,
             ),
             "-",
-            f"bonded layers of the {ring} body: thickness (mm), young (MPa) and poisson of each; "
-            "density (g/mm^3), for the lost mass, not known where it is absent; and wear, a table "
-            f"of its law and parameters; absent: that of [wear.{ring}]. "
-            f"{ring}.layers[0].thickness and {ring}.layers[0].wear.k are its entries",
+            f"coatings and bonded layers of the {ring} body. Each has thickness (mm), young (MPa) "
+            "and poisson, and may have density (g/mm^3, for the lost mass) and wear, a table with "
+            f"its wear law and parameters (default: those of [wear.{ring}]). Studies and --set "
+            f"name its entries {ring}.layers[0].thickness, {ring}.layers[0].wear.k and so on",
             (),
         ),
     ]  # fmt: skip
@@ -129,15 +129,17 @@ def _wear_key(path: str, users: Mapping[str, Parameter]) -> Key:
 
 KEYS: tuple[Key, ...] = (
     Key("title", *text(), "-", "shown in plots and summaries", ""),
-    *_ring_keys("lower", "lower ring, its bottom held"),
-    *_ring_keys("upper", "upper ring, which turns"),
+    *_ring_keys("lower", "lower body, held at its bottom"),
+    *_ring_keys("upper", "upper body, which turns"),
     Key(
         "upper.grip", *choice("clamped", "platen"), "-",
-        "top of the upper ring: u_r = 0 (clamped) or sigma_rz = 0 (platen)", "clamped",
+        "how the top of the upper body is held: clamped, u_r = 0, or on a platen, free to widen, "
+        "sigma_rz = 0", "clamped",
     ),
     Key(
         "upper.chamfer", *chamfer(), "mm",
-        "45 degrees, on the contact corners of the upper ring; excludes upper.profile", None,
+        "width of chamfers of 45 degrees on the contact corners of the upper body; not together "
+        "with upper.profile", None,
     ),
     Key("contact.friction", *number(0.0, ends=True), "1", "Coulomb friction coefficient mu"),
     *(
@@ -145,7 +147,11 @@ KEYS: tuple[Key, ...] = (
         for body in ("lower", "upper")
         for key in _wear_keys(f"wear.{body}", body, f"[wear.{body}]: does not wear", LAWS)
     ),
-    Key("load.control", *choice("force", "displacement"), "-", "what is held constant", "force"),
+    Key(
+        "load.control", *choice("force", "displacement"), "-",
+        "prescribed quantity: the axial force, or the displacement of the upper body's top",
+        "force",
+    ),
     Key("load.force", *schedule(0.0), "N", "axial force (control = force)", None),
     Key(
         "load.pressure", *schedule(0.0), "MPa",
@@ -153,77 +159,83 @@ KEYS: tuple[Key, ...] = (
     ),
     Key(
         "load.displacement", *schedule(0.0), "mm",
-        "downward displacement of the upper ring's top (control = displacement)", None,
+        "downward displacement of the upper body's top (control = displacement)", None,
     ),
     Key(
-        "load.omega", *schedule(0.0, ends=True), "rad/s", "angular speed of the upper ring"
+        "load.omega", *schedule(0.0, ends=True), "rad/s", "angular speed of the upper body"
     ),
     Key(
         "time.scheme", *choice("implicit", "explicit", "adaptive"), "-",
-        "implicit: backward Euler inside the contact problem; explicit: the paper's (6); adaptive: "
-        "second order, steps chosen by time.tolerance", "implicit",
+        "implicit: backward Euler inside the contact problem; explicit: forward Euler, equation "
+        "(6) of the paper; adaptive: second order, steps chosen by time.tolerance", "implicit",
     ),
     Key("time.step", *number(0.0), "s", "time step (implicit, explicit)", None),
     Key("time.steps", *whole(1), "-", "number of time steps (implicit, explicit)", None),
     Key(
         "time.end", *number(0.0), "s",
-        "end of an adaptive history; where it is absent, time.step x time.steps", None,
+        "end of an adaptive history; default: time.step x time.steps", None,
     ),
     Key(
         "time.tolerance", *number(0.0), "mm",
-        "largest estimated error of wear depth, of both bodies together, that adaptive steps make "
-        "over the whole history; closing contact and the mesh are not in it", 1e-5,
+        "largest estimated error that adaptive steps make in the wear depth of both bodies "
+        "together, over the whole history; without the errors of the mesh and of elements that "
+        "come into contact", 1e-5,
     ),
     Key(
         "time.pressure_tolerance", *number(0.0), "1",
-        "largest estimated error of the pressure of one adaptive step, of the worst element, over "
-        "the mean pressure in contact", 0.1,
+        "largest estimated error that one adaptive step makes in the pressure of an element, "
+        "divided by the mean pressure in contact", 0.1,
     ),
-    Key("mesh.contact_elements", *whole(4), "-", "elements of the contact line", 64),
+    Key("mesh.contact_elements", *whole(4), "-", "number of contact elements", 64),
     Key(
         "mesh.grading", *number(1.0, 6.0, ends=True), "1",
-        "grading of the contact line towards its edges; 1 is uniform", 2.5,
+        "grading of the contact elements towards the edges of contact: larger is finer there; 1: "
+        "equal elements", 2.5,
     ),
     Key(
         "mesh.quadrature_tolerance", *number(1e-10, 1e-2, ends=True), "1",
-        "relative accuracy of the element integrals", 1e-7,
+        "relative error of the integrals over boundary elements", 1e-7,
     ),
     Key(
         "mesh.contact", *pair(0.0), "mm",
-        "radii between which contact may arise; default: where the bodies face each other", None,
+        "inner and outer radius between which contact is possible; default: wherever the bodies "
+        "face each other", None,
     ),
     Key(
         "mesh.geometry", *choice("fixed", "updated"), "-",
-        "updated: the elements follow the worn profile; fixed: it enters through the gap alone",
+        "fixed: elements stay on the unworn bodies, and wear changes the gap alone; updated: "
+        "elements follow the worn profile",
         "fixed",
     ),
     Key(
         "mesh.geometry_tolerance", *number(0.0), "mm",
-        "wear since the last assembly that asks for a new one (geometry = updated)", 0.005,
+        "wear depth after which the elements are moved and assembled again (geometry = updated)",
+        0.005,
     ),
-    Key("output.every", *whole(1), "steps", "store every so many steps, and the last", 1),
+    Key("output.every", *whole(1), "steps", "store every so many steps, and the last one", 1),
     Key(
         "output.times", *times(), "s",
-        "store at these times, the start and the end instead", None,
+        "times at which steps are stored, besides the start and the end; instead of output.every",
+        None,
     ),
     Key("output.fields", *some_of(*FIELDS), "-", "fields stored along the contact line", FIELDS),
     Key(
         "output.profiles", *choice("all", "last"), "-",
-        "store these fields as often as the histories, or at the last step only", "all",
+        "steps at which output.fields are stored: all stored steps, or the last only", "all",
     ),
     Key(
         "output.boundary", *which_times("none", "last", "all"), "s",
-        "stored steps at which displacement and traction of both whole boundaries are stored; "
-        "times: the first stored step from each on", "none",
+        "steps at which displacement and traction on the whole boundaries of both bodies are "
+        "stored; a time stands for the first stored step at or after it", "none",
     ),
     Key(
         "stress.points", *places("above", "below"), "mm",
-        "points at which stress is stored; no table [stress]: none is computed. On faces that "
-        "touch, the side says whose: above is upper, below lower", None,
+        "points at which stress is stored (without a table [stress], none is computed). On the "
+        "contact faces the side names the body: above is upper, below is lower", None,
     ),
     Key(
         "stress.grid.body", *choice("lower", "upper", "both"), "-",
-        "of which body stress is stored on a grid of points; points outside have none", "both",
+        "body in which stress is stored on a grid; grid points outside it have no stress", "both",
     ),
     Key("stress.grid.r", *pair(0.0), "mm", "first and last radius of the grid", None),
     Key("stress.grid.z", *pair(-math.inf), "mm", "first and last height of the grid", None),
@@ -233,12 +245,13 @@ KEYS: tuple[Key, ...] = (
     ),
     Key(
         "stress.times", *which_times("last", "all"), "s",
-        "stored steps at which stress is stored; times: the first stored step from each on", "last",
+        "steps at which stress is stored; a time stands for the first stored step at or after it",
+        "last",
     ),
     Key(
         "stress.exclude", *number(0.0, ends=True), "mm",
-        "radius round edges of contact in which the largest von Mises stress is not looked for: at "
-        "unworn edges stress is infinite", 0.1,
+        "distance from edges of contact within which the search for the largest von Mises stress "
+        "leaves points out: at unworn edges stress is infinite", 0.1,
     ),
 )  # fmt: skip
 
@@ -250,7 +263,7 @@ LAYER_KEYS: tuple[Key, ...] = (
     Key("thickness", *number(0.0), "mm", "thickness of the layer, along the axis"),
     Key("young", *number(0.0), "MPa", "Young's modulus of the layer"),
     Key("poisson", *number(-1.0, 0.5), "1", "Poisson's ratio of the layer"),
-    Key("density", *number(0.0), "g/mm^3", "of the layer, for the lost mass", None),
+    Key("density", *number(0.0), "g/mm^3", "density of the layer, for the lost mass", None),
     *_wear_keys("wear", "the layer", "wear: wears as the body", LAYER_LAWS),
 )
 _LAYER_ENTRIES = {key.path: key for key in LAYER_KEYS}

@@ -16,7 +16,7 @@ from ringwear_par.identification import fit_folder
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.definition.scatter import expected_sizes
-from ringwear_par.identification.estimation.intervals import ParameterEstimate, estimates
+from ringwear_par.identification.estimation.intervals import estimates
 from ringwear_par.identification.estimation.minimise import Optimum, minimise
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.estimation.posterior import sample_posterior
@@ -144,7 +144,8 @@ def run_fit(
         print(result.summary())
         if problem.alternatives and not compare:
             log.info(
-                "[compare] was not looked at: --compare fits %s", ", ".join(problem.alternatives)
+                "laws of [compare] were not fitted: --compare fits %s",
+                ", ".join(problem.alternatives),
             )
 
 
@@ -194,7 +195,7 @@ class FitRun:
         def lead() -> tuple[Any, ...]:
             fields = job()
             material = fields.get("material")
-            misfit.keep_only(fields["x"], None if material is None else material.own)
+            misfit.keep_only(fields["x"], None if material is None else material.test_unknowns)
             return fields, misfit.data, misfit.noise_scale, misfit.steps, misfit.response_cache
 
         fields, *state = self._rounds.lead(lead)
@@ -248,7 +249,7 @@ class FitRun:
             "evaluation": optimum.evaluation,
             "parameters": profiles.estimates,
             "covariance": covariance,
-            **self._material(optimum.x, profiles.estimates, None),
+            **self._material(optimum.x, None),
             "starts": tuple(starts),
             "histories": self._rounds.count,
             "profiles": profiles.tables,
@@ -267,17 +268,14 @@ class FitRun:
             "evaluation": evaluation,
             "parameters": parameters,
             "covariance": covariance,
-            **self._material(x, parameters, expected_sizes(self._problem)),
+            **self._material(x, expected_sizes(self._problem)),
             "starts": (),
             "histories": self._rounds.count,
             "profiles": {},
         }
 
     def _material(
-        self,
-        x: FloatArray,
-        parameters: tuple[ParameterEstimate, ...],
-        sizes: Mapping[tuple[str, str], float] | None,
+        self, x: FloatArray, sizes: Mapping[tuple[str, str], float] | None
     ) -> dict[str, Any]:
         """Return the fields of a result that are others where values scatter between tests."""
         if not self._problem.scatters:
@@ -287,10 +285,7 @@ class FitRun:
         return {
             "x": material.x,
             "evaluation": material.evaluation,
-            "parameters": tuple(
-                material.estimate(j) if j in material.free else estimate
-                for j, estimate in enumerate(parameters)
-            ),
+            "parameters": tuple(map(material.estimate, range(len(self._problem.parameters)))),
             "covariance": material.covariance,
             "material": material,
         }

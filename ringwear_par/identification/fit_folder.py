@@ -76,6 +76,8 @@ def save(fit: FitResult, folder: Path) -> None:
         figures = {CURVES: fit.plot, ESTIMATES: fit.plot_parameters}
         if fit.material is not None:
             figures[SPECIMENS] = fit.plot_specimens
+        else:
+            (folder / SPECIMENS).unlink(missing_ok=True)
         for figure, draw in figures.items():
             try:
                 picture = png(draw())

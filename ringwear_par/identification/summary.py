@@ -74,9 +74,9 @@ def goodness(outcome: Outcome) -> str:
     p_value = outcome["p_value"]
     noise_fitted = any(row.noise is not None for row in series_rows(outcome))
     if p_value is not None:
-        test = f"p = {p_value:.2g}" + " of those whose noise is given" * noise_fitted
+        test = f"p = {p_value:.2g}" + " for the readings with a given sd" * noise_fitted
     elif noise_fitted:
-        test = "all noise was fitted"
+        test = "no p-value, as all noise was fitted"
     else:
         test = 'loss "student"' if outcome["loss"] == "student" else "no p-value"
     return (
@@ -133,17 +133,17 @@ def warnings(fit: "FitResult") -> tuple[str, ...]:
     sentences = []
     for one in fit.parameters:
         if one.verdict == "not identified":
-            bound = "; its estimate is at its bound" if one.key in fit.keys_at_bound else ""
+            bound = "; the estimate is at its bound" if one.key in fit.keys_at_bound else ""
             sentences.append(f"{one.key} is not identified: {one.direction}{bound}")
         elif one.verdict == "at bound":
             sentences.append(
-                f"{one.key} = {one.estimate:g} is at its bound; its limit is one-sided"
+                f"{one.key} = {one.estimate:g} is at its bound; its interval has one limit only"
             )
     if fit.flagged:
         sentences.append(
             f"the model does not fit: chi2 = {fit.tested_chi2[0]:.4g} of "
-            f"{fit.tested_chi2[1]:.4g} degrees of freedom (p = {fit.p_value:.1g}); noise larger "
-            "than its sd, or another law"
+            f"{fit.tested_chi2[1]:.4g} degrees of freedom (p = {fit.p_value:.1g}); the noise is "
+            "larger than its sd, or the wear law is another"
         )
         if fit.alternatives and all(other.flagged for other in fit.alternatives.values()):
             sentences.append("none of the laws compared fits either")
@@ -158,22 +158,25 @@ def warnings(fit: "FitResult") -> tuple[str, ...]:
     if fit.starts:
         best = min(fit.starts, key=lambda start: start.objective)
         if not best.converged:
-            sentences.append("the best start has not converged; its numbers are the best there are")
+            sentences.append(
+                "the best start has not converged: these numbers are where its search ended"
+            )
         failed = [one for one in fit.starts if one.error]
         if failed:
             sentences.append(f"{len(failed)} of {len(fit.starts)} starts failed: {failed[0].error}")
     sentences += [
-        f"{key}: steps half as long would move it by {fit.discretisation_shift_sd[key]:.2g} sd"
+        f"{key}: time steps half as long would move it by {fit.discretisation_shift_sd[key]:.2g} sd"
         for key in fit.step_dependent_keys
     ]
     sentences += [
-        f"{key}: a limit of its likelihood profile is only near the level, or none was found: the "
-        "laws do not allow such values, or no history could be computed there"
+        f"{key}: an end of its likelihood-profile interval is approximate or missing: the laws do "
+        "not allow values there, or histories could not be computed"
         for key in fit.inexact_limits
     ]
     if fit.posterior is not None and fit.posterior.few:
         sentences.append(
-            f"the posterior's samples are worth {fit.posterior.effective:.0f} only: more samples"
+            f"the posterior's samples are worth only {fit.posterior.effective:.0f} independent "
+            "ones: increase fit.samples"
         )
     return (*sentences, *_assumptions(fit))
 
@@ -201,13 +204,14 @@ def _outliers(fit: "FitResult") -> list[str]:
         if share < 0.5 and np.count_nonzero(far > _FAR) > len(worst):
             continue  # most of them are off
         if series.n == 1:
-            sentences.append(f"{name}: is {far[0]:.3g} sd off the model; look at its unit")
+            sentences.append(f"{name}: is {far[0]:.3g} sd off the model; check its unit")
             continue
         listed = worst[:_LISTED]
         axis, unit = ("r", "mm") if series.profile else ("time", "s")
         at = ", ".join(f"{series.x[i]:.6g}" for i in np.sort(listed))
         more = "" if len(worst) <= _LISTED else f" and {len(worst) - _LISTED} more"
-        hint = "; at an edge or a stop, exclude leaves them out" if share > 0.5 else ""
+        stop = "; if they belong to an edge or a stop, exclude leaves them out"
+        hint = stop if share > 0.5 else ""
         sentences.append(
             f"{name}: {counted(len(worst), 'reading')} at {axis} = {at} {unit}{more}, up to "
             f"{far.max():.3g} sd off the model, make {100.0 * share:.3g} % of its chi2{hint}"
@@ -226,7 +230,7 @@ def summary(fit: "FitResult") -> str:
         *_parameter_lines(outcome),
     ]
     if fit.material is None:
-        lines.append(f"  {of_specimens(outcome)}")
+        lines.append(f"  intervals {of_specimens(outcome)}")
     if fit.posterior is not None:
         lines += _posterior_lines(fit, fit.posterior, outcome)
     lines += [f"warning: {sentence}" for sentence in fit.warnings]
@@ -240,13 +244,13 @@ def summary(fit: "FitResult") -> str:
     lines += _correlation_lines(fit)
     if fit.starts:
         converged = min(fit.starts, key=lambda start: start.objective).converged
-        where = "at this optimum" if converged else "here"
+        where = "at this optimum" if converged else "at this point"
         lines.append(f"{fit.n_at_best} of {counted(len(fit.starts), 'start')} end {where}")
     if fit.alternatives or fit.failed:
         lines += _law_lines(outcome)
     if shifts := fit.discretisation_shift_sd:
         most = max(shifts, key=lambda key: abs(shifts[key]))
-        lines.append(f"steps half as long would move {most} by {shifts[most]:.2g} sd")
+        lines.append(f"time steps half as long would move {most} by {shifts[most]:.2g} sd")
     return "\n".join(lines)
 
 
@@ -255,8 +259,8 @@ def of_specimens(outcome: Outcome) -> str:
     count = outcome["specimens"]
     specimens = "this specimen" if count == 1 else f"these {count} specimens"
     return (
-        f"of {specimens}; repeats of a material scatter more "
-        '(scatter = "fit" where there are repeats)'
+        f"of {specimens} only: repeats of a material scatter more "
+        '(with repeats, use scatter = "fit")'
     )
 
 
@@ -265,8 +269,8 @@ def prediction(fit: "FitResult") -> str:
     problem = fit.misfit.problem
     lines = [
         f"{problem.name}: {counted(fit.n, 'reading')} in "
-        f"{counted(len(problem.experiments), 'experiment')}; to be expected if the parameters are "
-        "those of the start (nothing written):"
+        f"{counted(len(problem.experiments), 'experiment')}; to be expected if the parameters have "
+        "their start values (nothing written):"
     ]
     lines += [f"warning: {sentence}" for sentence in _assumptions(fit)]
     lines += _parameter_lines(fit.to_dict())
@@ -277,7 +281,7 @@ def prediction(fit: "FitResult") -> str:
     lines += _correlation_lines(fit)
     settings = problem.settings
     lines.append(
-        f"to be done: {settings.starts} starts by {settings.method}, intervals: "
+        f"planned: {settings.starts} starts by {settings.method}, intervals: "
         f"{', '.join(settings.intervals)}"
     )
     if missing := settings.missing_package:
@@ -292,6 +296,8 @@ def _parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
     width, lines = max(map(len, parameters)), []
     for key, estimate in parameters.items():
         text, (low, high) = value_text(estimate), estimate["interval"]
+        if estimate["of"] == "material":
+            text += " of the material"
         if low is not None and high is not None:
             limits = f"from {low:.5g} to {high:.5g}"
         elif low is None and high is None:
@@ -301,7 +307,6 @@ def _parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
         by = ", likelihood profile" * (estimate["interval_of"] == "likelihood profile")
         if estimate["verdict"] != "not identified":
             text += f"  {limits} ({100 * level:g} %{by})"
-        text = text.replace("  ", " of the material  ", 1) if estimate["of"] == "material" else text
         lines.append(f"  {key.ljust(width)}  {text}  {estimate['verdict']}")
         lines += [f"    {line}" for line in scatter_lines(estimate, level)]
     return lines
@@ -319,7 +324,8 @@ def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
     unit_of_size = " %" if log else unit
     sizes = []
     for group, scatter in estimate["scatter"].items():
-        between = f"between {scatter['groups']} {PLURALS[group]} "
+        count = scatter["groups"]
+        between = f"between {count} {PLURALS[group] if count > 1 else group} "
         if "known" in scatter:
             sizes.append(f"{between}{size(scatter['known'])}{unit_of_size} (given)")
             continue
@@ -339,7 +345,7 @@ def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
     if limits:
         lines[-1] += f" ({100.0 * level:g} %); {', '.join(limits)}"
     if (needed := estimate.get("specimens_for_10_percent")) is not None:
-        lines.append(f"+-10 % of the material needs some {needed} specimens")
+        lines.append(f"an interval of +-10 % for the material needs some {needed} specimens")
     return lines
 
 
@@ -349,9 +355,10 @@ def _posterior_lines(
     parameters, level = outcome["parameters"], outcome["level"]
     width = max(map(len, parameters))
     lines = [
-        f"posterior: {len(posterior.samples)} samples worth {posterior.effective:.0f}, "
+        f"posterior: {len(posterior.samples)} samples worth {posterior.effective:.0f} independent "
+        "ones, "
         f"{100.0 * posterior.acceptance:.0f} % of the moves accepted"
-        + ("; fitted noise stays what it is at the best fit" if fit.noise_fitted else "")
+        + ("; fitted noise stays at its best value" if fit.noise_fitted else "")
     ]
     for key, estimate in parameters.items():
         sampled = estimate["posterior"]
@@ -377,12 +384,14 @@ def _unit_lines(fit: "FitResult") -> list[str]:
 
 def _correlation_lines(fit: "FitResult") -> list[str]:
     strong = [pair for pair in fit.correlations() if abs(pair[2]) > _STRONG]
-    return [f"correlated by {value:+.3f}: {one} and {other}" for one, other, value in strong[:5]]
+    return [
+        f"correlation {value:+.3f} between {one} and {other}" for one, other, value in strong[:5]
+    ]
 
 
 def _law_lines(outcome: Mapping[str, Any]) -> list[str]:
     rows = law_rows(outcome)
-    lines = ["laws compared (AIC over the smallest, BIC, chi2, parameters):"]
+    lines = ["laws compared (AIC above the smallest, BIC, chi2, parameters):"]
     for row in rows:
         if row.aic_difference is None:
             lines.append(f"  {row.name}: {row.verdict}")

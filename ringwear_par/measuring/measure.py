@@ -74,7 +74,7 @@ def run_measure(
     """Measure and write the outcome to a folder; return its summary. On one rank."""
     files = [path for path in sources if path.suffix.lower() == _TOML]
     if files and len(sources) > 1:
-        raise InputError(f"{files[0]}: must be the only file where it is a measure file")
+        raise InputError(f"{files[0]}: a measure file must be the only file of the command")
     problem = _problem(files[0] if files else sources, case, masses)
     check_folder(folder, FILES)
     result = measure_problem(problem)
@@ -96,16 +96,19 @@ def _problem(source: Source, case: Any, masses: str | Path | None) -> Problem:
         for name, value in (("case", case), ("masses", masses)):
             if value is not None:
                 raise InputError(
-                    f"{name} = {legible(str(value))}: must be absent beside {file}, which names it"
+                    f"{name} = {legible(str(value))}: must be absent beside {file}, which "
+                    "names its own"
                 )
         return read_measure(source)
     records = [source] if isinstance(source, str | Path) else list(source)
     if not records:
-        raise InputError("measure: no record; must be names of files, or of a measure file (.toml)")
+        raise InputError(
+            "measure: no record; must be names of record files, or of one measure file (.toml)"
+        )
     if case is None:
         raise InputError(
-            f"{legible(str(records[0]))}: case is missing: --case RIG.toml must tell rings, load "
-            "and speed; or a measure file (.toml) does"
+            f"{legible(str(records[0]))}: case is missing: --case RIG.toml (a case file with "
+            "rings, load and speed) or a measure file (.toml) must be given"
         )
     if isinstance(case, Case):
         if case.rebuild is None:

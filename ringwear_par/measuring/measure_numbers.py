@@ -85,7 +85,7 @@ def steady_text(entry: Mapping[str, Any]) -> str:
     hours = f"{entry['steady_from']['value'] / 3600.0:.3g} h"
     return {
         "steady part": f"steady from {hours} on",
-        "given part": f"from {hours} on, as the file says",
+        "given part": f"from {hours} on, as the measure file says",
         "last third": f"not steady; last third, from {hours} on",
     }[entry["of"]]
 

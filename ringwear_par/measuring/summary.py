@@ -22,8 +22,8 @@ def summary(result: MeasureResult) -> str:
     if not lines:
         count = len(tests)
         lines.append(
-            f"of {'this specimen' if count == 1 else f'these {count} specimens'}; repeats of a "
-            "material scatter more"
+            f"numbers of {'this specimen' if count == 1 else f'these {count} specimens'} only: "
+            "repeats of a material scatter more"
         )
     width = max(map(len, tests))
     for name, entry in tests.items():

@@ -153,7 +153,10 @@ def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
         ("by its own readings", [one["alone"] for one in entries.values()], GREY, -_ASIDE),
         ("in the light of the others", list(entries.values()), COLOURS[1], _ASIDE),
     ):
-        values, sds = (np.array([one[n] for one in values_of]) for n in ("estimate", "sd"))
+        values, sds = (
+            np.array([np.nan if one is None else one[n] for one in values_of], dtype=float)
+            for n in ("estimate", "sd")
+        )
         drawn.append(
             Points(places + shift, values, name, colour, 6.0, hollow=shift < 0.0,
                    errors=quantile * sds)

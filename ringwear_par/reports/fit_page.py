@@ -101,7 +101,7 @@ def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:
     blocks: list[Block] = [Lines(_bands(level)), Charts(drawn)] if drawn else []
     if single:
         header = ("experiment", "series", "data", "model", "unit", "(data - model) / sd")
-        caption = f"Series of one reading, with what {100 * level:g} % of them keep within"
+        caption = f"Series of one reading, with the range that holds {100 * level:g} % of readings"
         blocks.append(Table(caption, header, single))
     blocks.append(_series_table(outcome))
     sections.append(Section("Data, model and residuals", blocks))
@@ -169,7 +169,7 @@ def _scatter(outcome: Mapping[str, Any]) -> list[Block]:
     parameters, level = outcome["parameters"], float(outcome["level"])
     scattering = {key: one for key, one in parameters.items() if one["of"] == "material"}
     if not scattering:
-        return [Lines([f"Intervals are {of_specimens(outcome)}"])]
+        return [Lines([f"Intervals {of_specimens(outcome)}"])]
     blocks: list[Block] = []
     for number, (key, one) in enumerate(scattering.items(), start=1):
         sentences = "; ".join(scatter_lines(one, level))
@@ -247,7 +247,7 @@ def _bands(level: float) -> list[str]:
     percent = f"{100 * level:g} %"
     return [
         f"Inner band: the model, {percent} confidence, from the covariance of the fitted keys and "
-        "nuisances, linear about the estimates; keys that are not identified are taken as known",
+        "nuisances, linear about the estimates; keys that are not identified count as known",
         f"Outer band: {percent} of readings, noise included; bars, where there are few readings: "
         "one standard deviation of the noise",
     ]
@@ -265,7 +265,7 @@ def _alternatives(outcome: Mapping[str, Any]) -> Table:
         difference = _DASH if row.aic_difference is None else f"{row.aic_difference:+.1f}"
         numbers = [difference, _number(row.bic, 5), _number(row.chi2, 5)]
         rows.append([row.name, *numbers, _in_signs(row.parameters), row.verdict])
-    header = ("law", "AIC over the smallest", "BIC", "chi2", "parameters", "verdict")
+    header = ("law", "AIC above the smallest", "BIC", "chi2", "parameters", "verdict")
     return Table("Laws compared", header, rows)
 
 
@@ -280,7 +280,7 @@ def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
                  *(_number(outcome["fit_file"]["sd"][key], 3) for key in keys)])  # fmt: skip
     header = ["design", "tests", "seconds", *(f"sd of {key}" for key in keys)]
     blocks: list[Block] = [
-        Lines([f"{outcome['candidates']} tests looked at, criterion {outcome['criterion']}, "
+        Lines([f"{outcome['candidates']} candidate tests, criterion {outcome['criterion']}, "
                f"measured as in {outcome['measured_as']}"]),
         Table("Best designs, with predicted standard deviations", header, rows),
     ]  # fmt: skip

@@ -55,7 +55,7 @@ def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
     tests = outcome["tests"]
     sentences = [f"Specific wear rate {repeats_text(one)}" for one in outcome["repeats"]]
     if not sentences:
-        sentences = ["Of these specimens; repeats of a material scatter more"]
+        sentences = ["Numbers of these specimens only: repeats of a material scatter more"]
     yield Lines([_signs(sentence) for sentence in sentences])
     rows = [
         [name, _bare(entry["specific_wear_rate"]), _customary(entry),
@@ -63,7 +63,7 @@ def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
         for name, entry in tests.items()
     ]  # fmt: skip
     header = ("test", "specific wear rate (mm\u00b3/(N m))", "in in\u00b3 min/(ft lbf h)",
-              "wear rate (\u00b5m/h)", "friction", "numbers are of")  # fmt: skip
+              "wear rate (\u00b5m/h)", "friction", "part of the test")  # fmt: skip
     yield Table("Tests, \u00b1 expanded uncertainties U = 2 u", header, rows)
     doubts = [
         with_signs(f"{name}: {doubt['text']}")
@@ -88,7 +88,7 @@ def _records(folder: Path) -> list[Section]:
         return []
     alt = (
         "Worn depth and friction coefficient of each test over time, with block means and the part "
-        "that numbers are of; these are in the table above"
+        "that gives the numbers in the table above"
     )
     title = "Readings, block means and steady parts"
     return [Section("Records", [stored_picture(title, picture, alt)])]
@@ -98,13 +98,13 @@ def _wear(outcome: Mapping[str, Any]) -> list[Block]:
     tests = outcome["tests"]
     first = next(iter(tests.values()))["conditions"]
     conditions = Table(
-        "Rig and specimens", ("what", "value"),
+        "Rig and specimens", ("item", "value"),
         [
             ("contact", f"annulus of radii {first['radii'][0]:g} to {first['radii'][1]:g} mm"),
             ("nominal area", f"{first['area']:.4g} mm\u00b2"),
             ("mean radius", f"{first['mean_radius']:.4g} mm"),
             ("specimen that wears", str(first["body"])),
-            ("its density", _DASH if first["density"] is None
+            ("density of this specimen", _DASH if first["density"] is None
              else f"{first['density']:g} g/mm\u00b3"),
             ("materials, treatment, roughness of both", _OPEN),
             ("atmosphere, humidity, lubricant, cleaning", _OPEN),

@@ -23,9 +23,9 @@ _BALANCES = {
     "residual": (_ERRORS, "contact conditions (KKT)"),
     "force": (_ERRORS, "contact force against the applied force"),
     "volume": (_ERRORS, "worn profiles against integrated rates"),
-    "energy": (_ERRORS, "worn volume against energy"),
-    "reaction": (_MESH_ERRORS, "force on the fixed faces"),
-    "torque": (_MESH_ERRORS, "torque on the fixed faces"),
+    "energy": (_ERRORS, "worn volume against friction energy"),
+    "reaction": (_MESH_ERRORS, "force on the held faces"),
+    "torque": (_MESH_ERRORS, "torque on the held faces"),
 }
 
 

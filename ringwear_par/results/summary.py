@@ -47,7 +47,7 @@ def summary(result: Result) -> str:
         ),
         f"{_steps(about, last)}, {result.line.n} contact elements, "
         f"{iterations / max(steps, 1):.1f} TAO iterations a step",
-        *([f"elements assembled anew {last.start.updates} times to follow the wear"]
+        *([f"mesh moved and assembled again {last.start.updates} times to follow the wear"]
           if last.start.updates else []),
         *(f"{group}: {', '.join(map(str, them))}" for group, them in checks.items()),
     ]  # fmt: skip
@@ -113,8 +113,8 @@ def _limits(about: Mapping[str, Any]) -> str:
     if about["scheme"] != "adaptive":
         return "This is not the error of the result: compare with a run of half the step."
     if about["closing_contact"]:
-        return "The errors of the mesh, and of elements that come into contact, come on top."
-    return "The error of the mesh comes on top."
+        return "The errors of the mesh and of elements that come into contact are not included."
+    return "The error of the mesh is not included."
 
 
 def _tolerance(result: Result) -> str:

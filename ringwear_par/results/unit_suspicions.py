@@ -61,12 +61,12 @@ def unit_suspicions(case: Case) -> tuple[ValidityWarning, ...]:
         if isinstance(material, Ring):
             size = max(material.r[1], material.z[1] - material.z[0])
             if size > _LARGEST:
-                texts.append(f"{name} measures {size:g} mm: in um? lengths are in mm")
+                texts.append(f"{name} measures {size:g} mm; plain lengths are in mm: is it in um?")
     if too_much_load(case):
         texts.append(
             f"the mean pressure of {_load(case):.3g} MPa is more than a tenth of a Young's "
-            f"modulus, {smallest_modulus(case):g} MPa: not linear elastic; loads are in N, moduli "
-            f"in MPa{_or_gigapascals(smallest_modulus(case))}"
+            f"modulus, {smallest_modulus(case):g} MPa: elasticity is not linear there; plain "
+            f"loads are in N, moduli in MPa{_or_gigapascals(smallest_modulus(case))}"
         )
     fast = dict(_too_fast(case))
     return (
@@ -157,7 +157,7 @@ def _too_deep(case: Case) -> Iterator[tuple[str, str]]:
             question = f'; if it is in mm3/(N m), write "{forecast.k:g} mm3/(N m)"'
             yield (
                 key,
-                f"{coefficient} is to wear {forecast.depth:.3g} mm off {BODIES[forecast.body]} by "
+                f"{coefficient} would wear {forecast.depth:.3g} mm off {BODIES[forecast.body]} by "
                 f"t = {case.time.end:g} s, more than a tenth of its height, {z[1] - z[0]:g} mm"
                 + question
                 * bool(forecast.k),

@@ -137,8 +137,9 @@ def _missed_corner(case: Case) -> Iterator[ValidityWarning]:
     yield ValidityWarning(
         "missed_corner",
         f"steps of {case.time.step:g} s pass over the corner of the load at t = {time:g} s: the "
-        f"{noun} is {load:.6g} {unit} there, between the ends of the step {straight:.6g} {unit}; "
-        'a step must end there, which time.scheme = "adaptive" sees to',
+        f"{noun} there is {load:.6g} {unit}, but {straight:.6g} {unit} on the straight line "
+        "between the ends of the step. Choose time.step so that a step ends there, or "
+        'time.scheme = "adaptive"',
     )
 
 
@@ -156,7 +157,7 @@ def _deep_wear(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[Val
     yield ValidityWarning(
         "large_displacement",
         f"approach or wear of {moved:.3g} mm at t = {time:g} s is more than 5 % of a body's "
-        "height: small displacements and the mesh of the unworn rings no longer describe it"
+        "height: small displacements and the mesh of the unworn bodies no longer hold"
         + "".join(f". {warning.text}" for warning in forecast),
     )
 
@@ -170,8 +171,8 @@ def _contact_beyond_mesh(
         yield ValidityWarning(
             "contact_beyond_mesh",
             f"the approach of {approach:.6g} mm at t = {time:g} s exceeds the smallest gap, "
-            f"{case.smallest_gaps[1]:.6g} mm, of the faces that mesh.contact leaves out: they "
-            "may touch there too, which is not computed",
+            f"{case.smallest_gaps[1]:.6g} mm, of the faces outside mesh.contact: the bodies may "
+            "touch there too, and this contact is not computed",
         )
 
 
@@ -184,15 +185,15 @@ def _coarse_mesh(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[V
         defect, time, *_ = max(measures, key=lambda entries: entries[0])
         yield ValidityWarning(
             "coarse_mesh",
-            f"the boundary elements' own balances are wrong by {defect:.2g} at worst, at "
+            f"balance or symmetry of the boundary elements is wrong by {defect:.2g} at worst, at "
             f"t = {time:g} s: a finer mesh (mesh.contact_elements) or thicker bodies are needed",
         )
     elif layered and asymmetry[0] > _MOST_FILM_DEFECT:
         yield ValidityWarning(
             "coarse_film",
-            f"the compliance of bodies with layers is asymmetric by {asymmetry[0]:.2g}, as of "
+            f"the compliance of bodies with layers is asymmetric by {asymmetry[0]:.2g}, as with "
             "thin films that are soft or nearly incompressible: pressures may be wrong by three "
-            "times as much; compare with a finer mesh (mesh.contact_elements)",
+            "times this number. Compare with a finer mesh (mesh.contact_elements)",
         )
 
 
@@ -204,7 +205,7 @@ def _high_pressure(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator
         yield ValidityWarning(
             "high_pressure",
             f"the mean pressure in contact, {pressure:.3g} MPa at t = {time:g} s, is more than a "
-            f"tenth of a Young's modulus, {young:g} MPa: no linear elasticity",
+            f"tenth of a Young's modulus, {young:g} MPa: elasticity is no longer linear there",
         )
 
 
@@ -217,8 +218,8 @@ def _few_elements(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[
             yield ValidityWarning(
                 "few_elements_in_contact",
                 f"{count} of {case.line.n} elements are in contact at t = {time:g} s, under "
-                f"{force:.4g} N: too few to resolve it; more of them (mesh.contact_elements) do, "
-                "or mesh.contact = [r1, r2], which puts them where contact is",
+                f"{force:.4g} N: too few to resolve the contact. Use more elements "
+                "(mesh.contact_elements), or put them where contact is (mesh.contact = [r1, r2])",
             )
             return
 
@@ -233,9 +234,9 @@ def _other_stack(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[V
                 yield ValidityWarning(
                     "worn_layer",
                     f"{100.0 * share:.0f} % of {body}.layers[{number}] is worn off where it bears "
-                    f"load at t = {time:g} s. Its modulus, {layer.young:g} MPa, is not the "
-                    f"{below:g} MPa under it, and the computed elasticity is that of the unworn "
-                    'layers. mesh.geometry = "updated" follows their wear',
+                    f"load at t = {time:g} s, but elasticity is computed with the unworn layer, "
+                    f"whose modulus is {layer.young:g} MPa over {below:g} MPa under it. "
+                    'mesh.geometry = "updated" follows the wear of layers',
                 )
 
 
@@ -245,10 +246,10 @@ def _unlike_slopes(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator
     if share > _LOAD_ASIDE:
         yield ValidityWarning(
             "unlike_slopes",
-            f"{100.0 * share:.2g} % of the load at t = {time:g} s is borne where the pressure acts "
-            f"along a normal more than {MOST_ANGLE:g} degrees off that of a face: at "
+            f"{100.0 * share:.2g} % of the load at t = {time:g} s is borne where the direction of "
+            f"the pressure is more than {MOST_ANGLE:g} degrees off the normal of a face: at "
             f"r = {r:.6g} mm lower slopes by {lower:.3g}, upper by {upper:.3g} degrees, and the "
-            f"pressure is that on a face of {acts:.3g} degrees"
+            f"pressure acts as on a slope of {acts:.3g} degrees"
             + ('; mesh.geometry = "updated" follows the worn faces' * (not case.follows_wear)),
         )
 
@@ -259,9 +260,9 @@ def _asymmetric(worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarnin
     if error > _MOST_ASYMMETRY:
         yield ValidityWarning(
             "asymmetric_compliance",
-            f"a pressure at r = {r:.6g} mm was about {error:.2g} off that of the collocated "
-            f"equations at t = {time:g} s, whose matrix was made symmetric: a finer mesh or a "
-            "milder grading is needed",
+            f"the pressure at r = {r:.6g} mm is about {error:.2g} off at t = {time:g} s, because "
+            "the compliance matrix was made symmetric: a finer mesh (mesh.contact_elements) or a "
+            "milder grading (mesh.grading) is needed",
         )
 
 
@@ -273,9 +274,9 @@ def _infinite_stress(
     if largest and time in [state.time for state in history.states]:
         yield ValidityWarning(
             "infinite_stress",
-            f"the largest von Mises stress at t = {time:g} s, {largest:.5g} MPa, is found beside "
-            f"the edge of contact at r = {r:.6g} mm, where it is infinite as long as no wear has "
-            "rounded the edge: what is found grows as stress.exclude, now "
+            f"the largest von Mises stress at t = {time:g} s, {largest:.5g} MPa, is beside the "
+            f"edge of contact at r = {r:.6g} mm, where stress is infinite until wear has rounded "
+            "the edge: this number grows as stress.exclude, now "
             f"{history.exclude:g} mm, is made smaller",
         )
 
@@ -307,11 +308,11 @@ def _worn_points(
     yield ValidityWarning(
         "worn_points",
         f"stress.points[{first}], at r = {r:.6g}, z = {z:.6g} mm, lies {depths[first]:.4g} mm "
-        f"under the face of {BODIES[bodies[first]]}, of which {worn[first]:.4g} mm is worn off "
+        f"under the unworn face of {BODIES[bodies[first]]}, and {worn[first]:.4g} mm is worn off "
         f"there at t = {state.time:g} s"
         + (f" ({len(more)} more of stress.points likewise)" if more else "")
-        + ': with mesh.geometry = "fixed" stresses are those of the unworn shape, with '
-        '"updated" there is none where nothing is left',
+        + ': with mesh.geometry = "fixed" stresses are those of the unworn shape; with '
+        '"updated" a point that is worn away has no stress',
     )
 
 
@@ -325,9 +326,9 @@ def _infinite_at_interfaces(case: Case, history: StressHistory) -> Iterable[Vali
                     warnings[i, number, r] = ValidityWarning(
                         "infinite_stress_at_interface",
                         f"the largest von Mises stress of {body} at t = {state.time:g} s, "
-                        f"{largest.mises:.5g} MPa, is found beside the free edge of the interface "
+                        f"{largest.mises:.5g} MPa, is beside the free edge of the interface "
                         f"under {body}.layers[{number}], at r = {r:.6g}, z = {z:.6g} mm, where "
-                        "stress between two materials is infinite: what is found grows as "
+                        "stress between two materials is infinite: this number grows as "
                         f"stress.exclude, now {history.exclude:g} mm, is made smaller",
                     )
     return warnings.values()

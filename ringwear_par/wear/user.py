@@ -80,11 +80,18 @@ class UserLaw(CheckedLaw):
 
     file: Annotated[
         str,
-        Parameter("-", "relative to the case; it defines rate(p, at), see user_law.py", "file"),
+        Parameter(
+            "-",
+            "file, relative to the case file, that defines rate(p, at), as user_law.py does",
+            "file",
+        ),
     ]
     source: str
     parameters: Annotated[
-        tuple[tuple[str, Quantity], ...], Parameter("-", "what at.parameters holds", "parameters")
+        tuple[tuple[str, Quantity], ...],
+        Parameter(
+            "-", "parameters of the law, which rate(p, at) reads from at.parameters", "parameters"
+        ),
     ] = ()
 
     @classmethod

@@ -369,7 +369,7 @@ def test_faces_that_have_worn_to_each_other_are_doubted_only_if_the_elements_hav
         "wear.lower": {"law": "archard", "k": 2e-8}, "time": {"scheme": "adaptive", "end": 300.0},
     }  # fmt: skip
     told = flags(read_case(CHAMFER, keys), comm)["unlike_slopes"]
-    assert "the pressure is that on a face of 0 degrees" in told
+    assert "the pressure acts as on a slope of 0 degrees" in told
     assert told.endswith('"updated" follows the worn faces')
     following = read_case(CHAMFER, {**keys, "mesh.geometry": "updated"})
     assert 'mesh.geometry = "updated"' not in flags(following, comm).get("unlike_slopes", "")

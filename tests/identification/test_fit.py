@@ -199,7 +199,7 @@ def test_three_keys_are_one_number_without_torque(tables, comm):
         assert by_key[key].verdict == "not identified"
         assert by_key[key].direction == "only contact.friction x load.omega x wear.lower.k"
     assert by_key["wear.lower.p0"].verdict == "at bound"
-    at_bound = [s for s in found.warnings if s.endswith("; its estimate is at its bound")]
+    at_bound = [s for s in found.warnings if s.endswith("; the estimate is at its bound")]
     assert [s.partition(" ")[0] for s in at_bound] == ["contact.friction"]
 
 
@@ -430,7 +430,7 @@ def test_readings_that_cannot_be_are_named(tables, comm):
     finally:
         path.write_text(whole)
     assert "the model does not fit" in told
-    assert re.search(r"mass.lower .*: is \d+.* sd off the model; look at its unit", told)
+    assert re.search(r"mass.lower .*: is \d+.* sd off the model; check its unit", told)
     assert re.search(rf"profile.lower .*: .*at r = .*{float(r):.6g}.* mm.*, up to .*exclude", told)
 
 

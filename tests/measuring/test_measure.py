@@ -179,7 +179,7 @@ def test_records_are_told_how_they_were_read(laboratory):
     tests = laboratory[2].to_dict()["tests"]
     assert tests["W1"]["skipped"] == {"empty": 10, "repeated": 0, "excluded": 0}
     assert tests["W2"]["skipped"]["repeated"] == 4
-    assert "is taken as a position" in tests["W3"]["notes"][0]
+    assert "falls in total: taken as a position" in tests["W3"]["notes"][0]
     assert tests["W1"]["temperature"]["max"] == pytest.approx(55.0, abs=0.1)
 
 
@@ -196,7 +196,7 @@ def test_the_summary_begins_with_the_answer(laboratory):
 def test_one_test_alone_says_what_it_is_of(laboratory):
     folder, _, _ = laboratory
     result = rw.measure([folder / "W1.csv"], case=folder / "rig.toml")
-    assert result.summary().startswith("of this specimen; repeats of a material scatter more")
+    assert result.summary().startswith("numbers of this specimen only: repeats of a material")
     same = rw.measure(folder / "W1.csv", case=rw.read_case(folder / "rig.toml"))
     assert same.to_dict()["tests"] == result.to_dict()["tests"]
     assert result.tests[0].whole.mass_loss is None
@@ -208,7 +208,7 @@ def test_weighings_without_an_sd_tell_it_by_their_scatter(laboratory):
     (source,) = result.tests[0].whole.specific_wear_rate.sources
     assert (source.name, source.type) == ("mass", "A")
     assert 0.4e-4 < source.u < 1.6e-4
-    assert "of weighed specimens there is no test: W2, W3, W4" in result.problem.notes[0]
+    assert "weighed specimens without a test: W2, W3, W4" in result.problem.notes[0]
 
 
 def test_without_uncertainties_nothing_is_drawn(laboratory, tmp_path):
@@ -229,8 +229,8 @@ def test_equal_weighings_are_not_certain(laboratory, tmp_path):
     result = rw.measure(folder / "W1.csv", case=folder / "rig.toml", masses=tmp_path / "masses.csv")
     (source,) = result.tests[0].whole.mass_loss.sources
     assert (source.type, source.u) == ("B", pytest.approx(1e-4 / np.sqrt(12.0)))
-    assert "note: repeated weighings hardly differ: masses are taken as known to 0.029 mg, the " \
-           "last digit, 0.1 mg, over the root of 12" in result.summary()  # fmt: skip
+    assert "note: repeated weighings are equal or nearly so: the uncertainty of one, 0.029 mg, " \
+           "is that of its last digit, 0.1 mg, over the root of 12" in result.summary()  # fmt: skip
 
 
 @pytest.mark.parametrize("hours", [20.0, 21.9, 30.0])
@@ -240,7 +240,7 @@ def test_a_test_that_lasts_longer_than_its_record_is_told(hours, laboratory):
               "test": [{"name": "W1", "file": str(folder / "W1.csv"),
                         "set": {"time.end": f"{hours} h"}}]}  # fmt: skip
     summary = rw.measure(tables).summary()
-    said = "note: W1: the record is 20 h long, the test 30 h by time.end; numbers of the whole"
+    said = "note: W1: the record is 20 h long and time.end is 30 h; numbers of the whole test"
     assert (said in summary) == (hours == 30.0)
 
 
@@ -366,9 +366,7 @@ def test_records_without_noise_have_finite_numbers(name, row, tmp_path):
 
 def test_readings_that_are_all_at_one_end_are_refused(tmp_path):
     rows = [*(f"{0.1 * i};{i};9" for i in range(100)), "72000;500;9"]
-    with pytest.raises(
-        rw.InputError, match=r"readings of wear are too unevenly spread over its 20"
-    ):
+    with pytest.raises(rw.InputError, match=r"readings of wear are too unevenly spread over 20"):
         record(tmp_path, "gap", rows)
 
 

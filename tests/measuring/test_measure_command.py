@@ -91,7 +91,7 @@ def change(name, old, new):
         ("W4.csv", "0:03:00;", "0:03:00,", "W4.csv: line 5: has 2 values; must have 3"),
         ("W4.csv", "torque_Nm", "depth_mm", "columns depth_um and depth_mm may both be of"),
         ("W4.csv", "torque_Nm", "depth_um", "line 1: depth_um: names two columns; must be one"),
-        ("masses.csv", "W2;", "W1;", "masses.csv: line 4: W1: is there twice"),
+        ("masses.csv", "W2;", "W1;", "masses.csv: line 4: W1: has two rows"),
         ("masses.csv", "W4;41", "W4;einundvierzig", "must be a number"),
         # keys
         ("measure.toml", "masses.csv", "mass.csv", "measure.toml: measure.masses: mass.csv"),
@@ -102,7 +102,7 @@ def change(name, old, new):
         ("measure.toml", "relative = 0.004", "relative = 4", 'lower.density = { "relative" = 4 }'),
         ("measure.toml", 'case = "rig.toml"', 'case = "no.toml"', "no.toml: cannot be read"),
         ("measure.toml", "[measure]", "[measures]", "measures: unknown key (did you mean measure"),
-        ("measure.toml", '"W2"', '"W1"', 'test "W1": is there twice; names must differ'),
+        ("measure.toml", '"W2"', '"W1"', 'test "W1": name: there are two tests of this name'),
         ("measure.toml", "W3.csv", "W7.csv", "W7.csv: cannot be read: No such file"),
         ("measure.toml", "[measure]", "[measure]\nsteady = { wear = 2 }", "must be a number > 0"),
         ("measure.toml", "[measure]", '[measure]\nsteady = { from = "19 h" }', "must be at most"),
@@ -144,11 +144,11 @@ def test_all_faults_together(measure):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["W1.csv"], "W1.csv: case is missing: --case RIG.toml must tell rings, load and speed"),
-        (["measure.toml", "W1.csv"], "measure.toml: must be the only file where it is"),
+        (["W1.csv"], "W1.csv: case is missing: --case RIG.toml (a case file with rings, load"),
+        (["measure.toml", "W1.csv"], "measure.toml: a measure file must be the only file"),
         (["measure.toml", "--case", "rig.toml"], "case = rig.toml: must be absent beside"),
         (["rig.toml"], "rig.toml: is a case, not a measure file; [[test]] is missing"),
-        (["W1.csv", "W1.csv", "--case", "rig.toml"], 'test "W1": is there twice; names'),
+        (["W1.csv", "W1.csv", "--case", "rig.toml"], 'test "W1": name: there are two tests'),
         (["no.csv", "--case", "rig.toml"], "no.csv: cannot be read: No such file or directory"),
         (["W1.csv", "--case", "no.toml"], "no.toml: cannot be read"),
         (["rig.toml.csv"], "case is missing"),

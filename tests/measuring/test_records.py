@@ -194,7 +194,7 @@ def test_many_weighings_are_read_in_a_time_that_grows_with_them(tmp_path):
         ("specimen;before;after_g\nA;2;1\n", "before: no unit; name it before / g"),
         ("specimen;before_mm;after_g\nA;2;1\n", "the column before_mm is in mm by its name; must"),
         ("specimen;before_g;then_g\nA;2;1\n", "must have masses before (vor, initial) and after"),
-        ("specimen;before_g;after_g\nA;2;1\nA;2;1\n", "line 3: A: is there twice"),
+        ("specimen;before_g;after_g\nA;2;1\nA;2;1\n", "line 3: A: has two rows"),
         ("specimen;before_g;after_g\nA;2;-\nB;2;1\n", "line 2: A: has no mass after"),
         ("specimen;before_g;after_g\nB;2;1\nA;2;x\n", "line 3: after_g = x: must be a number"),
     ],

@@ -290,7 +290,7 @@ def test_a_fit_is_told_as_its_file_has_it(folder, pages):
         assert row == [key, f"{one['estimate']:.5g}", f"{one['sd']:.2g}", one["unit"],
                        f"{low:.5g}", f"{high:.5g}", one["verdict"]]  # fmt: skip
     assert f"chi2 = {told['chi2']:.5g}" in page.text
-    laws = page.rows("AIC over the smallest")
+    laws = page.rows("AIC above the smallest")
     assert laws["this law"][0] == "+0.0"
     assert laws["archard"][-1] == "does not fit"
     assert len(page.charts) == 8  # two tests, penetration and profile, with residuals
@@ -338,7 +338,7 @@ def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
     ]  # fmt: skip
     assert f"Not determined by the readings {dash} wear.lower.p0: as k" in page.text
     assert ("p", {"class": "warning"}) in page.elements
-    assert page.rows("AIC over the smallest")["power"][-1] == "failed: no history"
+    assert page.rows("AIC above the smallest")["power"][-1] == "failed: no history"
     words = "load.pressure = 30, time.end = 100 + load.pressure = 90"
     assert page.rows("tests")["1"] == [words, "150", "1e-09", dash]
 

@@ -301,9 +301,7 @@ def test_points_in_material_that_is_worn_away_are_doubted():
     face, layer, shallow, deep = [30.0, 20.0, "below"], [30.0, 19.999], [30.0, 19.996], [30.0, 19.9]
     assert doubted([face, layer, deep, [25.0, 19.9999]]) == []
     (text,) = doubted([face, layer, deep, shallow, [29.0, 19.9965]])
-    assert (
-        "stress.points[3], at r = 30, z = 19.996 mm, lies 0.004 mm under the face of lower" in text
-    )
+    assert "stress.points[3], at r = 30, z = 19.996 mm, lies 0.004 mm under the unworn face" in text
     assert "is worn off there at t = 180 s (1 more of stress.points likewise)" in text
     assert doubted([shallow], stress__times=[0.0]) == []
     moved = worn_through("updated", 30.0, stress__points=[shallow]).doubts

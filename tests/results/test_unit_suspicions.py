@@ -80,7 +80,7 @@ def test_a_k_that_wears_much_off_is_doubted():
     doubt = told(PAPER, **meant | {"wear.lower.k": 1.2e-6})
     text = doubt.pop("wear.lower.k")
     assert doubt == {}
-    assert text.startswith("wear.lower.k = 1.2e-06 1/MPa is to wear 10 mm off lower by t = ")
+    assert text.startswith("wear.lower.k = 1.2e-06 1/MPa would wear 10 mm off lower by t = ")
     assert text.endswith('if it is in mm3/(N m), write "1.2e-06 mm3/(N m)"')
     assert told(PAPER, **washer("1.2e-6 mm3/(N m)", 0.4)) == {}
 
@@ -103,7 +103,7 @@ def test_each_law_forecasts_the_wear_at_the_mean_pressure(law, key):
     law = {k: [[t * end / 8.0, x] for t, x in v] if isinstance(v, list) else v
            for k, v in law.items()}  # fmt: skip
     (text,) = [told(PAPER, **keys, **{f"wear.lower.{k}": v for k, v in law.items()})[key]]
-    assert " is to wear 10 mm off lower by t = " in text
+    assert " would wear 10 mm off lower by t = " in text
     assert told(PAPER, **keys | {"time.end": end / 100.0},
                 **{f"wear.lower.{k}": v for k, v in law.items()}) == {}  # fmt: skip
 

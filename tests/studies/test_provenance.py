@@ -106,8 +106,8 @@ def test_doubts_of_run_are_flags_of_a_sweep(swept, shared_path, comm, capsys):
         assert ("times its stability limit" in told) == ("unstable_explicit_step" in flags[0])
         said = {
             "large_displacement": "more than 5 % of a body's height",
-            "few_elements_in_contact": "too few to resolve it",
-            "coarse_mesh": "the boundary elements' own balances",
+            "few_elements_in_contact": "too few to resolve the contact",
+            "coarse_mesh": "balance or symmetry of the boundary elements is wrong",
         }
         for flag, words in said.items():
             assert (words in told) == (flag in flags[0]), flag

@@ -44,8 +44,8 @@ def read_scatter(
         return None
     if key.startswith(_SETTINGS):
         faults.append(
-            f"{said}: scatter: {key} is set by the machine; must be of a wear law, "
-            "contact.friction, a modulus or a layer"
+            f"{said}: scatter: {key} is set by the machine, not by the specimen; must be a key of "
+            "a wear law, contact.friction, a modulus or a layer"
         )
         return None
     table = value if isinstance(value, Mapping) else {"specimen": value}
@@ -64,7 +64,11 @@ def read_scatter(
         reader.fault(f"must have one of {', '.join(GROUPS)}")
     for group, size in sizes.items():
         if log and isinstance(size, float) and size > _LARGEST:
-            reader.wrong(group, f"must be at most {_LARGEST:g}, of the logarithm")
+            reader.wrong(
+                group, f"must be at most {_LARGEST:g} (standard deviation of the logarithm)"
+            )
+    if log and scale is not None and scale > _LARGEST:
+        reader.wrong("prior", f"must be at most {_LARGEST:g} (standard deviation of the logarithm)")
     if not log and scale is None and "fit" in sizes.values():
         reader.wrong(
             "prior", f'must be {{ half_t = scale }} in {unit} where scale = "linear" and the '
@@ -115,7 +119,7 @@ def check_scatter(
             if seen.setdefault(specimen, of) != of:
                 faults.append(
                     f'{name}: specimen "{legible(specimen)}" is of {group} "{legible(of)}" and of '
-                    f'"{legible(seen[specimen])}"; must be of one'
+                    f'"{legible(seen[specimen])}"; must be of one {group}'
                 )
     fitted = [(key, group) for key, s in scatters for group, v in s.sizes.items() if v is None]
     if len(fitted) > _MOST_FITTED:
@@ -124,8 +128,8 @@ def check_scatter(
         if group_numbers(experiments, group).max() == 0:
             plural = PLURALS[group]
             faults.append(
-                f"{name}: scatter of {key} between {plural} cannot be found from one "
-                f"{group}; must be a number, or 2 {plural} at least"
+                f"{name}: scatter of {key} between {plural} cannot be fitted to one "
+                f"{group}; must be a number, or there must be at least 2 {plural}"
             )
     for key, scatter in scatters:
         fits = [group for group, size in scatter.sizes.items() if size is None]
@@ -134,11 +138,11 @@ def check_scatter(
                 if _same_groups(experiments, small, large):
                     faults.append(
                         f"{name}: scatter of {key}: {large} and {small} are the same groups; "
-                        'only one of both can be "fit"'
+                        'only one of the two can be "fit"'
                     )
     if set(intervals) - {"linear"}:
         faults.append(
-            f"{name}: fit.intervals = {list(intervals)}: are not known with scatter; must be "
+            f"{name}: fit.intervals = {list(intervals)}: are not possible with scatter; must be "
             '["linear"]'
         )
 

@@ -118,21 +118,25 @@ _USUAL, _SPACE = Settings(), DesignSpace()
 #: unit and meaning of nuisances
 _ERRORS = {
     "offset": ("data's", "constant error of all readings"),
-    "drift": ("data's", "error that grows in proportion to time: what it is at the end"),
-    "compliance": ("data's/kN", "of the machine: error over the load, of a penetration over what "
-                   "that has changed"),
+    "drift": ("data's", "error at the end of the test that has grown in proportion to time"),
+    "compliance": ("data's/kN", "compliance of the machine: error over the load, for a penetration "
+                   "over the change of the load since the start"),
     "level": ("data's", "constant error of all depths"),
-    "tilt": ("data's/mm", "error over the distance from the middle of the contact"),
+    "tilt": ("data's/mm",
+             "tilt of the profile: error over the distance from the middle of the contact"),
 }  # fmt: skip
 #: unit and meaning of keys that vary between next tests
 _VARIED = {
     "load.pressure": ("MPa", "mean pressure"),
-    "load.force": ("N", "axial force, instead"),
+    "load.force": ("N", "axial force, instead of the mean pressure"),
     "load.omega": ("rad/s", "angular speed"),
     "time.end": ("s", "duration"),
-    "load.steps": ("-", "loads of one test, growing, for equal times"),
-    "profiles": ("-", "profiles of one test; at equal intervals unless profile.at says when"),
-    "profile.at": ("1", "instants of these profiles, parts of the test"),
+    "load.steps": ("-", "number of increasing load steps of equal duration in one test"),
+    "profiles": (
+        "-",
+        "number of profiles measured in one test; at equal intervals, or at profile.at",
+    ),
+    "profile.at": ("1", "instants of the profiles, as parts of the duration"),
 }
 
 
@@ -162,44 +166,47 @@ def _range_of(name: str) -> Values:
 
 KEYS: tuple[Key, ...] = (
     Key("case", *text("the name of a case file, relative to this one; in Python a dict too"), "-",
-        "the tests' case; experiments set what differs"),
+        "case of all tests; experiment.set changes its keys for one test"),
     Key("fit.parameters.KEY.start", *number(-math.inf), "KEY's",
-        "where the search of a case key begins, what a dry run and a design take it to be; KEY is "
-        "a number of a wear law, contact.friction, a load, load.omega or a modulus; within the "
-        "bounds"),
+        "value, within the bounds, at which the search for a case key begins, and which a dry run "
+        "and a design take as true; KEY is a number of a wear law, contact.friction, a load, "
+        "load.omega, a modulus or a layer's thickness"),
     Key("fit.parameters.KEY.bounds", *_BOUNDS, "KEY's", "smallest and largest value of the search"),
     Key("fit.parameters.KEY.scale", *one_of("linear", "log"), "-",
-        "log: the search is for its logarithm", "linear"),
+        "log: the logarithm of the key is fitted", "linear"),
     Key("fit.parameters.KEY.prior", *_prior(), "KEY's",
-        "knowledge of it without these readings", None),
+        "what is known of the key without these readings: a normal distribution", None),
     Key("fit.parameters.KEY.scatter", *anything('"fit", a number > 0, or a table'), "-",
-        "how values of specimens differ; \"fit\" or a number are those of the table's specimen",
-        None),
+        "scatter of the key between specimens: \"fit\", a known standard deviation, or a table of "
+        "these for specimen, batch and lab", None),
     *(Key(f"fit.parameters.KEY.scatter.{group}", *_scatter_size(),
           "KEY's; 1 where scale = \"log\"", f"standard deviation between {groups} (of the "
           "logarithm where scale = \"log\"), or \"fit\"", None)
       for group, groups in (("specimen", "specimens"), ("batch", "batches"),
                             ("lab", "laboratories"))),
     Key("fit.parameters.KEY.scatter.prior", *_half_t(), "KEY's; 1 where scale = \"log\"",
-        "scale of the half-t prior (4 degrees of freedom) of sizes to be fitted; 0.3 where scale = "
-        "\"log\", else it must be there", None),
+        "scale of the half-t prior (4 degrees of freedom) of fitted scatter; default 0.3 where "
+        "scale = \"log\", else required", None),
     Key("fit.parameters.KEY.scatter.start", *number(0.0), "KEY's; 1 where scale = \"log\"",
-        "what --dry-run and design take sizes to be that are fitted; default: half the scale of "
-        "the prior", None),
+        "size of a fitted scatter that --dry-run and design take as true; default: half the scale "
+        "of the prior", None),
     Key("fit.starts", *whole(1, _MOST_STARTS), "-",
-        "searches: from the starts of the parameters, the others from Sobol' points within the "
-        "bounds", _USUAL.starts),
+        "number of searches: one from fit.parameters.KEY.start, the others from Sobol' points "
+        "within the bounds", _USUAL.starts),
     Key("fit.method", *one_of(*get_args(Method)), "-",
-        "brgn: TAO's regularised Gauss-Newton; lm: SciPy's least_squares", _USUAL.method),
+        "optimiser: brgn is TAO's regularised Gauss-Newton, lm SciPy's least_squares",
+        _USUAL.method),
     Key("fit.intervals", *some_of("linear", "profile", "posterior"), "-",
-        "by covariance, by the profile of the likelihood, by samples of the posterior (pip install "
-        "emcee); linear ones are always computed", tuple(_USUAL.intervals)),
-    Key("fit.samples", *whole(1, _MOST_SAMPLES), "-", "of the posterior", _USUAL.samples),
-    Key("fit.level", *number(0.5, 1.0), "1", "of the intervals", _USUAL.level),
+        "kinds of intervals: by covariance (linear, always computed), by likelihood profiles, by "
+        "samples of the posterior (pip install emcee)", tuple(_USUAL.intervals)),
+    Key("fit.samples", *whole(1, _MOST_SAMPLES), "-",
+        "number of samples of the posterior", _USUAL.samples),
+    Key("fit.level", *number(0.5, 1.0), "1", "confidence level of the intervals", _USUAL.level),
     Key("fit.loss", *one_of(*get_args(Loss)), "-",
-        "student: noise with 4 degrees of freedom, where there are outliers", _USUAL.loss),
+        "distribution of the noise: gaussian, or student (4 degrees of freedom) against outliers",
+        _USUAL.loss),
     Key("experiment.name", *text("a text, its name"), "-",
-        "of the test; no other experiment has it"),
+        "name of the test; names must differ"),
     Key("experiment.specimen", *text("a text"), "-",
         "specimen of the test; tests of one specimen share its values; default: the test's name",
         None),
@@ -207,62 +214,70 @@ KEYS: tuple[Key, ...] = (
         None),
     Key("experiment.lab", *text("a text"), "-", "laboratory of the specimen; default: one for all",
         None),
-    Key("experiment.set", *_CASE_KEYS, "-", "case keys of this test; none that is fitted", None),
+    Key("experiment.set", *_CASE_KEYS, "-",
+        "case keys that differ in this test; no fitted ones", None),
     Key("experiment.data.quantity", *one_of(*QUANTITIES), "-",
-        "measured quantity; depths, penetrations, masses and volumes are positive where material "
-        "is lost; points of a profile outside the contact are unworn"),
+        "measured quantity. Depths, penetrations, masses and volumes are positive where material "
+        "is lost; profile points outside the contact count as unworn"),
     Key("experiment.data.file",
         *text("the name of a table: a text file with commas, semicolons or tabs"), "-",
-        "table of readings, relative to this file: a line of column names, perhaps a row of their "
-        "units, then numbers; what is above the names, lines that begin with # and cells that are "
-        "empty, nan, n.a., NA, - or --- are skipped; times may be stamps such as 2026-03-14 "
-        "08:15:00 or 14.03.2026 08:15:00, or clock times: h:mm:ss, or min:s (h:min where "
+        "table of readings, relative to this file: a line of column names, perhaps a row of "
+        "units, then numbers. Lines above the names, lines that begin with #, and cells that are "
+        "empty or nan, n.a., NA, -, --- are skipped. Times may be dates with times (2026-03-14 "
+        "08:15:00, 14.03.2026 08:15:00) or clock times: h:mm:ss, or min:s (h:min where "
         "units.time is h)", None),
     Key("experiment.data.columns", *_COLUMNS, "-",
-        "names of its columns, where they are not time (or r) and value", None),
+        "names of the columns of file; default: time (or r) and value", None),
     Key("experiment.data.units", *_COLUMNS, "-",
-        "units of its columns, as pint knows them; default: those in the columns' names, as in "
-        "z_um or z / um, which they must not contradict; else s, mm, N mm, g, mm^3", None),
+        "units of the columns of file, as pint writes them; default: the units in the columns' "
+        "names (z_um, z / um), which must agree; without any, s, mm, N mm, g, mm^3", None),
     Key("experiment.data.value", *number(-math.inf), "data's",
         "a single reading, instead of file", None),
     Key("experiment.data.unit", *anything("a unit that pint knows, of the quantity"), "-",
-        "unit of value, or of sd where readings are planned", None),
+        "unit of value and sd; with planned readings, of sd", None),
     Key("experiment.data.at", *number(0.0), "s",
-        "time of a profile, or of a value, within the test; default: the end of the test", None),
+        "time in the test at which the profile or value was measured; default: the end", None),
     Key("experiment.data.times", *_instants(), "s",
-        "planned readings, instead of file; for --dry-run and ringwear design only", None),
-    Key("experiment.data.r", *_instants(), "mm", "planned readings of a profile, likewise", None),
+        "times of planned readings, instead of file; for --dry-run and ringwear design only", None),
+    Key("experiment.data.r", *_instants(), "mm",
+        "radii of a planned profile, instead of file; for --dry-run and "
+        "ringwear design only", None),
     Key("experiment.data.density", *number(0.0), "g/mm^3",
-        "of all that the weighed body has lost, its layers included, from {:g} to {:g}; default: "
-        "those of the case, of the body and each of its layers (a mass must have them)"
+        "one density of all material that the weighed body has lost, layers included, from {:g} "
+        "to {:g}; default: the densities of the body and its layers in the case. A mass needs one "
+        "or the other"
         .format(*DENSITIES), None),
     Key("experiment.data.sd", *number(0.0), "data's",
-        "standard deviation of the readings' noise; or the name of a column of file; or "
-        "{ relative = x } of the readings (of their running median); or \"fit\", which estimates "
-        "it"),
-    Key("experiment.data.sd.relative", *number(0.0), "1", "of the readings", None),
+        "standard deviation of the readings' noise: a number, the name of a column of file, "
+        "{ relative = x } (share of the running median of the readings) or \"fit\", which "
+        "estimates it"),
+    Key("experiment.data.sd.relative", *number(0.0), "1",
+        "sd as a share of the running median of the readings", None),
     Key("experiment.data.correlation_time", *number(0.0, ends=True), "s",
-        "over which noise is correlated (AR(1)), at most 100 times the test; not of a profile",
+        "correlation time of the noise (AR(1)), at most 100 times the duration of the test; not "
+        "for profiles",
         0.0),
     Key("experiment.data.exclude", *anything("a list of increasing pairs"), "s or mm",
-        "readings left out: of a profile from radius to radius, else from time to time", None),
+        "pairs of times (of radii for a profile) between which readings are left out", None),
     *(Key(f"experiment.data.nuisance.{kind}",
-          *anything("a table of prior and bounds, {} where nothing is known of it"), unit,
-          f"{meaning} (of {_quantities_with(kind)})", None)
+          *anything("a table of prior and bounds, {} where nothing is known of the nuisance"), unit,
+          f"{meaning} (for {_quantities_with(kind)})", None)
       for kind, (unit, meaning) in _ERRORS.items()),
-    Key("experiment.data.nuisance.KIND.prior", *_prior(), "KIND's", "knowledge of it", None),
+    Key("experiment.data.nuisance.KIND.prior", *_prior(), "KIND's",
+        "what is known of the nuisance without these readings: a normal distribution", None),
     Key("experiment.data.nuisance.KIND.bounds", *_BOUNDS, "KIND's",
-        "its smallest and largest value", (-math.inf, math.inf)),
+        "smallest and largest value of the nuisance", (-math.inf, math.inf)),
     Key("compare.NAME.set", *_CASE_KEYS, "-",
         "case keys of another law for the same readings, fitted with --compare", None),
-    Key("compare.NAME.parameters", *anything("as fit.parameters"), "-", "its fitted keys"),
+    Key("compare.NAME.parameters", *anything("as fit.parameters"), "-",
+        "fitted keys of the other law"),
     Key("design.criterion", *one_of(*get_args(Criterion)), "-",
-        "of the next tests: D, smallest volume of the confidence ellipsoid; A, smallest mean "
-        "variance over the widths of the bounds; eig, largest expected gain of information (needs "
+        "criterion for the next tests: D, smallest volume of the confidence ellipsoid; A, smallest "
+        "mean variance, in widths of the bounds; eig, largest expected information gain (needs "
         "priors or --after)", _SPACE.criterion),
     *(Key(f"design.vary.{name}", *_range_of(name), unit, meaning, None)
       for name, (unit, meaning) in _VARIED.items()),
-    Key("design.budget.time.end", *number(0.0), "s", "of all next tests together", None),
+    Key("design.budget.time.end", *number(0.0), "s", "total duration of the next tests", None),
     Key("design.budget.experiments", *whole(1, _MOST_EXPERIMENTS), "-", "number of next tests",
         _SPACE.experiments),
 )  # fmt: skip

@@ -160,6 +160,11 @@ def _vague(misfit: Misfit, j: int, sd: float) -> bool:
     return is_vague(misfit.problem.parameters[j], float(norm.ppf(0.5 + 0.5 * level)) * sd)
 
 
+def is_mere_prior(parameter: FittedParameter, sd: float) -> bool:
+    """Tell whether a value is known no better (sd) than by its prior alone."""
+    return parameter.prior is not None and sd > _MERE_PRIOR * parameter.prior.sd
+
+
 def is_vague(parameter: FittedParameter, half_width: float) -> bool:
     """Tell whether the interval of an unknown is wider than its bounds, or than one may be."""
     low, high = map(parameter.unknown, parameter.bounds)
@@ -176,8 +181,7 @@ def _judged(
     parameter, level = misfit.problem.parameters[j], misfit.problem.settings.level
     low, high = misfit.lower[j], misfit.upper[j]
     half = float(norm.ppf(0.5 + 0.5 * level)) * sd
-    prior = parameter.prior
-    mere = prior is not None and sd * parameter.slope(parameter.value(x)) > _MERE_PRIOR * prior.sd
+    mere = is_mere_prior(parameter, sd * parameter.slope(parameter.value(x)))
     if _vague(misfit, j, sd) or mere:
         return "not identified", (None, None), sd if math.isfinite(sd) else None
     near = 1e-3 * sd

@@ -29,6 +29,9 @@ from ringwear_par.identification.model.readings import nuisance_columns
 
 log = logging.getLogger(__name__)
 
+#: steps of nuisances under a loss with weights, and sd by which the last one moves readings
+_REWEIGHTED, _SETTLED = 60, 1e-6
+
 
 class Record(NamedTuple):
     """A series of a test, and its rows among the readings of all."""
@@ -337,14 +340,26 @@ class Misfit:
         x = np.concatenate([unknowns, np.clip(np.zeros(len(lower)), lower, upper)])
         if len(x) == self._m:
             return x
-        evaluation = self.evaluate(x, test_unknowns)
-        rows = np.array([True] * self.n + [j >= self._m for j, _ in self.priors])
-        columns = evaluation.jacobian[rows, self._m :]
-        size = np.linalg.norm(columns, axis=0)
-        size[size == 0] = 1.0  # one that does nothing
-        limits = ((lower - x[self._m :]) * size, (upper - x[self._m :]) * size)
-        step = lsq_linear(columns / size, -evaluation.residuals[rows], limits).x
-        x[self._m :] = np.clip(x[self._m :] + step / size, lower, upper)
+        loss, rows = (
+            self.problem.settings.loss,
+            np.array([True] * self.n + [j >= self._m for j, _ in self.priors]),
+        )
+        # a start needs no more than one step; where tests have their values, all weights count
+        reweighted = 1 if loss == "gaussian" or test_unknowns is None else _REWEIGHTED
+        for _ in range(reweighted):
+            evaluation = self.evaluate(x, test_unknowns)
+            columns, residuals = evaluation.jacobian[rows, self._m :], evaluation.residuals[rows]
+            if reweighted > 1:
+                roots = np.sqrt(weights(loss, evaluation.noise))
+                columns[: self.n] = roots[:, None] * evaluation.noise_jacobian[:, self._m :]
+                residuals[: self.n] = roots * evaluation.noise
+            size = np.linalg.norm(columns, axis=0)
+            size[size == 0] = 1.0  # one that does nothing
+            limits = ((lower - x[self._m :]) * size, (upper - x[self._m :]) * size)
+            step = lsq_linear(columns / size, -residuals, limits).x
+            x[self._m :] = np.clip(x[self._m :] + step / size, lower, upper)
+            if np.abs(step).max() < _SETTLED:
+                break
         return x
 
     @property

@@ -68,16 +68,17 @@ def _oppositions(misfit: Misfit, model: FloatArray) -> list[FitWarning]:
         if series.quantity == "torque" or series.profile or not record.opposes():
             continue
         kinds = " and ".join(n.kind for n in series.nuisances)
-        beside = f"beside its {kinds}, " if kinds else ""
-        said = f"{series.name} ({experiment.name}): {beside}readings fall where the model's rise"
+        beside = f"apart from {kinds}, " if kinds else ""
+        said = f"{series.name} ({experiment.name}): {beside}readings fall where the model rises"
         exclude = record.exclude
         if exclude is None:
-            said += "; look at their sign and at the test"
+            said += "; check their sign and the record of the test"
         else:
             first, last = exclude
             said += (
-                f", because of those from {first:.10g} to {last:.10g} s; if these show something "
-                f"else than wear, leave them out: exclude = [[{first:.10g}, {last:.10g}]]"
+                f", because of the readings from {first:.10g} to {last:.10g} s; if these show "
+                "something else than wear, leave them out: "
+                f"exclude = [[{first:.10g}, {last:.10g}]]"
             )
         values = {"series": series.name, "exclude": exclude and list(exclude)}
         warnings.append(FitWarning("readings-oppose", said, (experiment.name,), values=values))
@@ -91,11 +92,12 @@ def _trends(misfit: Misfit, evaluation: Evaluation) -> list[FitWarning]:
         probability = trend(series, -evaluation.noise[rows])
         if probability >= _NO_NOISE:
             continue
-        differences = "what they differ by is not noise of their sd"
+        differences = "the differences are not noise with the given sd"
         said = (
             f"readings of {experiment.name}, {series.name}, trend away from the model "
             f"(p = {probability:.1g}): "
-            f"{'their sd is not noise' if series.sd_fitted else differences}; intervals are too "
+            f"{'the fitted sd is not noise alone' if series.sd_fitted else differences}; intervals "
+            f"are too "
             "narrow"
         )
         values = {"series": series.name, "p": probability}
@@ -140,14 +142,15 @@ def refuse_idle(misfit: Misfit, start: FloatArray) -> None:
     columns = misfit.evaluate(start).noise_jacobian[:, :m] * (misfit.upper - misfit.lower)[:m]
     faults = [
         f'{misfit.problem.name}: experiment "{legible(experiment.name)}": {series.name}: does not '
-        f"respond to any parameter at its start ({_start_values(misfit)}); must respond to one at "
-        "least"
+        f"respond to any parameter at the start ({_start_values(misfit)}); must respond to at "
+        f"least "
+        "one"
         for experiment, series, part in misfit.records
         if np.linalg.norm(columns[part]) < _NO_RESPONSE
     ]
     faults += [
-        f"{misfit.problem.name}: nothing that was read responds to {parameter.key}, at the start "
-        f"({_start_values(misfit)}) and anywhere within its bounds; must respond: is a threshold "
+        f"{misfit.problem.name}: no readings respond to {parameter.key}, at the start "
+        f"({_start_values(misfit)}) or anywhere within its bounds; some must: is a threshold "
         "(p0) above all pressures?"
         for parameter, responding in zip(
             misfit.problem.parameters, _responding(misfit, start), strict=True
@@ -210,7 +213,7 @@ def refuse_reversed(misfit: Misfit, start: FloatArray) -> None:
         if series.quantity != "torque" and record.opposes() and record.opposes(harmless=True):
             faults.append(
                 f'{misfit.problem.name}: experiment "{legible(experiment.name)}": {series.name}: '
-                "has the wrong sign: readings fall where the model's rise; must be positive where "
+                "has the wrong sign: readings fall where the model rises; must be positive where "
                 "material is lost"
             )
     if faults:

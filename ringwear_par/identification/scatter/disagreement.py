@@ -15,6 +15,8 @@ from ringwear_par.identification.scatter.linearisation import Linearisation
 
 #: probability below which what tests differ by is no chance
 _NO_CHANCE = 0.01
+#: of the largest information of a test: less is none
+_INFORMED = 1e-6
 #: keys of rates: other numbers are the machine's
 _RATES = ("wear.", "contact.friction")
 
@@ -35,7 +37,9 @@ class _Heterogeneity(NamedTuple):
 def disagreements(
     misfit: Misfit, x: FloatArray, evaluation: Evaluation, test_unknowns: FloatArray
 ) -> list[FitWarning]:
-    """Return warnings about keys of rates whose values differ between tests, and do not scatter.
+    """Return a warning about the key of a rate whose values differ most between tests.
+
+    Of those that the fit file does not let scatter.
 
     Parameters
     ----------
@@ -44,29 +48,25 @@ def disagreements(
     problem = misfit.problem
     if len(problem.experiments) < 2:
         return []
-    linear = Linearisation(misfit, x)
-    reduced, free = linear.reduced(evaluation, x, test_unknowns), list(linear.free)
+    reduced = Linearisation(misfit, evaluation, x, test_unknowns).reduced()
     score = np.array(
-        [
-            test.score - test.information @ o
-            for test, o in zip(reduced, test_unknowns[:, free], strict=True)
-        ]
+        [r.score - r.information @ o for r, o in zip(reduced, test_unknowns, strict=True)]
     )
     information = np.array([np.diag(test.information) for test in reduced])
     conditions = defaultdict(list)
     for i, experiment in enumerate(problem.experiments):
         conditions[experiment.case.text].append(i)
     warnings = []
-    for place, key in enumerate(free):
-        parameter = problem.parameters[key]
-        if parameter.scatter is not None or not parameter.key.startswith(_RATES):
+    for key, parameter in enumerate(problem.parameters):
+        at_bound = not misfit.lower[key] < x[key] < misfit.upper[key]
+        if parameter.scatter is not None or at_bound or not parameter.key.startswith(_RATES):
             continue
-        informed = np.flatnonzero(information[:, place] > 0.0)
-        s, a = score[:, place], information[:, place]
+        s, a = score[:, key], information[:, key]
+        informed = np.flatnonzero(a > _INFORMED * a.max()).tolist()
         alike = _heterogeneity(
-            s, a, [[i for i in tests if a[i] > 0.0] for tests in conditions.values()]
+            s, a, [[i for i in tests if i in informed] for tests in conditions.values()]
         )
-        all_tests = _heterogeneity(s, a, [informed.tolist()])
+        all_tests = _heterogeneity(s, a, [informed])
         equal = alike.probability < _NO_CHANCE
         heterogeneity = alike if equal else all_tests
         if heterogeneity.probability >= _NO_CHANCE:
@@ -74,15 +74,17 @@ def disagreements(
         own_sd = float(np.median(a[informed] ** -0.5))
         unit = "" if parameter.log else unit_of_key(problem, parameter.key)
         text = (
-            f"{parameter.key} of tests of {'equal' if equal else 'different'} conditions scatters "
-            f"by {_size(heterogeneity.scatter, parameter.log)}{unit} (DerSimonian-Laird) where "
-            f'readings explain {_size(own_sd, parameter.log)}{unit}: scatter = "fit"'
+            f"{parameter.key} scatters between tests of {'equal' if equal else 'different'} "
+            f"conditions by {_size(heterogeneity.scatter, parameter.log)}{unit} "
+            "(DerSimonian-Laird), but the readings explain only "
+            f'{_size(own_sd, parameter.log)}{unit}: use scatter = "fit"'
             f"{'' if equal else ', or another law'}"
         )
         values = {**heterogeneity._asdict(), "p": heterogeneity.probability, "readings": own_sd}
-        names = tuple(problem.experiments[i].name for i in informed.tolist())
+        names = tuple(problem.experiments[i].name for i in informed)
         warnings.append(FitWarning("tests-disagree", text, names, (parameter.key,), values))
-    return warnings
+    # one that scatters makes the others look as if they did
+    return sorted(warnings, key=lambda warning: -warning.values["q"])[:1]
 
 
 def _heterogeneity(

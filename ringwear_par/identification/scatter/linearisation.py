@@ -11,40 +11,39 @@ from ringwear_par.identification.scatter.reduction import LinearisedTest, Reduce
 
 
 class Linearisation:
-    """The tests of a misfit, linearised at unknowns of their own.
+    """The tests of a misfit, linearised where they were evaluated.
 
-    Keys and nuisances that are at their bounds stay there.
+    Nuisances that are at their bounds stay there.
 
     Parameters
     ----------
     misfit : the least squares problem.
-    x : (u,) unknowns of its optimum.
+    evaluation : of it.
+    x : (u,) unknowns at which it was evaluated.
+    test_unknowns : (tests, m) unknowns of the keys in each test.
 
     Attributes
     ----------
-    free : numbers of the keys that do not stay.
     rows : of each test among the readings.
     """
 
-    def __init__(self, misfit: Misfit, x: FloatArray) -> None:
-        self.misfit, at_bounds = misfit, _at_bounds(misfit, x)
-        self.m = len(misfit.problem.parameters)
-        self.free = tuple(np.flatnonzero(~at_bounds[: self.m]).tolist())
-        self._at_bounds = at_bounds
+    def __init__(
+        self, misfit: Misfit, evaluation: Evaluation, x: FloatArray, test_unknowns: FloatArray
+    ) -> None:
+        self.misfit, self._evaluation, self._x = misfit, evaluation, x
+        self._test_unknowns, self._m = test_unknowns, len(misfit.problem.parameters)
+        self._at_bounds: BoolArray = (x <= misfit.lower) | (x >= misfit.upper)
         ends = np.cumsum([experiment.n for experiment in misfit.problem.experiments])
         self.rows = [
             slice(int(end) - experiment.n, int(end))
             for end, experiment in zip(ends, misfit.problem.experiments, strict=True)
         ]
+        #: of each test
+        self.tests = [self._linearised(number) for number in range(len(self.rows))]
 
-    def reduced(
-        self, evaluation: Evaluation, x: FloatArray, test_unknowns: FloatArray
-    ) -> list[ReducedTest]:
-        """Return the normal equations of all tests, linearised where they were evaluated."""
-        return [
-            reduce_test(self.test(i, evaluation, x, test_unknowns))[0]
-            for i in range(len(self.rows))
-        ]
+    def reduced(self) -> list[ReducedTest]:
+        """Return the normal equations of all tests."""
+        return [reduce_test(test)[0] for test in self.tests]
 
     def nuisances_of(self, test: int) -> list[int]:
         """Return the numbers of a test's unknown nuisances that no bound holds."""
@@ -63,28 +62,16 @@ class Linearisation:
             rows[row, place], values[row] = 1.0 / prior.sd, prior.mean / prior.sd
         return rows, values
 
-    def test(
-        self, number: int, evaluation: Evaluation, x: FloatArray, test_unknowns: FloatArray
-    ) -> LinearisedTest:
-        """Return a test, linearised where it was evaluated."""
+    def _linearised(self, number: int) -> LinearisedTest:
         misfit, rows, nuisances = self.misfit, self.rows[number], self.nuisances_of(number)
-        loss = misfit.problem.settings.loss
-        roots = np.sqrt(weights(loss, evaluation.noise[rows]))[:, None]
-        jacobian = roots * evaluation.noise_jacobian[rows]
-        keys, columns = jacobian[:, list(self.free)], jacobian[:, nuisances]
-        readings = -roots[:, 0] * evaluation.noise[rows]
-        readings = readings + keys @ test_unknowns[number, list(self.free)] + columns @ x[nuisances]
+        noise = self._evaluation.noise[rows]
+        roots = np.sqrt(weights(misfit.problem.settings.loss, noise))[:, None]
+        jacobian = roots * self._evaluation.noise_jacobian[rows]
+        keys, columns = jacobian[:, : self._m], jacobian[:, nuisances]
+        readings = keys @ self._test_unknowns[number] + columns @ self._x[nuisances]
         records = [r for r in misfit.records if r.experiment is misfit.problem.experiments[number]]
         volume = 2.0 * float(np.log(misfit.sd[rows]).sum())
         volume += 2.0 * sum(log_volume(record.series) for record in records)
-        return LinearisedTest(readings, keys, columns, *self.priors_of(nuisances), volume)
-
-
-def _at_bounds(misfit: Misfit, x: FloatArray) -> BoolArray:
-    """Return which unknowns (u,) stay at their bounds; no key that scatters does."""
-    at_bounds = (x <= misfit.lower) | (x >= misfit.upper)
-    for j, parameter in enumerate(misfit.problem.parameters):
-        span = misfit.upper[j] - misfit.lower[j]
-        near = min(x[j] - misfit.lower[j], misfit.upper[j] - x[j]) <= 1e-9 * span
-        at_bounds[j] = near and parameter.scatter is None
-    return at_bounds
+        return LinearisedTest(
+            readings - roots[:, 0] * noise, keys, columns, *self.priors_of(nuisances), volume
+        )

@@ -10,7 +10,11 @@ from scipy.stats import t as student_t
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.problem import FittedParameter
 from ringwear_par.identification.definition.scatter import PLURALS
-from ringwear_par.identification.estimation.intervals import ParameterEstimate, is_vague
+from ringwear_par.identification.estimation.intervals import (
+    ParameterEstimate,
+    is_mere_prior,
+    is_vague,
+)
 from ringwear_par.identification.estimation.misfit import Evaluation
 from ringwear_par.identification.estimation.record_checks import FitWarning
 from ringwear_par.identification.scatter.mixture import Mixture
@@ -18,6 +22,8 @@ from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size
 
 #: ISO 5725: limit of the difference of two results that is exceeded once in twenty times
 _LIMIT = 2.8
+#: sd from its bound at which an unknown is at it
+_NEAR = 1e-3
 #: groups of which the prior says more than they do
 _FEW = 2
 #: relative half width of the material's interval for which specimens are counted
@@ -29,13 +35,15 @@ class Material:
     """What a fit with scatter knows of the material and of its specimens."""
 
     parameters: tuple[FittedParameter, ...]
-    #: numbers of the keys in the mixed model; the others are held at their bounds
+    #: numbers of the keys that are not at their bounds
     free: tuple[int, ...]
+    #: of these, and of all keys as if there were no bounds
     posterior: ScatterPosterior
+    unbounded: ScatterPosterior
     sizes: tuple[Size, ...]
     #: names of the groups of each level
     names: tuple[tuple[str, ...], ...]
-    #: tests alone: (tests, free) estimate and sd of the unknowns, others as estimated
+    #: (tests, m) of the unknowns by one test, the others as estimated; NaN and infinity for none
     alone: FloatArray
     alone_sd: FloatArray
     #: of intervals
@@ -50,6 +58,8 @@ class Material:
     band: FloatArray
     #: -2 log likelihood of the readings with the priors' squares, nuisances at their best
     deviance: float
+    #: whether the values of tests have come to stay
+    converged: bool
 
     @property
     def n_fitted_sizes(self) -> int:
@@ -58,15 +68,19 @@ class Material:
 
     @property
     def effective_number(self) -> float:
-        """Number of the values of keys that readings have to determine, as shrinkage counts it."""
-        s = self.posterior.solutions
-        variances = np.diagonal(s.covariance, axis1=1, axis2=2)
-        shares = 1.0 - variances * self.posterior.model.precision
-        return float(self.posterior.weights @ shares.sum(axis=1))
+        """Number of keys, and by how much readings determine the deviations of specimens."""
+        model, s = self.posterior.model, self.posterior.solutions
+        variances = np.diagonal(s.covariance, axis1=1, axis2=2)[:, model.m :]
+        return len(self.parameters) + float(self.posterior.weights @ (1.0 - variances).sum(axis=1))
 
     def material(self, key: int) -> Mixture:
-        """Return the distribution of the material's unknown of a key that is free."""
-        return self.posterior.material(self.free.index(key))
+        """Return the distribution of the material's unknown of a key.
+
+        Of one that is at its bound: as if that were none.
+        """
+        if key in self.free:
+            return self.posterior.material(self.free.index(key))
+        return self.unbounded.material(key)
 
     def levels_of(self, key: int) -> list[int]:
         """Return the numbers of the levels at which a key scatters."""
@@ -86,34 +100,42 @@ class Material:
         return parameter.value(low), parameter.value(high)
 
     def estimate(self, key: int) -> ParameterEstimate:
-        """Return the estimate of the material's value of a key that is free."""
-        parameter, mixture = self.parameters[key], self.material(key)
-        value = parameter.value(mixture.mean)
-        low, high = mixture.interval(self.level)
-        bounds = [parameter.unknown(bound) for bound in parameter.bounds]
+        """Return the estimate of the material's value of a key."""
+        parameter, mixture, unknown = self.parameters[key], self.material(key), self.x[key]
+        value, sd, (low, high) = parameter.value(unknown), mixture.sd, mixture.interval(self.level)
+        natural = sd * parameter.slope(value)
+        if is_vague(parameter, 0.5 * (high - low)) or is_mere_prior(parameter, natural):
+            direction = f"these tests hardly determine {parameter.key} of the material"
+            return ParameterEstimate(
+                parameter.key, value, natural, (None, None), "not identified", direction
+            )
+        ends = [parameter.unknown(bound) for bound in parameter.bounds]
+        near = [abs(unknown - end) <= _NEAR * sd for end in ends]
+        if any(near):
+            # one-sided; what lies beyond the bound counts as far as the bound is from there
+            half = mixture.quantile(self.level) - mixture.mean
+            end, sign = (ends[0], 1.0) if near[0] else (ends[1], -1.0)
+            beyond = max(sign * (end - mixture.mean), 0.0)
+            limit = parameter.value(end + sign * (np.hypot(beyond, half) - beyond))
+            one_sided = (None, limit) if near[0] else (limit, None)
+            return ParameterEstimate(parameter.key, value, natural, one_sided, "at bound")
         limits = (
-            None if low <= bounds[0] else parameter.value(low),
-            None if high >= bounds[1] else parameter.value(high),
+            parameter.value(low) if low > ends[0] else None,
+            parameter.value(high) if high < ends[1] else None,
         )
-        vague = is_vague(parameter, 0.5 * (high - low))
-        return ParameterEstimate(
-            parameter.key, value, mixture.sd * parameter.slope(value),
-            (None, None) if vague else limits,
-            "not identified" if vague else "identified",
-            f"the readings of these tests hardly tell the material's {parameter.key}"
-            if vague
-            else "",
-        )  # fmt: skip
+        return ParameterEstimate(parameter.key, value, natural, limits, "identified")
 
     def specimens_needed(self, key: int) -> int | None:
         """Return how many specimens tell the material's value to 10 %; None for no such number.
 
-        Of a key whose logarithm is sought, with scatter between specimens.
+        Of a key whose logarithm is sought, with scatter between specimens alone.
         """
-        levels = [i for i in self.levels_of(key) if self._name(i) == "specimen"]
-        if not levels or not self.parameters[key].log:
+        levels = self.levels_of(key)
+        if [self._name(i) for i in levels] != ["specimen"] or not self.parameters[key].log:
+            return None  # more specimens do not tell batches apart
+        test_sd = float(np.median(self.alone_sd[:, key]))
+        if not np.isfinite(test_sd):
             return None
-        test_sd = float(np.median(self.alone_sd[:, self.free.index(key)]))
         sd = np.hypot(self._median_size(levels[0]), test_sd)
         quantile = 0.5 + 0.5 * self.level
         n = 2
@@ -148,9 +170,7 @@ class Material:
             "each": self._groups_entry(key, levels),
         }
         if parameter.log:
-            variance = float(
-                self.posterior.weights @ (self.posterior.solutions.tau[:, levels] ** 2).sum(axis=1)
-            )
+            variance = sum(size**2 for size in sizes.values())
             entry["mean"] = parameter.value(self.material(key).mean + 0.5 * variance)
         if "specimen" in sizes:
             entry["repeatability"] = {"s_r": sizes["specimen"], "r": _LIMIT * sizes["specimen"]}
@@ -165,13 +185,20 @@ class Material:
     def warnings(self) -> tuple[FitWarning, ...]:
         """Warnings about scatters of which readings say next to nothing."""
         warnings = []
+        if not self.converged:
+            text = (
+                "the iteration over values of specimens has not converged: numbers of the material "
+                "are from its last round; fit fewer keys, or add priors"
+            )
+            warnings.append(FitWarning("scatter-not-converged", text, ()))
         for key, parameter in enumerate(self.parameters):
             for i in self.levels_of(key):
                 count, plural = len(self.names[i]), PLURALS[self._name(i)]
                 if self.sizes[i].known is None and count <= _FEW:
                     text = (
-                        f"the scatter of {parameter.key} is from {count} {plural}: its interval, "
-                        "and that of the material, are mostly the prior's; 3 or more tell"
+                        f"the scatter of {parameter.key} is from only {count} {plural}: the "
+                        "intervals of the scatter and of the material depend mostly on the prior; "
+                        f"3 or more {plural} are needed"
                     )
                     values = {"groups": count, "level": self._name(i)}
                     warnings.append(FitWarning("few-specimens", text, (), (parameter.key,), values))
@@ -200,18 +227,22 @@ class Material:
         for number, name in enumerate(self.names[finest]):
             tests = np.flatnonzero(groups == number)
             shrunk = self.posterior.of_test(int(tests[0]), place)
-            weight = 1.0 / self.alone_sd[tests, place] ** 2
-            alone = float(weight @ self.alone[tests, place] / weight.sum())
-            alone_sd = float(1.0 / np.sqrt(weight.sum()))
-            value, alone_value = parameter.value(shrunk.mean), parameter.value(alone)
+            value = parameter.value(shrunk.mean)
             entries[name] = {
                 "estimate": value,
                 "sd": shrunk.sd * parameter.slope(value),
                 "interval": list(self.interval(key, shrunk)),
-                "alone": {
-                    "estimate": alone_value,
-                    "sd": alone_sd * parameter.slope(alone_value),
-                },
-                "shrinkage": alone_sd**2 / (alone_sd**2 + variance),
+                "alone": None,
+                "shrinkage": 1.0,
             }
+            tests = tests[np.isfinite(self.alone_sd[tests, key])]
+            if len(tests):
+                weight = 1.0 / self.alone_sd[tests, key] ** 2
+                alone = parameter.value(float(weight @ self.alone[tests, key] / weight.sum()))
+                alone_variance = float(1.0 / weight.sum())
+                entries[name]["alone"] = {
+                    "estimate": alone,
+                    "sd": np.sqrt(alone_variance) * parameter.slope(alone),
+                }
+                entries[name]["shrinkage"] = alone_variance / (alone_variance + variance)
         return entries

@@ -11,18 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.batched import concat
+from ringwear_par.batched import concat, take
 from ringwear_par.identification.scatter.likelihood import MixedModel, Solutions
 from ringwear_par.identification.scatter.mixture import Mixture
 
 #: degrees of freedom of the priors of sizes
 _DEGREES = 4.0
 #: points of the grid along each axis, by the number of axes
-_POINTS = {1: 60, 2: 40, 3: 20}
+_POINTS = {1: 120, 2: 60, 3: 20}
 #: ends of the grid over the scale of the prior
 _GRID = (0.007, 17.0)
 #: of -2 log likelihood: a finer grid covers what is as near as this to the best
 _NEAR = 8.0
+#: points whose solutions are made at once, and -2 log likelihood over the best from which on they
+#: are not kept: their weights are round-off
+_CHUNK, _IMPROBABLE = 256, 75.0
 #: of -2 log likelihood, by which a size of 0 is worse than the best where it is excluded at 90 %
 _AT_BOUND = 2.71
 
@@ -243,7 +246,16 @@ def _posterior(
     models: Sequence[MixedModel], prior: FloatArray, present: Sequence[Axis]
 ) -> ScatterPosterior:
     tau, weights = grid(present)
-    solutions = concat([model.solve(tau) for model in models])
-    likelihood = np.exp(-0.5 * (solutions.restricted - solutions.restricted.min()))
-    posterior = likelihood * np.outer(prior, weights).ravel()
+    probable, weighted = [], []
+    least = np.inf
+    for model, of_model in zip(models, prior, strict=True):
+        for first in range(0, len(tau), _CHUNK):
+            part = slice(first, first + _CHUNK)
+            solutions = model.solve(tau[part])
+            least = min(least, float(solutions.restricted.min()))
+            near = np.flatnonzero(solutions.restricted < least + _IMPROBABLE)
+            probable.append(take(solutions, near))
+            weighted.append(of_model * weights[part][near])
+    solutions = concat(probable)
+    posterior = np.exp(-0.5 * (solutions.restricted - least)) * np.concatenate(weighted)
     return ScatterPosterior(tuple(models), solutions, posterior / posterior.sum())

@@ -4,8 +4,8 @@ Noise, nuisances and the random part of wear are integrated here; what is left o
 its fitted keys alone.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,21 @@ class ReducedTest:
     #: log determinants of V, and of the nuisances' normal matrix
     log_volume: float
     log_nuisances: float = 0.0
+
+
+def with_fixed(test: ReducedTest, values: Mapping[int, float]) -> ReducedTest:
+    """Return the normal equations of the other unknowns, where some have values, by number."""
+    if not values:
+        return test
+    fixed = list(values)
+    free = [j for j in range(len(test.score)) if j not in values]
+    at, across = np.array([values[j] for j in fixed]), test.information[np.ix_(free, fixed)]
+    square = test.square - 2.0 * at @ test.score[fixed]
+    square += at @ test.information[np.ix_(fixed, fixed)] @ at
+    return replace(
+        test, information=test.information[np.ix_(free, free)],
+        score=test.score[free] - across @ at, square=float(square),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

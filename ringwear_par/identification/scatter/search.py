@@ -3,28 +3,42 @@
 Lindstrom and Bates (1990), Biometrics 46, 673-687.
 """
 
-import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError
-from ringwear_par.identification.definition.problem import GROUPS, FittedParameter, Prior
+from ringwear_par.identification.definition.problem import (
+    GROUPS,
+    FittedParameter,
+    Loss,
+    Prior,
+    Problem,
+)
 from ringwear_par.identification.definition.scatter import group_numbers
+from ringwear_par.identification.estimation.intervals import is_vague
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
-from ringwear_par.identification.model.noise import NuisanceProjection, log_constant, weights
+from ringwear_par.identification.model.histories import HistoryError
+from ringwear_par.identification.model.noise import (
+    NuisanceProjection,
+    log_constant,
+    student_loss,
+    weights,
+)
 from ringwear_par.identification.scatter.likelihood import Level, MixedModel
 from ringwear_par.identification.scatter.linearisation import Linearisation
 from ringwear_par.identification.scatter.material import Material
 from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size, integrate
-from ringwear_par.identification.scatter.reduction import LinearisedTest, ReducedTest, reduce_test
-
-log = logging.getLogger(__name__)
+from ringwear_par.identification.scatter.reduction import ReducedTest, with_fixed
 
 #: sd by which no test's unknowns move any more, and most rounds until then
-_STILL, _MOST_ROUNDS = 1e-3, 20
+_STILL, _MOST_ROUNDS = 1e-3, 60
+#: in a round, most of a logarithm, and of the width of the bounds; least share of a move
+_LOG_MOVE, _MOVE, _LEAST_SHARE = 1.0, 0.25, 0.05
+#: how often tests go half as far, where there is no history
+_HALVINGS = 6
 
 
 def estimate_material(
@@ -45,65 +59,147 @@ def estimate_material(
     ComputationError : readings do not determine the material, or no history could be computed.
     """
     problem, m = misfit.problem, len(misfit.problem.parameters)
-    linear = Linearisation(misfit, x)
-    levels, scatters, names = _levels(problem.parameters, linear.free, misfit)
-    if sizes is not None:
-        keys = [problem.keys[linear.free[level.key]] for level in levels]
-        scatters = [Size(sizes[key, level.name]) for key, level in zip(keys, levels, strict=True)]
-    test_unknowns = np.tile(x[:m], (len(problem.experiments), 1))
+    levels, scatters, names = _levels(problem, sizes)
     low, high = misfit.lower[:m], misfit.upper[:m]
+    longest = np.array([_LOG_MOVE if p.log else np.inf for p in problem.parameters])
+    longest = np.minimum(longest, _MOVE * (high - low))
+    test_unknowns = before = np.tile(x[:m], (len(problem.experiments), 1))
+    share, farthest = 1.0, np.inf
     for _ in range(_MOST_ROUNDS):
-        x = misfit.with_best_nuisances(misfit.values(x), test_unknowns)
-        evaluation = misfit.evaluate(x, test_unknowns)
-        prior = _prior_of_keys(problem.parameters, linear.free, x)
+        x, evaluation, test_unknowns = _evaluated(misfit, x, before, test_unknowns)
+        prior = _prior_of_keys(problem.parameters, x)
         if sizes is not None:
             x[m:] = _expected_nuisances(misfit)
             evaluation = replace(evaluation, noise=np.zeros(misfit.n))
-            prior = prior[0], x[list(linear.free)]
-        tests = [linear.test(i, evaluation, x, test_unknowns) for i in range(len(test_unknowns))]
-        reduced = [reduce_test(test)[0] for test in tests]
-        posterior = _integrated(problem.name, reduced, levels, prior, scatters)
-        free, before = list(linear.free), test_unknowns
-        test_unknowns, sds = before.copy(), np.empty((len(before), len(free)))
-        for i in range(len(test_unknowns)):
-            test_unknowns[i, free] = posterior.unknowns(i)
-            sds[i] = [posterior.of_test(i, j).sd for j in range(len(free))]
-        test_unknowns = np.clip(test_unknowns, low, high)
+            prior = prior[0], x[:m].copy()
+        linear = Linearisation(misfit, evaluation, x, test_unknowns)
+        mixed = _solve(problem, linear.reduced(), levels, prior, scatters)
+        growth = np.ones(len(misfit.records))
+        if sizes is None:
+            growth = _noise_growth(misfit, evaluation, linear, mixed)
+            misfit.noise_scale = growth * misfit.noise_scale
         x = x.copy()
-        x[free] = [posterior.material(j).mean for j in range(len(free))]
-        x[:m] = np.clip(x[:m], low, high)
-        growth = _noise_growth(misfit, evaluation, tests, posterior)
-        misfit.noise_scale = growth * misfit.noise_scale
-        moves = np.abs(test_unknowns - before)[:, free] / sds
-        if max(moves.max(), np.abs(growth - 1.0).max()) <= _STILL:
+        x[:m] = np.clip(mixed.material, low, high)
+        move = np.clip(mixed.of_tests, low, high) - test_unknowns
+        distance = float((np.abs(move) / mixed.sds).max())
+        converged = max(distance, float(np.abs(growth - 1.0).max())) <= _STILL
+        if converged:
             break
-    else:
-        log.warning(
-            "%s: values of specimens still move by %.2g sd after %d rounds",
-            problem.name, moves.max(), _MOST_ROUNDS,
-        )  # fmt: skip
-    alone, alone_sd = _alone(reduced, posterior, test_unknowns[:, free])
-    covariance, band = _covariance(misfit, linear, tests, posterior, x)
-    constant = 2.0 * misfit.n * log_constant(problem.settings.loss)
+        # linearised tests may be far off: where rounds do not come nearer, they go less far
+        share = min(1.0, 1.5 * share) if distance < farthest else max(_LEAST_SHARE, 0.5 * share)
+        farthest, before = distance, test_unknowns
+        test_unknowns = test_unknowns + np.clip(share * move, -longest, longest)
+    alone, alone_sd = _alone(problem.parameters, mixed)
+    covariance, band = _covariance(misfit, linear, mixed, x)
+    constant = 2.0 * misfit.n * log_constant(problem.settings.loss) + _loss_of_weights(
+        problem.settings.loss, evaluation.noise
+    )
     return Material(
-        problem.parameters, linear.free, posterior, tuple(scatters), tuple(names), alone, alone_sd,
-        problem.settings.level, before, x, evaluation, covariance, band,
-        float(posterior.solutions.marginal.min()) + constant,
+        problem.parameters, mixed.free, mixed.posterior, mixed.unbounded, tuple(scatters),
+        tuple(names), alone, alone_sd, problem.settings.level,
+        before if not converged else test_unknowns, x, evaluation, covariance, band,
+        float(mixed.posterior.solutions.marginal.min()) + constant, converged,
     )  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False)
+class _Mixed:
+    """The mixed model of one round."""
+
+    #: numbers of the keys that are not at their bounds
+    free: tuple[int, ...]
+    #: of these, and of all keys as if there were no bounds
+    posterior: ScatterPosterior
+    unbounded: ScatterPosterior
+    #: normal equations of the free keys
+    reduced: Sequence[ReducedTest]
+    #: (m,) means of the material's unknowns, (tests, m) of each test's, and their sd
+    material: FloatArray
+    of_tests: FloatArray
+    sds: FloatArray
+
+
+def _evaluated(
+    misfit: Misfit, x: FloatArray, before: FloatArray, test_unknowns: FloatArray
+) -> tuple[FloatArray, Evaluation, FloatArray]:
+    """Return unknowns with the best nuisances, residuals there, and the unknowns of tests.
+
+    Where there is no history, tests go half as far from where they were before.
+
+    Raises
+    ------
+    HistoryError : there is none near that either.
+    """
+    for _ in range(_HALVINGS):
+        try:
+            x = misfit.with_best_nuisances(misfit.values(x), test_unknowns)
+            return x, misfit.evaluate(x, test_unknowns), test_unknowns
+        except HistoryError:
+            test_unknowns = 0.5 * (before + test_unknowns)
+    x = misfit.with_best_nuisances(misfit.values(x), test_unknowns)
+    return x, misfit.evaluate(x, test_unknowns), test_unknowns
+
+
+def _solve(
+    problem: Problem,
+    reduced: Sequence[ReducedTest],
+    levels: Sequence[Level],
+    prior: tuple[FloatArray, FloatArray],
+    sizes: Sequence[Size],
+) -> _Mixed:
+    """Return the mixed model, in which keys that would leave their bounds stay at them.
+
+    Those that scatter stay free: it is the material's mean that has no bound.
+    """
+    precision, mean = prior
+    low, high = problem.unknown_bounds
+    at_bounds: dict[int, float] = {}
+    unbounded = None
+    while True:
+        free = [j for j in range(len(low)) if j not in at_bounds]
+        tests = [with_fixed(test, at_bounds) for test in reduced]
+        present = [replace(level, key=free.index(level.key)) for level in levels]
+        posterior = _integrated(problem.name, tests, present, (precision[free], mean[free]), sizes)
+        unbounded = posterior if unbounded is None else unbounded
+        material = {j: posterior.material(place).mean for place, j in enumerate(free)}
+        beyond = {
+            j: float(np.clip(value, low[j], high[j]))
+            for j, value in material.items()
+            if problem.parameters[j].scatter is None and not low[j] <= value <= high[j]
+        }
+        if not beyond:
+            break
+        at_bounds |= beyond
+    count = len(reduced)
+    of_tests, sds = np.empty((count, len(low))), np.ones((count, len(low)))
+    for j, value in at_bounds.items():
+        of_tests[:, j] = value
+    for i in range(count):
+        of_tests[i, free] = posterior.unknowns(i)
+        sds[i, free] = [posterior.of_test(i, place).sd for place in range(len(free))]
+    means = np.array([{**material, **at_bounds}[j] for j in range(len(low))])
+    return _Mixed(tuple(free), posterior, unbounded, tests, means, of_tests, sds)
+
+
+def _loss_of_weights(loss: Loss, noise: FloatArray) -> float:
+    """Return the loss of residuals, less the weighed squares that stand for it."""
+    if loss == "gaussian":
+        return 0.0
+    return float(student_loss(noise).sum() - weights(loss, noise) @ noise**2)
+
+
 def _prior_of_keys(
-    parameters: Sequence[FittedParameter], free: Sequence[int], x: FloatArray
+    parameters: Sequence[FittedParameter], x: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return precision and mean of each key's unknown by its prior, which is of its value."""
-    precision, mean = np.zeros(len(free)), np.zeros(len(free))
-    for place, key in enumerate(free):
-        parameter = parameters[key]
+    """Return precision and mean (m,) of each key's unknown by its prior, which is of its value."""
+    precision, mean = np.zeros(len(parameters)), np.zeros(len(parameters))
+    for key, parameter in enumerate(parameters):
         prior: Prior | None = parameter.prior
         if prior is not None:
-            slope = parameter.slope(parameter.value(x[key]))
-            precision[place] = (slope / prior.sd) ** 2
-            mean[place] = x[key] + (prior.mean - parameter.value(x[key])) / slope
+            value = parameter.value(x[key])
+            slope = parameter.slope(value)
+            precision[key] = (slope / prior.sd) ** 2
+            mean[key] = x[key] + (prior.mean - value) / slope
     return precision, mean
 
 
@@ -133,19 +229,17 @@ def _integrated(
 
 
 def _noise_growth(
-    misfit: Misfit,
-    evaluation: Evaluation,
-    tests: Sequence[LinearisedTest],
-    posterior: ScatterPosterior,
+    misfit: Misfit, evaluation: Evaluation, linear: Linearisation, mixed: _Mixed
 ) -> FloatArray:
     """Return by how much the noise of each series (series,) is larger; 1 where it is given."""
     leverages = []
-    for number, test in enumerate(tests):
-        priors = np.concatenate([test.nuisances, test.prior_rows])
-        padding = np.zeros((len(test.prior_rows), test.jacobian.shape[1]))
-        projection = NuisanceProjection(priors)
-        rest = projection.rest(np.concatenate([test.jacobian, padding]))[: len(test.readings)]
-        by_keys = np.einsum("ij,jk,ik->i", rest, posterior.covariance_of_test(number), rest)
+    for number, test in enumerate(linear.tests):
+        keys = test.jacobian[:, list(mixed.free)]
+        padding = np.zeros((len(test.prior_rows), keys.shape[1]))
+        projection = NuisanceProjection(np.concatenate([test.nuisances, test.prior_rows]))
+        rest = projection.rest(np.concatenate([keys, padding]))[: len(test.readings)]
+        covariance = mixed.posterior.covariance_of_test(number)
+        by_keys = np.einsum("ij,jk,ik->i", rest, covariance, rest)
         leverages.append(projection.leverage[: len(test.readings)] + by_keys)
     leverage = np.concatenate(leverages)
     weighted = weights(misfit.problem.settings.loss, evaluation.noise) * evaluation.noise**2
@@ -157,50 +251,49 @@ def _noise_growth(
     return growth
 
 
-def _alone(
-    reduced: Sequence[ReducedTest], posterior: ScatterPosterior, test_unknowns: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return estimate and sd (tests, free) of each unknown by one test, the others as estimated."""
-    count = test_unknowns.shape[1]
-    estimate, sd = np.full_like(test_unknowns, np.nan), np.full_like(test_unknowns, np.inf)
-    material = np.array([posterior.material(j).mean for j in range(count)])
-    scattering = {level.key for level in posterior.model.levels}
-    for i, test in enumerate(reduced):
-        # what does not scatter is the material's, and as well known as that
-        fixed = np.where([j in scattering for j in range(count)], test_unknowns[i], material)
-        for j in range(count):
-            if test.information[j, j] > 0.0:
-                by_other_keys = np.delete(test.information[j] * fixed, j).sum()
-                estimate[i, j] = (test.score[j] - by_other_keys) / test.information[j, j]
-                sd[i, j] = test.information[j, j] ** -0.5
+def _alone(parameters: Sequence[FittedParameter], mixed: _Mixed) -> tuple[FloatArray, FloatArray]:
+    """Return estimate and sd (tests, m) of each unknown by one test, the others as estimated.
+
+    NaN and infinity where a test does not tell it.
+    """
+    estimate = np.full_like(mixed.of_tests, np.nan)
+    sd = np.full_like(mixed.of_tests, np.inf)
+    free = list(mixed.free)
+    for i, test in enumerate(mixed.reduced):
+        present = mixed.of_tests[i, free]
+        for place, j in enumerate(free):
+            information = float(test.information[place, place])
+            if information <= 0.0 or is_vague(parameters[j], 2.0 * information**-0.5):
+                continue
+            by_other_keys = np.delete(test.information[place] * present, place).sum()
+            estimate[i, j] = (test.score[place] - by_other_keys) / information
+            sd[i, j] = information**-0.5
     return estimate, sd
 
 
 def _covariance(
-    misfit: Misfit,
-    linear: Linearisation,
-    tests: Sequence[LinearisedTest],
-    posterior: ScatterPosterior,
-    x: FloatArray,
+    misfit: Misfit, linear: Linearisation, mixed: _Mixed, x: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance (u, u) of the unknowns, and the sd (n,) of the model's readings.
 
     Nuisances follow the keys of their test; those of different tests are given as independent.
+    Keys at their bounds are known.
     """
-    free = list(linear.free)
+    posterior, free = mixed.posterior, list(mixed.free)
     covariance, band = np.zeros((len(x), len(x))), np.zeros(misfit.n)
     covariance[np.ix_(free, free)] = posterior.covariance
-    for number, test in enumerate(tests):
+    for number, test in enumerate(linear.tests):
         nuisances, c = linear.nuisances_of(number), test.nuisances.shape[1]
+        jacobian = test.jacobian[:, free]
         stacked = np.concatenate([test.nuisances, test.prior_rows])
         normal = np.linalg.pinv(stacked.T @ stacked, hermitian=True)
-        follow = -normal @ test.nuisances.T @ test.jacobian
+        follow = -normal @ test.nuisances.T @ jacobian
         keys = posterior.covariance_of_test(number)
         covariance[np.ix_(nuisances, nuisances)] = normal + follow @ keys @ follow.T
         across = follow @ posterior.covariance_of_test_and_material(number)
         covariance[np.ix_(nuisances, free)] = across
         covariance[np.ix_(free, nuisances)] = across.T
-        rows = np.concatenate([test.jacobian + test.nuisances @ follow, test.nuisances], axis=1)
+        rows = np.concatenate([jacobian + test.nuisances @ follow, test.nuisances], axis=1)
         whole = np.zeros((len(free) + c, len(free) + c))
         whole[: len(free), : len(free)], whole[len(free) :, len(free) :] = keys, normal
         sd = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, whole, rows), 0.0))
@@ -209,19 +302,17 @@ def _covariance(
 
 
 def _levels(
-    parameters: Sequence[FittedParameter], free: Sequence[int], misfit: Misfit
+    problem: Problem, sizes: Mapping[tuple[str, str], float] | None
 ) -> tuple[list[Level], list[Size], list[tuple[str, ...]]]:
     """Return the levels of all keys that scatter, their sizes, and the names of their groups."""
-    experiments = misfit.problem.experiments
-    levels, sizes, names = [], [], []
-    for key, parameter in enumerate(parameters):
+    levels, scatters, names = [], [], []
+    for key, parameter in enumerate(problem.parameters):
         if parameter.scatter is None:
             continue
         for group, size in parameter.scatter.sizes.items():
-            numbers = group_numbers(experiments, group)
-            place = GROUPS.index(group)
-            named = dict.fromkeys(experiment.groups[place] for experiment in experiments)
-            levels.append(Level(free.index(key), group, numbers))
-            sizes.append(Size(size, parameter.scatter.scale))
+            named = dict.fromkeys(e.groups[GROUPS.index(group)] for e in problem.experiments)
+            levels.append(Level(key, group, group_numbers(problem.experiments, group)))
+            known = size if sizes is None else sizes[parameter.key, group]
+            scatters.append(Size(known, parameter.scatter.scale))
             names.append(tuple(named))
-    return levels, sizes, names
+    return levels, scatters, names

@@ -144,8 +144,8 @@ def coverage_fault(test: Test, start: float | None) -> str:
             continue
         return (
             f'test "{test.name}": {test.record.file}: readings of {name} are too unevenly spread '
-            f"over its {_hours(test.record.end)}; must be in {FEWEST_BLOCKS} equal parts of it at "
-            "least, and at its end; exclude what is before or behind a long gap"
+            f"over {_hours(test.record.end)}; must be in at least {FEWEST_BLOCKS} equal parts of "
+            "the record, and at its end; exclude the readings before or after a long gap"
         )
     return ""
 
@@ -319,7 +319,8 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[Doubt]:
     part, record, doubts = numbers.part, numbers.test.record, []
     if not part.steady:
         never = [
-            f"{of} never changes by at most {100 * limit:g} % for certain"
+            f"no late part of the record shows for certain that {of} changes by at most "
+            f"{100 * limit:g} %"
             for of, limit, blocks, start in (
                 ("the wear rate", problem.limits.wear, numbers.wear_blocks, part.wear),
                 ("friction", problem.limits.friction, numbers.friction_blocks, part.friction),
@@ -331,7 +332,7 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[Doubt]:
     else:
         share = 1.0 - part.start / record.end
         if share < _SHORT:
-            text = f"the steady part is but {100 * share:.0f} % of the test; test for longer"
+            text = f"the steady part is only {100 * share:.0f} % of the test; test for longer"
             doubts.append(Doubt("steady-part-short", text))
     whole = numbers.whole
     if (
@@ -343,8 +344,8 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[Doubt]:
         apart = abs(balance.value - depth.value)
         if apart > max(2.0 * np.hypot(balance.u, depth.u), _DIFFERENT * abs(balance.value)):
             text = (
-                f"the displacement gives {depth.value:.4g} mm3 of the whole test and the balance "
-                f"{balance.value:.4g} mm3: rings that grow, debris or drift"
+                f"over the whole test the displacement gives {depth.value:.4g} mm3 and the balance "
+                f"{balance.value:.4g} mm3: look for thermal growth of the rings, debris or drift"
             )
             doubts.append(Doubt("displacement-against-weighing", text))
     usual = record.end / count_blocks(len(record.time))
@@ -361,25 +362,28 @@ def _notes(numbers: TestNumbers) -> list[str]:
     record, notes = numbers.test.record, []
     if record.falling:
         column = record.columns["wear"]
-        notes.append(f"{column} falls in total: it is taken as a position, wear is its fall")
+        notes.append(f"{column} falls in total: taken as a position, whose fall is the wear")
     if record.load is not None and np.isfinite(record.load).any():
         measured, force = float(np.nanmean(record.load)), numbers.conditions.force
         if abs(measured - force) > _OTHER_LOAD * force:
             notes.append(
                 f"{record.columns['load']} is {measured:.4g} N on average, the case has "
-                f"{force:.4g} N, which is what numbers are of"
+                f"{force:.4g} N; numbers are computed with the force of the case"
             )
     rate = numbers.whole.specific_wear_rate
     if rate is not None and rate.shortest is not None and not rate.agrees:
         low, high = rate.shortest
         notes.append(
-            f"GUM and Monte Carlo differ by more than a tenth of U: from {rate.interval[0]:.4g} to "
-            f"{rate.interval[1]:.4g} and from {low:.4g} to {high:.4g} {SPECIFIC}; take the latter"
+            f"GUM (from {rate.interval[0]:.4g} to {rate.interval[1]:.4g}) and Monte Carlo (from "
+            f"{low:.4g} to {high:.4g} {SPECIFIC}) differ by more than a tenth of U; take the "
+            "latter"
         )
     if numbers.friction is not None and numbers.friction.value < 0.0:
-        notes.append(f"{record.columns['torque']} is negative: friction is that of its own sense")
+        notes.append(f"{record.columns['torque']} is negative, and so is friction")
     if numbers.wear_rate is not None and numbers.wear_rate.value <= 0.0:
-        notes.append("the depth does not grow in the part that the rate is of")
+        notes.append(
+            "the wear rate is not positive: the depth does not grow in this part of the test"
+        )
     return notes
 
 

@@ -223,7 +223,7 @@ class _Tests:
             if name is not None:
                 reader.place = f'{self._name}: test "{legible(name)}"'
             if name in names:
-                reader.fault("is there twice; names must differ")
+                reader.fault("name: there are two tests of this name; names must differ")
             names.add(name)
             test = self._test(reader, name)
             if test is not None:
@@ -316,34 +316,37 @@ class _Tests:
         case, end, length = test.case, test.record.end, test.record.duration
         if case.load.force is None:
             reader.fault(
-                'load.control = "displacement": must be "force", which a wear rate is over'
+                'load.control = "displacement": must be "force": a wear rate needs the load'
             )
             return
         if smallest(case.load.force) <= 0.0 or mean(case.load.omega, 0.0, test.duration) <= 0.0:
             reader.fault("load.omega, and the load at any time, must be > 0 in a test")
         if not (1.0 - _SHORTER) * length <= test.duration:
             reader.fault(
-                f"time.end = {test.duration:g} s: the record is {length:g} s long; must be as "
-                "long, or the unit of the record's time is another"
+                f"time.end = {test.duration:g} s: the record is {length:g} s long; must be at "
+                "least as long; is the unit of the record's time right?"
             )
         if length < _SHORTER * test.duration:
             reader.fault(
-                f"the record ends at {length:g} s of a test of {test.duration:g} s; the unit of "
-                "its time is perhaps another"
+                f"the record ends at {length:g} s of a test of {test.duration:g} s; is the unit of "
+                "its time right?"
             )
         if self._limits.start is not None and self._limits.start > (1.0 - _SHORTER) * end:
             reader.fault(
                 f"measure.steady.from = {self._limits.start:g} s: the record ends at {end:g} s; "
-                f"must be at most {1.0 - _SHORTER:g} of it"
+                f"must be at most {1.0 - _SHORTER:g} of the record"
             )
         if weighing is None:
             return
         if case.wear_lower is not None and case.wear_upper is not None:
             reader.fault(
-                "both bodies wear: a weighing is of one; must have [wear.lower] or [wear.upper]"
+                "both bodies wear: a weighing is of one body; must have [wear.lower] or "
+                "[wear.upper]"
             )
         elif case.wear_lower is None and case.wear_upper is None:
-            reader.fault("no body wears; [wear.lower] or [wear.upper] must say which was weighed")
+            reader.fault(
+                "no body wears; the weighed body must have a table [wear.lower] or [wear.upper]"
+            )
         elif test.density is None:
             reader.fault(
                 f"{test.body}.density is missing: a weighing needs it; must be a number > 0 "
@@ -354,8 +357,8 @@ class _Tests:
 def _notes(tests: Sequence[Test], weighings: Weighings | None, mass_sd: float | None) -> list[str]:
     """Return sentences about what the files do not tell of each other."""
     notes = [
-        f"{test.name}: the record is {test.record.duration / _HOUR:.3g} h long, the test "
-        f"{test.duration / _HOUR:.3g} h by time.end; numbers of the whole test are of the latter"
+        f"{test.name}: the record is {test.record.duration / _HOUR:.3g} h long and time.end is "
+        f"{test.duration / _HOUR:.3g} h; numbers of the whole test use time.end"
         for test in tests
         if test.duration >= (1.0 + _SHORTER) * test.record.duration
     ]
@@ -365,12 +368,13 @@ def _notes(tests: Sequence[Test], weighings: Weighings | None, mass_sd: float | 
     names = {test.name for test in tests}
     untested = [name for name in weighings.specimens if name not in names]
     if untested:
-        notes.append(f"of weighed specimens there is no test: {legible(', '.join(untested), 200)}")
+        notes.append(f"weighed specimens without a test: {legible(', '.join(untested), 200)}")
     if weighings.coarse and mass_sd is not None and mass_sd == weighings.sd:
         notes.append(
-            f"repeated weighings hardly differ: masses are taken as known to {1e3 * mass_sd:.2g} "
-            f"mg, the last digit, {1e3 * weighings.resolution:g} mg, over the root of 12"
+            "repeated weighings are equal or nearly so: the uncertainty of one, "
+            f"{1e3 * mass_sd:.2g} mg, is that of its last digit, {1e3 * weighings.resolution:g} "
+            "mg, over the root of 12"
         )
     if mass_sd is None:
-        notes.append("nothing tells how well masses are known: measure.masses.sd; no budget has it")
+        notes.append("uncertainty of masses is unknown and in no budget: give measure.masses.sd")
     return notes

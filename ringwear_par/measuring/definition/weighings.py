@@ -102,7 +102,7 @@ def read_weighings(path: Path) -> Weighings:
         place_words = f"{table.name}: line {table.lines[number]}"
         name = row[0]
         if not name or name in specimens:
-            state = "names no specimen" if not name else f"{legible(name)}: is there twice"
+            state = "names no specimen" if not name else f"{legible(name)}: has two rows"
             faults.append(f"{place_words}: {state}; must be one row a specimen")
             continue
         before, after, loss = (

@@ -52,7 +52,12 @@ class RunningInLaw(AboveThreshold):
     ] = None
     distance: Annotated[
         float | None,
-        Parameter("mm", "distance slid over which it does, instead of depth", "number", ends=False),
+        Parameter(
+            "mm",
+            "distance slid over which k_start - k falls by the factor e, instead of depth",
+            "number",
+            ends=False,
+        ),
     ] = None
 
     def __post_init__(self) -> None:

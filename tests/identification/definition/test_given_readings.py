@@ -216,7 +216,7 @@ def test_a_key_to_which_nothing_responds(good, comm):
     tables["experiment"] = tables["experiment"][:1]
     tables["experiment"][0]["set"]["wear.lower.p0"] = 300.0
     del tables["fit"]["parameters"]["wear.lower.p0"]
-    with pytest.raises(InputError, match=r"nothing that was read responds to wear.lower.k"):
+    with pytest.raises(InputError, match=r"no readings respond to wear.lower.k"):
         fit(tables, comm)
     tables["experiment"][0]["set"]["wear.lower.p0"] = 25.0
     start = {"start": 1e-11, "bounds": [1e-12, 1e-5], "scale": "log"}

@@ -272,4 +272,4 @@ def test_that_fitted_noise_stays_is_said(laboratory, comm):
     tables = fit_tables(folder, written, intervals=["posterior"], samples=64, starts=1)
     tables["experiment"] = copy.deepcopy(written)
     tables["experiment"][0]["data"][0]["sd"] = "fit"
-    assert "; fitted noise stays what it is at the best fit" in fit(tables, comm).summary()
+    assert "; fitted noise stays at its best value" in fit(tables, comm).summary()

@@ -105,7 +105,9 @@ def test_tests_that_disagree_are_told(tables):
     assert doubt.values["p"] < 1e-6
     assert 0.5 * SCATTER < doubt.values["scatter"] < 2.0 * SCATTER
     assert 'scatter = "fit"' in doubt.text
-    assert "of these 5 specimens; repeats of a material scatter more" in fit.summary()
+    assert (
+        "intervals of these 5 specimens only: repeats of a material scatter more" in fit.summary()
+    )
     with pytest.raises(InputError, match="no key of the fit has scatter"):
         fit.plot_specimens()
 
@@ -147,7 +149,9 @@ def test_noise_is_fitted_along(tables):
 def test_a_plan_takes_sizes_as_they_start(tables):
     from ringwear_par.identification.fit import expected_result
 
-    problem = read_fit(with_scatter(tables, {"specimen": "fit", "start": 0.25}))
+    plan = with_scatter(tables, {"specimen": "fit", "start": 0.25})
+    plan["fit"]["parameters"]["wear.lower.p0"]["prior"] = {"normal": [0.0, 0.2]}
+    problem = read_fit(plan)
     expected = expected_result(problem, MPI.COMM_SELF).to_dict()["parameters"][K]
     assert expected["estimate"] == pytest.approx(FITTED[K]["start"])
     assert expected["scatter"]["specimen"]["known"] == 0.25
@@ -158,15 +162,44 @@ def test_a_plan_takes_sizes_as_they_start(tables):
 
 
 @pytest.mark.serial
+@pytest.mark.parametrize("loss", ["gaussian", "student"])
+def test_far_zeros_of_records_change_nothing(tables, tmp_path, loss):
+    """Zeros that are 40 um off, as of a sensor that nobody has set."""
+    near = with_scatter(tables)
+    near["fit"]["loss"] = loss
+    far = copy.deepcopy(near)
+    for number, experiment in enumerate(far["experiment"], start=1):
+        record = experiment["data"][0]
+        t, z = np.loadtxt(record["file"], delimiter=",", skiprows=1, unpack=True)
+        record["file"] = str(tmp_path / f"far{number}.csv")
+        write_table(tmp_path / f"far{number}.csv", ("t_s", "z_um"), t, z + 40.0)
+    here, there = (rw.fit(one, MPI.COMM_SELF).to_dict()["parameters"] for one in (near, far))
+    for key in (K, "wear.lower.p0"):
+        assert there[key]["estimate"] == pytest.approx(here[key]["estimate"], rel=1e-3)
+        assert there[key]["sd"] == pytest.approx(here[key]["sd"], rel=1e-2)
+
+
+@pytest.mark.serial
+def test_bounds_of_the_material(tables):
+    """A key without scatter that would leave its bounds has a one-sided limit."""
+    bounded = with_scatter(tables)
+    bounded["fit"]["parameters"]["wear.lower.p0"] |= {"start": 60.0, "bounds": [50.0, 200.0]}
+    p0 = rw.fit(bounded, MPI.COMM_SELF).to_dict()["parameters"]["wear.lower.p0"]
+    assert (p0["estimate"], p0["verdict"]) == (50.0, "at bound")
+    assert p0["interval"][0] is None
+    assert p0["interval"][1] > 50.0
+
+
+@pytest.mark.serial
 @pytest.mark.parametrize(
     ("scatter", "sentence"),
     [
         (0.0, "specimen = 0.0: must be \"fit\", or a number > 0"),
-        (3.5, "specimen = 3.5: must be at most 3, of the logarithm"),
+        (3.5, "specimen = 3.5: must be at most 3 (standard deviation of the log"),
         ({"specimn": 0.1}, "specimn: unknown key (did you mean specimen?)"),
         ({"start": 0.1}, "must have one of specimen, batch, lab"),
         ("fitt", "specimen = \"fitt\": must be \"fit\", or a number > 0"),
-        ({"batch": "fit"}, "between batches cannot be found from one batch; must be"),
+        ({"batch": "fit"}, "between batches cannot be fitted to one batch; must be"),
     ],
 )  # fmt: skip
 def test_scatters_that_are_refused(tables, scatter, sentence):
@@ -185,12 +218,12 @@ def test_groups_that_are_refused(tables):
     moved = with_scatter(tables)
     for experiment, batch in zip(moved["experiment"][:2], ("a", "b"), strict=True):
         experiment |= {"specimen": "S1", "batch": batch}
-    with pytest.raises(InputError, match='"S1" is of batch "b" and of "a"; must be of one'):
+    with pytest.raises(InputError, match='"S1" is of batch "b" and of "a"; must be of one batch'):
         read_fit(moved)
     one = with_scatter(tables)
     for experiment in one["experiment"]:
         experiment["specimen"] = "S1"
-    with pytest.raises(InputError, match="between specimens cannot be found from one specimen"):
+    with pytest.raises(InputError, match="between specimens cannot be fitted to one specimen"):
         read_fit(one)
 
 
@@ -206,7 +239,7 @@ def test_keys_and_intervals_that_are_refused(tables):
     assert (scatter.scale, scatter.start) == (5.0, 2.5)
     sampled = with_scatter(tables)
     sampled["fit"]["intervals"] = ["profile"]
-    with pytest.raises(InputError, match="are not known with scatter; must be"):
+    with pytest.raises(InputError, match="are not possible with scatter; must be"):
         read_fit(sampled)
     loaded = copy.deepcopy(tables)
     for experiment in loaded["experiment"]:
