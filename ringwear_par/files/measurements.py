@@ -3,7 +3,7 @@
 import hashlib
 import re
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -15,9 +15,11 @@ from ringwear_par.files.ordinary import read_bytes
 from ringwear_par.files.stamps import (
     StampError,
     across_midnight,
+    ambiguous_date,
     clock_time,
     has_hours,
     is_clock,
+    is_date,
     is_stamp,
     seconds_of,
 )
@@ -183,9 +185,35 @@ class Measurements:
 
     def begins_with_stamp(self, name: str) -> bool:
         """Tell whether the first filled cell of a column is a stamp or a clock time h:mm:ss."""
-        place = self.columns.index(name)
-        cell = next((row[place] for row in self.rows if row[place].lower() not in EMPTY), "")
+        cell = self.first_cell(name)
         return is_stamp(cell) or has_hours(cell)
+
+    def first_cell(self, name: str) -> str:
+        """Return the first filled cell of a column, "" for none."""
+        place = self.columns.index(name)
+        return next((row[place] for row in self.rows if row[place].lower() not in EMPTY), "")
+
+    def dates(self, name: str) -> set[str]:
+        """Return the different dates of a column; none where it begins with something else."""
+        if not is_date(self.first_cell(name)):
+            return set()
+        place = self.columns.index(name)
+        return {row[place] for row in self.rows if is_date(row[place])}
+
+    def joined(self, date: str, clock: str) -> "Measurements":
+        """Return the table with the dates of a column in front of the times of day of another."""
+        first, second = self.columns.index(date), self.columns.index(clock)
+        both = self.filled(date, clock)
+        rows = tuple(
+            (*row[:second], f"{row[first]} {row[second]}", *row[second + 1 :]) if filled else row
+            for row, filled in zip(self.rows, both.tolist(), strict=True)
+        )
+        return replace(self, rows=rows)
+
+    def ambiguous_date(self, name: str) -> str:
+        """Return a date of a column of stamps whose order of day and month no date tells, or ""."""
+        place = self.columns.index(name)
+        return ambiguous_date([row[place] for row in self.rows])
 
     def names_seconds(self, name: str, rows: BoolArray) -> bool:
         """Tell whether a column has stamps or clock times with seconds in the rows, no others."""

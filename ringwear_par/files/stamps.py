@@ -9,13 +9,17 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 
 #: ISO, day first with dots, and slashes whose order the whole column tells
-_STAMP = re.compile(
+_DATE = (
     r"(?:(?P<iso>\d{4}-\d\d?-\d\d?)|(?P<dots>\d\d?\.\d\d?\.(?:\d{4}|\d\d))|"
     r"(?P<slashes>\d\d?/\d\d?/\d{4}))"
+)
+_STAMP = re.compile(
+    rf"{_DATE}"
     r"(?:[T ]|,? +)(?P<h>\d\d?):(?P<min>[0-5]\d)(?::(?P<s>[0-5]\d(?:[.,]\d*)?))?"
     r" ?(?:(?P<half>[AaPp])[Mm]|Z|(?P<zone>[+-]\d\d:?\d\d))?",
     re.ASCII,
 )
+_DATE_ALONE = re.compile(_DATE, re.ASCII)
 #: h:mm:ss, or two of them
 _CLOCK = re.compile(r"(?:(\d+):(?=[0-5]\d:))?(\d+):([0-5]\d(?:[.,]\d*)?)", re.ASCII)
 _DAY, _HOUR, _MONTHS, _NOON = 86400.0, 3600.0, 12, 12
@@ -34,6 +38,19 @@ class StampError(ValueError):
 def is_stamp(cell: str) -> bool:
     """Tell whether a cell looks like a date with a time of day."""
     return _STAMP.fullmatch(cell) is not None
+
+
+def is_date(cell: str) -> bool:
+    """Tell whether a cell is a date without a time of day."""
+    return _DATE_ALONE.fullmatch(cell) is not None
+
+
+def ambiguous_date(cells: Sequence[str]) -> str:
+    """Return a date of different ones that may be read day first or month first, "" for none."""
+    matches = (_STAMP.match(cell) for cell in cells)
+    dates = dict.fromkeys(match["slashes"] for match in matches if match and match["slashes"])
+    certain = any(int(part) > _MONTHS for date in dates for part in date.split("/")[:2])
+    return "" if certain or len(dates) < 2 else next(iter(dates))
 
 
 def is_clock(cell: str) -> bool:
@@ -122,9 +139,9 @@ def _time_of_day(match: re.Match[str], row: int) -> float:
     hours = int(match["h"])
     if match["half"]:
         hours = hours % _NOON + (_NOON if match["half"] in "Pp" else 0)
-    if hours > 24:
-        raise StampError(row, "there is no such hour; must be from 0 to 24")
     seconds = float((match["s"] or "0").replace(",", "."))
+    if hours + int(match["min"]) / 60.0 + seconds / _HOUR > 24.0:
+        raise StampError(row, "there is no such hour; must be from 0:00 to 24:00")
     zone = (match["zone"] or "").replace(":", "")
     offset = int(f"{zone[0]}1") * (60 * int(zone[1:3]) + int(zone[3:])) if zone else 0
     return _HOUR * hours + 60.0 * (int(match["min"]) - offset) + seconds

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ringwear_par.errors import InputError
-from ringwear_par.files.stamps import is_clock, is_stamp
+from ringwear_par.files.stamps import is_clock, is_date, is_stamp
 
 #: read one way only, so that the time of long cells is linear in their length
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -168,7 +168,7 @@ def _is_row(cells: Sequence[str], labelled: bool) -> bool:
         )
     if cells[0].lower() in EMPTY:
         return any(map(_is_value, cells)) or all(cell.lower() in EMPTY for cell in cells)
-    return _is_value(cells[0])
+    return _is_value(cells[0]) or is_date(cells[0])
 
 
 def _is_value(cell: str) -> bool:

@@ -77,6 +77,16 @@ def test_stamps(stamps, seconds):
     assert read.names_seconds("Datum/Uhrzeit", read.filled("z"))
 
 
+@pytest.mark.parametrize(("time", "there"), [("24:00:00", True), ("24:59:00", False)])
+def test_a_day_ends_at_24(time, there):
+    read = table(f"t;z\n14.03.2026 23:00:00;1\n14.03.2026 {time};2\n")
+    if there:
+        assert column(read, 0, HOUR).tolist() == [0.0, HOUR]
+        return
+    with pytest.raises(InputError, match=r"line 3: .*no such hour; must be from 0:00 to 24:00"):
+        column(read, 0, HOUR)
+
+
 def test_stamps_count_from_the_first_of_the_table():
     rows = [f"2026-03-14 08:1{i}:00,{'' if i == 0 else i}" for i in range(3)]
     read = table("\n".join(["t,z", *rows]))

@@ -336,6 +336,48 @@ def test_a_load_and_a_speed_that_change_together(laboratory):
     assert test.specific_wear_rate.value == pytest.approx(test.wear_rate.value / pv)
 
 
+def with_exclude(path, *intervals):
+    tables = {"case": str(EXAMPLE / "rig.toml"), "test": [
+        {"name": path.stem, "file": str(path), "exclude": [*intervals]}]}  # fmt: skip
+    (test,) = rw.measure(tables).tests
+    return [doubt.text for doubt in test.doubts if doubt.code == "gap"]
+
+
+def test_gaps_are_those_of_a_channel_that_nobody_excludes(tmp_path):
+    def cells(i):
+        return "" if 600 <= i < 840 else i / 30, "" if i < 180 else 9
+
+    path = tmp_path / "gaps.csv"
+    rows = [f"{60 * i};{z};{m}" for i in range(1201) for z, m in [cells(i)]]
+    path.write_text("\n".join(["t_s;z_um;M_Nm", *rows]))
+    assert with_exclude(path) == [
+        "no readings of displacement for 4.02 h from 9.98 h on",
+        "no readings of torque for 3 h from 0 h on",
+    ]
+    excluded = [["10 h", "12 h"], ["11.5 h", "14 h"], ["-1 h", "3 h"]]
+    assert with_exclude(path, *excluded) == []
+    assert with_exclude(path, excluded[0], excluded[2]) == [
+        "no readings of displacement for 2.02 h from 9.98 h on"
+    ]
+    rows = [row for i, row in enumerate(rows) if not 1000 <= i < 1150]
+    path.write_text("\n".join(["t_s;z_um;M_Nm", *(f"{row.split(';')[0]};1;9" for row in rows)]))
+    assert with_exclude(path) == [
+        "no readings of displacement and torque for 2.52 h from 16.6 h on"
+    ]
+
+
+@pytest.mark.parametrize(("count", "said"), [(61, True), (66, False), (600, False)])
+def test_a_straight_record_of_few_readings_is_not_called_unsteady(count, said, tmp_path):
+    rows = [f"{60 * i};{i};9" for i in range(count)]
+    (test,) = record(tmp_path, "line", rows).tests
+    words = " and ".join(
+        f"the record has too few readings to show that {of} is steady"
+        for of in ("the wear rate", "friction")
+    )
+    expected = [f"not steady: {words}; numbers are of the last third"] if said else []
+    assert [doubt.text for doubt in test.doubts] == expected
+
+
 def test_the_example_is_made_by_the_helper(tmp_path):
     write_rig(tmp_path)
     for path in Path(EXAMPLE).iterdir():

@@ -1,5 +1,6 @@
 """Records and weighings: which columns they are, in which unit, and what is refused."""
 
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +90,41 @@ def test_a_date_beside_a_time_of_day(read):
     record = read("Datum;Uhrzeit;Weg / um", row)
     assert record.columns["time"] == "Uhrzeit"
     assert record.end == 59 * 60.0
+
+
+@pytest.mark.parametrize("columns", [{}, {"time": "Uhrzeit"}])
+@pytest.mark.parametrize(
+    ("names", "first"), [("Datum;Uhrzeit;Weg / um", "{0:%d.%m.%Y};{0:%H:%M:%S}"),
+                         ("Uhrzeit;Datum;Weg / um", "{0:%H:%M};{0:%Y-%m-%d}")],
+)  # fmt: skip
+def test_a_pause_of_days_between_dates_and_times_of_day(names, first, columns, read):
+    def row(i):
+        pause = timedelta(hours=48 if i >= 30 else 0)
+        return f"{first.format(datetime(2026, 3, 14, 23, 45) + timedelta(minutes=i) + pause)};{i}"
+
+    record = read(names, row, columns=columns)
+    assert record.columns["time"] == "Uhrzeit"
+    assert record.end == 59 * 60.0 + 48 * 3600.0
+    assert record.time[30] - record.time[29] == 60.0 + 48 * 3600.0
+
+
+def test_clocks_from_the_start_have_no_date(read):
+    def row(i):
+        return f"{14 + i // 30}.03.2026;0:{i:02d}:00;{i}"
+
+    assert read("Datum;Zeit;Weg / um", row).end == 59 * 60.0
+
+
+@pytest.mark.parametrize(
+    ("day", "months", "told"), [(3, 4, True), (13, 4, False), (3, 13, False), (3, 3, False)]
+)
+def test_slashes_whose_order_no_date_tells_are_noted(day, months, told, read):
+    def row(i):
+        return f"{'3/3/2026' if i < 30 else f'{day}/{months}/2026'} 8:{i:02d};{i}"
+
+    (*notes,) = read("timestamp;z_um", row).notes
+    said = "timestamp: dates such as 3/3/2026 are read day first, no day above 12 tells the order"
+    assert notes == ([said] if told else [])
 
 
 def test_columns_and_units_that_are_named(read):

@@ -18,9 +18,11 @@ from ringwear_par.measuring.analysis.steady_part import (
     change_from,
     count_blocks,
     has_blocks,
+    has_starts,
     steady_part,
 )
 from ringwear_par.measuring.definition.problem import Conditions, Problem, Test, Uncertainty
+from ringwear_par.measuring.definition.records import Record
 from ringwear_par.schedules import in_time
 
 #: mm3/(N m) in an in3 min/(ft lbf h), and psi ft/min in a MPa m/s
@@ -321,6 +323,8 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[Doubt]:
         never = [
             f"no late part of the record shows for certain that {of} changes by at most "
             f"{100 * limit:g} %"
+            if has_starts(blocks)
+            else f"the record has too few readings to show that {of} is steady"
             for of, limit, blocks, start in (
                 ("the wear rate", problem.limits.wear, numbers.wear_blocks, part.wear),
                 ("friction", problem.limits.friction, numbers.friction_blocks, part.friction),
@@ -348,18 +352,36 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[Doubt]:
                 f"{balance.value:.4g} mm3: look for thermal growth of the rings, debris or drift"
             )
             doubts.append(Doubt("displacement-against-weighing", text))
-    usual = record.end / count_blocks(len(record.time))
-    longest = int(np.argmax(np.diff(record.time)))
-    gap = float(record.time[longest + 1] - record.time[longest])
-    if gap > _GAP * usual:
-        text = f"no readings for {_hours(gap)} from {_hours(float(record.time[longest]))} on"
-        doubts.append(Doubt("gap", text))
-    return doubts
+    return doubts + _gaps(record)
+
+
+def _gaps(record: Record) -> list[Doubt]:
+    """Return doubts about the longest time without readings of a channel, of one that is long.
+
+    What is excluded is no gap.
+    """
+    channels: dict[tuple[float, float], list[str]] = {}
+    for channel, readings in (("displacement", record.wear), ("torque", record.torque)):
+        if readings is None:
+            continue
+        read = record.time[np.isfinite(readings)]
+        times = np.concatenate([[0.0], read, [record.duration]])
+        counted = record.without_excluded(times)
+        steps = np.diff(counted)
+        longest = int(np.argmax(steps))
+        if steps[longest] > _GAP * counted[-1] / count_blocks(len(read)):
+            gap = float(steps[longest]), float(times[longest])
+            channels.setdefault(gap, []).append(channel)
+    return [
+        Doubt("gap", f"no readings of {' and '.join(of)} for {_hours(gap)} from {_hours(start)} on")
+        for (gap, start), of in channels.items()
+    ]
 
 
 def _notes(numbers: TestNumbers) -> list[str]:
     """Return sentences about how the record was read and where budgets disagree."""
-    record, notes = numbers.test.record, []
+    record = numbers.test.record
+    notes = [*record.notes]
     if record.falling:
         column = record.columns["wear"]
         notes.append(f"{column} falls in total: taken as a position, whose fall is the wear")

@@ -110,6 +110,12 @@ def has_blocks(blocks: Blocks, start: float) -> bool:
     return len(blocks.time) >= FEWEST_BLOCKS and later >= _FEWEST_OF_A_PART
 
 
+def has_starts(blocks: Blocks) -> bool:
+    """Tell whether there are block means enough for a steady part to begin anywhere."""
+    last = blocks.time[-1] * _STEP * (_IN_A_ROW - 1)
+    return int(np.count_nonzero(blocks.time >= last)) >= FEWEST_BLOCKS
+
+
 def change_from(blocks: Blocks, start: float, order: Order) -> Change:
     """Return the change of a record's slope (order 2) or level (order 1) from a start, s, on."""
     part = blocks.time >= start

@@ -38,6 +38,8 @@ _WORDS: dict[str, tuple[set[str], ...]] = {
     "temperature": ({"T", "temperature", "temperatur"},),
 }
 _TEMPERATURE = re.compile(r"(?:\N{DEGREE SIGN}|deg)?\s*([CFK])\s*[\])]?$")
+#: clocks that count from the start of a test
+_ZERO = re.compile(r"0?0:00(?::|$)")
 #: readings that a record has at least: of fewer no steady part can be told
 FEWEST_READINGS = 60
 #: of a record, at its start and its end: readings whose means tell whether it falls
@@ -61,6 +63,8 @@ class Record:
     columns : names of the channels' columns.
     empty, repeated, excluded : number of cells that were empty, of stamps that were there before,
         of readings left out.
+    exclude : s, increasing intervals without readings, as a user wants it.
+    notes : sentences about how the file was read.
     """
 
     file: str
@@ -76,6 +80,8 @@ class Record:
     empty: int
     repeated: int
     excluded: int
+    exclude: tuple[tuple[float, float], ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def end(self) -> float:
@@ -85,7 +91,11 @@ class Record:
     @property
     def has_both_ends(self) -> bool:
         """Whether neither the first nor the last reading is excluded."""
-        return self.time[0] == 0.0 and self.end == self.duration
+        return bool(self.time[0] == 0.0) and self.end == self.duration
+
+    def without_excluded(self, times: FloatArray) -> FloatArray:
+        """Return times, s, as a clock counts them that stands still where readings are excluded."""
+        return times - sum(np.clip(times, low, high) - low for low, high in self.exclude)
 
 
 def read_record(
@@ -108,7 +118,7 @@ def read_record(
     ------
     InputError : all faults, each with the file, the line or the column.
     """
-    table = read_measurements(path)
+    table = _with_dates(read_measurements(path), columns)
     faults: list[str] = []
     names = _columns(table, columns, units, faults)
     if faults:
@@ -153,8 +163,48 @@ def read_record(
     return Record(
         str(path), table.sha256, time, duration, wear, values.get("torque"), values.get("load"),
         values.get("temperature"), falling and wear is not None, names, empty, repeated,
-        int((~inside).sum()),
+        int((~inside).sum()), _union(exclude), _notes(table, names["time"]),
     )  # fmt: skip
+
+
+def _union(intervals: list[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    """Return increasing intervals that cover what some intervals cover."""
+    union: list[tuple[float, float]] = []
+    for low, high in sorted((max(low, 0.0), high) for low, high in intervals if high > 0.0):
+        if union and low <= union[-1][1]:
+            union[-1] = union[-1][0], max(high, union[-1][1])
+        else:
+            union.append((low, high))
+    return tuple(union)
+
+
+def _notes(table: Measurements, time: str) -> tuple[str, ...]:
+    """Return sentences about how a table is read."""
+    date = table.ambiguous_date(time)
+    if not date:
+        return ()
+    return (
+        f"{legible(time)}: dates such as {date} are read day first, no day above 12 tells the "
+        "order",
+    )
+
+
+def _with_dates(table: Measurements, columns: Mapping[str, str]) -> Measurements:
+    """Return the table with dates in front of times of day, where each has a column.
+
+    A date that is always the same tells nothing, and a clock that begins at 0:00 counts from the
+    start.
+    """
+    known = [name for name in table.columns if _names(name, _WORDS["time"][0])]
+    date = next((name for name in known if len(table.dates(name)) > 1), None)
+    if date is None:
+        return table
+    for clock in [columns["time"]] if "time" in columns else known:
+        if clock != date and clock in table.columns:
+            joined = table.joined(date, clock)
+            if joined.begins_with_stamp(clock) and not _ZERO.match(table.first_cell(clock)):
+                return joined
+    return table
 
 
 def _falls(wear: FloatArray) -> bool:
