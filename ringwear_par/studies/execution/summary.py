@@ -85,7 +85,7 @@ class Summary:
         worst = max(t.worst for t in self.timings)
         if worst > 0.0:
             lines.append(
-                f"largest error of balances (force, volume, energy, KKT) of all cases: {worst:.1e}"
+                f"largest error of balances (force, volume, energy, KKT), new cases: {worst:.1e}"
             )
         if self.flagged:
             lines.append(count_flags(self.flagged))
