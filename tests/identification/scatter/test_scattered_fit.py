@@ -149,7 +149,9 @@ def test_noise_is_fitted_along(tables):
 def test_a_plan_takes_sizes_as_they_start(tables):
     from ringwear_par.identification.fit import expected_result
 
-    problem = read_fit(with_scatter(tables, {"specimen": "fit", "start": 0.25}))
+    plan = with_scatter(tables, {"specimen": "fit", "start": 0.25})
+    plan["fit"]["parameters"]["wear.lower.p0"]["prior"] = {"normal": [0.0, 0.2]}
+    problem = read_fit(plan)
     expected = expected_result(problem, MPI.COMM_SELF).to_dict()["parameters"][K]
     assert expected["estimate"] == pytest.approx(FITTED[K]["start"])
     assert expected["scatter"]["specimen"]["known"] == 0.25
@@ -157,6 +159,35 @@ def test_a_plan_takes_sizes_as_they_start(tables):
     assert ends[1] == pytest.approx(-ends[0])
     # five specimens, whose own readings add little
     assert ends[1] == pytest.approx(1.96 * 0.25 / np.sqrt(SPECIMENS), rel=0.1)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("loss", ["gaussian", "student"])
+def test_far_zeros_of_records_change_nothing(tables, tmp_path, loss):
+    """Zeros that are 40 um off, as of a sensor that nobody has set."""
+    near = with_scatter(tables)
+    near["fit"]["loss"] = loss
+    far = copy.deepcopy(near)
+    for number, experiment in enumerate(far["experiment"], start=1):
+        record = experiment["data"][0]
+        t, z = np.loadtxt(record["file"], delimiter=",", skiprows=1, unpack=True)
+        record["file"] = str(tmp_path / f"far{number}.csv")
+        write_table(tmp_path / f"far{number}.csv", ("t_s", "z_um"), t, z + 40.0)
+    here, there = (rw.fit(one, MPI.COMM_SELF).to_dict()["parameters"] for one in (near, far))
+    for key in (K, "wear.lower.p0"):
+        assert there[key]["estimate"] == pytest.approx(here[key]["estimate"], rel=1e-3)
+        assert there[key]["sd"] == pytest.approx(here[key]["sd"], rel=1e-2)
+
+
+@pytest.mark.serial
+def test_bounds_of_the_material(tables):
+    """A key without scatter that would leave its bounds has a one-sided limit."""
+    bounded = with_scatter(tables)
+    bounded["fit"]["parameters"]["wear.lower.p0"] |= {"start": 60.0, "bounds": [50.0, 200.0]}
+    p0 = rw.fit(bounded, MPI.COMM_SELF).to_dict()["parameters"]["wear.lower.p0"]
+    assert (p0["estimate"], p0["verdict"]) == (50.0, "at bound")
+    assert p0["interval"][0] is None
+    assert p0["interval"][1] > 50.0
 
 
 @pytest.mark.serial
