@@ -58,8 +58,8 @@ def _print_installation(comm: "MPI.Comm") -> None:
     else:
         pairs, size = pair_cache.size(folder)
         print(
-            f"  assembled contact pairs: {pairs}, {size / 1e6:.3g} of {pair_cache.LIMIT / 1e6:g} MB, "
-            f"in {folder}"
+            f"  assembled contact pairs: {pairs}, {size / 1e6:.3g} of "
+            f"{pair_cache.LIMIT / 1e6:g} MB, in {folder}"
         )
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         print(f"  {name}: {os.environ.get(name, 'not set')}")
