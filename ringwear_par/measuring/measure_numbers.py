@@ -69,7 +69,9 @@ def estimate_text(value: float, u: float, unit: str = "") -> str:
         text = f"{value / scale:.{digits}f} +- {expanded:.{digits}f}"
     else:
         text = f"{value / scale:.{_ALONE}g}"
-    return f"{text}{suffix}" if scale == 1.0 else f"({text})e{power:+03d}{suffix}"
+    if scale == 1.0:
+        return f"{text}{suffix}"
+    return f"{f'({text})' if expanded > 0.0 else text}e{power:+03d}{suffix}"
 
 
 def entry_text(entry: Mapping[str, Any], factor: float = 1.0, unit: str | None = None) -> str:

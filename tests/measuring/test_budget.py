@@ -34,6 +34,7 @@ def test_without_sources_nothing_is_divided_by_zero():
     assert Estimate(1.0, "1", ()).to_dict()["interval"] == [1.0, 1.0]
     sure = Estimate(1.0, "1", (Source("x", "B", 0.0, "1", 1.0),))
     assert sure.share(sure.sources[0]) == 0.0
+    assert Estimate(1.474e-6, "1", (), (1.4739999e-6, 1.474e-6)).agrees
 
 
 def test_monte_carlo_is_gum_where_the_measurand_is_linear():

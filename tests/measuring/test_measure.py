@@ -21,6 +21,7 @@ from rig_records import (
     specific,
     write_rig,
 )
+from rig_records import record as readings
 
 import ringwear_par as rw
 from ringwear_par.measuring.analysis.repeats import repeats_of
@@ -210,6 +211,39 @@ def test_weighings_without_an_sd_tell_it_by_their_scatter(laboratory):
     assert "weighed specimens without a test: W2, W3, W4" in result.problem.notes[0]
 
 
+def test_without_uncertainties_nothing_is_drawn(laboratory, tmp_path):
+    folder, _, _ = laboratory
+    (tmp_path / "masses.csv").write_text("specimen;before_g;after_g\nW1;41.2004;41.1565\n")
+    result = rw.measure(folder / "W1.csv", case=folder / "rig.toml", masses=tmp_path / "masses.csv")
+    (test,) = result.tests
+    assert test.whole.specific_wear_rate.shortest is None
+    assert "monte_carlo" not in result.to_dict()["tests"]["W1"]["whole"]["specific_wear_rate"]
+    assert not any("Monte Carlo" in note for note in test.notes)
+    assert "by weighing: 1.505e-06 mm3/(N m); 43.9 mg" in result.summary()
+
+
+def test_equal_weighings_are_not_certain(laboratory, tmp_path):
+    folder, _, _ = laboratory
+    text = "specimen;before_g;before_g;after_g;after_g\nW1;41.2004;41.2004;41.1565;41.1565\n"
+    (tmp_path / "masses.csv").write_text(text)
+    result = rw.measure(folder / "W1.csv", case=folder / "rig.toml", masses=tmp_path / "masses.csv")
+    (source,) = result.tests[0].whole.mass_loss.sources
+    assert (source.type, source.u) == ("B", pytest.approx(1e-4 / np.sqrt(12.0)))
+    assert "note: repeated weighings are equal or nearly so: the uncertainty of one, 0.029 mg, " \
+           "is that of its last digit, 0.1 mg, over the root of 12" in result.summary()  # fmt: skip
+
+
+@pytest.mark.parametrize("hours", [20.0, 21.9, 30.0])
+def test_a_test_that_lasts_longer_than_its_record_is_told(hours, laboratory):
+    folder, _, _ = laboratory
+    tables = {"case": str(folder / "rig.toml"),
+              "test": [{"name": "W1", "file": str(folder / "W1.csv"),
+                        "set": {"time.end": f"{hours} h"}}]}  # fmt: skip
+    summary = rw.measure(tables).summary()
+    said = "note: W1: the record is 20 h long and time.end is 30 h; numbers of the whole test"
+    assert (said in summary) == (hours == 30.0)
+
+
 def test_a_folder_holds_numbers_a_table_and_a_picture(laboratory, tmp_path):
     laboratory[2].save(tmp_path / "out")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
@@ -260,6 +294,48 @@ def test_loads_in_steps_are_averaged_over_the_part(laboratory):
     assert test.friction.value == pytest.approx(FRICTION, rel=0.02)
 
 
+def test_readings_that_are_excluded_at_the_end_are_of_the_test(laboratory):
+    folder, _, _ = laboratory
+    tables = {"case": str(folder / "rig.toml"),
+              "measure": {"masses": {"file": str(folder / "masses.csv")}},
+              "test": [{"name": "W1", "file": str(folder / "W1.csv")}]}  # fmt: skip
+    (usual,) = rw.measure(tables).tests
+    tables["test"][0]["exclude"] = [[16 * 3600.0, 20 * 3600.0]]
+    (test,) = rw.measure(tables).tests
+    assert test.test.duration == usual.test.duration == 72e3
+    assert test.test.record.end < 57600.0
+    assert test.whole.distance == usual.whole.distance
+    assert test.whole.specific_wear_rate.value == usual.whole.specific_wear_rate.value
+
+
+def test_a_load_and_a_speed_that_change_together(laboratory):
+    """Load 500 to 1500 N, speed 3 to 9 rad/s: the mean of the product is a twelfth larger."""
+    folder, _, _ = laboratory
+    slopes = {"load.force": [[0.0, 500.0], [72e3, 1500.0]],
+              "load.omega": [[0.0, 3.0], [72e3, 9.0]]}  # fmt: skip
+    uncertain = {"load.force": {"relative": 0.01}, "load.omega": {"relative": 0.02}}
+    tables = {"case": str(folder / "rig.toml"),
+              "measure": {"masses": {"file": str(folder / "masses.csv"), "sd": "1e-3 mg"},
+                          "uncertainty": uncertain, "steady": {"from": "10 h"}},
+              "test": [{"name": "W1", "file": str(folder / "W1.csv"), "set": slopes}]}  # fmt: skip
+    (test,) = rw.measure(tables).tests
+    whole = test.whole
+    product = 1000.0 * 6.0 * (1.0 + 1.0 / 12.0)
+    assert whole.distance == pytest.approx(6.0 * RADIUS * 72.0)
+    work = product * RADIUS * 72.0
+    k = whole.volume.value / work
+    assert whole.specific_wear_rate.value == pytest.approx(k)
+    assert np.mean(whole.specific_wear_rate.shortest) == pytest.approx(k, rel=2e-3)
+    half = 0.5 * np.diff(whole.specific_wear_rate.shortest)[0]
+    assert half == pytest.approx(1.96 * np.hypot(0.01, 0.02) * k, rel=0.02)
+    # the later half: 1000 to 1500 N, 6 to 9 rad/s
+    pv = (1250.0 * 7.5 + 500.0 * 3.0 / 12.0) / AREA * RADIUS * 1e-3
+    end = test.test.record.end
+    assert end == 72e3
+    assert test.conditions.pv == pytest.approx(pv)
+    assert test.specific_wear_rate.value == pytest.approx(test.wear_rate.value / pv)
+
+
 def test_the_example_is_made_by_the_helper(tmp_path):
     write_rig(tmp_path)
     for path in Path(EXAMPLE).iterdir():
@@ -292,6 +368,52 @@ def test_readings_that_are_all_at_one_end_are_refused(tmp_path):
     rows = [*(f"{0.1 * i};{i};9" for i in range(100)), "72000;500;9"]
     with pytest.raises(rw.InputError, match=r"readings of wear are too unevenly spread over 20"):
         record(tmp_path, "gap", rows)
+
+
+def test_the_volume_of_a_straight_record_is_that_of_its_ends(tmp_path):
+    """61 readings on a line in 20 blocks, whose first and last means are not its ends."""
+    rows = [f"{1200 * i};{40.0 * i / 60.0};9" for i in range(61)]
+    (test,) = record(tmp_path, "line", rows).tests
+    assert test.whole.volume_by_displacement.value == pytest.approx(AREA * 0.04, rel=1e-9)
+    mass = f"specimen;loss_mg\nline;{1e3 * AREA * 0.04 * DENSITY}\n"
+    (tmp_path / "masses.csv").write_text(mass)
+    result = rw.measure(tmp_path / "line.csv", case=EXAMPLE / "rig.toml",
+                        masses=tmp_path / "masses.csv")  # fmt: skip
+    assert [doubt.code for doubt in result.tests[0].doubts] == ["not-steady"]
+
+
+@pytest.mark.parametrize(
+    ("exclude", "known"), [([0, 0.2], True), ([19.8, 20], True), ([0, 4], False), ([16, 20], False)]
+)
+def test_volumes_are_not_compared_where_an_end_is_excluded(exclude, known, tmp_path):
+    rows = [f"{60 * i};{40.0 * i / 1200.0};9" for i in range(1201)]
+    record(tmp_path, "line", rows)
+    (tmp_path / "masses.csv").write_text("specimen;loss_mg\nline;50\n")
+    tables = {"case": str(EXAMPLE / "rig.toml"),
+              "measure": {"masses": {"file": str(tmp_path / "masses.csv")}},
+              "test": [{"name": "line", "file": str(tmp_path / "line.csv")}]}  # fmt: skip
+    (test,) = rw.measure(tables).tests
+    assert [doubt.code for doubt in test.doubts] == ["displacement-against-weighing"]
+    tables["test"][0]["exclude"] = [[3600.0 * hours for hours in exclude]]
+    (test,) = rw.measure(tables).tests
+    assert test.doubts == ()
+    assert (test.whole.volume_by_displacement is not None) == known
+    if known:
+        assert test.whole.volume_by_displacement.value == pytest.approx(AREA * 0.04, rel=1e-6)
+
+
+def test_the_volume_by_displacement_is_within_its_interval(tmp_path):
+    """Forty records whose noise remembers, of rings that do not grow."""
+    inside, ratios = 0, []
+    for seed in range(40):
+        hours, read, torque = readings(20.0, seed, growth=0.0)
+        rows = [f"{3600 * h};{z};{m}" for h, z, m in zip(hours, read, torque, strict=True)]
+        (test,) = record(tmp_path, f"r{seed}", rows).tests
+        estimate, true = test.whole.volume_by_displacement, AREA * depth(20.0) * 1e-3
+        inside += estimate.interval[0] <= true <= estimate.interval[1]
+        ratios.append((estimate.value - true) / estimate.u)
+    assert inside >= 36
+    assert abs(np.mean(ratios)) < 0.5
 
 
 def test_long_records_are_read_in_a_time_that_grows_with_them(tmp_path):

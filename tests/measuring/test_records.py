@@ -155,7 +155,37 @@ def test_weighings_are_averaged(tmp_path):
     assert read.scatter == pytest.approx(1e-4 * np.sqrt(2.0))
     read = weighings(tmp_path, "specimen,loss_mg\nA,1.5\n")
     assert read.specimens["A"].loss == pytest.approx(1.5e-3)
-    assert (read.specimens["A"].u(1e-4), read.scatter) == (1e-4, None)
+    assert read.scatter is None
+
+
+def test_a_loss_is_of_two_weighings(tmp_path):
+    """Losses scatter as differences do: by the root of two more than masses."""
+    read = weighings(tmp_path, "specimen;loss_mg;loss_mg\nA;1.4;1.6\nB;2.0;-\n")
+    assert read.specimens["A"].u(1e-4) == pytest.approx(1e-4)
+    assert read.specimens["B"].u(1e-4) == pytest.approx(1e-4 * np.sqrt(2.0))
+    assert read.scatter == pytest.approx(1e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "resolution", "scatter"),
+    [
+        ("m;before_g;before_g;after_g\nA;2;2;1,9998\nB;2,001;2,001;2\n", 1e-4, 0.0),
+        ("m;before_mg;before_mg;after_mg\nA;2000.00;2000.00;1e3\n", 1e-5, 0.0),
+        ("m;before_g;before_g;after_g\nA;2.000;2.010;1.000\n", 1e-3, 1e-2 / np.sqrt(2.0)),
+    ],
+)
+def test_weighings_are_known_to_their_last_digit_at_best(text, resolution, scatter, tmp_path):
+    read = weighings(tmp_path, text)
+    assert read.resolution == pytest.approx(resolution)
+    assert read.scatter == pytest.approx(scatter)
+    assert read.sd == pytest.approx(max(scatter, resolution / np.sqrt(12.0)))
+    assert read.coarse == (scatter == 0.0)
+
+
+def test_many_weighings_are_read_in_a_time_that_grows_with_them(tmp_path):
+    rows = "".join(f"S{i};{40 + i % 7}.1234;{40 + i % 7}.1;40\n" for i in range(20_000))
+    read = weighings(tmp_path, f"specimen;before_g;before_g;after_g\n{rows}")
+    assert len(read.specimens) == 20_000
 
 
 @pytest.mark.parametrize(

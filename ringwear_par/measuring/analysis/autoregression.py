@@ -55,6 +55,29 @@ def regress(columns: FloatArray, values: FloatArray) -> Regression:
     return Regression(coefficients, normal * variance, autocorrelation, sd)
 
 
+def extrapolate(
+    x: FloatArray,
+    values: FloatArray,
+    place: float,
+    degree: int,
+    *,
+    autocorrelation: float,
+    sd: float,
+) -> tuple[float, float]:
+    """Return the value at a place of a polynomial near values, and its standard uncertainty.
+
+    Parameters
+    ----------
+    x, values : (n,) float, n > degree, in order.
+    autocorrelation, sd : of the values' AR(1) errors, which so few of them do not tell.
+    """
+    distance = (x - place) / np.ptp(x)
+    weights = np.linalg.pinv(np.vander(distance, degree + 1, increasing=True))[0]
+    order = np.arange(len(x))
+    correlation = autocorrelation ** np.abs(order[:, None] - order)
+    return float(weights @ values), sd * float(np.sqrt(weights @ correlation @ weights))
+
+
 def _whiten(rows: FloatArray, autocorrelation: float) -> FloatArray:
     """Return rows less what they remember of the row before."""
     first = rows[:1] * np.sqrt(1.0 - autocorrelation**2)

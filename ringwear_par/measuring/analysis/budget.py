@@ -66,7 +66,7 @@ class Estimate:
     @property
     def agrees(self) -> bool:
         """Whether the interval of GUM and that of Monte Carlo differ by at most a tenth of U."""
-        if self.shortest is None:
+        if self.shortest is None or self.u == 0.0:
             return True
         most = _AGREEMENT * COVERAGE * self.u
         ends = zip(self.interval, self.shortest, strict=True)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.measuring.analysis.autoregression import extrapolate
 from ringwear_par.measuring.analysis.budget import Estimate, Source, shortest_interval
 from ringwear_par.measuring.analysis.steady_part import (
     FEWEST_BLOCKS,
@@ -27,8 +28,9 @@ IN3_MIN_PER_FT_LBF_H = 16387.064 / 1.3558179483314004 / 60.0
 PSI_FT_MIN = 145.0377377 * 196.8503937
 SPECIFIC, US_SPECIFIC = "mm3/(N m)", "in3 min/(ft lbf h)"
 RATE = "mm/s"
-#: block means at the end of a test whose mean is its last depth
-_LAST_BLOCKS = 5
+#: block means at either end of a test: a parabola through the first, where wear may run in, and a
+#: line through the last tell the depth there, at most so many blocks away
+_END_BLOCKS, _RUNNING_IN, _STEADY = 5, 2, 1
 #: share by which volumes may differ whatever their uncertainties; blocks that a gap may last;
 #: share of the test below which a steady part is short; share by which loads may differ
 _DIFFERENT, _GAP, _SHORT, _OTHER_LOAD = 0.05, 10.0, 0.3, 0.02
@@ -49,7 +51,7 @@ class WholeTest:
     Parameters
     ----------
     mass_loss : mg; volume : mm3; specific_wear_rate : mm3/(N m); None: not weighed.
-    volume_by_displacement : mm3, area times depth; None: no depth was read.
+    volume_by_displacement : mm3, area times depth; None: no depth was read near an end.
     distance : m, slid.
     """
 
@@ -112,13 +114,13 @@ def numbers_of(test: Test, problem: Problem) -> TestNumbers:
     changes: list[Change] = []
     if wear is not None:
         changes.append(change := change_from(wear, part.start, 2))
+        estimates |= _displaced(wear, change, test, known)
         estimates["rate"] = _rate(change, known)
         estimates["specific"] = _specific(estimates["rate"], conditions, known)
     if friction is not None:
         changes.append(change := change_from(friction, part.start, 1))
         estimates["friction"] = _friction(change, conditions, known)
-    depth_sd = changes[0].sd if wear is not None else 0.0
-    whole = _whole(test, problem, wear, depth_sd)
+    whole = _whole(test, problem, estimates.get("displaced"))
     result = TestNumbers(
         test, part, conditions, wear, friction, estimates.get("friction"), estimates.get("rate"),
         estimates.get("specific"), changes[0].autocorrelation, whole,
@@ -181,7 +183,7 @@ def _rate(change: Change, known: Mapping[str, Uncertainty]) -> Estimate:
 
 def _specific(rate: Estimate, conditions: Conditions, known: Mapping[str, Uncertainty]) -> Estimate:
     """Return the specific wear rate in mm3/(N m): the rate over p V."""
-    scaled = rate.scaled(1e3 / (conditions.pressure * conditions.speed), SPECIFIC)
+    scaled = rate.scaled(1.0 / conditions.pv, SPECIFIC)
     k = scaled.value
     loads = [
         *_load(known, conditions, -k),
@@ -193,7 +195,7 @@ def _specific(rate: Estimate, conditions: Conditions, known: Mapping[str, Uncert
 def _load(
     known: Mapping[str, Uncertainty], conditions: Conditions, relative: float
 ) -> list[Source]:
-    """Return the source of the load, by force or by pressure.
+    """Return the source of the load, by force or by pressure: of its scale, where it changes.
 
     Parameters
     ----------
@@ -220,27 +222,46 @@ def _friction(change: Change, conditions: Conditions, known: Mapping[str, Uncert
     return Estimate(mu, "1", tuple(sources))
 
 
-def _whole(test: Test, problem: Problem, wear: Blocks | None, depth_sd: float) -> WholeTest:
-    """Return the numbers of the whole test."""
-    conditions, known = test.conditions(0.0, test.duration), problem.uncertainty
-    distance = conditions.speed * test.duration * 1e-3
-    by_depth = None
-    if wear is not None:
-        last = wear.value[-_LAST_BLOCKS:]
-        volume = conditions.area * float(last.mean() - wear.value[0])
-        noise = depth_sd * float(np.sqrt(1.0 + 1.0 / len(last)))
-        sources = (
-            Source("readings", "A", noise, "mm", conditions.area),
-            *_source(known, "displacement", 1.0, "1", volume),
+def _displaced(
+    wear: Blocks, change: Change, test: Test, known: Mapping[str, Uncertainty]
+) -> dict[str, Estimate]:
+    """Return the volume by displacement of the whole test, as "displaced"; none without its ends.
+
+    Parameters
+    ----------
+    change : of the steady part, whose errors are those at the ends too.
+    """
+    ends, farthest = (0.0, test.duration), _END_BLOCKS * float(np.median(np.diff(wear.time)))
+    if wear.time[0] > farthest or test.duration - wear.time[-1] > farthest:
+        return {}
+    first, last = slice(_END_BLOCKS), slice(-_END_BLOCKS, None)
+    (before, u_before), (after, u_after) = (
+        extrapolate(
+            wear.time[blocks], wear.value[blocks], end, degree, sd=change.sd,
+            autocorrelation=change.autocorrelation,
         )
-        by_depth = Estimate(volume, "mm3", sources)
+        for end, blocks, degree in zip(ends, (first, last), (_RUNNING_IN, _STEADY), strict=True)
+    )  # fmt: skip
+    area = test.conditions(*ends).area
+    volume = area * (after - before)
+    sources = (
+        Source("readings", "A", float(np.hypot(u_before, u_after)), "mm", area),
+        *_source(known, "displacement", 1.0, "1", volume),
+    )
+    return {"displaced": Estimate(volume, "mm3", sources)}
+
+
+def _whole(test: Test, problem: Problem, by_depth: Estimate | None) -> WholeTest:
+    """Return the numbers of the whole test."""
+    conditions = test.conditions(0.0, test.duration)
+    distance = conditions.speed * test.duration * 1e-3
     if test.weighing is None or test.density is None:
         return WholeTest(distance, None, None, None, by_depth)
-    return WholeTest(distance, *_weighed(test, problem, conditions, distance), by_depth)
+    return WholeTest(distance, *_weighed(test, problem, conditions), by_depth)
 
 
 def _weighed(
-    test: Test, problem: Problem, conditions: Conditions, distance: float
+    test: Test, problem: Problem, conditions: Conditions
 ) -> tuple[Estimate, Estimate, Estimate]:
     """Return mass lost (mg), volume (mm3) and specific wear rate (mm3/(N m)) by weighing."""
     known, weighing, density = problem.uncertainty, test.weighing, test.density
@@ -254,7 +275,8 @@ def _weighed(
             return []
         return [Source("mass", problem.mass_type, u, "g", sensitivity)]
 
-    volume, rate = mass / density, mass / (density * conditions.force * distance)
+    work = conditions.product * conditions.radius * test.duration * 1e-3  # N m, less friction's mu
+    volume, rate = mass / density, mass / (density * work)
     mass_loss = Estimate(1e3 * mass, "mg", tuple(balance(1e3)))
     by_mass = Estimate(
         volume, "mm3",
@@ -262,17 +284,19 @@ def _weighed(
          *_source(known, key, density, "g/mm^3", -volume / density)),
     )  # fmt: skip
     sources = (
-        *balance(1.0 / (density * conditions.force * distance)),
+        *balance(1.0 / (density * work)),
         *_source(known, key, density, "g/mm^3", -rate / density),
         *_load(known, conditions, -rate),
         *_source(known, "load.omega", conditions.omega, "rad/s", -rate / conditions.omega),
         *_source(known, "time", 1.0, "1", -rate),
     )
     us = {source.name: source.u for source in sources}
+    if not any(us.values()):
+        return mass_loss, by_mass, Estimate(rate, SPECIFIC, sources)
     load_u = us.get("load.force", conditions.area * us.get("load.pressure", 0.0))
     shortest = shortest_interval(
         lambda m, rho, force, omega, time: (
-            m / (rho * force * conditions.radius * omega * time * test.duration * 1e-3)
+            m / (rho * work * force / conditions.force * omega / conditions.omega * time)
         ),
         (mass, density, conditions.force, conditions.omega, 1.0),
         (u, us.get(key, 0.0), load_u, us.get("load.omega", 0.0), us.get("time", 0.0)),
@@ -311,7 +335,11 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[Doubt]:
             text = f"the steady part is only {100 * share:.0f} % of the test; test for longer"
             doubts.append(Doubt("steady-part-short", text))
     whole = numbers.whole
-    if whole.volume is not None and whole.volume_by_displacement is not None:
+    if (
+        whole.volume is not None
+        and whole.volume_by_displacement is not None
+        and record.has_both_ends
+    ):
         balance, depth = whole.volume, whole.volume_by_displacement
         apart = abs(balance.value - depth.value)
         if apart > max(2.0 * np.hypot(balance.u, depth.u), _DIFFERENT * abs(balance.value)):

@@ -26,6 +26,7 @@ from ringwear_par.schedules import mean, smallest
 _TABLES = ("case", "measure", "test")
 #: of a test: a record may end so much before it, and be so much longer
 _SHORTER = 0.1
+_HOUR = 3600.0
 
 
 @dataclass
@@ -120,7 +121,9 @@ def _read_masses(
             masses.fault(fault)
         return None, (sd, "B")
     files.hashes[file] = weighings.sha256
-    return weighings, (weighings.scatter, "A") if sd is None else (sd, "B")
+    if sd is not None:
+        return weighings, (sd, "B")
+    return weighings, (weighings.sd, "B" if weighings.coarse else "A")
 
 
 def _read_uncertainty(reader: TableReader) -> dict[str, Uncertainty]:
@@ -237,7 +240,7 @@ class _Tests:
             return None
         # of other keys of time, such as the steps of a history, nothing follows for the test
         timed = any(key.startswith("time.") for key in changes)
-        duration = case.time.end if timed else record.end
+        duration = case.time.end if timed else record.duration
         weighing = None if self._weighings is None else self._weighings.specimens.get(name)
         test = Test(name, case, record, duration, weighing)
         self._check(reader, test, weighing)
@@ -310,7 +313,7 @@ class _Tests:
 
     def _check(self, reader: TableReader, test: Test, weighing: Weighing | None) -> None:
         """Add what the case and the record do not tell of each other to the faults."""
-        case, end = test.case, test.record.end
+        case, end, length = test.case, test.record.end, test.record.duration
         if case.load.force is None:
             reader.fault(
                 'load.control = "displacement": must be "force": a wear rate needs the load'
@@ -318,14 +321,14 @@ class _Tests:
             return
         if smallest(case.load.force) <= 0.0 or mean(case.load.omega, 0.0, test.duration) <= 0.0:
             reader.fault("load.omega, and the load at any time, must be > 0 in a test")
-        if not (1.0 - _SHORTER) * end <= test.duration:
+        if not (1.0 - _SHORTER) * length <= test.duration:
             reader.fault(
-                f"time.end = {test.duration:g} s: the record is {end:g} s long; must be at least "
-                "as long; is the unit of the record's time right?"
+                f"time.end = {test.duration:g} s: the record is {length:g} s long; must be at "
+                "least as long; is the unit of the record's time right?"
             )
-        if end < _SHORTER * test.duration:
+        if length < _SHORTER * test.duration:
             reader.fault(
-                f"the record ends at {end:g} s of a test of {test.duration:g} s; is the unit of "
+                f"the record ends at {length:g} s of a test of {test.duration:g} s; is the unit of "
                 "its time right?"
             )
         if self._limits.start is not None and self._limits.start > (1.0 - _SHORTER) * end:
@@ -353,13 +356,25 @@ class _Tests:
 
 def _notes(tests: Sequence[Test], weighings: Weighings | None, mass_sd: float | None) -> list[str]:
     """Return sentences about what the files do not tell of each other."""
+    notes = [
+        f"{test.name}: the record is {test.record.duration / _HOUR:.3g} h long and time.end is "
+        f"{test.duration / _HOUR:.3g} h; numbers of the whole test use time.end"
+        for test in tests
+        if test.duration >= (1.0 + _SHORTER) * test.record.duration
+    ]
     if weighings is None:
-        return []
-    notes = [f"{test.name} was not weighed" for test in tests if test.weighing is None]
+        return notes
+    notes += [f"{test.name} was not weighed" for test in tests if test.weighing is None]
     names = {test.name for test in tests}
     untested = [name for name in weighings.specimens if name not in names]
     if untested:
         notes.append(f"weighed specimens without a test: {legible(', '.join(untested), 200)}")
+    if weighings.coarse and mass_sd is not None and mass_sd == weighings.sd:
+        notes.append(
+            "repeated weighings are equal or nearly so: the uncertainty of one, "
+            f"{1e3 * mass_sd:.2g} mg, is that of its last digit, {1e3 * weighings.resolution:g} "
+            "mg, over the root of 12"
+        )
     if mass_sd is None:
         notes.append("uncertainty of masses is unknown and in no budget: give measure.masses.sd")
     return notes

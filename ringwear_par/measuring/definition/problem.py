@@ -8,7 +8,7 @@ from typing import Literal
 from ringwear_par.cases.case import Case
 from ringwear_par.measuring.definition.records import Record
 from ringwear_par.measuring.definition.weighings import Weighing
-from ringwear_par.schedules import Quantity, mean
+from ringwear_par.schedules import Quantity, mean, mean_of_product
 
 Body = Literal["lower", "upper"]
 
@@ -31,11 +31,14 @@ class Conditions:
 
     Parameters
     ----------
-    force : N; omega : rad/s; inner, outer : mm, radii of the contact.
+    force : N; omega : rad/s; product : N rad/s, mean of force times omega, which is not that of
+        their means where both change.
+    inner, outer : mm, radii of the contact.
     """
 
     force: float
     omega: float
+    product: float
     inner: float
     outer: float
 
@@ -62,8 +65,8 @@ class Conditions:
 
     @property
     def pv(self) -> float:
-        """Pressure times speed, MPa m/s."""
-        return self.pressure * self.speed * 1e-3
+        """Mean of pressure times speed, MPa m/s."""
+        return self.product / self.area * self.radius * 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +107,10 @@ class Test:
 
     def conditions(self, start: float, end: float) -> Conditions:
         """Return the conditions of a part of the test, between two times (s)."""
-        force, omega = (mean(q, start, end) for q in (self.force, self.case.load.omega))
-        return Conditions(force, omega, *self.case.overlap)
+        quantities = self.force, self.case.load.omega
+        force, omega = (mean(quantity, start, end) for quantity in quantities)
+        product = mean_of_product(*quantities, start, end)
+        return Conditions(force, omega, product, *self.case.overlap)
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,7 @@ class Record:
     ----------
     file : its name; sha256 : of the file.
     time : (n,) s from the first stamp.
+    duration : s, the last stamp less the first, also where readings there are excluded.
     wear : (n,) mm, positive where material is lost, NaN where nothing was read; None: no channel.
     torque : (n,) N mm; load : (n,) N; temperature : (n,) degC; likewise.
     falling : whether the file's depth is a position, which falls.
@@ -65,6 +66,7 @@ class Record:
     file: str
     sha256: str
     time: FloatArray
+    duration: float
     wear: FloatArray | None
     torque: FloatArray | None
     load: FloatArray | None
@@ -77,8 +79,13 @@ class Record:
 
     @property
     def end(self) -> float:
-        """The last stamp less the first, s."""
+        """Time of the last reading that is not excluded, s."""
         return float(self.time[-1])
+
+    @property
+    def has_both_ends(self) -> bool:
+        """Whether neither the first nor the last reading is excluded."""
+        return self.time[0] == 0.0 and self.end == self.duration
 
 
 def read_record(
@@ -123,7 +130,7 @@ def read_record(
         values[channel] = readings[rows]
     if faults:
         raise InputError(*faults)
-    inside = np.ones(len(time), dtype=bool)
+    inside, duration = np.ones(len(time), dtype=bool), float(time[-1])
     for low, high in exclude:
         inside &= (time < low) | (time > high)
     time, values = time[inside], {name: one[inside] for name, one in values.items()}
@@ -144,7 +151,7 @@ def read_record(
     if wear is not None and falling:
         wear = -wear
     return Record(
-        str(path), table.sha256, time, wear, values.get("torque"), values.get("load"),
+        str(path), table.sha256, time, duration, wear, values.get("torque"), values.get("load"),
         values.get("temperature"), falling and wear is not None, names, empty, repeated,
         int((~inside).sum()),
     )  # fmt: skip

@@ -21,8 +21,8 @@ KEYS: tuple[Key, ...] = (
         "test; columns of masses before (vor, initial) and after (nach, final), repeated ones "
         "averaged, or of the loss", None),
     Key("measure.masses.sd", *number(0.0), "g",
-        "standard uncertainty of one weighing; default: the scatter of repeated weighings",
-        None),
+        "standard uncertainty of one weighing, a loss being of two; default: the scatter of "
+        "repeated weighings, at least that of their last digit", None),
     *(Key(f"measure.uncertainty.{name}",
           *anything("a number > 0, or { relative = x }" if unit else "{ relative = x }, x > 0"),
           unit or "1", f"standard uncertainty of {meaning}", None)
@@ -54,7 +54,7 @@ KEYS: tuple[Key, ...] = (
         "units of the columns of file, as pint writes them; default: the units in the columns' "
         "names or in the row below them. A column without a unit is refused", None),
     Key("test.exclude", *anything("a list of increasing pairs"), "s",
-        "pairs of times between which readings are left out", None),
+        "pairs of times between which readings are left out; they do not shorten the test", None),
     Key("test.sense", *one_of("rising", "falling"), "-",
         "direction of the displacement while material is lost; default: falling for a record that "
         "ends lower than it starts, else rising",

@@ -4,15 +4,18 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import factor, told_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, measurements_in
 from ringwear_par.files.ordinary import read_bytes
+from ringwear_par.files.table_text import EMPTY
 
 _BEFORE = {"before", "vor", "vorher", "initial"}
 _AFTER = {"after", "nach", "nachher", "final"}
@@ -26,8 +29,8 @@ class Weighing:
     Parameters
     ----------
     loss : g, mean of before less mean of after.
-    before, after : how many readings each is the mean of; where losses were read, these count as
-        ``after``, and before is 0.
+    before, after : how many readings each is the mean of; a loss that was read is of one before
+        and one after.
     """
 
     loss: float
@@ -36,7 +39,7 @@ class Weighing:
 
     def u(self, sd: float) -> float:
         """Return the standard uncertainty, g, where one reading's is ``sd``."""
-        return sd * math.sqrt(sum(1.0 / n for n in (self.before, self.after) if n))
+        return sd * math.sqrt(1.0 / self.before + 1.0 / self.after)
 
 
 @dataclass(frozen=True)
@@ -47,12 +50,29 @@ class Weighings:
     ----------
     specimens : by name.
     scatter : g, sd of readings of one mass about their mean; None where none was read twice.
+    resolution : g, by the digits of readings.
     sha256 : of the file.
     """
 
     specimens: Mapping[str, Weighing]
     scatter: float | None
+    resolution: float
     sha256: str
+
+    @property
+    def coarse(self) -> bool:
+        """Whether readings of one mass scatter by less than they are rounded by."""
+        return self.scatter is not None and self.scatter < self.rounding
+
+    @property
+    def rounding(self) -> float:
+        """Standard uncertainty of a reading by its resolution alone, g (JCGM 100, F.2.2.1)."""
+        return self.resolution / math.sqrt(12.0)
+
+    @property
+    def sd(self) -> float | None:
+        """Standard uncertainty of one weighing, g: its scatter, but at least its rounding."""
+        return None if self.scatter is None else max(self.scatter, self.rounding)
 
 
 def read_weighings(path: Path) -> Weighings:
@@ -77,6 +97,7 @@ def read_weighings(path: Path) -> Weighings:
         raise InputError(*faults)
     specimens: dict[str, Weighing] = {}
     squares, freedom = 0.0, 0
+    readings = _readings(table, columns, faults)
     for number, row in enumerate(table.rows):
         place_words = f"{table.name}: line {table.lines[number]}"
         name = row[0]
@@ -84,23 +105,20 @@ def read_weighings(path: Path) -> Weighings:
             state = "names no specimen" if not name else f"{legible(name)}: has two rows"
             faults.append(f"{place_words}: {state}; must be one row a specimen")
             continue
-        masses: dict[str, list[float]] = {"before": [], "after": [], "loss": []}
-        only = np.arange(len(table.rows)) == number
-        for place, (kind, grams) in columns.items():
-            one = table.column(place)
-            if not one.filled(one.columns[0])[number]:
-                continue
-            try:
-                masses[kind].append(grams * float(one.numbers(one.columns[0], only)[0]))
-            except InputError as error:
-                faults += error.faults
-        for readings in masses.values():
-            if len(readings) > 1:
-                squares += float(np.var(readings)) * len(readings)
-                freedom += len(readings) - 1
-        before, after, loss = masses["before"], masses["after"], masses["loss"]
+        before, after, loss = (
+            [
+                float(readings[place][number])
+                for place, (kind, _) in columns.items()
+                if kind == wanted and np.isfinite(readings[place][number])
+            ]
+            for wanted in ("before", "after", "loss")
+        )
+        for masses, weighings in ((before, 1), (after, 1), (loss, 2)):
+            if len(masses) > 1:
+                squares += float(np.var(masses)) * len(masses) / weighings
+                freedom += len(masses) - 1
         if loss:
-            specimens[name] = Weighing(float(np.mean(loss)), 0, len(loss))
+            specimens[name] = Weighing(float(np.mean(loss)), len(loss), len(loss))
         elif before and after:
             specimens[name] = Weighing(
                 float(np.mean(before) - np.mean(after)), len(before), len(after)
@@ -113,7 +131,34 @@ def read_weighings(path: Path) -> Weighings:
     if faults:
         raise InputError(*faults)
     scatter = math.sqrt(squares / freedom) if freedom else None
-    return Weighings(specimens, scatter, table.sha256)
+    return Weighings(specimens, scatter, _resolution(table, columns), table.sha256)
+
+
+def _readings(
+    table: Measurements, columns: Mapping[int, tuple[str, float]], faults: list[str]
+) -> dict[int, FloatArray]:
+    """Return the masses of all rows by the places of columns, g; NaN where nothing was read."""
+    readings = {}
+    for place, (_, grams) in columns.items():
+        one = table.column(place)
+        filled = one.filled(one.columns[0])
+        readings[place] = np.full(len(table.rows), np.nan)
+        try:
+            readings[place][filled] = grams * one.numbers(one.columns[0], filled)
+        except InputError as error:
+            faults += error.faults
+    return readings
+
+
+def _resolution(table: Measurements, columns: Mapping[int, tuple[str, float]]) -> float:
+    """Return the finest last digit of masses, g: zeros there may be dropped."""
+    digits = []
+    for place, (_, grams) in columns.items():
+        for row in table.rows:
+            if row[place].lower() not in EMPTY:
+                exponent = int(Decimal(row[place].replace(",", ".")).as_tuple().exponent)
+                digits.append(grams * 10.0**exponent)
+    return min(digits)
 
 
 def _columns(table: Measurements, faults: list[str]) -> dict[int, tuple[str, float]]:
