@@ -95,7 +95,7 @@ def _flag(name: str, help: str) -> Argument:
     return (name,), {"action": "store_true", "help": help}
 
 
-def _output(metavar: str, help: str | None = None, dest: str = "output") -> Argument:
+def _output(metavar: str, help: str = "file or folder to write", dest: str = "output") -> Argument:
     options = {"type": _path, "required": True, "metavar": metavar, "help": help, "dest": dest}
     return ("-o", "--output"), options
 

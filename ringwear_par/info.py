@@ -54,12 +54,12 @@ def _print_installation(comm: "MPI.Comm") -> None:
     print(f"  ranks: {comm.size} (launcher says: {launched}), cores: {os.cpu_count()}")
     folder = pair_cache.folder()
     if folder is None:
-        print(f"  assembled pairs: not kept ({pair_cache.VARIABLE} is empty)")
+        print(f"  assembled contact pairs: not kept ({pair_cache.VARIABLE} is empty)")
     else:
         pairs, size = pair_cache.size(folder)
         print(
-            f"  assembled pairs: {pairs}, {size / 1e6:.3g} of {pair_cache.LIMIT / 1e6:g} MB, "
-            f"in {folder}"
+            f"  assembled contact pairs: {pairs}, {size / 1e6:.3g} of "
+            f"{pair_cache.LIMIT / 1e6:g} MB, in {folder}"
         )
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         print(f"  {name}: {os.environ.get(name, 'not set')}")

@@ -25,13 +25,13 @@ _MESH = "paper, 50 MPa: "
 _KINDS: dict[Kind, tuple[str, str]] = {
     "reference": (
         "Reference solutions",
-        "Known exactly, or converged: closed forms, finite elements, stored fine solutions.",
+        "Errors against closed forms, finite elements and stored solutions on fine meshes.",
     ),
     "identity": (
         "Identities",
-        "Balances and symmetries; they hold to round-off, on held faces they vanish with the mesh.",
+        "Balances and symmetries. They hold to round-off, on held faces to the mesh error.",
     ),
-    "bound": ("Bounds", "Numbers that must not exceed others."),
+    "bound": ("Bounds", "Numbers that must not exceed a limit."),
 }
 
 
@@ -55,7 +55,7 @@ def check_page(found: Sequence[Check]) -> str:
         "# Every check", "",
         f"What `ringwear verify` of version {rw.__version__} measured when this site was built: "
         "errors on the finest mesh of each check, relative where no unit is named, and their "
-        "observed order, where meshes are compared and the reference has the digits to see it.", "",
+        "observed order, where meshes are compared and the reference is accurate enough.", "",
     ]  # fmt: skip
     for kind, (heading, meaning) in _KINDS.items():
         lines += [f"## {heading}", "", meaning, ""]

@@ -3,8 +3,8 @@ Pressure before any wear
 ========================
 
 The paper's rings under a mean pressure of 50 MPa. How the pressure rises towards an edge depends on
-what lies under it: here it grows without bound, the faster the softer the disc is. The axis ends at
-150 MPa.
+the shape and the modulus of the body under it: here it grows without bound, the faster the softer
+the disc is. The axis ends at 150 MPa.
 """
 
 import matplotlib.pyplot as plt

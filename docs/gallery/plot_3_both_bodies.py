@@ -2,8 +2,8 @@
 Both bodies wear
 ================
 
-The disc wears where the pressure is above 60 MPa, the ring at any pressure. What they lose together
-evens the pressure out; how it is shared between them differs along the radius.
+The disc wears where the pressure is above 60 MPa, the ring at any pressure. Their wear together
+evens the pressure out; the share of each body differs along the radius.
 """
 
 import matplotlib.pyplot as plt

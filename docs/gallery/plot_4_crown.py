@@ -1,6 +1,6 @@
 """
-A crown wears in
-================
+Contact that grows over a crowned face
+======================================
 
 A steel ring whose face is round (radius of the crown 500 mm) on a bronze disc. It touches along
 0.4 mm of its width at first; wear makes the contact creep outwards until the whole face carries.

@@ -1,6 +1,6 @@
 """
-What spread of the law makes of the life
-========================================
+Scatter of the penetration when k and p0 are uncertain
+======================================================
 
 200 histories of the paper's rings whose wear coefficient and threshold are not well known: k within
 a factor of 2, p0 between 20 and 60 MPa. ``simulate_all`` steps them side by side.

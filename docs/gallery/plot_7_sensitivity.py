@@ -1,9 +1,10 @@
 """
-Which number moves the profile where
-====================================
+Sensitivity of the worn profile to each number of the case
+==========================================================
 
 Derivatives of the worn profile after 200 s with respect to numbers of the case, each scaled by its
-number: how much deeper the wear is for one per cent more. They come with the history, exactly.
+number: how much deeper the wear is if the number is one per cent larger. The derivatives are exact,
+and computed with the history.
 """
 
 import matplotlib.pyplot as plt

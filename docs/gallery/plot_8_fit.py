@@ -1,9 +1,9 @@
 """
-A law from measurements
-=======================
+Fit a wear law to measurements
+==============================
 
-Readings of two tests are made here with k = 1e-7 /MPa, p0 = 25 MPa and noise of 0.2 um, as a
-displacement transducer has it. The fit finds both numbers again, with their intervals.
+Readings of two tests are simulated here with k = 1e-7 /MPa, p0 = 25 MPa and noise of 0.2 um, as of
+a displacement transducer. The fit estimates both numbers, with their intervals.
 """
 
 import tempfile

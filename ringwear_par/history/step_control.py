@@ -23,7 +23,7 @@ _AFTER_FAILURE = 0.25
 #: end of a sentence about a step
 NO_STEP = "and no step is short enough"
 #: beginning of a sentence about a step that is to end at an interface
-_UNREACHED = "an element comes to the end of its layer at a time that is not found"
+_UNREACHED = "the time at which an element reaches the end of its layer cannot be computed"
 #: share of the tolerance that a step may miss whatever the history before it has missed
 _LEAST_ALLOWED = 0.05
 #: wear of the first step, in tolerances: edges wear fast and not for long
@@ -224,7 +224,7 @@ class ErrorControl:
                 else "the estimated error of the step is not a number"
                 if progress.undefined[0]
                 else f"errors exceed time.tolerance = {self.wear_tolerance[0]:g} mm or "
-                f"time.pressure_tolerance = {self.pressure_tolerance[0]:g} (larger ones may be met)"
+                f"time.pressure_tolerance = {self.pressure_tolerance[0]:g} (try larger tolerances)"
             )
             raise ComputationError(f"{why}, {NO_STEP}")
         fresh = ~progress.begun

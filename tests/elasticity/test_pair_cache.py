@@ -471,8 +471,11 @@ def test_where_pairs_are_kept(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("HOME", str(tmp_path))
     assert pair_cache.folder() == tmp_path / ".cache" / "ringwear-par"
     print_info(MPI.COMM_SELF)
-    assert f"assembled pairs: 0, 0 of 256 MB, in {pair_cache.folder()}" in capsys.readouterr().out
+    assert (
+        f"assembled contact pairs: 0, 0 of 256 MB, in {pair_cache.folder()}"
+        in capsys.readouterr().out
+    )
     monkeypatch.setenv(pair_cache.VARIABLE, "")
     assert pair_cache.folder() is None
     print_info(MPI.COMM_SELF)
-    assert "assembled pairs: not kept" in capsys.readouterr().out
+    assert "assembled contact pairs: not kept" in capsys.readouterr().out

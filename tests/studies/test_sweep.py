@@ -296,7 +296,7 @@ def test_a_dry_run_writes_nothing(write, shared_path, comm, capsys):
     if comm.rank == 0:
         told = capsys.readouterr().out
         assert "12 cases" in told
-        assert "2 distinct operator(s)" in told
+        assert "2 distinct contact pair(s)" in told
         assert "estimate for 12 cases" in told
         found = re.search(r"about (\d+) MB of memory in all \((\d+) MB a rank\)", told)
         all_of_it, a_rank = map(float, found.groups())

@@ -69,7 +69,7 @@ def checked(case: Case, state: State) -> State:
     e = next(e for e in _open_ends(case) if state.contact.pressure[0, e] > 0.0)
     raise ComputationError(
         f"time {state.time[0]:g} s: contact has reached the end of mesh.contact "
-        f"at r = {case.line.edges[e]:g} mm; must be wider there"
+        f"at r = {case.line.edges[e]:g} mm; mesh.contact must be wider there"
     )
 
 

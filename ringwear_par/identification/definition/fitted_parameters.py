@@ -86,6 +86,7 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
             return None
         table = converted
     reader = TableReader(said, table, faults, PARAMETER)
+    reader.raw("scatter")  # read above
     start, bounds = reader.read("start"), reader.read("bounds")
     log, prior = reader.read("scale") == "log", reader.read("prior")
     reader.finish()

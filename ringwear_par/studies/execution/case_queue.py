@@ -8,8 +8,8 @@ Rank 0 computes cases like all others, and answers them between two steps of its
 answers work on every network; memory that other ranks change without rank 0's doing does not (Open
 MPI 4 offers it over TCP and fails). A team draws as many cases at once as keep it busy for some
 time, fewer towards the end, so that waiting for an answer costs little; but not very few, as cases
-that step side by side take less time each (64 elements: 3.4 ms of 64, 1.7 of 256, 1.2 of 1,024).
-The first cases are dealt without a question: rank 0 may be in the middle of its first assembly.
+that step side by side take hardly longer than one. The first cases are dealt without a question:
+rank 0 may be in the middle of its first assembly.
 """
 
 import time
@@ -24,7 +24,7 @@ from ringwear_par.arrays import IntArray
 
 #: how long the cases that a team draws are to take, s; it may be so much longer with twice as many
 #: as before: cases that step side by side take less time each; and how short they may become
-_BUSY_SECONDS, _LONGEST_SECONDS, _LEAST_SECONDS = 0.5, 2.0, 0.3
+_BUSY_SECONDS, _LONGEST_SECONDS, _LEAST_SECONDS = 0.5, 2.0, 0.1
 #: how long a rank that waits for an answer sleeps between two looks
 _NAP_SECONDS = 0.0005
 _QUESTION_TAG, _ANSWER_TAG = 1, 2
@@ -66,9 +66,7 @@ class CaseQueue:
         self._left, self._ended = self._sizes.copy(), np.zeros_like(self._sizes)
         self._seconds, self._drawn = np.array(seconds, dtype=float), np.zeros_like(self._sizes)
         self._all_left, self._untaken = int(self._sizes.sum()), 0
-        self._teams, self._largest_share = teams, -(-self._all_left // teams)
-        #: number of cases whose seconds are known best
-        self._timed = np.zeros_like(self._sizes)
+        self._teams = teams
         self._groups: dict[int, int] = {}
         self.done, self.failed, self.stopped = 0, 0, False
 
@@ -84,7 +82,7 @@ class CaseQueue:
         # as long as there are other groups to take, teams need not share this one
         if self._untaken == len(self._sizes) and self._teams > 1:
             of_team = -(-self._all_left // self._teams)
-            share = max(of_team // 2, min(self._largest_share, int(_LEAST_SECONDS / seconds)))
+            share = max(of_team // 2, min(of_team, int(_LEAST_SECONDS / seconds)))
         twice = min(2 * int(self._drawn[group]), int(_LONGEST_SECONDS / seconds))
         number = max(min(left, share, max(int(_BUSY_SECONDS / seconds), twice)), 1)
         self._drawn[group] = number
@@ -103,16 +101,12 @@ class CaseQueue:
     def count(self, group: int, done: int, failed: int, seconds: float) -> bool:
         """Count cases that have ended; tell whether they were the last of their group."""
         ended = done + failed
-        if not ended:
-            return False
         self.done += done
         self.failed += failed
         self._ended[group] += ended
-        if ended >= self._timed[group]:
-            self._seconds[group], self._timed[group] = seconds / ended, ended
-        else:  # fewer cases side by side take more time each, which says nothing of many
-            self._seconds[group] = min(self._seconds[group], seconds / ended)
-        return bool(self._ended[group] == self._sizes[group])
+        if ended:  # of late: cases that step side by side take less than a first one
+            self._seconds[group] = seconds / ended
+        return bool(ended) and self._ended[group] == self._sizes[group]
 
 
 class SharedQueue:

@@ -45,7 +45,7 @@ def _timed(plan: Plan) -> str:
     study, request, left = plan.study, plan.request, plan.left
     lines = [
         f"{plan.total} cases, {plan.done} done, {plan.failed} failed before",
-        f"{len(study.members)} distinct operator(s), {len(left)} still needed",
+        f"{len(study.members)} distinct contact pair(s), {len(left)} still needed",
     ]
     if plan.not_in_study:
         lines.insert(
@@ -77,7 +77,7 @@ def _timed(plan: Plan) -> str:
     together = (
         ""
         if seconds_of_case == alone
-        else f", {1e3 * seconds_of_case:.2g} ms for each that goes side by side"
+        else f", {1e3 * seconds_of_case:.2g} ms for each case side by side with others"
     )
     assembly = (t1 - t0) * study.assembly / study.assembly[group]
     count, memory = plan.cases_left, _BARE_BYTES * request.ranks + plan.memory_needed()
@@ -87,7 +87,7 @@ def _timed(plan: Plan) -> str:
     seconds += (float(assembly[left].sum()) + stepping) / request.ranks
     size = sum(table.nbytes for table in recorder.columns().histories.values())
     lines += [
-        f"first case timed on one rank: {t1 - t0:.3g} s for its operator, {alone:.3g} s for its "
+        f"first case timed on one rank: {t1 - t0:.3g} s for its assembly, {alone:.3g} s for its "
         f"{case.time.scheme} steps{'' if reached >= case.time.end else ' (the first of them)'}"
         f"{together}",
         f"estimate for {count} cases on {request.ranks} rank(s) in {request.teams} team(s), from "

@@ -69,7 +69,7 @@ class Summary:
         lines = [
             f"cases{f' of slice {self.part}' if self.part else ''}: {self.total}, {self.done} "
             f"done, {self.failed} failed, {self.total - self.done - self.failed} not done; "
-            f"operators assembled: {self.operators}"
+            f"contact pairs assembled: {self.operators}"
         ]
         if self.computed:
             ranks = len(self.timings)
@@ -84,12 +84,14 @@ class Summary:
             ]
         worst = max(t.worst for t in self.timings)
         if worst > 0.0:
-            lines.append(f"worst balance (force, volume, energy, KKT) of these cases: {worst:.1e}")
+            lines.append(
+                f"largest error of balances (force, volume, energy, KKT), new cases: {worst:.1e}"
+            )
         if self.flagged:
             lines.append(count_flags(self.flagged))
         if self.part:
             lines.append(
-                "the same command without --slice computes what is left and merges all slices"
+                "the same command without --slice computes the other cases and merges all slices"
             )
         elif self.merged:
             lines.append(f"{self.folder / TABLE}, {self.folder / RESULTS}")

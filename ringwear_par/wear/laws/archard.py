@@ -13,16 +13,16 @@ from ringwear_par.wear.parameters import Coefficient
 class ArchardLaw(Law):
     """Wear in proportion to pressure and sliding speed.
 
-    Archard's law. The rate of depth is k times the pressure p times the sliding speed V; k is the
-    specific wear rate that test reports give, volume lost over load and distance, in mm3/(N mm) =
-    1/MPa: 1e-5 mm3/(N m) is 1e-8. The friction coefficient has no part in it.
+    Archard's law. The rate of depth is k times the pressure p times the sliding speed V. k is the
+    specific wear rate of test reports, volume lost over load and distance, in mm3/(N mm) = 1/MPa:
+    1e-5 mm3/(N m) is 1e-8. The rate does not depend on the friction coefficient.
 
-    Use it where nothing but one wear rate is known, and where twice the load or twice the distance
-    wears off twice as much. As wear goes on p V becomes the same at all radii, so that pressures
-    end near c / r whatever k is.
+    Use it where only one wear rate is known, and where twice the load or twice the distance wears
+    off twice as much. In the course of wear, p V becomes the same at all radii, so that pressures
+    end near c / r for any k.
 
-    It has no load below which nothing wears, no running-in, and the same k at all pressures and
-    speeds: beyond those of the test that k is from it is a guess.
+    The law has no load below which nothing wears, no running-in, and the same k at all pressures
+    and speeds: beyond the pressures and speeds of the test that gave k, it is a guess.
     """
 
     name = "archard"

@@ -17,16 +17,16 @@ from ringwear_par.wear.parameters import Parameter
 class NonLocalLaw(ThresholdLaw):
     """The threshold law of a pressure that is averaged over a length.
 
-    As the threshold law, k in 1/MPa and p0 in MPa, but of the pressure averaged by a Gaussian of
-    the standard deviation ``length`` (mm) along the radius; the wear that it causes is averaged in
-    the same way, which changes no volume.
+    The threshold law, k in 1/MPa and p0 in MPa, with the pressure averaged by a Gaussian of the
+    standard deviation ``length`` (mm) along the radius. The wear is averaged in the same way, which
+    does not change the worn volume.
 
-    Use it where peaks narrower than a grain, a particle or the spacing of asperities should not
-    wear by themselves. At a sharp edge elasticity has an infinite pressure, and with the other laws
-    how fast it wears off depends on the elements there; with this one on ``length``.
+    Use it where peaks of pressure narrower than a grain, a particle or the spacing of asperities
+    should not wear by themselves. At a sharp edge the elastic pressure is infinite. With the other
+    laws, the wear rate there depends on the size of the elements; with this law, on ``length``.
 
-    Speed and friction are not averaged. Profiles cannot bend within ``length``, so that grooves and
-    steps narrower than it are smoothed too; it is a number to be fitted, from profiles near edges.
+    Speed and friction are not averaged. Profiles cannot bend within ``length``, so grooves and
+    steps narrower than ``length`` are smoothed too. Fit ``length`` to profiles near edges.
     """
 
     name = "non-local"

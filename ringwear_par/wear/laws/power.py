@@ -17,16 +17,16 @@ class PowerLaw(Law):
     """Wear that grows with powers of pressure and sliding speed.
 
     The rate of depth is k (p / MPa)^m (V / (mm/s))^n: k is the rate in mm/s at a pressure of 1 MPa
-    and a speed of 1 mm/s, far from any test. With m = n = 1 it is Archard's law. The friction
-    coefficient has no part in it.
+    and a speed of 1 mm/s, far from any test. With m = n = 1 it is Archard's law. The rate does not
+    depend on the friction coefficient.
 
     Use it where rates of tests at several loads or speeds lie on a straight line on logarithmic
     axes, steeper than in proportion. Pressures end near c / r^(n/m): the larger m, the more even.
 
-    m is 1 at least: rates that rise less than in proportion to the pressure need a table or a law
-    of one's own. Where m is well above 1 edges and peaks wear much faster than the rest, beyond
-    what was tested. k and m hang together: a fit needs loads that are far apart, and k on a
-    logarithmic scale.
+    m is at least 1: rates that rise less than in proportion to the pressure need a table or a law
+    of your own. Where m is well above 1, edges and peaks wear much faster than the rest, at
+    pressures beyond those of the tests. k and m are correlated: a fit needs loads that are far
+    apart, and k on a logarithmic scale.
     """
 
     name = "power"

@@ -19,17 +19,17 @@ class RunningInLaw(AboveThreshold):
     """Wear that is faster at first and settles with worn depth or distance slid.
 
     The threshold law with a coefficient that falls from k_start to k (both in 1/MPa, volume lost by
-    friction energy). What it has above k falls by the factor e with every ``depth`` worn off, or
-    every ``distance`` slid, at the same place; one of these is given, in mm. With p0 = 0 the
-    specific wear rate is k_start mu at first, k mu in the end.
+    friction energy). The difference from k falls by the factor e with every ``depth`` worn off, or
+    every ``distance`` slid, at the same place; give one of the two, in mm. With p0 = 0 the specific
+    wear rate is k_start mu at first and k mu in the end.
 
     Use it where the first hours of a test wear faster than the rest at the same load: ``depth`` if
     a layer or the roughness is worn off, ``distance`` if surfaces or a transfer film settle. Fits
     need readings from both parts.
 
-    k_start is k at least: wear that becomes faster with time needs tables in time or a law of one's
-    own. What is remembered is that of each place: a body that is turned to a fresh face, or
-    refilled with lubricant, is a new case.
+    k_start is at least k: wear that becomes faster with time needs tables in time or a law of your
+    own. Depth and distance count at each place from the start of the case: a body that is turned
+    to a fresh face, or refilled with lubricant, is a new case.
 
     Raises
     ------

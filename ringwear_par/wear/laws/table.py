@@ -17,14 +17,14 @@ class TableLaw(Law):
     """A measured curve: the rate of wear against pressure times sliding speed.
 
     Pairs are p V in MPa mm/s (1 MPa m/s is 1000) and the rate of depth in mm/s (1 um/h is 2.78e-7),
-    the first of them (0, 0). It is linear between its points; beyond the last one the last slope
-    goes on.
+    the first of them (0, 0). The rate is linear between these points, and continues with the last
+    slope beyond the last point.
 
     Use it where tests at several p V follow no formula, as near the p V limit of a polymer.
 
-    Load and speed count by their product alone, and the friction coefficient not at all. Rates must
-    not fall with p V, and the curve goes through the points with all their scatter: smooth it
-    before.
+    The rate depends on pressure and speed only through their product, and not on the friction
+    coefficient. Rates must not fall with p V. The curve passes through all points, with their
+    scatter: smooth measured rates first.
     """
 
     name = "table"

@@ -59,17 +59,17 @@ class AboveThreshold(Law):
 class ThresholdLaw(AboveThreshold):
     """Wear by the power of friction above a threshold of the pressure.
 
-    Eq. (4) of the paper. The rate of depth is k times the power of friction, mu p V, of the part of
-    the pressure above p0; mu is the friction coefficient, V the sliding speed. k is the volume lost
-    by friction energy, in mm3/(N mm) = 1/MPa; below p0 (MPa) contact slides without wear. With p0 =
-    0 it is Archard's law of a specific wear rate k mu.
+    Eq. (4) of the paper. The rate of depth is k mu (p - p0) V where the pressure p is above p0, and
+    0 elsewhere; mu is the friction coefficient, V the sliding speed. k is the volume lost over
+    friction energy, in mm3/(N mm) = 1/MPa; below p0 (MPa) contact slides without wear. With p0 = 0
+    it is Archard's law with a specific wear rate k mu.
 
     Use it where light loads hardly wear, where wear goes with friction energy, or where it begins
-    at the edges and comes to the middle late. Pressures end near p0 + c / r. Tests at one load tell
-    k and p0 only together; two loads, one of them near p0, tell them apart.
+    at the edges and comes to the middle late. Pressures end near p0 + c / r. Tests at one load do
+    not determine k and p0 separately; tests at two loads do, if one of them is near p0.
 
-    The onset at p0 is sudden, where measured ones are rounded. If the mean pressure is below p0,
-    only edges wear, until nothing is pressed harder than p0.
+    The onset at p0 is sudden, while measured onsets are rounded. If the mean pressure is below p0,
+    only edges wear, until no pressure is above p0.
     """
 
     name = "threshold"

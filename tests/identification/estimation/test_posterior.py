@@ -37,7 +37,7 @@ class LinearHistories:
         ends = np.cumsum([experiment.n for experiment in problem.experiments])[:-1]
         self._of_tests = np.split(np.arange(len(response)), ends)
 
-    def read(self, points, pairs, steps=None, derivatives=True):
+    def read(self, points, pairs, steps=None, derivatives=True, *, exact=True):
         """Return readings of some tests, each at one of the points, with derivatives."""
         responses = self.responses(points, steps, derivatives)
         return [responses[point][self._of_tests[test]] for point, test in pairs]
