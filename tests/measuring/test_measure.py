@@ -308,6 +308,19 @@ def test_readings_that_are_excluded_at_the_end_are_of_the_test(laboratory):
     assert test.whole.specific_wear_rate.value == usual.whole.specific_wear_rate.value
 
 
+@pytest.mark.parametrize(("late", "said"), [(1130.0, False), (1000.0, True)])
+def test_a_load_that_was_read_is_compared_at_its_times(late, said, tmp_path):
+    """A load in steps, of which the steady part has the last."""
+    rows = [f"{60 * i};{i / 30};{565 if i <= 600 else late}" for i in range(1201)]
+    (tmp_path / "F.csv").write_text("\n".join(["t_s;z_um;F_N", *rows]))
+    steps = [[0.0, 565.0], [36e3, 565.0], [36001.0, 1130.0], [72e3, 1130.0]]
+    tables = {"case": str(EXAMPLE / "rig.toml"), "measure": {"steady": {"from": "12 h"}},
+              "test": [{"name": "F", "file": str(tmp_path / "F.csv"),
+                        "set": {"load.force": steps}}]}  # fmt: skip
+    (test,) = rw.measure(tables).tests
+    assert any("N on average" in note for note in test.notes) == said
+
+
 def test_a_load_and_a_speed_that_change_together(laboratory):
     """Load 500 to 1500 N, speed 3 to 9 rad/s: the mean of the product is a twelfth larger."""
     folder, _, _ = laboratory

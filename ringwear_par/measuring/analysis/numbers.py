@@ -386,7 +386,9 @@ def _notes(numbers: TestNumbers) -> list[str]:
         column = record.columns["wear"]
         notes.append(f"{column} falls in total: taken as a position, whose fall is the wear")
     if record.load is not None and np.isfinite(record.load).any():
-        measured, force = float(np.nanmean(record.load)), numbers.conditions.force
+        read = np.isfinite(record.load)
+        measured = float(record.load[read].mean())
+        force = float(in_time(numbers.test.force, record.time[read]).mean())
         if abs(measured - force) > _OTHER_LOAD * force:
             notes.append(
                 f"{record.columns['load']} is {measured:.4g} N on average, the case has "
