@@ -11,9 +11,9 @@ from ringwear_par.measuring.analysis.numbers import (
     PSI_FT_MIN,
     US_SPECIFIC,
     TestNumbers,
-    WholeTest,
 )
 from ringwear_par.measuring.analysis.repeats import Repeats
+from ringwear_par.measuring.analysis.whole_test import WholeTest
 from ringwear_par.measuring.definition.problem import Problem
 from ringwear_par.results import outcomes
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.measuring.analysis.autoregression import extrapolate
-from ringwear_par.measuring.analysis.budget import Estimate, Source, shortest_interval
+from ringwear_par.measuring.analysis.budget import SPECIFIC, Estimate, Source
+from ringwear_par.measuring.analysis.sources import load_sources, source_of
 from ringwear_par.measuring.analysis.steady_part import (
     FEWEST_BLOCKS,
     LAST_THIRD,
@@ -21,6 +21,7 @@ from ringwear_par.measuring.analysis.steady_part import (
     has_starts,
     steady_part,
 )
+from ringwear_par.measuring.analysis.whole_test import WholeTest, displaced_volume, whole_test
 from ringwear_par.measuring.definition.problem import Conditions, Problem, Test, Uncertainty
 from ringwear_par.measuring.definition.records import Record
 from ringwear_par.schedules import in_time
@@ -28,11 +29,8 @@ from ringwear_par.schedules import in_time
 #: mm3/(N m) in an in3 min/(ft lbf h), and psi ft/min in a MPa m/s
 IN3_MIN_PER_FT_LBF_H = 16387.064 / 1.3558179483314004 / 60.0
 PSI_FT_MIN = 145.0377377 * 196.8503937
-SPECIFIC, US_SPECIFIC = "mm3/(N m)", "in3 min/(ft lbf h)"
+US_SPECIFIC = "in3 min/(ft lbf h)"
 RATE = "mm/s"
-#: block means at either end of a test: a parabola through the first, where wear may run in, and a
-#: line through the last tell the depth there, at most so many blocks away
-_END_BLOCKS, _RUNNING_IN, _STEADY = 5, 2, 1
 #: share by which volumes may differ whatever their uncertainties; blocks that a gap may last;
 #: share of the test below which a steady part is short; share by which loads may differ
 _DIFFERENT, _GAP, _SHORT, _OTHER_LOAD = 0.05, 10.0, 0.3, 0.02
@@ -44,24 +42,6 @@ class Doubt:
 
     code: str
     text: str
-
-
-@dataclass(frozen=True)
-class WholeTest:
-    """Numbers of a test from its start to its end.
-
-    Parameters
-    ----------
-    mass_loss : mg; volume : mm3; specific_wear_rate : mm3/(N m); None: not weighed.
-    volume_by_displacement : mm3, area times depth; None: no depth was read near an end.
-    distance : m, slid.
-    """
-
-    distance: float
-    mass_loss: Estimate | None
-    volume: Estimate | None
-    specific_wear_rate: Estimate | None
-    volume_by_displacement: Estimate | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +96,13 @@ def numbers_of(test: Test, problem: Problem) -> TestNumbers:
     changes: list[Change] = []
     if wear is not None:
         changes.append(change := change_from(wear, part.start, 2))
-        estimates |= _displaced(wear, change, test, known)
         estimates["rate"] = _rate(change, known)
         estimates["specific"] = _specific(estimates["rate"], conditions, known)
     if friction is not None:
         changes.append(change := change_from(friction, part.start, 1))
         estimates["friction"] = _friction(change, conditions, known)
-    whole = _whole(test, problem, estimates.get("displaced"))
+    volume = None if wear is None else displaced_volume(wear, changes[0], test, known)
+    whole = whole_test(test, problem, volume)
     result = TestNumbers(
         test, part, conditions, wear, friction, estimates.get("friction"), estimates.get("rate"),
         estimates.get("specific"), changes[0].autocorrelation, whole,
@@ -162,23 +142,14 @@ def friction_readings(test: Test) -> FloatArray | None:
     return np.asarray(test.record.torque / pressed)
 
 
-def _source(
-    known: Mapping[str, Uncertainty], name: str, value: float, unit: str, sensitivity: float
-) -> list[Source]:
-    """Return the source of type B of an input, none where nobody says how well it is known."""
-    if name not in known:
-        return []
-    return [Source(name, "B", known[name].of(value), unit, sensitivity)]
-
-
 def _rate(change: Change, known: Mapping[str, Uncertainty]) -> Estimate:
     """Return the wear rate in mm/s."""
     rate = change.value
     sources = [
         Source("readings", "A", change.value_u, RATE, 1.0),
         Source("steadiness", "B", change.steadiness_u, RATE, 1.0),
-        *_source(known, "displacement", 1.0, "1", rate),
-        *_source(known, "time", 1.0, "1", -rate),
+        *source_of(known, "displacement", 1.0, "1", rate),
+        *source_of(known, "time", 1.0, "1", -rate),
     ]
     return Estimate(rate, RATE, tuple(sources))
 
@@ -188,27 +159,10 @@ def _specific(rate: Estimate, conditions: Conditions, known: Mapping[str, Uncert
     scaled = rate.scaled(1.0 / conditions.pv, SPECIFIC)
     k = scaled.value
     loads = [
-        *_load(known, conditions, -k),
-        *_source(known, "load.omega", conditions.omega, "rad/s", -k / conditions.omega),
+        *load_sources(known, conditions, -k),
+        *source_of(known, "load.omega", conditions.omega, "rad/s", -k / conditions.omega),
     ]
     return replace(scaled, sources=(*scaled.sources, *loads))
-
-
-def _load(
-    known: Mapping[str, Uncertainty], conditions: Conditions, relative: float
-) -> list[Source]:
-    """Return the source of the load, by force or by pressure: of its scale, where it changes.
-
-    Parameters
-    ----------
-    relative : derivative of the measurand with respect to the logarithm of the load.
-    """
-    return [
-        *_source(known, "load.force", conditions.force, "N", relative / conditions.force),
-        *_source(
-            known, "load.pressure", conditions.pressure, "MPa", relative / conditions.pressure
-        ),
-    ]
 
 
 def _friction(change: Change, conditions: Conditions, known: Mapping[str, Uncertainty]) -> Estimate:
@@ -218,92 +172,10 @@ def _friction(change: Change, conditions: Conditions, known: Mapping[str, Uncert
     sources = [
         Source("readings", "A", change.value_u, "1", 1.0),
         Source("steadiness", "B", change.steadiness_u, "1", 1.0),
-        *_source(known, "torque", torque, "N mm", 1.0 / (conditions.force * conditions.radius)),
-        *_load(known, conditions, -mu),
+        *source_of(known, "torque", torque, "N mm", 1.0 / (conditions.force * conditions.radius)),
+        *load_sources(known, conditions, -mu),
     ]
     return Estimate(mu, "1", tuple(sources))
-
-
-def _displaced(
-    wear: Blocks, change: Change, test: Test, known: Mapping[str, Uncertainty]
-) -> dict[str, Estimate]:
-    """Return the volume by displacement of the whole test, as "displaced"; none without its ends.
-
-    Parameters
-    ----------
-    change : of the steady part, whose errors are those at the ends too.
-    """
-    ends, farthest = (0.0, test.duration), _END_BLOCKS * float(np.median(np.diff(wear.time)))
-    if wear.time[0] > farthest or test.duration - wear.time[-1] > farthest:
-        return {}
-    first, last = slice(_END_BLOCKS), slice(-_END_BLOCKS, None)
-    (before, u_before), (after, u_after) = (
-        extrapolate(
-            wear.time[blocks], wear.value[blocks], end, degree, sd=change.sd,
-            autocorrelation=change.autocorrelation,
-        )
-        for end, blocks, degree in zip(ends, (first, last), (_RUNNING_IN, _STEADY), strict=True)
-    )  # fmt: skip
-    area = test.conditions(*ends).area
-    volume = area * (after - before)
-    sources = (
-        Source("readings", "A", float(np.hypot(u_before, u_after)), "mm", area),
-        *_source(known, "displacement", 1.0, "1", volume),
-    )
-    return {"displaced": Estimate(volume, "mm3", sources)}
-
-
-def _whole(test: Test, problem: Problem, by_depth: Estimate | None) -> WholeTest:
-    """Return the numbers of the whole test."""
-    conditions = test.conditions(0.0, test.duration)
-    distance = conditions.speed * test.duration * 1e-3
-    if test.weighing is None or test.density is None:
-        return WholeTest(distance, None, None, None, by_depth)
-    return WholeTest(distance, *_weighed(test, problem, conditions), by_depth)
-
-
-def _weighed(
-    test: Test, problem: Problem, conditions: Conditions
-) -> tuple[Estimate, Estimate, Estimate]:
-    """Return mass lost (mg), volume (mm3) and specific wear rate (mm3/(N m)) by weighing."""
-    known, weighing, density = problem.uncertainty, test.weighing, test.density
-    assert weighing is not None
-    assert density is not None
-    mass, key = weighing.loss, f"{test.body}.density"
-    u = 0.0 if problem.mass_sd is None else weighing.u(problem.mass_sd)
-
-    def balance(sensitivity: float) -> list[Source]:
-        if problem.mass_sd is None:
-            return []
-        return [Source("mass", problem.mass_type, u, "g", sensitivity)]
-
-    work = conditions.product * conditions.radius * test.duration * 1e-3  # N m, less friction's mu
-    volume, rate = mass / density, mass / (density * work)
-    mass_loss = Estimate(1e3 * mass, "mg", tuple(balance(1e3)))
-    by_mass = Estimate(
-        volume, "mm3",
-        (*balance(1.0 / density),
-         *_source(known, key, density, "g/mm^3", -volume / density)),
-    )  # fmt: skip
-    sources = (
-        *balance(1.0 / (density * work)),
-        *_source(known, key, density, "g/mm^3", -rate / density),
-        *_load(known, conditions, -rate),
-        *_source(known, "load.omega", conditions.omega, "rad/s", -rate / conditions.omega),
-        *_source(known, "time", 1.0, "1", -rate),
-    )
-    us = {source.name: source.u for source in sources}
-    if not any(us.values()):
-        return mass_loss, by_mass, Estimate(rate, SPECIFIC, sources)
-    load_u = us.get("load.force", conditions.area * us.get("load.pressure", 0.0))
-    shortest = shortest_interval(
-        lambda m, rho, force, omega, time: (
-            m / (rho * work * force / conditions.force * omega / conditions.omega * time)
-        ),
-        (mass, density, conditions.force, conditions.omega, 1.0),
-        (u, us.get(key, 0.0), load_u, us.get("load.omega", 0.0), us.get("time", 0.0)),
-    )
-    return mass_loss, by_mass, Estimate(rate, SPECIFIC, sources, shortest)
 
 
 def _temperature(

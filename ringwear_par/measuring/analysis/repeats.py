@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from ringwear_par.measuring.analysis.numbers import SPECIFIC, TestNumbers
+from ringwear_par.measuring.analysis.budget import SPECIFIC
+from ringwear_par.measuring.analysis.numbers import TestNumbers
 from ringwear_par.measuring.definition.problem import Conditions
 
 #: loads and speeds that are the same
