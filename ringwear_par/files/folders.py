@@ -19,8 +19,36 @@ DESIGN, NEXT, MAP = "design.json", "next.toml", "design.png"
 MEASURE, MEASURED_ROWS, RECORDS = "measure.json", "measure.csv", "measure.png"
 
 
-def check_folder(folder: Path, files: Sequence[str]) -> None:
+#: by what commands leave in their folders; a fit and the design after it may share one
+_COMMANDS = {
+    FIT: "fit", DESIGN: "fit", "cases.csv": "sweep", "shards": "sweep", MEASURE: "measure",
+}  # fmt: skip
+
+
+def refuse_others(folder: Path, command: str) -> None:
+    """Refuse a folder that has the outcome of another command. On one rank.
+
+    Parameters
+    ----------
+    command : "fit" (or of a design), "sweep" or "measure".
+
+    Raises
+    ------
+    InputError : its files would be replaced.
+    """
+    for name, other in _COMMANDS.items():
+        if other != command and (folder / name).exists():
+            raise InputError(
+                f"{folder}: is the folder of ringwear {other} ({name}); must be another, or new"
+            )
+
+
+def check_folder(folder: Path, files: Sequence[str], command: str) -> None:
     """Refuse a folder where files cannot be written, before any work. On one rank.
+
+    Parameters
+    ----------
+    command : whose outcome they are, see ``refuse_others``.
 
     Raises
     ------
@@ -28,6 +56,7 @@ def check_folder(folder: Path, files: Sequence[str]) -> None:
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; must be a folder, or new")
+    refuse_others(folder, command)
     if folder.is_dir():
         for name in files:
             check_writable(folder / name)
@@ -38,14 +67,18 @@ def check_folder(folder: Path, files: Sequence[str]) -> None:
 
 
 @contextmanager
-def new_files(folder: Path, files: Sequence[str]) -> Iterator[None]:
+def new_files(folder: Path, files: Sequence[str], command: str) -> Iterator[None]:
     """Make a folder, if files can be written there, and report the disk's errors. On one rank.
+
+    Parameters
+    ----------
+    command : whose outcome they are, see ``refuse_others``.
 
     Raises
     ------
     InputError, ComputationError : the folder or the disk.
     """
-    check_folder(folder, files)
+    check_folder(folder, files, command)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         yield

@@ -120,7 +120,7 @@ def run_fit(
             print(prediction(expected))
         return
     problem = on_first_rank(comm, lambda: _read_complete(source))
-    on_first_rank(comm, lambda: check_folder(folder, fit_folder.FILES))
+    on_first_rank(comm, lambda: check_folder(folder, fit_folder.FILES, "fit"))
     if restart and on_first_rank(
         comm, lambda: fit_folder.complete(folder, problem, compare=compare)
     ):

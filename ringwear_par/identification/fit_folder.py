@@ -70,7 +70,7 @@ def save(fit: FitResult, folder: Path) -> None:
     ------
     InputError, ComputationError : the folder or the disk.
     """
-    with new_files(folder, FILES):
+    with new_files(folder, FILES, "fit"):
         with atomic_hdf5(folder / READINGS) as (file, _):
             _write(file, fit)
         figures = {CURVES: fit.plot, ESTIMATES: fit.plot_parameters}

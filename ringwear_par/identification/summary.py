@@ -327,7 +327,7 @@ def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
         count = scatter["groups"]
         between = f"between {count} {PLURALS[group] if count > 1 else group} "
         if "known" in scatter:
-            sizes.append(f"{between}{size(scatter['known'])}{unit_of_size} (given)")
+            sizes.append(f"{between}{size(scatter['known'])}{unit_of_size} (taken as known)")
             continue
         low, high = scatter["interval"]
         at_bound = ", perhaps none" * (scatter["verdict"] == "at bound")

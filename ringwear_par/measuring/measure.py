@@ -76,7 +76,7 @@ def run_measure(
     if files and len(sources) > 1:
         raise InputError(f"{files[0]}: a measure file must be the only file of the command")
     problem = _problem(files[0] if files else sources, case, masses)
-    check_folder(folder, FILES)
+    check_folder(folder, FILES, "measure")
     result = measure_problem(problem)
     result.save(folder)
     return result.summary()

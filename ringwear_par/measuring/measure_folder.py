@@ -26,7 +26,7 @@ def save(result: MeasureResult, folder: Path) -> None:
     ------
     InputError, ComputationError : the folder or the disk.
     """
-    with new_files(folder, FILES):
+    with new_files(folder, FILES, "measure"):
         save_figure(result.figure(), folder / RECORDS)
         with atomic_write(folder / MEASURED_ROWS) as path:
             path.write_text(table(result), encoding="utf-8")

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 from scipy.stats import t as student_t
 
 from ringwear_par.arrays import FloatArray
@@ -138,6 +139,8 @@ class Material:
             return None
         sd = np.hypot(self._median_size(levels[0]), test_sd)
         quantile = 0.5 + 0.5 * self.level
+        if self.sizes[levels[0]].known is not None:
+            return max(1, int(np.ceil((float(norm.ppf(quantile)) * sd / _WANTED) ** 2)))
         n = 2
         while float(student_t.ppf(quantile, n - 1)) * sd / np.sqrt(n) > _WANTED:
             n += 1

@@ -229,7 +229,7 @@ def run_design(
     criterion: Criterion | None = None,
 ) -> None:
     """Find the next tests and write them to a folder. Collective on comm."""
-    on_first_rank(comm, lambda: check_folder(folder, (DESIGN, NEXT, MAP)))
+    on_first_rank(comm, lambda: check_folder(folder, (DESIGN, NEXT, MAP), "fit"))
     result = design(source, comm, after=after, criterion=criterion)
     on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:

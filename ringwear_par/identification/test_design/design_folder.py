@@ -38,7 +38,7 @@ def save(design: DesignResult, folder: Path) -> None:
     ------
     InputError, ComputationError : the folder or the disk.
     """
-    with new_files(folder, FILES):
+    with new_files(folder, FILES, "fit"):
         picture = png(design.plot())
         with atomic_write(folder / MAP) as path:
             path.write_bytes(picture)

@@ -14,6 +14,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import InputError
+from ringwear_par.files.folders import refuse_others
 from ringwear_par.history.validity.case_limits import memory_needed
 from ringwear_par.studies.definition.case_columns import Groups
 from ringwear_par.studies.definition.study import Study
@@ -200,6 +201,7 @@ def make_plan(study: Study, request: Request, locks: ExitStack | None) -> Plan:
     index = EMPTY
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: is a file; must be a folder, or a new name")
+    refuse_others(path, "sweep")
     if locks is not None:
         folder.open()
         locks.enter_context(locked(path, folder.part))
