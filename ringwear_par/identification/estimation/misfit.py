@@ -302,11 +302,20 @@ class Misfit:
         shift = finite @ (evaluation.jacobian[: self.n].T @ growth)
         return np.divide(-shift, sd, out=np.zeros(self._m), where=sd > 0.0)
 
-    def noise_growth(self, evaluation: Evaluation) -> FloatArray:
-        """Return the scatter of each series over its noise, (series,)."""
+    def noise_growth(
+        self, evaluation: Evaluation, leverage: FloatArray | None = None
+    ) -> FloatArray:
+        """Return the scatter of each series over its noise, (series,).
+
+        Parameters
+        ----------
+        leverage : (n,) share of each reading that what is fitted takes away; None: that of one
+            value of each key for all tests.
+        """
         by_loss = weights(self.problem.settings.loss, evaluation.noise)
         weighted = by_loss * evaluation.noise**2
-        leverage = (np.linalg.qr(evaluation.jacobian)[0] ** 2).sum(axis=1)
+        if leverage is None:
+            leverage = (np.linalg.qr(evaluation.jacobian)[0] ** 2).sum(axis=1)
         parts = [record.rows for record in self.records]
         return np.array(
             [

@@ -241,14 +241,9 @@ def _noise_growth(
         covariance = mixed.posterior.covariance_of_test(number)
         by_keys = np.einsum("ij,jk,ik->i", rest, covariance, rest)
         leverages.append(projection.leverage[: len(test.readings)] + by_keys)
-    leverage = np.concatenate(leverages)
-    weighted = weights(misfit.problem.settings.loss, evaluation.noise) * evaluation.noise**2
-    growth = np.ones(len(misfit.records))
-    for i, record in enumerate(misfit.records):
-        if record.series.sd_fitted:
-            free = max(1.0, float((1.0 - leverage[record.rows]).sum()))
-            growth[i] = np.sqrt(weighted[record.rows].sum() / free)
-    return growth
+    growth = misfit.noise_growth(evaluation, np.concatenate(leverages))
+    fitted = np.array([record.series.sd_fitted for record in misfit.records])
+    return np.where(fitted, growth, 1.0)
 
 
 def _alone(parameters: Sequence[FittedParameter], mixed: _Mixed) -> tuple[FloatArray, FloatArray]:
