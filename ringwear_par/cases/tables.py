@@ -5,7 +5,7 @@ Each kind of file has a list of its keys, in a file ``schema.py``.
 
 import difflib
 import textwrap
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -112,6 +112,25 @@ def keys_of_table(keys: Iterable[Key], table: str) -> dict[str, Key]:
     return names
 
 
+def name_unknown_keys(
+    place: str, names: Iterable[str], known: Sequence[str], faults: list[str]
+) -> None:
+    """Add a fault for each name that is not known, with the nearest one that is.
+
+    Parameters
+    ----------
+    place : how the sentences begin: file and table.
+    """
+    for name in names:
+        if name not in known:
+            few = len(faults) < MOST_FAULTS  # no more are shown, and looking takes long
+            near = difflib.get_close_matches(name.lower(), known, n=1) if few else []
+            hint = f" (did you mean {near[0]}?)" if near else ""
+            faults.append(
+                f"{place}: {legible(name)}: unknown key{hint}; must be one of {', '.join(known)}"
+            )
+
+
 class TableReader:
     """A table whose keys are read one by one; keys that nobody reads are unknown ones.
 
@@ -177,13 +196,7 @@ class TableReader:
 
     def finish(self) -> None:
         """Add a fault for each key that nobody has read."""
-        known = list(dict.fromkeys(self._read))
-        for name in self._table:
-            if name not in known:
-                few = len(self.faults) < MOST_FAULTS
-                near = difflib.get_close_matches(name.lower(), known, n=1) if few else []
-                hint = f" (did you mean {near[0]}?)" if near else ""
-                self.fault(f"{legible(name)}: unknown key{hint}; must be one of {', '.join(known)}")
+        name_unknown_keys(self.place, self._table, list(dict.fromkeys(self._read)), self.faults)
 
 
 def key_table(keys: Iterable[Key], words: str = "") -> str:

@@ -1,6 +1,5 @@
 """Fit files: a base case, the keys sought, and experiments with their measurements."""
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from ringwear_par.cases.files.keys import (
     read_keys,
 )
 from ringwear_par.cases.files.reading import make_case
-from ringwear_par.cases.tables import TableReader
+from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.files.text import parse_toml, read_text, refuse_depth
@@ -78,12 +77,7 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
         kind_of_file = "a case" if "case" in kind and "case" not in tables else "a study"
         raise InputError(f"{name}: is {kind_of_file}, not a fit file; [[experiment]] is missing")
     faults: list[str] = []
-    for key in tables.keys() - set(_TABLES):
-        near = difflib.get_close_matches(key.lower(), _TABLES, n=1)
-        hint = f" (did you mean {near[0]}?)" if near else ""
-        faults.append(
-            f"{name}: {legible(key)}: unknown key{hint}; must be one of {', '.join(_TABLES)}"
-        )
+    name_unknown_keys(name, tables, _TABLES, faults)
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
     settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), faults)
     files = FileStore(folder)

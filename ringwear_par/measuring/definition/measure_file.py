@@ -1,6 +1,5 @@
 """Measure files: the rig's case, the tests' records, weighings, uncertainties."""
 
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,7 +10,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.faults import Origin
 from ringwear_par.cases.files.keys import base_keys, flatten, in_full, kinds, override, plain
 from ringwear_par.cases.files.reading import make_case
-from ringwear_par.cases.tables import TableReader
+from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.units import in_unit, in_unit_where_right
 from ringwear_par.cases.values import RejectedError, is_number
@@ -58,12 +57,7 @@ def read_measure(source: Path | str | Mapping[str, Any]) -> Problem:
         kind = "a fit file" if "experiment" in tables else "a case" if kinds(tables) else "another"
         raise InputError(f"{name}: is {kind}, not a measure file; [[test]] is missing")
     faults: list[str] = []
-    for key in tables.keys() - set(_TABLES):
-        near = difflib.get_close_matches(key.lower(), _TABLES, n=1)
-        hint = f" (did you mean {near[0]}?)" if near else ""
-        faults.append(
-            f"{name}: {legible(key)}: unknown key{hint}; must be one of {', '.join(_TABLES)}"
-        )
+    name_unknown_keys(name, tables, _TABLES, faults)
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
     files = _Files(folder)
     reader = TableReader(f"{name}: measure", tables.get("measure", {}), faults, schema.MEASURE)
