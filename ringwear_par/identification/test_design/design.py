@@ -231,6 +231,7 @@ def run_design(
     criterion: Criterion | None = None,
 ) -> None:
     """Find the next tests and write them to a folder. Collective on comm."""
+
     def check() -> None:
         check_folder(folder, (DESIGN, NEXT, MAP), "fit")
         announce_replacement(folder / DESIGN)
