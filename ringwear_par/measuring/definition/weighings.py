@@ -52,12 +52,14 @@ class Weighings:
     scatter : g, sd of readings of one mass about their mean; None where none was read twice.
     resolution : g, by the digits of readings.
     sha256 : of the file.
+    unused : names of columns of which nothing is taken.
     """
 
     specimens: Mapping[str, Weighing]
     scatter: float | None
     resolution: float
     sha256: str
+    unused: tuple[str, ...] = ()
 
     @property
     def coarse(self) -> bool:
@@ -131,7 +133,8 @@ def read_weighings(path: Path) -> Weighings:
     if faults:
         raise InputError(*faults)
     scatter = math.sqrt(squares / freedom) if freedom else None
-    return Weighings(specimens, scatter, _resolution(table, columns), table.sha256)
+    unused = tuple(name for i, name in enumerate(table.columns) if i and name and i not in columns)
+    return Weighings(specimens, scatter, _resolution(table, columns), table.sha256, unused)
 
 
 def _readings(
