@@ -88,6 +88,13 @@ class Record:
     exclude: tuple[tuple[float, float], ...] = ()
     notes: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        read = [name for name in CHANNELS if name != "time" and getattr(self, name) is not None]
+        return (
+            f"<Record {self.file}: {len(self.time)} readings of {', '.join(read)} over "
+            f"{self.duration:g} s>"
+        )
+
     @property
     def end(self) -> float:
         """Time of the last reading that is not excluded, s."""
