@@ -1,4 +1,4 @@
-"""Cases and fit files of standard tests: dimensions, and the wear that follows without elasticity."""
+"""Cases and fit files of standard tests: dimensions, and their wear in closed form."""
 
 import math
 
