@@ -5,6 +5,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from typing import Any, Literal
 
 import numpy as np
@@ -173,6 +174,11 @@ class Case:
             f"<Case{f' {self.title!r}' if self.title else ''}: {rings}; {wear or 'nothing wears'}; "
             f"{self.mesh.contact_elements} contact elements, {self.time.end:g} s>"
         )
+
+    def _repr_html_(self) -> str:
+        """Return the drawing of the rig, for notebooks."""
+        # pictures stand on cases, which know nothing else of them
+        return str(import_module("ringwear_par.pictures.rig").rig_svg(self))
 
     @property
     def overlap(self) -> tuple[float, float]:
