@@ -246,7 +246,7 @@ def test_columns_of_which_nothing_is_taken_are_named(read, tmp_path):
     assert read("t_s;z_um;M / N m").notes == ()
     path = tmp_path / "m.csv"
     path.write_text("specimen,before / g,after / g,operator\na,12.1,12.0,n/a\n")
-    assert read_weighings(path).unused == ("operator",)
+    assert read_weighings(path).notes == ("weighings: columns not used: operator",)
 
 
 def test_half_days_have_twelve_hours(read):

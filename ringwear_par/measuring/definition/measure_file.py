@@ -15,7 +15,6 @@ from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.units import has_unit, in_unit, in_unit_where_right
 from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.measurements import unused_columns
 from ringwear_par.files.text import parse_toml, read_text, refuse_depth
 from ringwear_par.measuring.definition import schema
 from ringwear_par.measuring.definition.problem import Limits, Problem, Test, Uncertainty
@@ -376,8 +375,7 @@ def _notes(tests: Sequence[Test], weighings: Weighings | None, mass_sd: float | 
     ]
     if weighings is None:
         return notes
-    if weighings.unused:
-        notes.append(f"weighings: {unused_columns(weighings.unused)}")
+    notes += weighings.notes
     notes += [f"{test.name} was not weighed" for test in tests if test.weighing is None]
     names = {test.name for test in tests}
     untested = [name for name in weighings.specimens if name not in names]

@@ -11,7 +11,6 @@ from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
-from ringwear_par.files.writing import announce_replacement
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
@@ -64,8 +63,6 @@ def run_case(
             log.info("%s is complete: nothing to compute", output)
         return _draw(output, figure, comm)
     if comm.rank == 0:
-        if before is None and not overwrite:
-            announce_replacement(output)
         warn_of_threads(comm.size)
     recorder = Recorder([case], comm, before)
     if before is not None and comm.rank == 0:
