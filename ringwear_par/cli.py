@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from typing import Any
 
-from ringwear_par.commands import COMMANDS, UNWRITTEN, parser
+from ringwear_par.commands import COMMANDS, UNWRITTEN, check_command, overview, parser
 from ringwear_par.errors import LONGEST_SENTENCE, InputError, RingwearError, legible
 from ringwear_par.results.execution.stopping import StopAtOnce, Stopped, ignore_at_end, remark
 
@@ -191,8 +191,9 @@ def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         if not words:
-            parser().print_help()
+            print(overview())
             return 0
+        check_command(words[0])
         arguments = vars(parser().parse_args(words[:cut]))
         name = arguments.pop("command")
         command = COMMANDS[name]

@@ -35,21 +35,25 @@ _MODULES = {
 }
 
 
-def _apply(verb: str, outcome: Any, *arguments: Any) -> Any:
+def _apply(verb: str, outcome: Any, *arguments: Any, **options: Any) -> Any:
     module = _MODULES.get((type(outcome).__name__, verb))
     if module is None:
         raise TypeError(f"{verb}: {type(outcome).__name__}: must be the outcome of a run or a fit")
-    return getattr(import_module(module), verb)(outcome, *arguments)
+    return getattr(import_module(module), verb)(outcome, *arguments, **options)
 
 
-def summary(outcome: Any) -> str:
+def summary(outcome: Any, **options: bool) -> str:
     """Return an outcome in a few lines, as the command prints it. Not collective.
+
+    Parameters
+    ----------
+    options : ``verbose``, of a run: all its key numbers and checks.
 
     Raises
     ------
     InputError : a result that was stored without its last state.
     """
-    return str(_apply("summary", outcome))
+    return str(_apply("summary", outcome, **options))
 
 
 def to_dict(outcome: Any) -> dict[str, Any]:

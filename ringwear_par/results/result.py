@@ -130,9 +130,9 @@ class Result:
         """Texts of the users' own laws by body."""
         return dict(json.loads(self.attributes["user_laws"]))
 
-    def summary(self) -> str:
-        """Return it in a few lines, see ``rw.summary``."""
-        return outcomes.summary(self)
+    def summary(self, *, verbose: bool = False) -> str:
+        """Return it in a few lines, or all its key numbers and checks, see ``rw.summary``."""
+        return outcomes.summary(self, verbose=verbose)
 
     def variables(self) -> list[tuple[Variable, Any]]:
         """Return every variable on the contact line and in time, with its values."""

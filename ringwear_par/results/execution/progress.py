@@ -2,6 +2,8 @@
 
 import logging
 import math
+import os
+import re
 import sys
 import time
 from collections.abc import Callable
@@ -142,3 +144,20 @@ def duration(seconds: float) -> str:
         return f"{seconds:.3g} s"
     minutes = round(seconds / 60.0)
     return f"{minutes} min" if minutes < 120 else f"{minutes / 60:.1f} h"
+
+
+#: of texts that are printed on a terminal: their first words, and what they say of checks
+_COLOURS = (
+    (re.compile(r"^WARNING(?=:)", re.MULTILINE), "1;33"),
+    (re.compile(r"(?<=^checks       )ok", re.MULTILINE), "32"),
+    (re.compile(r"^[a-z][a-z ]{0,11}(?=  )", re.MULTILINE), "1"),
+)
+
+
+def for_terminal(text: str) -> str:
+    """Return a text with colours where standard output is a terminal that shows some."""
+    if not sys.stdout.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return text
+    for words, colour in _COLOURS:
+        text = words.sub(f"\x1b[{colour}m\\g<0>\x1b[0m", text)
+    return text

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import shlex
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
@@ -16,12 +17,13 @@ from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.execution.preparation import Figure, prepare, reached_end
-from ringwear_par.results.execution.progress import RunProgress
+from ringwear_par.results.execution.progress import RunProgress, for_terminal
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.stopping import StopSignals, remark
 from ringwear_par.results.execution.watch import Watch
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import write_result
+from ringwear_par.results.summary import labelled
 from ringwear_par.results.unit_suspicions import unit_suspicions
 from ringwear_par.version import __version__
 
@@ -37,6 +39,7 @@ def run_case(
     restart: bool = False,
     overwrite: bool = False,
     figure: Figure | None = None,
+    verbose: bool = False,
 ) -> None:
     """Compute a wear history, write it, and print what came of it. Collective on comm.
 
@@ -48,6 +51,7 @@ def run_case(
     restart : go on with the interrupted or shorter run that ``output`` holds.
     overwrite : replace what ``output`` holds, an interrupted run or one of another case too.
     figure : picture to be drawn at the end.
+    verbose : print all key numbers, checks and seconds.
 
     Raises
     ------
@@ -81,9 +85,11 @@ def run_case(
         _step(case, path, file, [recorder, note_signals, _check_options, watch])
         result = file.save_at_end()
         if comm.rank == 0:
-            print(result.summary())
-            start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
-            print(_times(recorder.seconds(), start_up, recorder.kernel_evaluations()))
+            lines = [result.summary(verbose=verbose)]
+            if verbose:
+                start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
+                lines.append(_times(recorder.seconds(), start_up, recorder.kernel_evaluations()))
+            print(for_terminal("\n".join([*lines, *_written(output, result, recorder.finished)])))
         last = recorder.last
         if last is not None and not recorder.finished:
             raise ComputationError(
@@ -92,6 +98,16 @@ def run_case(
                 f"command with --restart continues{remark(watch.agreed)}"
             )
     return _draw(output, figure, comm)
+
+
+def _written(output: Path, result: Result, finished: bool) -> list[str]:
+    """Return the lines about the file of a run, and about what to type next."""
+    file, page = (shlex.quote(str(path)) for path in (output, output.with_suffix(".html")))
+    after = f"ringwear report {file} -o {page}" if finished else "the same command with --restart"
+    states = len(result.step)
+    return labelled(
+        [("written", f"{output} ({states} state{'s' * (states > 1)})"), ("next", after)]
+    )
 
 
 def _log_continuation(output: Path, recorder: Recorder, before: Result) -> None:
