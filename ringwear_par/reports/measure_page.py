@@ -64,7 +64,7 @@ def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
     ]  # fmt: skip
     header = ("test", "specific wear rate (mm\u00b3/(N m))", "in in\u00b3 min/(ft lbf h)",
               "wear rate (\u00b5m/h)", "friction", "part of the test")  # fmt: skip
-    yield Table("Tests, \u00b1 expanded uncertainties U = 2 u", header, rows)
+    yield Table("Tests, with intervals of 95 %: the value less and plus 2 u", header, rows)
     doubts = [
         with_signs(f"{name}: {doubt['text']}")
         for name, entry in tests.items()
@@ -223,7 +223,6 @@ def _reproduced(outcome: Mapping[str, Any]) -> Section:
 
 
 def _signs(text: str) -> str:
-    text = text.replace("+-", "\N{PLUS-MINUS SIGN}")
     return _UNIT.sub(lambda unit: in_signs(unit[0]), text)
 
 

@@ -86,7 +86,7 @@ def test_what_makes_an_answer_doubtful_is_stored(shared_path, comm, capsys):
     assert "times its stability limit" in told
     if comm.rank == 0:
         out, err = capsys.readouterr()
-        assert out.splitlines()[1] == f"WARNING: {told}"  # below the title
+        assert out.splitlines()[0] == f"WARNING: {told}"
         assert told not in err
 
 

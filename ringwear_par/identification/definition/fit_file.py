@@ -17,6 +17,7 @@ from ringwear_par.cases.files.keys import (
     override,
     plain,
     read_keys,
+    written_units,
 )
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
@@ -28,6 +29,7 @@ from ringwear_par.identification.definition import schema
 from ringwear_par.identification.definition.data_sources import FileStore
 from ringwear_par.identification.definition.fitted_parameters import (
     read_parameters,
+    read_units,
     refuse_both,
     refuse_fixed,
 )
@@ -79,12 +81,13 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     faults: list[str] = []
     name_unknown_keys(name, tables, _TABLES, faults)
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
-    settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), faults)
+    case_units = written_units(tables.get("case"), folder)
+    settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), case_units, faults)
     files = FileStore(folder)
     reader = _Experiments(name, folder, base, files, plans)
     experiments = reader.all(tables.get("experiment"), parameters, faults)
     design = _read_design_space(f"{name}: design", tables.get("design", {}), faults)
-    laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), faults)
+    laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), case_units, faults)
     if faults:
         raise InputError(*faults)
     _check_counts(name, parameters, experiments, faults)
@@ -116,10 +119,12 @@ def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _read_settings(
-    said: str, table: Any, faults: list[str]
+    said: str, table: Any, case_units: Mapping[str, str], faults: list[str]
 ) -> tuple[Settings, tuple[FittedParameter, ...]]:
     reader = TableReader(said, table, faults, schema.FIT)
-    parameters = read_parameters(f"{said}.parameters", reader.raw("parameters"), faults)
+    fitted = reader.raw("parameters")
+    units = read_units(f"{said}.units", reader.raw("units", {}), fitted, faults)
+    parameters = read_parameters(f"{said}.parameters", fitted, faults, units, case_units)
     names = ("starts", "method", "intervals", "samples", "level", "loss")
     settings = {name: reader.read(name) for name in names}
     reader.finish()
@@ -317,7 +322,7 @@ def _named(series: list[Series]) -> tuple[Series, ...]:
 
 
 def _read_alternatives(
-    said: str, table: Any, faults: list[str]
+    said: str, table: Any, case_units: Mapping[str, str], faults: list[str]
 ) -> dict[str, tuple[dict[str, Any], tuple[FittedParameter, ...]]]:
     laws = {}
     if not isinstance(table, Mapping):
@@ -326,7 +331,8 @@ def _read_alternatives(
     for name, entry in table.items():
         reader = TableReader(f"{said}.{legible(name)}", entry, faults)
         changed = reader.raw("set", {})
-        parameters = read_parameters(f"{reader.place}.parameters", reader.raw("parameters"), faults)
+        fitted = reader.raw("parameters")
+        parameters = read_parameters(f"{reader.place}.parameters", fitted, faults, {}, case_units)
         reader.finish()
         try:
             changes = flatten(

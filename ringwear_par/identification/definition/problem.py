@@ -70,6 +70,8 @@ class FittedParameter:
     prior: Prior | None = None
     #: None: all tests have the same value
     scatter: Scatter | None = None
+    #: as the user writes it, "" for the case's
+    unit: str = ""
 
     def unknown(self, value: float) -> float:
         """Return the unknown of a value."""

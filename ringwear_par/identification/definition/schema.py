@@ -190,6 +190,9 @@ KEYS: tuple[Key, ...] = (
     Key("fit.parameters.KEY.scatter.start", *number(0.0), "KEY's; 1 where scale = \"log\"",
         "size of a fitted scatter that --dry-run and design take as true; default: half the scale "
         "of the prior", None),
+    Key("fit.units.KEY", *anything("a unit that pint knows, of the key"), "-",
+        "unit in which the key is told beside the case's; default: the one in which its start is "
+        "written, or else its number in the case", None),
     Key("fit.starts", *whole(1, _MOST_STARTS), "-",
         "number of searches: one from fit.parameters.KEY.start, the others from Sobol' points "
         "within the bounds", _USUAL.starts),

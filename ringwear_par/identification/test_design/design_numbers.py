@@ -152,7 +152,7 @@ def spreads(design: DesignResult, one: Design) -> str:
             texts.append(f"{scale.key} not identified")
             continue
         unit = f" {scale.unit}" if scale.unit else ""
-        texts.append(f"{scale.key} +- {scale.factor * sd:.2g}{unit}")
+        texts.append(f"{scale.key} sd {scale.factor * sd:.2g}{unit}")
         if high > 1.5 * low:
             worst = f"{high / sd:.2g} times" if np.isfinite(high) else "not identified"
             texts[-1] += f" (at worst {worst})"

@@ -12,6 +12,7 @@ from typing import Any
 from tqdm import tqdm
 
 from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.results.execution.stopping import is_launched
 
 log = logging.getLogger(__name__)
 
@@ -155,8 +156,12 @@ _COLOURS = (
 
 
 def for_terminal(text: str) -> str:
-    """Return a text with colours where standard output is a terminal that shows some."""
-    if not sys.stdout.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+    """Return a text with colours where standard output is a terminal that shows some.
+
+    mpirun has one of its own for each rank, wherever it writes to.
+    """
+    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    if plain or is_launched() or not sys.stdout.isatty():
         return text
     for words, colour in _COLOURS:
         text = words.sub(f"\x1b[{colour}m\\g<0>\x1b[0m", text)
