@@ -11,6 +11,7 @@ from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
 from ringwear_par.history.state import State
+from ringwear_par.results.instants import number_words
 from ringwear_par.results.layer_ends import worn_through
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
@@ -55,6 +56,12 @@ class KeyNumber:
     def text(self) -> str:
         """The number as it is printed, without its unit."""
         return "none" if math.isnan(self.value) else format(self.value, self.spec)
+
+    @property
+    def short(self) -> str:
+        """The number in four digits, without its unit."""
+        rounded = self.spec.endswith("g") and not math.isnan(self.value)
+        return number_words(self.value) if rounded else self.text
 
     def __str__(self) -> str:
         unit = "" if math.isnan(self.value) else f" {self.unit}".rstrip()
