@@ -31,7 +31,7 @@ _LEGEND_COLUMNS = {1: 2, 2: 5}
 _MICROMETRE = "\N{MICRO SIGN}m"
 
 
-def figure(result: MeasureResult) -> Figure:
+def plot(result: MeasureResult) -> Figure:
     """Return a row a test: depth and friction over time, with the steady part and its numbers."""
     rows = [list(panels(test)) for test in result.tests]
     across, down = max(map(len, rows)), len(rows)

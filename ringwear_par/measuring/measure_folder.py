@@ -27,7 +27,7 @@ def save(result: MeasureResult, folder: Path) -> None:
     InputError, ComputationError : the folder or the disk.
     """
     with new_files(folder, FILES, "measure"):
-        save_figure(result.figure(), folder / RECORDS)
+        save_figure(result.plot(), folder / RECORDS)
         with atomic_write(folder / MEASURED_ROWS) as path:
             path.write_text(table(result), encoding="utf-8")
         write_json(folder / MEASURE, result.to_dict())

@@ -30,6 +30,8 @@ STYLE: dict[Any, Any] = {
 _FONTS: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"}
 #: of Okabe and Ito, which the colour-blind tell apart; dashes do in print without colour
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#222222")
+#: map of the colours of cells, which the colour-blind see as others do
+CELL_COLOURS = "viridis_r"
 #: line styles that stay apart in print without colour
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 #: of a map whose lightness grows evenly, the dark part that can be seen on white

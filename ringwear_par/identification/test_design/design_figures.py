@@ -17,7 +17,7 @@ from ringwear_par.pictures.style import COLOURS, NotebookFigure
 _MAP = "viridis_r"
 
 
-def figure(design: DesignResult) -> Figure:
+def plot(design: DesignResult) -> Figure:
     """Return a map for each key: of two tests over their loads, of one over load and duration.
 
     Of two tests a cell has the durations of the best score within the budget.
