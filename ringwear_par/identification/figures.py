@@ -1,6 +1,7 @@
 """Figures of a fit, of the panels that its page has: readings, fitted keys, specimens."""
 
 import math
+from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -43,9 +44,9 @@ def plot(fit: FitResult) -> Figure:
         elif not curves:
             panel_grid(chart, [[fits.single_readings(single)]])
         else:  # labels of the strip make no panel above it narrower
-            top, strip = chart.subfigures(2, 1, height_ratios=heights)
-            panel_grid(top, rows, [5, 2] * down)
-            panel_grid(strip, [[fits.single_readings(single)]])
+            parts: Any = chart.subfigures(2, 1, height_ratios=heights)
+            panel_grid(parts[0], rows, [5, 2] * down)
+            panel_grid(parts[1], [[fits.single_readings(single)]])
     return chart
 
 

@@ -117,7 +117,7 @@ def _write(file: h5py.File, fit: FitResult) -> None:
         group = file.create_group(f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', series.name)}")
         group.attrs.update(
             {"experiment": experiment.name, "series": series.name, "quantity": series.quantity,
-             "file": series.file, "data_unit": series.unit}
+             "file": series.file, "data_unit": series.unit, "contact": experiment.case.contact}
         )  # fmt: skip
         base = _unit(series.quantity)
 

@@ -10,6 +10,7 @@ from scipy.stats import chi2, norm
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.units import in_signs
+from ringwear_par.errors import legible
 from ringwear_par.pictures.panels import GREY, Axis, Band, Bars, Curve, Label, Panel, Points
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.instants import time_unit
@@ -18,7 +19,6 @@ from ringwear_par.results.instants import time_unit
 _GAP = 3.0
 #: relative distance within which a radius is that of an edge
 _CLOSE = 1e-9
-RESIDUAL = "(data - model) / sd"
 #: standard deviations that axes of residuals have at least
 _REACH = 4.0
 #: from the middle of a specimen, its values by its own readings and with the others
@@ -138,7 +138,7 @@ def residuals(series: Series) -> Panel:
     x, below = series.along()
     reach = max(_REACH, 1.1 * float(np.abs(series.residuals).max()))
     return Panel(
-        below, Axis(RESIDUAL, ends=(-reach, reach)), f"{series.title}, residuals",
+        below, Axis("residual / sd", ends=(-reach, reach)), f"{series.title}, residuals",
         points=[Points(x, series.residuals, "", GREY, 4.0)],
         levels=(-series.quantile, series.quantile),
     )  # fmt: skip
@@ -155,13 +155,14 @@ def single_readings(every: Sequence[Series]) -> Panel:
     for series in every:
         unit, (sd, band) = in_signs(series.unit), (quantile * series.sd, quantile * series.band)
         words.append(
-            f"{series.title}\n{series.data[0]:.4g} \u00b1 {sd[0]:.2g} {unit}, model "
+            f"{legible(series.title)}\n{series.data[0]:.4g} \u00b1 {sd[0]:.2g} {unit}, model "
             f"{series.model[0]:.4g} \u00b1 {band[0]:.2g}"
         )
     reach = max(_REACH, 1.1 * float(np.abs(residuals).max()), 1.1 * float(model.max()))
     ends = np.array([-0.6, len(every) - 0.4])
     return Panel(
-        Axis(RESIDUAL, ends=(-reach, reach)), Axis("", reversed=True, categories=tuple(words)),
+        Axis("(data - model) / sd", ends=(-reach, reach)),
+        Axis("", reversed=True, categories=tuple(words)),
         bars=[
             Bars(places, both, f"{level} of readings", COLOURS[0], None, -both, 0.7, 0.15),
             Bars(places, model, f"{level} of the model", COLOURS[1], None, -model, 0.7, 0.35),
@@ -265,9 +266,9 @@ def _likelihood(outcome: Mapping[str, Any], key: FittedKey) -> Panel:
         heights, borders = np.histogram(key.samples, bins=bins, density=True)
         # of a normal distribution the largest density is 1 / (sd sqrt(2 pi))
         heights = np.repeat(heights * np.sqrt(2.0 * np.pi) * key.samples.std(), 2)
-        ends = "posterior, from", "posterior, to"
+        words = "posterior, from", "posterior, to"
         x = key.scaled(np.repeat(borders, 2)[1:-1])
-        bands.append(Band(x, 0.0 * heights, heights, "posterior", ends, _LINE, 0.35))
+        bands.append(Band(x, 0.0 * heights, heights, "posterior", words, _LINE, 0.35))
     if key.name in outcome["profiles"]:
         x, growth = np.array(outcome["profiles"][key.name], dtype=float)
         # the root of the growth is nearly linear between points

@@ -157,7 +157,7 @@ def _set_categories(axes: Any, name: str, categories: Sequence[str]) -> None:
     """Write the words of categories, or some of them where there are many."""
     every = -(-len(categories) // _MOST_CATEGORIES) if name == "x" else 1
     places = range(0, len(categories), every)
-    words = [plain(categories[i]) for i in places]
+    words = ["\n".join(map(plain, categories[i].split("\n"))) for i in places]
     getattr(axes, f"set_{name}lim")(-0.6, len(categories) - 0.4)
     getattr(axes, f"set_{name}ticks")(places, words)
     if name == "x" and sum(len(word) + 2 for word in words) > _LEVEL_LETTERS:

@@ -151,7 +151,7 @@ class Bars:
 
 @dataclass(frozen=True)
 class Cells:
-    """A table of values as colours, darker for smaller ones.
+    """A table of values as colours, the darker the larger.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ class DesignResult(Outcome):
 
     functions: ClassVar = {
         "summary": f"{_ROOM}.design_numbers", "to_dict": f"{_ROOM}.design_numbers",
-        "save": f"{_ROOM}.design_folder", "plot": f"{_ROOM}.design_figures",
+        "save": f"{_ROOM}.design_folder", "plot": f"{_ROOM}.design_numbers",
     }  # fmt: skip
 
     problem: Problem
