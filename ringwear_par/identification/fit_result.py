@@ -18,9 +18,9 @@ from ringwear_par.identification.estimation.intervals import (
     name_of,
     without_nuisances,
 )
-from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
-from ringwear_par.identification.estimation.posterior import Posterior
+from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.estimation.record_checks import record_warnings
+from ringwear_par.identification.estimation.solution import Solution
 from ringwear_par.identification.estimation.starts import StartOutcome
 from ringwear_par.identification.model.histories import MOST_SHIFT_SD
 from ringwear_par.identification.scatter.disagreement import disagreements
@@ -39,27 +39,16 @@ _SAME = 1e-3
 _DEPENDENT = 1e-8
 
 
-@dataclass(frozen=True, eq=False)
-class FitResult(Outcome):
-    """The outcome of a fit, with a fixed set of names in ``to_dict``.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FitResult(Outcome, Solution):
+    """The outcome of a fit: its solution, with a fixed set of names in ``to_dict``.
 
     Parameters
     ----------
     misfit : the least squares problem, with its noise.
-    x : (u,) unknowns at the optimum.
-    evaluation : residuals there.
-    parameters : estimates of the fitted keys.
-    covariance : (u, u) of the unknowns.
-    starts : what came of each, the best optimum among them.
-    histories : computed in all.
-    alternatives : outcomes under other laws, by name.
-    profiles : of the likelihood, by key: (2, points) values and what the sum of squares grows by.
     versions : of the software.
-    posterior : samples of the fitted keys, where they were asked for.
+    alternatives : outcomes under other laws, by name.
     failed : why there is no outcome under some other laws, by name.
-    histories_of_profiles : how many of them were for likelihood profiles.
-    inexact_limits : keys of which a profile's limit is not as close as it should be.
-    discretisation_shift_sd : sd by which steps half as long would move a key, by key.
     material : behind the specimens, where values of keys scatter; ``x``, ``evaluation``,
         ``parameters`` and ``covariance`` are its.
     """
@@ -71,20 +60,9 @@ class FitResult(Outcome):
     }  # fmt: skip
 
     misfit: Misfit
-    x: FloatArray
-    evaluation: Evaluation
-    parameters: tuple[ParameterEstimate, ...]
-    covariance: FloatArray
-    starts: tuple[StartOutcome, ...]
-    histories: int
-    alternatives: "Mapping[str, FitResult]"
-    profiles: Mapping[str, FloatArray]
     versions: Mapping[str, str]
-    posterior: Posterior | None = None
+    alternatives: "Mapping[str, FitResult]" = field(default_factory=dict)
     failed: Mapping[str, str] = field(default_factory=dict)
-    histories_of_profiles: int = 0
-    inexact_limits: tuple[str, ...] = ()
-    discretisation_shift_sd: Mapping[str, float] = field(default_factory=dict)
     material: Material | None = None
 
     def __repr__(self) -> str:

@@ -52,6 +52,19 @@ _TABLES = ("case", "fit", "experiment", "compare", "design")
 _LOADS = ("load.pressure", "load.force")
 
 
+def read_complete(source: Path | str | Mapping[str, Any]) -> Problem:
+    """Read a fit file, if the packages for its intervals are there. Not collective.
+
+    Raises
+    ------
+    InputError : its faults; a package that is missing.
+    """
+    problem = read_fit(source)
+    if missing := problem.settings.missing_package:
+        raise InputError(f"{problem.name}: {missing}")
+    return problem
+
+
 def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> Problem:
     """Read a fit file with its case and all its measurements, or the same as a dict.
 
