@@ -5,6 +5,7 @@ Each file is there once it is whole.
 
 import logging
 import re
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import h5py
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.errors import InputError
+from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.files.folders import (
     CURVES,
     ESTIMATES,
@@ -26,12 +27,14 @@ from ringwear_par.files.folders import (
     write_contents,
 )
 from ringwear_par.files.text import parse_json, read_text
+from ringwear_par.files.writing import announce_replacement
 from ringwear_par.identification.definition.fit_file import read_complete, read_fit
 from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import BASE, Problem
 from ringwear_par.identification.estimation.starts import PROGRESS, StoredStarts
 from ringwear_par.identification.fit import expected_result, fit_problem
 from ringwear_par.identification.fit_result import FitResult
+from ringwear_par.identification.model.rounds import StoppedError
 from ringwear_par.identification.summary import prediction
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together, warn_of_threads
@@ -51,9 +54,15 @@ def run_fit(
     *,
     dry_run: bool = False,
     restart: bool = False,
+    overwrite: bool = False,
     compare: bool = False,
 ) -> None:
-    """Fit and write the outcome to a folder, or in a dry run print what to expect. Collective."""
+    """Fit and write the outcome to a folder, or in a dry run print what to expect. Collective.
+
+    A fit that fails leaves nothing; one that is stopped leaves what ``restart`` goes on with.
+    """
+    if restart and overwrite:
+        raise InputError("--restart, --overwrite: must be one of them, to go on or to start anew")
     if dry_run:
         problem = on_first_rank(comm, lambda: read_fit(source, plans=True))
         expected = expected_result(problem, comm)
@@ -66,17 +75,33 @@ def run_fit(
         if comm.rank == 0:
             log.info("%s: the fit is complete; nothing is left to be done", folder)
         return
+    stored = StoredStarts(folder, "")
+
+    def clear() -> None:
+        if overwrite:
+            stored.remove()
+        elif not restart:
+            refuse_interrupted(folder)
+        announce_replacement(folder / FIT)
+
+    on_first_rank(comm, clear)
     if comm.rank == 0:
         warn_of_threads(comm.size)
-    if not restart:
-        on_first_rank(comm, lambda: refuse_interrupted(folder))
-    result = fit_problem(problem, comm, compare=compare, folder=folder)
-    with together(comm):
-        reject_unused_options()
+    try:
+        result = fit_problem(problem, comm, compare=compare, folder=folder)
+        with together(comm):
+            reject_unused_options()
+    except StoppedError:
+        raise
+    except RingwearError:  # the same command would fail again, and another one must be free to run
+        if comm.rank == 0:
+            with suppress(OSError):
+                stored.remove()
+        raise
 
     def store() -> None:
         save(result, folder)
-        StoredStarts(folder, "").remove()
+        stored.remove()
 
     on_first_rank(comm, store)
     if comm.rank == 0:
@@ -98,8 +123,8 @@ def refuse_interrupted(folder: Path) -> None:
     left = folder / PROGRESS
     if left.is_dir() and any(left.iterdir()):
         raise InputError(
-            f"{folder}: holds a fit that was interrupted; --restart goes on with it, without "
-            f"{left} another one may begin"
+            f"{folder}: holds a fit that was interrupted; --restart goes on with it, --overwrite "
+            "starts anew"
         )
 
 

@@ -13,6 +13,7 @@ from ringwear_par.identification.test_design.candidates import Candidate
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.search import Design
 from ringwear_par.pictures.designs import design_figure
+from ringwear_par.results.instants import time_unit, time_words
 
 _CRITERIA = {
     "D": "smallest volume of the confidence ellipsoid (D)",
@@ -100,12 +101,13 @@ def _map(design: DesignResult) -> dict[str, Any] | None:
             _keep_better(cells, (row, column), design.pair_scores[i, j], design.pairs[i, j])
         places = [test.loads[0] for test in ends]
     else:
-        y = {"label": "duration (s)", "values": seconds}
+        unit, length = time_unit(seconds[-1])
+        y = {"label": f"duration ({unit})", "values": [one / length for one in seconds]}
         for i in plain:
             test = design.candidates[i]
             cell = seconds.index(test.seconds), loads.index(test.loads[0])
             _keep_better(cells, cell, design.single_scores[i], design.single[i])
-        places = [test.seconds for test in best]
+        places = [test.seconds / length for test in best]
     values = np.full((len(design.problem.keys), len(y["values"]), len(loads)), np.nan)
     for cell, (_, sds) in cells.items():
         values[(slice(None), *cell)] = sds
@@ -180,7 +182,7 @@ def summary(design: DesignResult) -> str:
     for name, one in zip(names, design.designs, strict=False):
         lines.append(f"  {name.ljust(width)}  {spreads(design, one)}")
     seconds = sum(experiment.case.time.end for experiment in problem.experiments)
-    planned = f"the fit file's{' again' if design.after else ''}, {seconds:g} s"
+    planned = f"the fit file's{' again' if design.after else ''}, {time_words(seconds, seconds)}"
     lines.append(f"  {planned.ljust(width)}  {spreads(design, design.planned)}")
     if design.failed:
         test, why = next(iter(design.failed.items()))
@@ -204,10 +206,10 @@ def name_of(test: Candidate) -> str:
         words.append(f"{' then '.join(f'{load:.4g}' for load in test.loads)} {unit}")
     if "load.omega" in test.keys:
         words.append(f"{test.keys['load.omega']:.4g} rad/s")
-    words.append(f"{test.seconds:.4g} s")
+    words.append(time_words(test.seconds, test.seconds))
     if test.instants_vary:
-        at = ", ".join(f"{at:.4g}" for at in test.profiles)
-        words.append(f"profile{'s' if test.profiles[1:] else ''} at {at} s")
+        at = ", ".join(time_words(at, test.seconds) for at in test.profiles)
+        words.append(f"profile{'s' if test.profiles[1:] else ''} at {at}")
     return ", ".join(words)
 
 
