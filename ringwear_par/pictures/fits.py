@@ -32,7 +32,7 @@ _WORDS = {"profile": "depth", "mass": "mass loss", "volume": "volume loss"}
 #: of ellipses
 _LEVELS = (0.68, 0.95)
 #: sd to both sides of an estimate that an axis of a key shows, and points of a curve over it
-_SHOWN, _FINE = 4.0, 161
+_WIDTH_SD, _FINE = 4.0, 161
 _LINE, _DIGITS = "#808080", str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074"
                                           "\u2075\u2076\u2077\u2078\u2079")  # fmt: skip
 
@@ -206,7 +206,7 @@ class FittedKey:
         """The ends of its axis; None: what is drawn there."""
         ends = [float(self.entry["estimate"])]
         if self.is_known:
-            ends += self.values(self.sd * np.array([-_SHOWN, _SHOWN])).tolist()
+            ends += self.values(self.sd * np.array([-_WIDTH_SD, _WIDTH_SD])).tolist()
         if self.samples is not None:
             ends += np.quantile(self.samples, [0.001, 0.999]).tolist()
         low, high = min(ends), max(ends)
@@ -256,7 +256,7 @@ def _likelihood(outcome: Mapping[str, Any], key: FittedKey) -> Panel:
     """Return the panel of likelihoods over a key, relative to the best fit's."""
     entry, level, bands, points = key.entry, outcome["level"], [], []
     curves: list[Curve] = []
-    shifts = np.linspace(-_SHOWN, _SHOWN, _FINE)
+    shifts = np.linspace(-_WIDTH_SD, _WIDTH_SD, _FINE)
     if key.is_known:
         values = key.scaled(key.values(key.sd * shifts))
         curves.append(Curve(values, np.exp(-0.5 * shifts**2), "linear"))

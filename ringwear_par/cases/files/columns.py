@@ -31,25 +31,25 @@ class FileStore:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._read: dict[str, Any] = {}
+        self._read: dict[tuple[str, Any], Any] = {}
 
     def __call__(self, name: str) -> Measurements:
         """Return a file's table, see ``read``."""
         return self.read(name, read_measurements)
 
     def read(self, name: str, function: Callable[[Path], T]) -> T:
-        """Return what a function makes of a file, which has its ``sha256``.
+        """Return the content of a file, which has its ``sha256``.
 
         Raises
         ------
         InputError : it cannot be read; every time it is asked for.
         """
-        if name not in self._read:
+        if (name, function) not in self._read:
             try:
-                self._read[name] = function(self.folder / name)
+                self._read[name, function] = function(self.folder / name)
             except InputError as error:
-                self._read[name] = error
-        content: T = self._read[name]
+                self._read[name, function] = error
+        content: T = self._read[name, function]
         if isinstance(content, InputError):
             raise content
         return content
@@ -57,7 +57,8 @@ class FileStore:
     @property
     def hashes(self) -> dict[str, str]:
         """SHA-256 of what has been read."""
-        return {k: v.sha256 for k, v in self._read.items() if not isinstance(v, InputError)}
+        read = self._read.items()
+        return {k: v.sha256 for (k, _), v in read if not isinstance(v, InputError)}
 
 
 def read_texts(reader: TableReader, key: str, roles: Sequence[str]) -> Mapping[str, str] | None:
