@@ -68,7 +68,7 @@ def run_page(result: Result) -> Page:
     title = str(result.attributes.get("title", ""))
     if title:
         del lines[0]
-    doubts = [line for line in lines if line.startswith("WARNING")]
+    doubts = [line for line in lines if line.startswith("warning")]
     blocks: list[Block] = [_tiles(numbers, len(doubts), checks(result))]
     if doubts:
         blocks.append(Lines(doubts, warning=True))
@@ -95,15 +95,15 @@ def _tiles(numbers: Iterable[KeyNumber], doubts: int, errors: str) -> Tiles:
     """Return the answers of a run."""
     known, tiles = {number.name: number for number in numbers}, []
     bodies = [body for body in BODIES if f"{body}_worn_volume" in known]
-    shown = [("penetration", "penetration")]
+    labels = [("penetration", "penetration")]
     for body in bodies:
         of = f" of {body}" if len(bodies) > 1 else ""
-        shown += [(f"{body}_worn_volume", f"worn volume{of}"), (f"{body}_mass", f"mass lost{of}"),
+        labels += [(f"{body}_worn_volume", f"worn volume{of}"), (f"{body}_mass", f"mass lost{of}"),
                   (f"{body}_last_rate", f"wear rate at the end{of}"),
                   (f"{body}_specific_rate", f"specific wear rate{of}")]  # fmt: skip
-    shown += [("mean_pressure", "mean pressure"), ("largest_pressure", "largest pressure"),
+    labels += [("mean_pressure", "mean pressure"), ("largest_pressure", "largest pressure"),
               ("torque", "torque")]  # fmt: skip
-    for name, label in shown:
+    for name, label in labels:
         number = known.get(name)
         if number is not None and not math.isnan(number.value):
             tiles.append(Tile(label, number.short, in_signs(number.unit)))

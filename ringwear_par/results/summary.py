@@ -10,7 +10,7 @@ from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.values import is_number
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
-from ringwear_par.errors import LONGEST_SENTENCE, legible
+from ringwear_par.errors import LONGEST_SENTENCE, legible, warning_lines
 from ringwear_par.results.instants import number_words
 from ringwear_par.results.key_numbers import (
     BALANCES,
@@ -34,7 +34,7 @@ def labelled(lines: Iterable[tuple[str, str]]) -> list[str]:
     return [f"{label.ljust(_LABEL)}{text}" for label, text in lines]
 
 
-def summary(result: Result, *, verbose: bool = False) -> str:
+def summary(result: Result, verbose: bool = False) -> str:
     """Return a result in a few lines, as ``ringwear run`` prints it. Not collective.
 
     Parameters
@@ -51,7 +51,7 @@ def summary(result: Result, *, verbose: bool = False) -> str:
         return _in_full(result, numbers, result.checkpoint)
     warnings = [*_unfinished(result.attributes, result.checkpoint), *result.doubts]
     lines = [
-        *(f"WARNING: {text}" for text in warnings),
+        *warning_lines(warnings),
         *labelled(_answers(result, {number.name: number for number in numbers})),
         *labelled([("checks", checks(result, len(warnings)))]),
     ]
@@ -125,7 +125,7 @@ def _in_full(result: Result, numbers: list[KeyNumber], last: Checkpoint) -> str:
     time_steps = checks.pop(TIME_STEPS, None)
     lines = [
         *([title] if title else []),
-        *(f"WARNING: {text}" for text in (*_unfinished(about, last), *result.doubts)),
+        *warning_lines([*_unfinished(about, last), *result.doubts]),
         *(f"{group}: {', '.join(map(str, them))}" for group, them in in_groups(numbers).items()),
         *_wearing(about),
         *(

@@ -129,7 +129,7 @@ def _parameter(
     if isinstance(table, Mapping):
         unit, converted = base_unit(key), dict[str, Any]()
         scatter = read_scatter(
-            said, key, table.get("scatter"), table.get("scale") == "log", unit, faults
+            said, key, table.get("scatter"), table.get("scale") == "log", unit or "", faults
         )
         for name, value in table.items():
             if name == "scatter":

@@ -149,7 +149,7 @@ def duration(seconds: float) -> str:
 
 #: of texts that are printed on a terminal: their first words, and what they say of checks
 _COLOURS = (
-    (re.compile(r"^WARNING(?=:)", re.MULTILINE), "1;33"),
+    (re.compile(r"^warning(?=:)", re.MULTILINE), "1;33"),
     (re.compile(r"(?<=^checks       )ok", re.MULTILINE), "32"),
     (re.compile(r"^[a-z][a-z ]{0,11}(?=  )", re.MULTILINE), "1"),
 )
