@@ -273,7 +273,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def overview() -> str:
-    """Return what one can do with the program, a line each."""
+    """Return the tasks of the program, a line each."""
     lines = [f"  {task:10}{line:47}{meaning}" for task, line, meaning in _TASKS]
     return "\n".join([
         "Wear histories of ring-on-ring and ring-on-disc tests, and what tests tell of wear.", "",

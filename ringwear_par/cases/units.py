@@ -212,7 +212,7 @@ def number_in(value: str, base: str | None) -> float:
 
 
 def _instead(unit: str, base: str | None) -> str:
-    """Return what a wrong unit should be one of, and which is likely meant."""
+    """Return the rule for a unit that is wrong, and the unit that is likely meant."""
     if base is None:
         return " that is known"
     hint = "; turns are rpm or turn/s" if base == "rad/s" else ""

@@ -81,7 +81,7 @@ def specific_wear_rate(
 
 
 def _share_of_friction(problem: Problem, body: str, entries: Mapping[str, Entry]) -> float | None:
-    """Return what a body's k is multiplied by: mu, or 1; None where k is no such coefficient."""
+    """Return the factor of a body's k, mu or 1; None where k is no such coefficient."""
     cases = [experiment.case for experiment in problem.experiments]
     threshold = entries.get(f"wear.{body}.p0")
     shares = {_share(case, body, None if threshold is None else threshold["estimate"])

@@ -4,15 +4,19 @@ import logging
 import math
 import os
 import re
+import shlex
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.results.execution.stopping import is_launched
+from ringwear_par.results.result import Result
+from ringwear_par.results.summary import labelled
 
 log = logging.getLogger(__name__)
 
@@ -166,3 +170,13 @@ def for_terminal(text: str) -> str:
     for words, colour in _COLOURS:
         text = words.sub(f"\x1b[{colour}m\\g<0>\x1b[0m", text)
     return text
+
+
+def closing_lines(output: Path, result: Result, finished: bool) -> list[str]:
+    """Return the lines about the file of a run, and about the command to type next."""
+    file, page = (shlex.quote(str(path)) for path in (output, output.with_suffix(".html")))
+    after = f"ringwear report {file} -o {page}" if finished else "the same command with --restart"
+    states = len(result.step)
+    return labelled(
+        [("written", f"{output} ({states} state{'s' * (states > 1)})"), ("next", after)]
+    )

@@ -2,7 +2,6 @@
 
 import logging
 import os
-import shlex
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
@@ -17,13 +16,12 @@ from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.execution.preparation import Figure, prepare, reached_end
-from ringwear_par.results.execution.progress import RunProgress, for_terminal
+from ringwear_par.results.execution.progress import RunProgress, closing_lines, for_terminal
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.stopping import StopSignals, remark
 from ringwear_par.results.execution.watch import Watch
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import write_result
-from ringwear_par.results.summary import labelled
 from ringwear_par.results.unit_suspicions import unit_suspicions
 from ringwear_par.version import __version__
 
@@ -89,7 +87,9 @@ def run_case(
             if verbose:
                 start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
                 lines.append(_times(recorder.seconds(), start_up, recorder.kernel_evaluations()))
-            print(for_terminal("\n".join([*lines, *_written(output, result, recorder.finished)])))
+            print(
+                for_terminal("\n".join([*lines, *closing_lines(output, result, recorder.finished)]))
+            )
         last = recorder.last
         if last is not None and not recorder.finished:
             raise ComputationError(
@@ -98,16 +98,6 @@ def run_case(
                 f"command with --restart continues{remark(watch.agreed)}"
             )
     return _draw(output, figure, comm)
-
-
-def _written(output: Path, result: Result, finished: bool) -> list[str]:
-    """Return the lines about the file of a run, and about what to type next."""
-    file, page = (shlex.quote(str(path)) for path in (output, output.with_suffix(".html")))
-    after = f"ringwear report {file} -o {page}" if finished else "the same command with --restart"
-    states = len(result.step)
-    return labelled(
-        [("written", f"{output} ({states} state{'s' * (states > 1)})"), ("next", after)]
-    )
 
 
 def _log_continuation(output: Path, recorder: Recorder, before: Result) -> None:
