@@ -29,6 +29,8 @@ def unit_scale(parameter: FittedParameter) -> float:
 def in_users_unit(parameter: FittedParameter, entry: Entry) -> dict[str, Any] | None:
     """Return the numbers of a key in the user's unit; None where that is the case's.
 
+    Its ``scale`` is how much the unit is in the case's.
+
     Parameters
     ----------
     entry : of the key, as in fit.json.
@@ -43,7 +45,8 @@ def in_users_unit(parameter: FittedParameter, entry: Entry) -> dict[str, Any] | 
         return None if number is None else number / scale
 
     names = ("estimate", "sd", "interval", "next")
-    return {"unit": parameter.unit, **{name: converted(entry.get(name)) for name in names}}
+    unit = {"unit": parameter.unit, "scale": scale}
+    return {**unit, **{name: converted(entry.get(name)) for name in names}}
 
 
 def specific_wear_rate(
