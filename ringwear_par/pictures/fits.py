@@ -125,7 +125,7 @@ def readings(series: Series) -> Panel:
         name = f"{percent} of {name}"
         ends = f"{name}, from", f"{name}, to"
         bands.append(Band(broken(x), low, high, name, ends, colour, opacity, edge))
-    noise = series.sd if len(x) <= _FEW else None
+    noise = series.quantile * series.sd if len(x) <= _FEW else None
     return Panel(
         below, Axis(series.label, reversed=series.profile), series.title,
         curves=[Curve(broken(x), broken(series.model), "model", COLOURS[1])],

@@ -275,7 +275,7 @@ def _bands(level: float) -> list[str]:
         f"Inner band: the model, {percent} confidence, from the covariance of the fitted keys and "
         "nuisances, linear about the estimates; keys that are not identified count as known",
         f"Outer band: {percent} of readings, noise included; bars, where there are few readings: "
-        "one standard deviation of the noise",
+        f"the noise, {percent}",
     ]
 
 

@@ -23,6 +23,7 @@ from ringwear_par.cases.files.keys import (
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.text import shortened, toml_value
+from ringwear_par.cases.units import has_unit, number_and_unit
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.files.text import parse_toml, read_text, refuse_depth
 from ringwear_par.history.validity.case_limits import check_case
@@ -99,7 +100,7 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     files = FileStore(folder)
     reader = _Experiments(name, folder, base, files, plans)
     experiments = reader.all(tables.get("experiment"), parameters, faults)
-    design = _read_design_space(f"{name}: design", tables.get("design", {}), faults)
+    design = _read_design_space(f"{name}: design", tables.get("design", {}), case_units, faults)
     laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), case_units, faults)
     if faults:
         raise InputError(*faults)
@@ -145,12 +146,18 @@ def _read_settings(
     return Settings(intervals=tuple(intervals), **settings), parameters
 
 
-def _read_design_space(said: str, table: Any, faults: list[str]) -> DesignSpace:
+def _read_design_space(
+    said: str, table: Any, case_units: Mapping[str, str], faults: list[str]
+) -> DesignSpace:
     """Return the space of ``[design]``; add what is wrong with it to the faults."""
     reader = TableReader(said, table, faults, schema.DESIGN)
     criterion = reader.read("criterion")
     vary, budget = (reader.raw(key, {}) for key in ("vary", "budget"))
     reader.finish()
+    units = {key: unit for key, unit in case_units.items() if key in schema.VARY}
+    for key, entry in vary.items() if isinstance(vary, Mapping) else ():
+        if isinstance(entry, list) and entry and has_unit(entry[0]):
+            units[key] = number_and_unit(entry[0])[1]
     vary = TableReader(f"{said}.vary", vary, faults, schema.VARY)
     values = {key: vary.read(key) for key in schema.VARY}
     ranges = {key: value for key, value in values.items() if value is not None}
@@ -164,7 +171,7 @@ def _read_design_space(said: str, table: Any, faults: list[str]) -> DesignSpace:
     limits = TableReader(f"{said}.budget", budget, faults, schema.BUDGET)
     seconds, count = limits.read("time.end"), limits.read("experiments")
     limits.finish()
-    return DesignSpace(criterion, ranges, seconds, count)
+    return DesignSpace(criterion, ranges, seconds, count, units)
 
 
 class _Experiments:

@@ -217,6 +217,8 @@ class DesignSpace:
     seconds: float | None = None
     #: how many
     experiments: int = 1
+    #: in which ranges are written, by key, or the case; of others the case's own
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def time_limit(self) -> float:
