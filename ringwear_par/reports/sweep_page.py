@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import parse_value
@@ -113,18 +112,18 @@ def _ranges(ensemble: Ensemble, cases: Any) -> tuple[Table, list[str]]:
     """Return the keys that differ between cases, and those of the study that do not."""
     rows, fixed = [], []
     for name, column in ensemble.varied.items():
-        values, meaning = column[cases], own_key(name).meaning
+        values, meaning, (unit, scale) = column[cases], own_key(name).meaning, ensemble.unit(name)
         if column.dtype.kind == "f":
-            known = values[np.isfinite(values)]
+            known = values[np.isfinite(values)] / scale
             ends = [_number(v) for v in (known.min(), known.max())] if len(known) else ["", ""]
             count = len(np.unique(known))
         else:
             words = list(dict.fromkeys(values))
             ends, count = [in_words(parse_value(w)) for w in (words[0], words[-1])], len(words)
         if count > 1:
-            rows.append((name, in_signs(unit_of(name)), meaning, *ends, str(count)))
+            rows.append((name, in_signs(unit), meaning, *ends, str(count)))
         else:
-            fixed.append(f"{name} = {ends[0]} {in_signs(unit_of(name))}".rstrip())
+            fixed.append(f"{name} = {ends[0]} {in_signs(unit)}".rstrip())
     header = ("key", "unit", "meaning", "least, or first", "largest, or last", "values")
     return Table("Varied keys", header, rows), fixed
 
