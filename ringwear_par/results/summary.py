@@ -1,5 +1,6 @@
 """A run in a few lines, in all its numbers, or as a dict."""
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
@@ -63,6 +64,8 @@ def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple
 
     def text(name: str) -> str:
         number = numbers[name]
+        if math.isnan(number.value):
+            return f"{number.label} unknown ({number.note})"
         return f"{number_words(number.value)} {number.unit}"
 
     parts = ""
