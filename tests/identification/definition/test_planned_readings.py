@@ -259,7 +259,7 @@ def test_keys_are_told_in_the_users_unit(plan):
     with pytest.raises(InputError) as caught:
         read_fit(tables, plans=True)
     unknown, wrong = caught.value.faults
-    assert "fit.units: wear.lower.q: unknown key (did you mean wear.lower.p0?)" in unknown
+    assert "fit.units: wear.lower.q: unknown key (did you mean wear.lower.k?)" in unknown
     assert 'fit.units."wear.lower.k" = "mm": must be a unit of 1/MPa' in wrong
 
 
