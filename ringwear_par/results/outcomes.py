@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _FIT, _DESIGN = "ringwear_par.identification", "ringwear_par.identification.test_design"
-_MEASURING = "ringwear_par.measuring"
+_MEASURING, _PREDICTION = "ringwear_par.measuring", "ringwear_par.prediction"
 #: modules of the functions, by the class of an outcome and the function's name
 _MODULES = {
     ("Result", "summary"): "ringwear_par.results.summary",
@@ -28,6 +28,10 @@ _MODULES = {
     ("MeasureResult", "summary"): f"{_MEASURING}.summary",
     ("MeasureResult", "save"): f"{_MEASURING}.measure_folder",
     ("MeasureResult", "figure"): f"{_MEASURING}.figures",
+    ("Prediction", "summary"): f"{_PREDICTION}.summary",
+    ("Prediction", "to_dict"): f"{_PREDICTION}.summary",
+    ("Prediction", "save"): f"{_PREDICTION}.folder",
+    ("Prediction", "figure"): f"{_PREDICTION}.figure",
     ("DesignResult", "summary"): f"{_DESIGN}.design_numbers",
     ("DesignResult", "to_dict"): f"{_DESIGN}.design_numbers",
     ("DesignResult", "save"): f"{_DESIGN}.design_folder",
@@ -81,7 +85,7 @@ def warnings(outcome: Any) -> tuple[str, ...]:
 
 
 def figure(outcome: Any) -> "Figure":
-    """Return the figure of a fit, of a design of tests or of a measurement."""
+    """Return the figure of a fit, a design of tests, a measurement or a prediction."""
     drawn: Figure = _apply("figure", outcome)
     return drawn
 

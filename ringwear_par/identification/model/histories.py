@@ -205,7 +205,8 @@ class Histories:
         """Return at which points (p, m) every experiment is a case, (p,). Not collective."""
         good = np.ones(len(points), dtype=bool)
         for experiment in range(len(self._experiments)):
-            good &= [isinstance(case, Case) for case in self._cases(experiment, points)]
+            case = self._experiments[experiment].case
+            good &= [isinstance(at, Case) for at in cases_at(case, self._keys, points)]
         return good
 
     def read(

@@ -1,0 +1,40 @@
+"""The figure of a prediction: the penetration over time, its median and its bands."""
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from ringwear_par.pictures.matplotlib import draw
+from ringwear_par.pictures.panels import Axis, Band, Curve, Panel
+from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure, plain
+from ringwear_par.prediction.prediction import Prediction
+from ringwear_par.results.instants import time_unit
+from ringwear_par.results.variables import DISPLAY_UNITS
+
+#: inches
+_SIZE = (4.6, 3.4)
+
+
+def panel(prediction: Prediction) -> Panel:
+    """Return the panel of the penetration: median, bands of 50 and 95 % of the draws."""
+    unit, seconds = time_unit(float(prediction.time[-1]))
+    depth, factor = DISPLAY_UNITS["penetration"]
+    low, lower, median, upper, high = factor * prediction.quantiles()
+    time = prediction.time / seconds
+    return Panel(
+        Axis(f"time ({unit})"), Axis(f"penetration ({depth})", zero=True), prediction.of,
+        curves=[Curve(time, median, "median", COLOURS[1], width=1.8)],
+        bands=[
+            Band(time, low, high, "95 %", ("2.5 %", "97.5 %"), COLOURS[0], 0.18),
+            Band(time, lower, upper, "50 %", ("25 %", "75 %"), COLOURS[0], 0.35),
+        ],
+    )  # fmt: skip
+
+
+def figure(prediction: Prediction) -> Figure:
+    """Return the figure of ``panel``."""
+    with matplotlib.rc_context(STYLE):
+        chart = NotebookFigure(figsize=_SIZE, layout="constrained")
+        axes = chart.subplots()
+        draw(axes, panel(prediction))
+        chart.suptitle(plain(prediction.of))
+    return chart

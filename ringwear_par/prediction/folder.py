@@ -1,0 +1,26 @@
+"""The folder of a prediction: all draws, the picture of their band, the numbers."""
+
+from pathlib import Path
+
+from ringwear_par.files.folders import BAND, DRAWS, PREDICTION, new_files, write_json
+from ringwear_par.pictures.style import save_figure
+from ringwear_par.prediction.prediction import Prediction
+from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
+
+FILES = (DRAWS, BAND, PREDICTION)
+
+
+def save(prediction: Prediction, folder: Path) -> None:
+    """Write all files; prediction.json, which says that it is whole, the last. On one rank.
+
+    Raises
+    ------
+    InputError, ComputationError : the folder or the disk.
+    """
+    with new_files(folder, FILES, "predict"):
+        with atomic_hdf5(folder / DRAWS) as (file, _):
+            file.attrs.update(prediction.attributes)
+            for variable, values in prediction.variables():
+                write_variable(file, variable, values)
+        save_figure(prediction.plot(), folder / BAND)
+        write_json(folder / PREDICTION, prediction.to_dict())
