@@ -249,6 +249,7 @@ def _made(app: "Sphinx") -> None:
     write(folder / "laws.txt", law_list())
     page = (Path(app.srcdir) / "first_case.md").read_text("utf-8")
     first_case(page).savefig(folder / "first_case.png", dpi=200)
+    rw.plot(first_case_of(page)).savefig(folder / "rig.svg")
     for name in KEYS:
         write(folder / f"{name}.md", key_page(name))
 
