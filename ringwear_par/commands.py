@@ -224,7 +224,7 @@ COMMANDS = {
               "write the stresses along the interfaces between layers to .vtkhdf or .csv"),
     ), serial=True, stopped=UNWRITTEN),
     "report": Command(
-        "write one HTML page of a run, a sweep, a fit, a design or a measurement",
+        "write one HTML page of a run, a sweep, a fit, a design, a prediction or a measurement",
         "reports.report:report", (
         _argument("source", type=_path, metavar="RUN.h5 or DIR"),
         _output("REPORT.html"),

@@ -3,7 +3,7 @@
 
     python scripts/scatter_coverage.py specimens [--trials 1000]    # some 3 minutes
     python scripts/scatter_coverage.py wear [--trials 400]          # some 10 minutes
-    python scripts/scatter_coverage.py predict [--trials 200]       # some MINUTES minutes
+    python scripts/scatter_coverage.py predict [--trials 200]       # some 20 minutes
 
 ``specimens``: repeats whose k scatter (normal in its logarithm), each known to 2 % from its own
 readings. ``wear``: records of 150 readings of 15 um of wear, which grows at random (a gamma
@@ -46,6 +46,8 @@ SHARES, RECORDS = (0.01, 0.03, 0.10), (1, 2, 3, 5, 10)
 #: loads of tests (MPa), the material's k (1/MPa) and p0 (MPa), and where the next specimen runs
 LOADS, K, P0 = (40.0, 60.0), 1e-7, 25.0
 ELSEWHERE = {"load.pressure": 80.0, "load.omega": 5.0}
+#: of a prediction
+DRAWS = 300
 PAPER = Path(__file__).parent / "cases" / "paper.toml"
 TIMED = {
     "mesh.contact_elements": 12, "time.scheme": "adaptive", "time.step": None, "time.steps": None,
@@ -142,7 +144,7 @@ def predict_row(tau: float, count: int, trials: int, rng: np.random.Generator) -
         *results, truth = rw.simulate_all([*tests, new], MPI.COMM_SELF)
         with tempfile.TemporaryDirectory() as folder:
             found = rw.fit(_fit_of(results, Path(folder), rng), MPI.COMM_SELF)
-        predicted = rw.predict(found, elsewhere, comm=MPI.COMM_SELF)
+        predicted = rw.predict(found, elsewhere, draws=DRAWS, comm=MPI.COMM_SELF)
         low, lower, median, upper, high = predicted.quantiles()[:, -1]
         depth = truth.histories["penetration"][-1]
         hits += [low < depth < high, lower < depth < upper]

@@ -83,7 +83,7 @@ def law_names(case: Case) -> tuple[str, str]:
 
 
 def fitted_values(fit: FitResult) -> FittedValues:
-    """Return what a fit knows of its keys."""
+    """Return the distributions of a fit's keys."""
     problem, m, material = fit.misfit.problem, len(fit.parameters), fit.material
     tests = len(problem.experiments)
     if material is None:
@@ -106,7 +106,8 @@ def fitted_values(fit: FitResult) -> FittedValues:
             means[:, place, free] = of_free[parts]
             covariances[:, place, free[:, None], free] = between[parts]
         scatters = posterior.solutions.tau[parts]
-        scattering = free[[level.key for level in posterior.model.levels]]
+        levels = np.array([level.key for level in posterior.model.levels], dtype=np.int64)
+        scattering = free[levels]
     return FittedValues(
         problem.keys, np.array([p.log for p in problem.parameters]),
         np.array([p.bounds for p in problem.parameters]), weights, means, covariances, scatters,

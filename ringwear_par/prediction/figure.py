@@ -3,6 +3,7 @@
 import matplotlib
 from matplotlib.figure import Figure
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.pictures.matplotlib import draw
 from ringwear_par.pictures.panels import Axis, Band, Curve, Panel
 from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure, plain
@@ -14,14 +15,20 @@ from ringwear_par.results.variables import DISPLAY_UNITS
 _SIZE = (4.6, 3.4)
 
 
-def panel(prediction: Prediction) -> Panel:
-    """Return the panel of the penetration: median, bands of 50 and 95 % of the draws."""
-    unit, seconds = time_unit(float(prediction.time[-1]))
+def panel(time: FloatArray, quantiles: FloatArray, of: str) -> Panel:
+    """Return the panel of the penetration: median, bands of 50 and 95 % of the draws.
+
+    Parameters
+    ----------
+    time : (steps,) float, s; quantiles : (5, steps) float, mm, at ``PROBABILITIES``.
+    of : title.
+    """
+    unit, seconds = time_unit(float(time[-1]))
     depth, factor = DISPLAY_UNITS["penetration"]
-    low, lower, median, upper, high = factor * prediction.quantiles()
-    time = prediction.time / seconds
+    low, lower, median, upper, high = factor * quantiles
+    time = time / seconds
     return Panel(
-        Axis(f"time ({unit})"), Axis(f"penetration ({depth})", zero=True), prediction.of,
+        Axis(f"time ({unit})"), Axis(f"penetration ({depth})", zero=True), of,
         curves=[Curve(time, median, "median", COLOURS[1], width=1.8)],
         bands=[
             Band(time, low, high, "95 %", ("2.5 %", "97.5 %"), COLOURS[0], 0.18),
@@ -35,6 +42,6 @@ def figure(prediction: Prediction) -> Figure:
     with matplotlib.rc_context(STYLE):
         chart = NotebookFigure(figsize=_SIZE, layout="constrained")
         axes = chart.subplots()
-        draw(axes, panel(prediction))
+        draw(axes, panel(prediction.time, prediction.quantiles(), prediction.of))
         chart.suptitle(plain(prediction.of))
     return chart

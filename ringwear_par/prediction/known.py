@@ -63,20 +63,20 @@ class Known:
         return len({*self.values.specimens})
 
 
-def known_of(found: FitResult | Path | str) -> Known:
-    """Return what a fit, or the fit of a folder, knows. Not collective.
+def known_of(fit: FitResult | Path | str) -> Known:
+    """Return the knowledge of a fit, or of the fit of a folder. Not collective.
 
     Raises
     ------
     InputError : a folder of anything else, or of a fit that is not done.
     """
-    if isinstance(found, FitResult):
-        return _known("fit", found.to_dict(), fitted_values(found))
-    if not isinstance(found, Path | str):
+    if isinstance(fit, FitResult):
+        return _known("fit", fit.to_dict(), fitted_values(fit))
+    if not isinstance(fit, Path | str):
         raise InputError(
-            f"found: a fit or its folder is needed, not {type(found).__name__}; rw.fit returns one"
+            f"fit: a fit or its folder is needed, not {type(fit).__name__}; rw.fit returns one"
         )
-    folder = Path(found)
+    folder = Path(fit)
     if not (folder / FIT).is_file():
         raise InputError(f"{legible(str(folder))}: {_fault(folder)}; {_A_FIT}")
     with reading(folder / READINGS, SOFTWARE, "the readings of ringwear fit") as file:
@@ -104,7 +104,7 @@ def _fault(folder: Path) -> str:
 
 
 def _known(name: str, outcome: Mapping[str, Any], values: FittedValues) -> Known:
-    """Return what an outcome says of these values.
+    """Return the knowledge of an outcome and its values.
 
     Raises
     ------
@@ -142,10 +142,10 @@ def check_predicted(known: Known, case: Case, name: str, of: str) -> None:
         if verdict != "identified"
     ]
     laws = zip(BODIES, law_names(case), values.laws, strict=True)
-    others = {f"wear.{body}.": law for body, here, law in laws if here != law}
+    other_laws = {f"wear.{body}.": law for body, present, law in laws if present != law}
     has = differentiable(case)
     for key in values.keys:
-        law = next((law for table, law in others.items() if key.startswith(table)), None)
+        law = next((law for table, law in other_laws.items() if key.startswith(table)), None)
         if law is not None:
             faults.append(f'{name}: has another law than "{law}", of which the fit found {key}')
         elif key not in has:
@@ -172,31 +172,34 @@ def sources_of(known: Known, of: str, sizes: FloatArray) -> tuple[str, ...]:
             sentences = [f"specimen {legible(of)} in the light of {tested}"]
     else:
         how = "covariance" if values.samples is None else "posterior samples"
-        sentences = [
-            f"no scatter was fitted: values are drawn from the {how} of {tested}, and a next one "
-            "scatters more"
-        ]
+        sentences = [f"{how} of the fit to {tested}"]
     if sizes.any():
         size = 1e6 * float(np.median(sizes.max(axis=0)))
         sentences.append(f"wear at random, size {size:.3g} nm")
     return tuple(sentences)
 
 
-def doubts_of(known: Known, case: Case) -> tuple[FitWarning, ...]:
-    """Return what speaks against a prediction."""
+def doubts_of(known: Known, case: Case, of: str) -> tuple[FitWarning, ...]:
+    """Return the doubts about a prediction."""
     doubts = []
     values = known.values
-    here = conditions_of(case, values.keys)
+    if of == NEXT and not len(values.scattering):
+        text = (
+            "the fit has no scatter: the next specimen differs more from those tested "
+            '(scatter = "fit" where there are repeats)'
+        )
+        doubts.append(FitWarning("no-scatter", text, ()))
+    means = conditions_of(case, values.keys)
     for (name, unit), value, tests in zip(
-        CONDITIONS.items(), here.tolist(), values.conditions.T, strict=True
+        CONDITIONS.items(), means.tolist(), values.conditions.T, strict=True
     ):
         if np.isnan(value) or np.isnan(tests).all():
             continue
         low, high = float(np.nanmin(tests)), float(np.nanmax(tests))
         if not low * (1.0 - _SAME) <= value <= high * (1.0 + _SAME):
-            said = f" {unit}" if unit != "1" else ""
-            range_ = f"{low:.4g}{said}" if low == high else f"{low:.4g} to {high:.4g}{said}"
-            text = f"extrapolates: {name} = {value:.4g}{said}, tests were at {range_}"
+            symbol = f" {unit}" if unit != "1" else ""
+            range_ = f"{low:.4g}{symbol}" if low == high else f"{low:.4g} to {high:.4g}{symbol}"
+            text = f"extrapolates: {name} = {value:.4g}{symbol}, tests were at {range_}"
             numbers = {"condition": name, "case": value, "tests": [low, high], "unit": unit}
             doubts.append(FitWarning("extrapolates", text, (), (), numbers))
     if known.warnings:

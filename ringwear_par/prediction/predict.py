@@ -23,7 +23,6 @@ from ringwear_par.prediction.known import Known, check_predicted, doubts_of, kno
 from ringwear_par.prediction.prediction import QUANTITIES, Prediction
 from ringwear_par.results.result import Result
 from ringwear_par.studies.execution.many import results_of
-from ringwear_par.version import versions
 
 #: equal steps that are made besides those of fits: noise runs evenly within a step
 _EVEN = 50
@@ -48,7 +47,7 @@ class _Job:
 
 
 def predict(
-    found: Source,
+    fit: Source,
     case: Case | Path | str | Mapping[str, Any],
     *,
     of: str = "next specimen",
@@ -63,7 +62,7 @@ def predict(
 
     Parameters
     ----------
-    found : a fit, or its folder.
+    fit : a fit, or its folder.
     case : in which the keys of the fit are drawn; or the name of its file, or its tables.
     of : "next specimen", with scatter and wear's own noise as far as the fit has them; "material",
         without; or the name of a specimen of the fit.
@@ -77,7 +76,7 @@ def predict(
     ComputationError : the histories.
     """
     comm = MPI.COMM_WORLD if comm is None else comm
-    job = on_first_rank(comm, lambda: _job(found, case, (), of, draws, seed))
+    job = on_first_rank(comm, lambda: _job(fit, case, (), of, draws, seed))
     return _predicted(job, comm)
 
 
@@ -106,14 +105,14 @@ def run_predict(
 
 
 def _job(
-    found: Source,
+    fit: Source,
     case: Case | Path | str | Mapping[str, Any],
     overrides: Overrides,
     of: str,
     draws: int,
     seed: int,
 ) -> _Job:
-    """Return what is to be computed, with its draws. On one rank.
+    """Return the job of all ranks, with its draws. On one rank.
 
     Raises
     ------
@@ -122,7 +121,7 @@ def _job(
     for name, number, least in (("draws", draws, 1), ("seed", seed, 0)):
         if isinstance(number, bool) or not isinstance(number, int) or number < least:
             raise InputError(f"{name} = {number!r}: must be a whole number >= {least}")
-    known = known_of(found)
+    known = known_of(fit)
     name = str(case) if isinstance(case, Path | str) else "case"
     case = case if isinstance(case, Case) else read_case(case, overrides)
     check_predicted(known, case, name, of)
@@ -175,8 +174,7 @@ def _predicted(job: _Job, comm: MPI.Comm) -> Prediction:
         job.of, known.name, case.stored_text, job.seed, known.units, job.points[left],
         job.sizes[:, left], results[left[0]].histories["time"],
         {name: np.stack([results[d].histories[name] for d in left]) for name in QUANTITIES},
-        len(failures), sources_of(known, job.of, job.sizes), doubts_of(known, case),
-        versions(),
+        len(failures), sources_of(known, job.of, job.sizes), doubts_of(known, case, job.of),
     )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """A prediction: histories of a case at draws of what a fit knows."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,6 +12,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.identification.estimation.record_checks import FitWarning
 from ringwear_par.results import outcomes
 from ringwear_par.results.variables import HISTORIES, SOFTWARE, Variable
+from ringwear_par.version import versions
 
 if TYPE_CHECKING:
     import xarray
@@ -70,7 +71,7 @@ class Prediction:
     failed: int
     sources: tuple[str, ...]
     doubts: tuple[FitWarning, ...]
-    versions: Mapping[str, str]
+    versions: Mapping[str, str] = field(default_factory=versions)
 
     def __repr__(self) -> str:
         return f"<Prediction of {self.of}: {len(self.values)} draws to {self.time[-1]:g} s>"
@@ -91,8 +92,8 @@ class Prediction:
         """
         if quantity not in self.histories:
             raise InputError(f"quantity = {quantity!r}: must be one of {', '.join(self.histories)}")
-        found: FloatArray = np.quantile(self.histories[quantity], probabilities, axis=0)
-        return found
+        levels: FloatArray = np.quantile(self.histories[quantity], probabilities, axis=0)
+        return levels
 
     def time_to(self, depth: float) -> TimeTo:
         """Return when the penetration reaches a depth, mm, first.

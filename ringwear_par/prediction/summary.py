@@ -19,7 +19,6 @@ _ENDS = {
 def summary(prediction: Prediction) -> str:
     """Return the outcome as the command prints it: at the end of the case first."""
     end = float(prediction.time[-1])
-    whom = prediction.of if prediction.of in ("next specimen", "material") else "specimen"
     lines = []
     for name, words in _ENDS.items():
         low, _, median, _, high = prediction.quantiles(name)[:, -1]
@@ -30,10 +29,7 @@ def summary(prediction: Prediction) -> str:
         first, last, middle = (f"{factor * value:.4g}" for value in (low, high, median))
         spread = "" if first == last else f"  from {first} to {last} {unit}"
         lines.append(f"{words}  {middle} {unit}{spread}")
-    lines[0] = (
-        f"{lines[0]} (95 % of {'the ' if whom != 'specimen' else ''}{prediction.of}, after "
-        f"{time_words(end, end)})"
-    )
+    lines[0] = f"{lines[0]} (95 %, {prediction.of}, after {time_words(end, end)})"
     lines.append(f"{len(prediction.values)} draws: {'; '.join(prediction.sources)}")
     if prediction.failed:
         lines.append(f"{prediction.failed} draws were left out: they have no history")
@@ -58,6 +54,7 @@ def to_dict(prediction: Prediction) -> dict[str, Any]:
             name: {"unit": HISTORIES[name].unit, "values": prediction.quantiles(name).T.tolist()}
             for name in prediction.histories
         },
+        "summary": summary(prediction).splitlines(),
         "doubts": [asdict(doubt) for doubt in prediction.doubts],
         "case": prediction.case,
         "versions": dict(prediction.versions),

@@ -14,10 +14,9 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.schedules import history, take
 from ringwear_par.wear.averaging import averaged, averaged_rate
 from ringwear_par.wear.checked_law import complete
-from ringwear_par.wear.law import Law, WearLaw
+from ringwear_par.wear.law import Law, PacedLaw, WearLaw
 from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.paced import PacedLaw
 
 _MEMORY_ITERATIONS = 60
 #: relative change at which the wear of a step is found, and below which it may stop falling

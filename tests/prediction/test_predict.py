@@ -127,7 +127,7 @@ def test_what_is_refused(found, case, tmp_path):
         (fit, case, {"of": "S9"}, '"material" or one of "test 1", "test 2"'),
         (fit, case, {"draws": 0}, "draws = 0: must be a whole number >= 1"),
         (fit, case, {"seed": -1}, "seed = -1"),
-        ({}, case, {}, "found: a fit or its folder is needed, not dict"),
+        ({}, case, {}, "fit: a fit or its folder is needed, not dict"),
     ):
         with pytest.raises(InputError) as error:
             rw.predict(found_, case_, comm=MPI.COMM_SELF, **options)
