@@ -2,12 +2,24 @@
 
 from pathlib import Path
 
-from ringwear_par.files.folders import BAND, DRAWS, PREDICTION, new_files, write_json
+from ringwear_par.files.folders import BAND, DRAWS, PREDICTION, check_folder, new_files, write_json
+from ringwear_par.files.writing import announce_replacement
 from ringwear_par.pictures.style import save_figure
 from ringwear_par.prediction.prediction import Prediction
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
 
 FILES = (DRAWS, BAND, PREDICTION)
+
+
+def prepare(folder: Path) -> None:
+    """Refuse a folder that cannot be written, and say where its outcome is replaced. On one rank.
+
+    Raises
+    ------
+    InputError, ComputationError : the folder or the disk.
+    """
+    check_folder(folder, FILES, "predict")
+    announce_replacement(folder / PREDICTION)
 
 
 def save(prediction: Prediction, folder: Path) -> None:

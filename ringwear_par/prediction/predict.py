@@ -12,13 +12,13 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Output, Overrides
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.folders import check_folder
 from ringwear_par.identification.definition.problem import Experiment
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.model.histories import cases_at, step_times
-from ringwear_par.parallel import on_first_rank
+from ringwear_par.options import reject_unused_options
+from ringwear_par.parallel import on_first_rank, together
 from ringwear_par.prediction.draws import MATERIAL, draw_paces, draw_sizes, draw_values
-from ringwear_par.prediction.folder import FILES
+from ringwear_par.prediction.folder import prepare
 from ringwear_par.prediction.known import Known, check_predicted, doubts_of, known_of, sources_of
 from ringwear_par.prediction.prediction import QUANTITIES, Prediction
 from ringwear_par.results.result import Result
@@ -95,10 +95,12 @@ def run_predict(
 
     def read() -> _Job:
         job = _job(fit, case, overrides, of, draws, seed)
-        check_folder(folder, FILES, "predict")
+        prepare(folder)
         return job
 
     result = _predicted(on_first_rank(comm, read), comm)
+    with together(comm):
+        reject_unused_options()
     on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:
         print(result.summary())

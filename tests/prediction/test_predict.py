@@ -149,6 +149,7 @@ def test_the_command(found, tmp_path):
     stored = json.loads((out / "prediction.json").read_text())
     assert stored["draws"] == 4
     assert np.shape(stored["quantiles"]["penetration"]["values"]) == (len(stored["time"]), 5)
+    assert "Prediction, 1 figure" in rw.report(out, tmp_path / "page.html")
     refused = ringwear(*words, folder)
     assert refused.returncode == 2
     assert sentences(refused)[0].endswith("is the folder of ringwear fit (fit.json); must be "
