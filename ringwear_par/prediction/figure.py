@@ -4,9 +4,9 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.pictures.matplotlib import draw
+from ringwear_par.pictures.matplotlib import panel_grid
 from ringwear_par.pictures.panels import Axis, Band, Curve, Panel
-from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure, plain
+from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure
 from ringwear_par.prediction.prediction import Prediction
 from ringwear_par.results.instants import time_unit
 from ringwear_par.results.variables import DISPLAY_UNITS
@@ -37,11 +37,9 @@ def panel(time: FloatArray, quantiles: FloatArray, of: str) -> Panel:
     )  # fmt: skip
 
 
-def figure(prediction: Prediction) -> Figure:
+def plot(prediction: Prediction) -> Figure:
     """Return the figure of ``panel``."""
     with matplotlib.rc_context(STYLE):
         chart = NotebookFigure(figsize=_SIZE, layout="constrained")
-        axes = chart.subplots()
-        draw(axes, panel(prediction.time, prediction.quantiles(), prediction.of))
-        chart.suptitle(plain(prediction.of))
+        panel_grid(chart, [[panel(prediction.time, prediction.quantiles(), prediction.of)]])
     return chart

@@ -1,10 +1,19 @@
 """The folder of a prediction: all draws, the picture of their band, the numbers."""
 
+from collections.abc import Callable
 from pathlib import Path
 
-from ringwear_par.files.folders import BAND, DRAWS, PREDICTION, check_folder, new_files, write_json
+from ringwear_par.files.folders import (
+    BAND,
+    DRAWS,
+    PREDICTION,
+    check_folder,
+    json_bytes,
+    new_files,
+    write_contents,
+)
 from ringwear_par.files.writing import announce_replacement
-from ringwear_par.pictures.style import save_figure
+from ringwear_par.pictures.style import picture
 from ringwear_par.prediction.prediction import Prediction
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
 
@@ -34,5 +43,8 @@ def save(prediction: Prediction, folder: Path) -> None:
             file.attrs.update(prediction.attributes)
             for variable, values in prediction.variables():
                 write_variable(file, variable, values)
-        save_figure(prediction.plot(), folder / BAND)
-        write_json(folder / PREDICTION, prediction.to_dict())
+        contents: dict[str, Callable[[], bytes | None]] = {
+            BAND: lambda: picture(prediction.plot, str(folder / BAND)),
+            PREDICTION: lambda: json_bytes(prediction.to_dict()),
+        }
+        write_contents(folder, contents)

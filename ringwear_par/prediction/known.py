@@ -10,11 +10,10 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import InputError, ValidityWarning, legible
 from ringwear_par.files.folders import DESIGN, FIT, READINGS
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.history.derivatives.numbers import differentiable
-from ringwear_par.identification.estimation.record_checks import FitWarning
 from ringwear_par.identification.estimation.starts import PROGRESS
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.fitted_values import (
@@ -179,7 +178,7 @@ def sources_of(known: Known, of: str, sizes: FloatArray) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def doubts_of(known: Known, case: Case, of: str) -> tuple[FitWarning, ...]:
+def doubts_of(known: Known, case: Case, of: str) -> tuple[ValidityWarning, ...]:
     """Return the doubts about a prediction."""
     doubts = []
     values = known.values
@@ -188,7 +187,7 @@ def doubts_of(known: Known, case: Case, of: str) -> tuple[FitWarning, ...]:
             "the fit has no scatter: the next specimen differs more from those tested "
             '(scatter = "fit" where there are repeats)'
         )
-        doubts.append(FitWarning("no-scatter", text, ()))
+        doubts.append(ValidityWarning("no-scatter", text))
     means = conditions_of(case, values.keys)
     for (name, unit), value, tests in zip(
         CONDITIONS.items(), means.tolist(), values.conditions.T, strict=True
@@ -201,11 +200,11 @@ def doubts_of(known: Known, case: Case, of: str) -> tuple[FitWarning, ...]:
             range_ = f"{low:.4g}{symbol}" if low == high else f"{low:.4g} to {high:.4g}{symbol}"
             text = f"extrapolates: {name} = {value:.4g}{symbol}, tests were at {range_}"
             numbers = {"condition": name, "case": value, "tests": [low, high], "unit": unit}
-            doubts.append(FitWarning("extrapolates", text, (), (), numbers))
+            doubts.append(ValidityWarning("extrapolates", text, values=numbers))
     if known.warnings:
         text = (
             f"the fit itself has {known.warnings} warning{'' if known.warnings == 1 else 's'}: "
             "read its summary first"
         )
-        doubts.append(FitWarning("fit-warnings", text, ()))
+        doubts.append(ValidityWarning("fit-warnings", text))
     return tuple(doubts)

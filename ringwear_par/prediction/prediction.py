@@ -2,21 +2,18 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import InputError
-from ringwear_par.identification.estimation.record_checks import FitWarning
-from ringwear_par.results import outcomes
+from ringwear_par.errors import InputError, ValidityWarning
+from ringwear_par.results.outcomes import Outcome
 from ringwear_par.results.variables import HISTORIES, SOFTWARE, Variable
 from ringwear_par.version import versions
 
 if TYPE_CHECKING:
     import xarray
-    from matplotlib.figure import Figure
 
 #: what is predicted, names of histories
 QUANTITIES = (
@@ -41,7 +38,7 @@ class TimeTo(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class Prediction(Outcome):
     """Histories of a case, one a draw.
 
     Parameters
@@ -59,6 +56,11 @@ class Prediction:
     versions : of the software.
     """
 
+    functions: ClassVar = {
+        "summary": "ringwear_par.prediction.summary", "to_dict": "ringwear_par.prediction.summary",
+        "plot": "ringwear_par.prediction.figure", "save": "ringwear_par.prediction.folder",
+    }  # fmt: skip
+
     of: str
     fit: str
     case: str
@@ -70,7 +72,7 @@ class Prediction:
     histories: Mapping[str, FloatArray]
     failed: int
     sources: tuple[str, ...]
-    doubts: tuple[FitWarning, ...]
+    doubts: tuple[ValidityWarning, ...]
     versions: Mapping[str, str] = field(default_factory=versions)
 
     def __repr__(self) -> str:
@@ -172,27 +174,3 @@ class Prediction:
         """What files say of it."""
         about = {"of": self.of, "fit": self.fit, "case": self.case, "seed": self.seed}
         return {"software": SOFTWARE, **about, **self.versions}
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the contents of prediction.json."""
-        return outcomes.to_dict(self)
-
-    def summary(self) -> str:
-        """Return the outcome in at most ten lines."""
-        return outcomes.summary(self)
-
-    def plot(self) -> "Figure":
-        """Return the figure of the penetration over time: median, bands of 50 and 95 %."""
-        return outcomes.figure(self)
-
-    def save(self, folder: str | Path) -> None:
-        """Write prediction.h5, prediction.png and prediction.json to a folder, which is made.
-
-        Not collective: the process that calls this writes, each file whole.
-
-        Raises
-        ------
-        InputError : a folder that cannot be written.
-        ComputationError : the disk.
-        """
-        outcomes.save(self, folder)

@@ -1,8 +1,8 @@
 """A prediction in a few lines of text, and as JSON can hold it."""
 
-from dataclasses import asdict
 from typing import Any
 
+from ringwear_par.errors import warning_lines
 from ringwear_par.prediction.prediction import PROBABILITIES, Prediction
 from ringwear_par.results.instants import time_words
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES
@@ -34,8 +34,7 @@ def summary(prediction: Prediction) -> str:
     if prediction.failed:
         lines.append(f"{prediction.failed} draws were left out: they have no history")
     room = 10 - len(lines)
-    lines += [f"warning: {doubt.text}" for doubt in prediction.doubts[:room]]
-    return "\n".join(lines)
+    return "\n".join([*lines, *warning_lines(doubt.text for doubt in prediction.doubts[:room])])
 
 
 def to_dict(prediction: Prediction) -> dict[str, Any]:
@@ -55,7 +54,7 @@ def to_dict(prediction: Prediction) -> dict[str, Any]:
             for name in prediction.histories
         },
         "summary": summary(prediction).splitlines(),
-        "doubts": [asdict(doubt) for doubt in prediction.doubts],
+        "doubts": [doubt.to_dict() for doubt in prediction.doubts],
         "case": prediction.case,
         "versions": dict(prediction.versions),
     }
