@@ -148,7 +148,8 @@ def _tiles(outcome: Mapping[str, Any]) -> Tiles:
     for key, one in outcome["parameters"].items():
         entry = one.get("told") or one
         known = one["verdict"] != "not identified" and None not in entry["interval"]
-        note = "{:.4g} to {:.4g} ({})".format(*entry["interval"], percent) if known else ""
+        note = " to ".join(f"{end:.4g}" for end in entry["interval"]) if known else ""
+        note += f" ({percent})" * known
         unit = in_signs(str(entry["unit"])) if entry["unit"] not in ("1", "-") else ""
         tiles.append(Tile(key, f"{entry['estimate']:.4g}", unit, note or str(one["verdict"])))
     return Tiles([*tiles, checks_tile(len(outcome["warnings"]))])
