@@ -18,12 +18,10 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.definition.problem import Series
+from ringwear_par.identification.scatter.clocks import TestClocks
 from ringwear_par.identification.scatter.likelihood import Level, MixedModel
-from ringwear_par.identification.scatter.posterior import (
-    Size,
-    axis,
-    integrate,
-)
+from ringwear_par.identification.scatter.posterior import Size, integrate
 from ringwear_par.identification.scatter.reduction import LinearisedTest, ReducedTest, reduce_test
 
 LEVEL = 0.95
@@ -49,7 +47,7 @@ def specimens_row(tau: float, count: int, trials: int, rng: np.random.Generator)
             for v in values
         ]
         model = MixedModel(tests, [level], np.zeros(1), np.zeros(1))
-        posterior = integrate([model], np.ones(1), [Size(None, 0.3)])
+        posterior = integrate(lambda _: [model], [Size(None, 0.3)])
         low, high = posterior.material(0).interval(LEVEL)
         size_low, size_high = posterior.size(0, LEVEL).interval
         next_low, next_high = posterior.next_specimen(0).interval(LEVEL)
@@ -77,29 +75,30 @@ def record(k: float, share: float, rng: np.random.Generator) -> FloatArray:
 def wear_row(share: float, count: int, trials: int, rng: np.random.Generator) -> str:
     """Return the row of records whose wear is random by a share of its depth."""
     depth = DEPTH * np.arange(1, READINGS + 1) / READINGS
-    shares = axis(Size(None, 0.1), 60)
-    kernel = np.minimum.outer(depth, depth) / SENSOR**2
+    noise = np.full(READINGS, SENSOR)
+    series = Series("record", "penetration", depth, depth, noise)
+    # a reading answers to what is worn too much by as much
+    clock = TestClocks([series], noise, np.ones(READINGS), np.ones((READINGS, 1)), depth[:, None])
     hits, widths = np.zeros(3), []
     slope = depth - depth.mean()
     common = TWO_SIDED * SENSOR / np.sqrt(count * slope @ slope)
     for _ in range(trials):
         readings = [record(1.0, share, rng) for _ in range(count)]
-        reduced = [
-            reduce_test(
-                LinearisedTest(
-                    y / SENSOR, depth[:, None] / SENSOR, np.ones((READINGS, 1)) / SENSOR,
-                    np.zeros((0, 1)), np.zeros(0), 0.0, kernel,
-                ),
-                shares.points**2 * DEPTH,
+        tests = [
+            LinearisedTest(
+                y / SENSOR, depth[:, None] / SENSOR, np.ones((READINGS, 1)) / SENSOR,
+                np.zeros((0, 1)), np.zeros(0), 0.0, clock.kernels,
             )
             for y in readings
         ]  # fmt: skip
-        models = [
-            MixedModel(tests, [], np.zeros(1), np.zeros(1)) for tests in zip(*reduced, strict=True)
-        ]
-        posterior = integrate(models, shares.weights, [])
+
+        def models_at(shares: FloatArray) -> list[MixedModel]:
+            reduced = [reduce_test(test, shares**2 * DEPTH) for test in tests]  # noqa: B023
+            return [MixedModel(r, [], np.zeros(1), np.zeros(1)) for r in zip(*reduced, strict=True)]
+
+        posterior = integrate(models_at, [], [Size(None, 0.1)])
         low, high = posterior.material(0).interval(LEVEL)
-        size_low, size_high = _central(shares.points, posterior.weights)
+        size_low, size_high = posterior.share(0, LEVEL).interval
         best = np.mean([slope @ y for y in readings]) / (slope @ slope)
         widths.append(0.5 * (high - low))
         hits += [abs(best - 1.0) < common, low < 1.0 < high, size_low <= share <= size_high]
@@ -108,13 +107,6 @@ def wear_row(share: float, count: int, trials: int, rng: np.random.Generator) ->
         f"| {100 * share:g} % | {count} | {one:.2f} ({100 * common:.2g}) | "
         f"{random:.2f} ({100 * np.median(widths):.2g}) | {size:.2f} |"
     )
-
-
-def _central(points: FloatArray, weights: FloatArray) -> tuple[float, float]:
-    """Return the central interval of a number on a grid."""
-    centred = np.cumsum(weights) - 0.5 * weights
-    low, high = np.interp([0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL], centred, points)
-    return float(low), float(high)
 
 
 TABLES: dict[str, tuple[str, tuple[float, ...], tuple[int, ...], Callable[..., str], int]] = {

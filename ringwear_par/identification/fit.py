@@ -277,10 +277,10 @@ class FitRun:
     def _material(
         self, x: FloatArray, sizes: Mapping[tuple[str, str], float] | None
     ) -> dict[str, Any]:
-        """Return the fields of a result that are others where values scatter between tests."""
-        if not self._problem.scatters:
+        """Return the fields of a result that are others where specimens or wear are random."""
+        if not self._problem.mixed:
             return {}
-        self._rounds.tell("specimens")
+        self._rounds.tell("specimens" if self._problem.scatters else "random wear")
         material = estimate_material(self._misfit, x, sizes)
         return {
             "x": material.x,

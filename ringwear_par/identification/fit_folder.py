@@ -22,7 +22,7 @@ from ringwear_par.files.folders import (
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.identification.definition.fitted_parameters import units_of
-from ringwear_par.identification.definition.problem import BASE, Problem
+from ringwear_par.identification.definition.problem import BASE, Problem, body_of_wear
 from ringwear_par.identification.estimation.starts import PROGRESS
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
@@ -74,7 +74,7 @@ def save(fit: FitResult, folder: Path) -> None:
         with atomic_hdf5(folder / READINGS) as (file, _):
             _write(file, fit)
         figures = {CURVES: fit.plot, ESTIMATES: fit.plot_parameters}
-        if fit.material is not None:
+        if fit.misfit.problem.scatters:
             figures[SPECIMENS] = fit.plot_specimens
         else:
             (folder / SPECIMENS).unlink(missing_ok=True)
@@ -135,8 +135,15 @@ def _write(file: h5py.File, fit: FitResult) -> None:
             put("time", series.x, "s", "time")
         put("data", series.value, base, "what was read")
         put("sd", sd[part], base, "noise of the data")
-        put("model", fit.evaluation.model[part], base, "the model's reading, with nuisances")
+        put("model", fit.evaluation.model[part], base, "the model's reading, with nuisances and random wear")
         put("band", band[part], base, "sd of the model's reading")
+        if fit.material is not None:
+            for body, key in enumerate(fit.material.process):
+                name = f"excess_{body_of_wear(key)}"
+                excess, excess_sd = fit.material.excess[part], fit.material.excess_sd[part]
+                put(name, excess[:, body], "mm",
+                    "mean depth that is worn more than the law says, as the readings tell it")  # fmt: skip
+                put(f"{name}_sd", excess_sd[:, body], "mm", f"sd of {name}")
         put("residual", -fit.evaluation.noise[part], "1", "data less model over its noise, white")
         put(
             "sensitivity", fit.evaluation.sensitivity[part], f"{base}/{PARAMETER_UNIT.name}",

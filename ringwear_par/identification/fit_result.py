@@ -148,6 +148,10 @@ class FitResult:
         rows = np.ones(len(self.evaluation.residuals), dtype=bool)
         for _, series, part in misfit.records:
             rows[part] = not series.sd_fitted
+        if misfit.problem.settings.process and self.material is not None:
+            readings = rows[: self.n]
+            free = (1.0 - self.material.leverage)[readings].sum() + len(misfit.priors)
+            return float((self.evaluation.residuals[rows] ** 2).sum()), float(free)
         size = np.linalg.norm(self.evaluation.jacobian, axis=0)
         columns = self.evaluation.jacobian / np.where(size > 0.0, size, 1.0)
         basis, values, _ = np.linalg.svd(columns, full_matrices=False)
@@ -242,13 +246,17 @@ class FitResult:
     def doubts(self) -> tuple[FitWarning, ...]:
         """What records say against the model or the intervals; ``warnings`` has their texts."""
         misfit, x, evaluation = self.misfit, self.x, self.evaluation
+        sizes = None
         if self.material is None:
             test_unknowns = np.tile(x[: len(self.parameters)], (len(misfit.problem.experiments), 1))
         else:
             test_unknowns = self.material.test_unknowns
+            if misfit.problem.settings.process:
+                evaluation = misfit.evaluate(x, test_unknowns)
+                sizes = self.material.sizes_of_process
         return (
-            *record_warnings(misfit, x, evaluation),
-            *disagreements(misfit, x, evaluation, test_unknowns),
+            *record_warnings(misfit, x, self.evaluation),
+            *disagreements(misfit, x, evaluation, test_unknowns, sizes),
             *(() if self.material is None else self.material.warnings),
         )
 
@@ -279,6 +287,7 @@ class FitResult:
             "aic": self.aic,
             "bic": self.bic,
             "specimens": len({e.groups[0] for e in problem.experiments}),
+            "process": {} if self.material is None else self.material.process,
             "experiments": self.experiments,
             "nuisance": self.nuisances,
             "histories": self.histories,

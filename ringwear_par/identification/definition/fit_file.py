@@ -39,6 +39,7 @@ from ringwear_par.identification.definition.problem import (
     Series,
     Settings,
 )
+from ringwear_par.identification.definition.process import check_process, read_process
 from ringwear_par.identification.definition.scatter import check_scatter, read_groups
 from ringwear_par.identification.definition.series import read_series
 
@@ -88,7 +89,8 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     if faults:
         raise InputError(*faults)
     _check_counts(name, parameters, experiments, faults)
-    check_scatter(name, parameters, experiments, settings.intervals, faults)
+    check_scatter(name, parameters, experiments, settings, faults)
+    check_process(name, settings.process, experiments, settings.intervals, faults)
     alternatives = {}
     for law, (changes, law_parameters) in laws.items():
         alternatives[law] = Problem(
@@ -97,7 +99,8 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
             design,
         )  # fmt: skip
         _check_counts(f"{name}: compare.{law}", law_parameters, experiments, faults)
-        check_scatter(f"{name}: compare.{law}", law_parameters, experiments, (), faults)
+        linear = replace(settings, intervals=("linear",))
+        check_scatter(f"{name}: compare.{law}", law_parameters, experiments, linear, faults)
     if faults:
         raise InputError(*faults)
     return Problem(
@@ -122,9 +125,10 @@ def _read_settings(
     parameters = read_parameters(f"{said}.parameters", reader.raw("parameters"), faults)
     names = ("starts", "method", "intervals", "samples", "level", "loss")
     settings = {name: reader.read(name) for name in names}
+    process = read_process(f"{said}.process", reader.raw("process", {}), faults)
     reader.finish()
     intervals = dict.fromkeys(("linear", *settings.pop("intervals")))
-    return Settings(intervals=tuple(intervals), **settings), parameters
+    return Settings(intervals=tuple(intervals), process=process, **settings), parameters
 
 
 def _read_design_space(said: str, table: Any, faults: list[str]) -> DesignSpace:

@@ -55,6 +55,31 @@ class Scatter:
 
 
 @dataclass(frozen=True)
+class ProcessNoise:
+    """How the wear of a body is itself random.
+
+    Its worn depth is a gamma process: its variance is a size times its mean. The share is the
+    standard deviation over the depth, at the end of the test that wears most.
+    """
+
+    #: mm, and of 1; both None where the size is fitted
+    size: float | None = None
+    share: float | None = None
+    #: of the half-t prior of the share where it is fitted
+    scale: float = 0.1
+
+    @property
+    def fitted(self) -> bool:
+        """Whether its size is fitted."""
+        return self.size is None and self.share is None
+
+
+def body_of_wear(key: str) -> str:
+    """Return the body ("lower", "upper") of a key such as "wear.lower" or "wear.lower.k"."""
+    return key.split(".")[1]
+
+
+@dataclass(frozen=True)
 class FittedParameter:
     """A case key whose value is sought.
 
@@ -144,6 +169,8 @@ class Series:
     assumptions: tuple[str, ...] = ()
     #: whether nothing has been read yet; values are 0 then
     planned: bool = False
+    #: (low, high) of what was left out, s or mm
+    excluded: tuple[tuple[float, float], ...] = ()
 
     @property
     def n(self) -> int:
@@ -159,6 +186,11 @@ class Series:
     def body(self) -> Literal["lower", "upper"]:
         """The body that a profile, mass or volume is of."""
         return "upper" if self.quantity.endswith(".upper") else "lower"
+
+    def tells_wear(self, body: str) -> bool:
+        """Tell whether it is of what is worn off a body."""
+        of_both = self.quantity in ("penetration", "approach")
+        return of_both or (self.quantity != "torque" and self.body == body)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,6 +225,8 @@ class Settings:
     level: float = 0.95
     #: "gaussian", or "student" (with 4 degrees of freedom) where there are outliers
     loss: Loss = "gaussian"
+    #: of bodies whose wear is itself random, by "wear.lower", "wear.upper"
+    process: Mapping[str, ProcessNoise] = field(default_factory=dict)
 
     @property
     def missing_package(self) -> str:
@@ -261,6 +295,11 @@ class Problem:
     def scatters(self) -> bool:
         """Whether the values of some key differ between tests."""
         return any(parameter.scatter is not None for parameter in self.parameters)
+
+    @property
+    def mixed(self) -> bool:
+        """Whether sizes of scatters or of wear's own noise are to be integrated."""
+        return self.scatters or bool(self.settings.process)
 
     @property
     def start(self) -> dict[str, float]:

@@ -190,6 +190,17 @@ KEYS: tuple[Key, ...] = (
     Key("fit.parameters.KEY.scatter.start", *number(0.0), "KEY's; 1 where scale = \"log\"",
         "size of a fitted scatter that --dry-run and design take as true; default: half the scale "
         "of the prior", None),
+    Key("fit.process.KEY", *anything('"fit", or a table'), "-",
+        "noise of the wear itself, KEY is wear.lower or wear.upper: worn depth grows at random "
+        "(gamma process), with a variance of size times mean depth", None),
+    Key("fit.process.KEY.size", *_scatter_size(), "mm",
+        "size of the noise of wear: variance of the worn depth over its mean, or \"fit\"", None),
+    Key("fit.process.KEY.share", *number(0.0, 1.0), "1",
+        "instead of size: standard deviation of the worn depth over its mean, at the end of the "
+        "test that wears most", None),
+    Key("fit.process.KEY.prior", *_half_t(), "1",
+        "scale of the half-t prior (4 degrees of freedom) of the share where size = \"fit\"; "
+        "default 0.1", None),
     Key("fit.starts", *whole(1, _MOST_STARTS), "-",
         "number of searches: one from fit.parameters.KEY.start, the others from Sobol' points "
         "within the bounds", _USUAL.starts),
@@ -281,10 +292,11 @@ KEYS: tuple[Key, ...] = (
     Key("design.budget.experiments", *whole(1, _MOST_EXPERIMENTS), "-", "number of next tests",
         _SPACE.experiments),
 )  # fmt: skip
-FIT, PARAMETER, SCATTER, EXPERIMENT, DATA, SD, NUISANCE, DESIGN, VARY, BUDGET = (
+FIT, PARAMETER, SCATTER, PROCESS, EXPERIMENT, DATA, SD, NUISANCE, DESIGN, VARY, BUDGET = (
     keys_of_table(KEYS, table)
     for table in (
-        "fit", "fit.parameters.KEY", "fit.parameters.KEY.scatter", "experiment",
+        "fit", "fit.parameters.KEY", "fit.parameters.KEY.scatter", "fit.process.KEY",
+        "experiment",
         "experiment.data",
         "experiment.data.sd",
         "experiment.data.nuisance.KIND", "design", "design.vary", "design.budget",

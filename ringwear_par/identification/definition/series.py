@@ -69,7 +69,8 @@ def read_series(
     if kind != "profile" and len(x) and end < x[-1] <= end * (1.0 + _ROUNDED):
         x = np.append(x[:-1], end)
     keep = np.ones(len(x), dtype=bool)
-    for low, high in _intervals(reader, "mm" if kind == "profile" else "s"):
+    excluded = _intervals(reader, "mm" if kind == "profile" else "s")
+    for low, high in excluded:
         keep &= (x < low) | (x > high)
     sd, fitted = read_noise(reader, readings, keep)
     nuisances = _nuisances(reader, kind, case)
@@ -96,7 +97,7 @@ def read_series(
         quantity, cast(Quantity, quantity), x[keep], value[keep], sd[keep], fitted, unit, scale,
         (end if at is None else at) if kind == "profile" else None, density, nuisances,
         correlation, readings.where, None if lines is None else lines[keep], assumptions,
-        readings.planned,
+        readings.planned, tuple(excluded),
     )  # fmt: skip
     free = [nuisance.kind for nuisance in nuisances if nuisance.free]
     if not series.n:

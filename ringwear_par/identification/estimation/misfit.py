@@ -223,6 +223,24 @@ class Misfit:
         """
         return self._response(x)[:, 0]
 
+    def clocks(
+        self, x: FloatArray, test_unknowns: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return how readings follow the worn depths of bodies whose wear is random. Not collective.
+
+        Parameters
+        ----------
+        test_unknowns : (tests, m) unknowns of the keys in each test, see ``evaluate``.
+
+        Returns
+        -------
+        (n, bodies) of each reading: its change for each mm of mean depth that is worn faster all
+        along, and that mean depth, mm.
+        """
+        of_clocks = self._response(x, test_unknowns)[:, 1 + self._m :]
+        by_factor, depth = np.split(of_clocks, 2, axis=1)
+        return np.divide(by_factor, depth, out=np.zeros_like(depth), where=depth > 0.0), depth
+
     # from readings to residuals
 
     def columns(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> FloatArray:
@@ -238,23 +256,30 @@ class Misfit:
         """
         counts = [experiment.n for experiment in self.problem.experiments]
         slopes = [self.problem.slopes(v) for v in self.values_of_tests(x, test_unknowns)]
-        key_columns = self._response(x, test_unknowns)[:, 1:] * np.repeat(slopes, counts, axis=0)
+        derivatives = self._response(x, test_unknowns)[:, 1 : 1 + self._m]
+        key_columns = derivatives * np.repeat(slopes, counts, axis=0)
         return np.concatenate([key_columns, self.nuisance_columns], axis=1)
 
-    def evaluate(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> Evaluation:
+    def evaluate(
+        self,
+        x: FloatArray,
+        test_unknowns: FloatArray | None = None,
+        random_part: FloatArray | float = 0.0,
+    ) -> Evaluation:
         """Return the residuals at unknowns (u,). Not collective.
 
         Parameters
         ----------
         test_unknowns : (tests, m) unknowns of the keys in each test, where their values scatter;
             priors are of those of x.
+        random_part : (n,) of the readings, that is due to the random part of wear.
 
         Raises
         ------
         HistoryError : there is no history.
         """
         values, response = self.values(x), self._response(x, test_unknowns)
-        model = response[:, 0] + self.nuisance_columns @ x[self._m :]
+        model = response[:, 0] + self.nuisance_columns @ x[self._m :] + random_part
         rows = np.concatenate(
             [(model - self.data)[:, None], self.columns(x, test_unknowns)], axis=1
         )
@@ -269,7 +294,8 @@ class Misfit:
         for row, (j, prior) in enumerate(self.priors, start=self.n):
             at, by = (values[j], slopes[j]) if j < self._m else (x[j], 1.0)
             residuals[row], jacobian[row, j] = (at - prior.mean) / prior.sd, by / prior.sd
-        return Evaluation(model, noise, noise_jacobian, residuals, jacobian, response[:, 1:])
+        sensitivity = response[:, 1 : 1 + self._m]
+        return Evaluation(model, noise, noise_jacobian, residuals, jacobian, sensitivity)
 
     def whitened(self, rows: FloatArray) -> FloatArray:
         """Return rows (n, ...) of all readings in units of their noise, uncorrelated."""

@@ -93,10 +93,12 @@ class Reader:
     Parameters
     ----------
     experiment : its case may have other values of the fitted keys than the histories.
+    clocks : 0 for lower and 1 for upper, of which mean worn depths are read along.
     """
 
-    def __init__(self, experiment: Experiment) -> None:
+    def __init__(self, experiment: Experiment, clocks: Sequence[int] = ()) -> None:
         case = experiment.case
+        self._clocks, self._area = list(clocks), case.area
         self._series = experiment.series
         self._breaks = (0.0, *case.breakpoints, case.time.end)
         self._radial = {s.name: _radial(s, case) for s in self._series if s.profile}
@@ -104,7 +106,10 @@ class Reader:
         self._steps: dict[bytes, dict[str, TimeInterpolation]] = {}
 
     def read(self, trajectory: Trajectory) -> FloatArray:
-        """Return the readings of all series, one after another, (n, q), without nuisances."""
+        """Return the readings of all series, one after another, (n, q), without nuisances.
+
+        With derivatives follow the mean worn depths of ``clocks``, mm.
+        """
         time = trajectory.time
         key = time.tobytes()
         if key not in self._steps:
@@ -115,9 +120,17 @@ class Reader:
                 name: TimeInterpolation(time, t, self._breaks) for name, t in at.items()
             }
         interpolations = self._steps[key]
-        return np.concatenate(
-            [self._of(s, trajectory, interpolations[s.name]) for s in self._series]
-        )
+        readings = [self._of(s, trajectory, interpolations[s.name]) for s in self._series]
+        if self._clocks and trajectory.approach.shape[-1] > 1:
+            depths = trajectory.volume[self._clocks, :, 0].T / self._area
+            readings = [
+                np.concatenate(
+                    [of, np.broadcast_to(interpolations[s.name](depths), (s.n, depths.shape[1]))],
+                    axis=1,
+                )
+                for s, of in zip(self._series, readings, strict=True)
+            ]
+        return np.concatenate(readings)
 
     def _of(
         self, series: Series, trajectory: Trajectory, in_steps: TimeInterpolation
