@@ -135,7 +135,12 @@ def _write(file: h5py.File, fit: FitResult) -> None:
             put("time", series.x, "s", "time")
         put("data", series.value, base, "what was read")
         put("sd", sd[part], base, "noise of the data")
-        put("model", fit.evaluation.model[part], base, "the model's reading, with nuisances and random wear")
+        put(
+            "model",
+            fit.evaluation.model[part],
+            base,
+            "the model's reading, with nuisances and random wear",
+        )
         put("band", band[part], base, "sd of the model's reading")
         if fit.material is not None:
             for body, key in enumerate(fit.material.process):

@@ -90,7 +90,10 @@ class TestClocks:
         #: (b, bodies) of blocks
         self._answers, self._at = (
             np.concatenate(
-                [blocks.mean(v[part]) for blocks, part in zip(self._blocks, self._parts, strict=True)]
+                [
+                    blocks.mean(v[part])
+                    for blocks, part in zip(self._blocks, self._parts, strict=True)
+                ]
             )
             for v in (answers, depths)
         )
@@ -173,7 +176,9 @@ class TestClocks:
                 "ij,ik,kj->j", across, precision, across, optimize=True
             )
             sd = np.sqrt(np.maximum(variance, 0.0))
-            excesses.append(np.interp(depth, np.append(0.0, points), np.append(0.0, across.T @ rest)))
+            excesses.append(
+                np.interp(depth, np.append(0.0, points), np.append(0.0, across.T @ rest))
+            )
             sds.append(np.interp(depth, np.append(0.0, points), np.append(0.0, sd)))
         return np.stack(excesses, axis=1), np.stack(sds, axis=1)
 

@@ -80,9 +80,7 @@ class RandomWear:
 
     def entries(self, posterior: ScatterPosterior, level: float) -> dict[str, dict[str, Any]]:
         """Return what fit.json says of each body; intervals are of a confidence level."""
-        return {
-            key: self._entry(body, posterior, level) for body, key in enumerate(self.process)
-        }
+        return {key: self._entry(body, posterior, level) for body, key in enumerate(self.process)}
 
     def _entry(self, body: int, posterior: ScatterPosterior, level: float) -> dict[str, Any]:
         depth, share = float(self.depths[body]), self.shares[body]

@@ -198,9 +198,7 @@ def _solve(
         of_tests[i, free] = posterior.unknowns(i)
         sds[i, free] = [posterior.of_test(i, place).sd for place in range(len(free))]
     means = np.array([{**material, **at_bounds}[j] for j in range(len(low))])
-    return _Mixed(
-        tuple(free), posterior, unbounded, of_process[0], reduced, means, of_tests, sds
-    )
+    return _Mixed(tuple(free), posterior, unbounded, of_process[0], reduced, means, of_tests, sds)
 
 
 def _loss_of_weights(loss: Loss, noise: FloatArray) -> float:
