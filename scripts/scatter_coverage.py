@@ -46,8 +46,8 @@ def specimens_row(tau: float, count: int, trials: int, rng: np.random.Generator)
             ReducedTest(information, np.array([v / OWN_SD**2]), (v / OWN_SD) ** 2, 0.0)
             for v in values
         ]
-        model = MixedModel(tests, [level], np.zeros(1), np.zeros(1))
-        posterior = integrate(lambda _: [model], [Size(None, 0.3)])
+        models = [MixedModel(tests, [level], np.zeros(1), np.zeros(1))]
+        posterior = integrate(lambda _, models=models: models, [Size(None, 0.3)])
         low, high = posterior.material(0).interval(LEVEL)
         size_low, size_high = posterior.size(0, LEVEL).interval
         next_low, next_high = posterior.next_specimen(0).interval(LEVEL)

@@ -146,8 +146,8 @@ def _write(file: h5py.File, fit: FitResult) -> None:
             for body, key in enumerate(fit.material.process):
                 name = f"excess_{body_of_wear(key)}"
                 excess, excess_sd = fit.material.excess[part], fit.material.excess_sd[part]
-                put(name, excess[:, body], "mm",
-                    "mean depth that is worn more than the law says, as the readings tell it")  # fmt: skip
+                meaning = "mean depth worn beyond what the law says, as the readings tell it"
+                put(name, excess[:, body], "mm", meaning)
                 put(f"{name}_sd", excess_sd[:, body], "mm", f"sd of {name}")
         put("residual", -fit.evaluation.noise[part], "1", "data less model over its noise, white")
         put(

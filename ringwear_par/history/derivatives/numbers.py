@@ -24,7 +24,6 @@ from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
 from ringwear_par.wear.parameters import parameters_of
 
-
 #: names of a factor on all rates of a body, about 1, in the place of a case's key
 RATES = tuple(f"wear.{body}" for body in BODIES)
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
+from ringwear_par.cases.text import shortened
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import legible
 from ringwear_par.identification.definition.problem import (
@@ -28,8 +29,10 @@ def read_process(said: str, table: Any, faults: list[str]) -> dict[str, ProcessN
     ----------
     said : how sentences about the table begin.
     """
-    reader = TableReader(said, table, faults)
-    flat = {name: reader.raw(name) for name in reader.keys()}
+    if not isinstance(table, Mapping):
+        faults.append(f"{said} = {shortened(table)}: must be a table of wear.lower, wear.upper")
+        return {}
+    flat = dict(table)
     if isinstance(nested := flat.pop("wear", None), Mapping):  # written without quotes
         flat |= {f"wear.{body}": value for body, value in nested.items()}
     name_unknown_keys(said, flat, _KEYS, faults)

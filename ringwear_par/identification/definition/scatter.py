@@ -147,8 +147,8 @@ def check_scatter(
                     )
     if set(settings.intervals) - {"linear"}:
         faults.append(
-            f"{name}: fit.intervals = {list(settings.intervals)}: are not possible with scatter; must be "
-            '["linear"]'
+            f"{name}: fit.intervals = {list(settings.intervals)}: are not possible with "
+            'scatter; must be ["linear"]'
         )
 
 

@@ -226,7 +226,7 @@ class Misfit:
     def clocks(
         self, x: FloatArray, test_unknowns: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how readings follow the worn depths of bodies whose wear is random. Not collective.
+        """Return how readings follow the wear of bodies that is random. Not collective.
 
         Parameters
         ----------

@@ -155,7 +155,7 @@ class TestClocks:
         return np.concatenate(within)
 
     def smoothed(
-        self, sizes: Sequence[float], rest: FloatArray, precision: FloatArray
+        self, sizes: FloatArray, rest: FloatArray, precision: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return by how much bodies have worn more than their mean, and its sd, (n, bodies) mm.
 
@@ -184,7 +184,7 @@ class TestClocks:
 
 
 def projected_precision(
-    test: LinearisedTest, sizes: Sequence[float], covariance: FloatArray
+    test: LinearisedTest, sizes: FloatArray, covariance: FloatArray
 ) -> FloatArray:
     """Return the inverse covariance of readings, nuisances' priors after them, all fitted.
 

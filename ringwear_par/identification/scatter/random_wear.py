@@ -9,8 +9,8 @@ from scipy.stats import t as student_t
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.problem import (
-    ProcessNoise,
     Problem,
+    ProcessNoise,
     Series,
     body_of_wear,
 )
@@ -148,7 +148,7 @@ def lost_in_drift(problem: Problem) -> dict[str, str]:
 
     Where no test has a weighing or a profile of the body, its wear could be all of the drift.
     """
-    lost = {}
+    lost: dict[str, str] = {}
     for of_wear in problem.settings.process:
         body = body_of_wear(of_wear)
         drifts = [_free_drift(experiment.series, body) for experiment in problem.experiments]

@@ -4,7 +4,7 @@ Noise, nuisances and the random part of wear are integrated here; what is left o
 its fitted keys alone.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,7 +69,7 @@ class LinearisedTest:
         return NuisanceProjection(np.concatenate([self.nuisances, self.prior_rows]))
 
 
-def uncorrelated(test: LinearisedTest, sizes: Sequence[float]) -> tuple[LinearisedTest, FloatArray]:
+def uncorrelated(test: LinearisedTest, sizes: FloatArray) -> tuple[LinearisedTest, FloatArray]:
     """Return a test in units of all its noise, the random part of its wear included.
 
     Parameters
@@ -107,7 +107,7 @@ def reduce_test(test: LinearisedTest, sizes: FloatArray | None = None) -> list[R
     reduced: list[ReducedTest | None] = [None] * len(sizes)
     # one decomposition makes the covariances of all sizes of the first body diagonal
     for others in np.unique(sizes[:, 1:], axis=0):
-        alone = uncorrelated(test, (0.0, *others))[0] if others.any() else test
+        alone = uncorrelated(test, np.append(0.0, others))[0] if others.any() else test
         variances, vectors = np.linalg.eigh(alone.process[0])
         variances = np.maximum(variances, 0.0)
         turned = replace(

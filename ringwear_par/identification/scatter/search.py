@@ -5,6 +5,7 @@ Lindstrom and Bates (1990), Biometrics 46, 673-687.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -63,11 +64,9 @@ def estimate_material(
     test_unknowns = before = np.tile(x[:m], (len(problem.experiments), 1))
     fitted_noise = np.array([record.series.sd_fitted for record in misfit.records])
     share, farthest = 1.0, np.inf
-    wear, weighed = None, None
+    wear, weighed = RandomWear.of(misfit, x, plan=sizes is not None), None
     for _ in range(_MOST_ROUNDS):
         x, evaluation, test_unknowns = _evaluated(misfit, x, before, test_unknowns)
-        if wear is None:
-            wear = RandomWear.of(misfit, x, plan=sizes is not None)
         prior = _prior_of_keys(problem.parameters, x)
         if sizes is not None:
             x[m:] = _expected_nuisances(misfit)
@@ -167,16 +166,9 @@ def _solve(
     while True:
         free = [j for j in range(len(low)) if j not in at_bounds]
         present = [replace(level, key=free.index(level.key)) for level in levels]
-
-        def models_at(shares: FloatArray) -> list[MixedModel]:
-            return [
-                MixedModel(
-                    [with_fixed(test, at_bounds) for test in tests],
-                    present, precision[free], mean[free],  # noqa: B023
-                )
-                for tests in linear.reduced(wear.sizes(shares))
-            ]  # fmt: skip
-
+        models_at = partial(
+            _models, linear, wear, at_bounds.copy(), present, (precision[free], mean[free])
+        )
         posterior = _integrated(problem.name, models_at, sizes, wear.shares)
         unbounded = posterior if unbounded is None else unbounded
         material = {j: posterior.material(place).mean for place, j in enumerate(free)}
@@ -199,6 +191,21 @@ def _solve(
         sds[i, free] = [posterior.of_test(i, place).sd for place in range(len(free))]
     means = np.array([{**material, **at_bounds}[j] for j in range(len(low))])
     return _Mixed(tuple(free), posterior, unbounded, of_process[0], reduced, means, of_tests, sds)
+
+
+def _models(
+    linear: Linearisation,
+    wear: RandomWear,
+    at_bounds: Mapping[int, float],
+    levels: Sequence[Level],
+    prior: tuple[FloatArray, FloatArray],
+    shares: FloatArray,
+) -> list[MixedModel]:
+    """Return the model of the free keys for each of (G, bodies) shares of the process noise."""
+    return [
+        MixedModel([with_fixed(test, at_bounds) for test in tests], levels, *prior)
+        for tests in linear.reduced(wear.sizes(shares))
+    ]
 
 
 def _loss_of_weights(loss: Loss, noise: FloatArray) -> float:

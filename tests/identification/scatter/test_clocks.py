@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ringwear_par.identification.definition.problem import Series
-from ringwear_par.identification.scatter.clocks import TestClocks as Clocks
 from ringwear_par.identification.scatter.clocks import Blocks, projected_precision
+from ringwear_par.identification.scatter.clocks import TestClocks as Clocks
 from ringwear_par.identification.scatter.reduction import LinearisedTest, reduce_test
 
 pytestmark = pytest.mark.serial

@@ -147,8 +147,8 @@ def test_intervals_hold_the_material_the_size_and_the_next_specimen(tau, count, 
         tests = [
             ReducedTest(information, v / sd**2 * np.ones(1), (v / sd) ** 2, 0.0) for v in values
         ]
-        model = MixedModel(tests, [level], np.zeros(1), np.zeros(1))
-        posterior = integrate(lambda _: [model], [Size(None, 0.3)])
+        models = [MixedModel(tests, [level], np.zeros(1), np.zeros(1))]
+        posterior = integrate(lambda _, models=models: models, [Size(None, 0.3)])
         low, high = posterior.material(0).interval(0.95)
         widths.append(50.0 * (high - low))
         size = posterior.size(0, 0.95).interval
