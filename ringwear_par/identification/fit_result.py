@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.fitted_parameters import units_of
+from ringwear_par.identification.estimation.conditions import conditional_verdicts
 from ringwear_par.identification.estimation.intervals import (
     ParameterEstimate,
     information,
@@ -258,7 +259,19 @@ class FitResult:
             *record_warnings(misfit, x, self.evaluation),
             *disagreements(misfit, x, evaluation, test_unknowns, sizes),
             *(() if self.material is None else self.material.warnings),
+            *self._conditions,
         )
+
+    @cached_property
+    def _conditions(self) -> tuple[FitWarning, ...]:
+        """Warnings about keys that are identified only while others are at their bounds."""
+        m = len(self.parameters)
+        if self.material is None:  # linear intervals are those with all keys free
+            covariance, narrowed = self.covariance[:m, :m], [*self.profiles]
+        else:
+            covariance = self.material.unbounded.covariance
+            narrowed = [one.key for one in self.parameters]
+        return tuple(conditional_verdicts(self.parameters, covariance, narrowed))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -328,6 +341,8 @@ class FitResult:
         if self.material is not None:
             for j, entry in enumerate(entries.values()):
                 entry.update(self.material.entry(j))
+        for key, bound in (warning.keys for warning in self._conditions):
+            entries[key].setdefault("conditional_on", []).append(bound)
         if self.posterior is not None:
             samples = self.posterior.samples
             ends = self.posterior.interval(self.misfit.problem.settings.level)

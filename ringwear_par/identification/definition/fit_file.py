@@ -30,6 +30,7 @@ from ringwear_par.identification.definition.fitted_parameters import (
     read_parameters,
     refuse_both,
     refuse_fixed,
+    refuse_order,
 )
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
@@ -261,6 +262,7 @@ class _Experiments:
             faults.append(f'{said}: mesh.geometry = "updated": must be "fixed" in a fit')
             return None
         refuse_fixed(said, parameters, case, faults)
+        refuse_order(said, parameters, case, faults)
         return case
 
     def _refuse_twin(self, one: Experiment, other: Experiment, faults: list[str]) -> None:
