@@ -37,10 +37,20 @@ def refuse_others(folder: Path, command: str) -> None:
     InputError : its files would be replaced.
     """
     for name, other in _COMMANDS.items():
-        if other != command and (folder / name).exists():
+        if other != command and _has_content(folder / name):
             raise InputError(
                 f"{folder}: is the folder of ringwear {other} ({name}); must be another, or new"
             )
+
+
+def _has_content(path: Path) -> bool:
+    """Tell whether a file is there, or a folder with files that are not empty.
+
+    A sweep that fails before its first case leaves empty ones.
+    """
+    if path.is_dir():
+        return any(file.stat().st_size for file in path.iterdir())
+    return path.exists()
 
 
 def check_folder(folder: Path, files: Sequence[str], command: str) -> None:

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,9 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import ComputationError, InputError, reason_of
-from ringwear_par.files.folders import check_folder
+from ringwear_par.errors import ComputationError, InputError, RingwearError, reason_of
+from ringwear_par.files.folders import FIT, check_folder
+from ringwear_par.files.writing import announce_replacement
 from ringwear_par.identification import fit_folder
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem
@@ -110,9 +112,15 @@ def run_fit(
     *,
     dry_run: bool = False,
     restart: bool = False,
+    overwrite: bool = False,
     compare: bool = False,
 ) -> None:
-    """Fit and write the outcome to a folder, or in a dry run print what to expect. Collective."""
+    """Fit and write the outcome to a folder, or in a dry run print what to expect. Collective.
+
+    A fit that fails leaves nothing; one that is stopped leaves what ``restart`` goes on with.
+    """
+    if restart and overwrite:
+        raise InputError("--restart, --overwrite: must be one of them, to go on or to start anew")
     if dry_run:
         problem = on_first_rank(comm, lambda: read_fit(source, plans=True))
         expected = expected_result(problem, comm)
@@ -127,17 +135,33 @@ def run_fit(
         if comm.rank == 0:
             log.info("%s: the fit is complete; nothing is left to be done", folder)
         return
+    stored = StoredStarts(folder, "")
+
+    def clear() -> None:
+        if overwrite:
+            stored.remove()
+        elif not restart:
+            fit_folder.refuse_interrupted(folder)
+        announce_replacement(folder / FIT)
+
+    on_first_rank(comm, clear)
     if comm.rank == 0:
         warn_of_threads(comm.size)
-    if not restart:
-        on_first_rank(comm, lambda: fit_folder.refuse_interrupted(folder))
-    result = fit_problem(problem, comm, compare=compare, folder=folder)
-    with together(comm):
-        reject_unused_options()
+    try:
+        result = fit_problem(problem, comm, compare=compare, folder=folder)
+        with together(comm):
+            reject_unused_options()
+    except StoppedError:
+        raise
+    except RingwearError:  # the same command would fail again, and another one must be free to run
+        if comm.rank == 0:
+            with suppress(OSError):
+                stored.remove()
+        raise
 
     def store() -> None:
         result.save(folder)
-        StoredStarts(folder, "").remove()
+        stored.remove()
 
     on_first_rank(comm, store)
     if comm.rank == 0:

@@ -46,8 +46,8 @@ def refuse_interrupted(folder: Path) -> None:
     left = folder / PROGRESS
     if left.is_dir() and any(left.iterdir()):
         raise InputError(
-            f"{folder}: holds a fit that was interrupted; --restart goes on with it, without "
-            f"{left} another one may begin"
+            f"{folder}: holds a fit that was interrupted; --restart goes on with it, --overwrite "
+            "starts anew"
         )
 
 

@@ -29,8 +29,8 @@ _SOFTEST, _RUBBERY = 10.0, 0.4
 #: MPa, and mean pressure in moduli: what is softer and pressed more is a rubber too. Metals in GPa
 #: are; friction papers bear less, and PTFE is stiffer
 _SOFT, _PRESSED = 300.0, 0.03
-#: MPa; no modulus in GPa is a larger number
-_GIGAPASCALS = 1000.0
+#: MPa; moduli of metals and ceramics in GPa are such numbers, from aluminium to diamond
+_GIGAPASCALS = (65.0, 1100.0)
 
 
 @dataclass(frozen=True)
@@ -169,18 +169,24 @@ def _in_gigapascals(case: Case) -> Iterator[tuple[str, str]]:
     for name, material in case.materials.items():
         young, poisson = material.young, material.poisson
         soft = young < _SOFTEST or (young < _SOFT and _load(case) > _PRESSED * young)
-        if poisson < _RUBBERY and soft and _load(case) <= MOST_PRESSED * young:
+        as_metal = _GIGAPASCALS[0] <= young < _GIGAPASCALS[1]
+        if poisson < _RUBBERY and (soft or as_metal) and _load(case) <= MOST_PRESSED * young:
             key = f"{name}.young"
+            solids = (
+                "rubber, which has a Poisson's ratio near 0.5, not"
+                if soft
+                else "rubbers, papers and soft plastics, here with a Poisson's ratio of"
+            )
             text = (
-                f"{key} = {young:g} MPa is softer than any solid but rubber, which has a "
-                f"Poisson's ratio near 0.5, not {poisson:g}{_or_gigapascals(young)}"
+                f"{key} = {young:g} MPa is softer than any solid but {solids} {poisson:g}"
+                f"{_or_gigapascals(young)}"
             )
             yield key, text
 
 
 def _or_gigapascals(young: float) -> str:
     """Return the question about a modulus that may be in GPa."""
-    return f'; if it is in GPa, write "{young:g} GPa"' * (young < _GIGAPASCALS)
+    return f'; if it is in GPa, write "{young:g} GPa"' * (young < _GIGAPASCALS[1])
 
 
 def _too_dense(key: str, density: float | None) -> list[str]:

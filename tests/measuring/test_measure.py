@@ -38,6 +38,14 @@ def laboratory(tmp_path_factory):
     return folder, rates, rw.measure(folder / "measure.toml")
 
 
+def test_what_is_shown_of_a_test_is_short(laboratory):
+    _, _, result = laboratory
+    shown = repr(result.tests[0])
+    assert shown.startswith("<TestNumbers W1, of the steady part: specific wear rate <Estimate 1.")
+    assert len(shown) < 300
+    assert len(repr(result.problem)) < 300
+
+
 def at_end(rate, hours):
     return rate * (1.0 + (START - 1.0) * np.exp(-hours / RUNNING_IN))
 

@@ -15,6 +15,7 @@ from ringwear_par.cases.units import (
     assumption,
     factor,
     has_unit,
+    number_and_unit,
     told_unit,
     unit_of_anything,
     unit_of_column,
@@ -121,8 +122,17 @@ def read_readings(
 
 
 def _single(reader: TableReader, kind: str, at: float) -> Readings | None:
-    single = reader.read("value")
-    unit, scale = _unit(reader, kind)
+    written = reader.raw("value")
+    if has_unit(written) and "unit" not in reader:
+        unit, base = number_and_unit(written)[1], BASE[kind]
+        try:
+            scale: float | None = factor(unit, base)
+        except RejectedError:
+            reader.wrong("value", f"must be in the unit of {_UNITS[base]}")
+            return None
+    else:
+        unit, scale = _unit(reader, kind)
+    single = None if scale is None else reader.read("value", unit=unit)
     if single is None or scale is None:
         return None
     return Readings(np.array([at]), np.array([scale * single]), unit, scale)

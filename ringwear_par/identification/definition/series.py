@@ -168,8 +168,11 @@ def density_of(reader: TableReader, quantity: str, case: Case | None) -> float |
     if reader.raw("density") is None and len(densities) > 1:
         _check_densities(reader, body, densities)
         return case_density
-    default = ... if case_density is None else case_density
-    density: float | None = reader.read("density", default)
+    if "density" not in reader and case_density is None:
+        if case is not None:  # else that of the case may be there
+            reader.wrong("density", f"must be given here, or as {body}.density of the case (g/mm3)")
+        return None
+    density: float | None = reader.read("density", case_density)
     if density is not None and (rule := _density_rule(density)):
         reader.wrong("density", rule)
     return density

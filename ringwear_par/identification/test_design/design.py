@@ -16,6 +16,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.folders import DESIGN, MAP, NEXT, check_folder
+from ringwear_par.files.writing import announce_replacement
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Criterion, Problem
 from ringwear_par.identification.test_design.candidates import (
@@ -33,7 +34,8 @@ from ringwear_par.identification.test_design.information import (
     with_noise,
 )
 from ringwear_par.identification.test_design.search import Design, Search
-from ringwear_par.parallel import on_first_rank
+from ringwear_par.options import reject_unused_options
+from ringwear_par.parallel import on_first_rank, together
 from ringwear_par.results import outcomes
 from ringwear_par.version import versions
 
@@ -229,8 +231,15 @@ def run_design(
     criterion: Criterion | None = None,
 ) -> None:
     """Find the next tests and write them to a folder. Collective on comm."""
-    on_first_rank(comm, lambda: check_folder(folder, (DESIGN, NEXT, MAP), "fit"))
+
+    def check() -> None:
+        check_folder(folder, (DESIGN, NEXT, MAP), "fit")
+        announce_replacement(folder / DESIGN)
+
+    on_first_rank(comm, check)
     result = design(source, comm, after=after, criterion=criterion)
+    with together(comm):
+        reject_unused_options()
     on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:
         print(result.summary())

@@ -13,6 +13,7 @@ from ringwear_par.identification.test_design.candidates import Candidate
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.design_numbers import name_of_tests, sd_scales
 from ringwear_par.pictures.style import COLOURS, NotebookFigure
+from ringwear_par.results.instants import time_unit
 
 _MAP = "viridis_r"
 
@@ -92,17 +93,24 @@ def _map_of_tests(
     """Draw the sd of one test over its load and duration, a profile being at its best instant."""
     name, loads = _axis_of(design, plain)
     seconds = sorted({design.candidates[i].seconds for i in plain})
+    unit, scale = time_unit(seconds[-1])
     table = np.full((len(seconds), len(loads)), np.nan)
     for i in plain[np.argsort(design.single_scores[plain], kind="stable")]:  # the best one the last
         test = design.candidates[i]
         table[seconds.index(test.seconds), loads.index(test.loads[0])] = values[i]
-    _draw(axes, loads, seconds, np.where(np.isfinite(table), table, np.nan), label)
+    _draw(
+        axes,
+        loads,
+        [one / scale for one in seconds],
+        np.where(np.isfinite(table), table, np.nan),
+        label,
+    )
     axes.set_xlabel(f"{name} of one test")
-    axes.set_ylabel("duration (s)")
+    axes.set_ylabel(f"duration ({unit})")
     best = [design.candidates[i] for i in design.designs[0].tests]
     if all(map(_is_plain, best)):
         _mark(
-            axes, [test.loads[0] for test in best], [test.seconds for test in best],
+            axes, [test.loads[0] for test in best], [test.seconds / scale for test in best],
             name_of_tests(design, design.designs[0]),
         )  # fmt: skip
 

@@ -10,6 +10,7 @@ from ringwear_par.identification.definition.fitted_parameters import unit_of_key
 from ringwear_par.identification.test_design.candidates import Candidate
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.search import Design
+from ringwear_par.results.instants import time_words
 
 _CRITERIA = {
     "D": "smallest volume of the confidence ellipsoid (D)",
@@ -112,7 +113,7 @@ def summary(design: DesignResult) -> str:
     for name, one in zip(names, design.designs, strict=False):
         lines.append(f"  {name.ljust(width)}  {spreads(design, one)}")
     seconds = sum(experiment.case.time.end for experiment in problem.experiments)
-    planned = f"the fit file's{' again' if design.after else ''}, {seconds:g} s"
+    planned = f"the fit file's{' again' if design.after else ''}, {time_words(seconds, seconds)}"
     lines.append(f"  {planned.ljust(width)}  {spreads(design, design.planned)}")
     if design.failed:
         test, why = next(iter(design.failed.items()))
@@ -136,10 +137,10 @@ def name_of(test: Candidate) -> str:
         words.append(f"{' then '.join(f'{load:.4g}' for load in test.loads)} {unit}")
     if "load.omega" in test.keys:
         words.append(f"{test.keys['load.omega']:.4g} rad/s")
-    words.append(f"{test.seconds:.4g} s")
+    words.append(time_words(test.seconds, test.seconds))
     if test.instants_vary:
-        at = ", ".join(f"{at:.4g}" for at in test.profiles)
-        words.append(f"profile{'s' if test.profiles[1:] else ''} at {at} s")
+        at = ", ".join(time_words(at, test.seconds) for at in test.profiles)
+        words.append(f"profile{'s' if test.profiles[1:] else ''} at {at}")
     return ", ".join(words)
 
 

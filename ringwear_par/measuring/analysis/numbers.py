@@ -75,6 +75,14 @@ class TestNumbers:
     doubts: tuple[Doubt, ...]
     notes: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        numbers = {
+            "specific wear rate": self.specific_wear_rate, "wear rate": self.wear_rate,
+            "friction": self.friction,
+        }  # fmt: skip
+        known = (f"{name} {number!r}" for name, number in numbers.items() if number is not None)
+        return f"<TestNumbers {self.name}, of the {self.part.of}: {', '.join(known)}>"
+
     @property
     def name(self) -> str:
         """The name of the test."""

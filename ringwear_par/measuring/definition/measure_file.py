@@ -12,7 +12,7 @@ from ringwear_par.cases.files.keys import base_keys, flatten, in_full, kinds, ov
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.text import shortened, toml_value
-from ringwear_par.cases.units import in_unit, in_unit_where_right
+from ringwear_par.cases.units import has_unit, in_unit, in_unit_where_right
 from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import parse_toml, read_text, refuse_depth
@@ -103,6 +103,8 @@ def _read_masses(
         return None, (None, "B")
     masses = TableReader(f"{reader.place}.masses", table, reader.faults, schema.MASSES)
     file, sd = masses.read("file"), masses.read("sd")
+    if sd is not None and not has_unit(masses.raw("sd")):
+        masses.wrong("sd", 'must have its unit, such as "0.1 mg"')
     masses.finish()
     if file is None:
         if isinstance(table, Mapping) and "file" not in table:
@@ -285,7 +287,13 @@ class _Tests:
                 sense=sense,
             )  # fmt: skip
         except InputError as error:
-            for fault in error.faults:
+            faults = error.faults
+            if _has_weighings(self._files.folder / file):
+                faults = (
+                    f"{legible(file)}: is a table of weighings, not a record; it must be given as "
+                    "--masses or measure.masses.file",
+                )
+            for fault in faults:
                 reader.fault(fault)
             return None
         self._files.hashes[file] = record.sha256
@@ -348,6 +356,15 @@ class _Tests:
             )
 
 
+def _has_weighings(path: Path) -> bool:
+    """Tell whether a file is a table of weighings."""
+    try:
+        read_weighings(path)
+    except InputError:
+        return False
+    return True
+
+
 def _notes(tests: Sequence[Test], weighings: Weighings | None, mass_sd: float | None) -> list[str]:
     """Return sentences about what the files do not tell of each other."""
     notes = [
@@ -358,6 +375,7 @@ def _notes(tests: Sequence[Test], weighings: Weighings | None, mass_sd: float | 
     ]
     if weighings is None:
         return notes
+    notes += weighings.notes
     notes += [f"{test.name} was not weighed" for test in tests if test.weighing is None]
     names = {test.name for test in tests}
     untested = [name for name in weighings.specimens if name not in names]

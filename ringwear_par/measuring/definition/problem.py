@@ -88,6 +88,9 @@ class Test:
     duration: float
     weighing: Weighing | None
 
+    def __repr__(self) -> str:
+        return f"<Test {self.name}: {self.record!r}>"
+
     @property
     def body(self) -> Body:
         """The body that wears."""
@@ -150,3 +153,6 @@ class Problem:
     limits: Limits = field(default_factory=Limits)
     hashes: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<Problem {self.name}: {', '.join(test.name for test in self.tests)}>"

@@ -14,7 +14,12 @@ from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import factor, told_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.measurements import Measurements, and_more, read_measurements
+from ringwear_par.files.measurements import (
+    Measurements,
+    and_more,
+    read_measurements,
+    unused_columns,
+)
 
 #: units of channels; of a temperature the letter behind the degree
 CHANNELS = {"time": "s", "wear": "mm", "torque": "N mm", "load": "N", "temperature": "degC"}
@@ -82,6 +87,13 @@ class Record:
     excluded: int
     exclude: tuple[tuple[float, float], ...] = ()
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        read = [name for name in CHANNELS if name != "time" and getattr(self, name) is not None]
+        return (
+            f"<Record {self.file}: {len(self.time)} readings of {', '.join(read)} over "
+            f"{self.duration:g} s>"
+        )
 
     @property
     def end(self) -> float:
@@ -163,7 +175,7 @@ def read_record(
     return Record(
         str(path), table.sha256, time, duration, wear, values.get("torque"), values.get("load"),
         values.get("temperature"), falling and wear is not None, names, empty, repeated,
-        int((~inside).sum()), _union(exclude), _notes(table, names["time"]),
+        int((~inside).sum()), _union(exclude), _notes(table, names),
     )  # fmt: skip
 
 
@@ -178,15 +190,22 @@ def _union(intervals: list[tuple[float, float]]) -> tuple[tuple[float, float], .
     return tuple(union)
 
 
-def _notes(table: Measurements, time: str) -> tuple[str, ...]:
-    """Return sentences about how a table is read."""
-    date = table.ambiguous_date(time)
-    if not date:
-        return ()
-    return (
-        f"{legible(time)}: dates such as {date} are read day first, no day above 12 tells the "
-        "order",
-    )
+def _notes(table: Measurements, names: Mapping[str, str]) -> tuple[str, ...]:
+    """Return sentences about how a table is read, whose channels have columns of these names."""
+    notes, time = [], names["time"]
+    if date := table.ambiguous_date(time):
+        notes.append(
+            f"{legible(time)}: dates such as {date} are read day first, no day above 12 tells the "
+            "order"
+        )
+    unused = [
+        column
+        for column in table.columns
+        if column and column not in names.values() and not table.dates(column)
+    ]
+    if unused:
+        notes.append(unused_columns(unused))
+    return tuple(notes)
 
 
 def _with_dates(table: Measurements, columns: Mapping[str, str]) -> Measurements:

@@ -13,7 +13,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import factor, told_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.measurements import Measurements, measurements_in
+from ringwear_par.files.measurements import Measurements, measurements_in, unused_columns
 from ringwear_par.files.ordinary import read_bytes
 from ringwear_par.files.table_text import EMPTY
 
@@ -52,12 +52,14 @@ class Weighings:
     scatter : g, sd of readings of one mass about their mean; None where none was read twice.
     resolution : g, by the digits of readings.
     sha256 : of the file.
+    notes : sentences about how the file was read.
     """
 
     specimens: Mapping[str, Weighing]
     scatter: float | None
     resolution: float
     sha256: str
+    notes: tuple[str, ...] = ()
 
     @property
     def coarse(self) -> bool:
@@ -131,7 +133,9 @@ def read_weighings(path: Path) -> Weighings:
     if faults:
         raise InputError(*faults)
     scatter = math.sqrt(squares / freedom) if freedom else None
-    return Weighings(specimens, scatter, _resolution(table, columns), table.sha256)
+    unused = [name for i, name in enumerate(table.columns) if i and name and i not in columns]
+    notes = (f"weighings: {unused_columns(unused)}",) if unused else ()
+    return Weighings(specimens, scatter, _resolution(table, columns), table.sha256, notes)
 
 
 def _readings(
