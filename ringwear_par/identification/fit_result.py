@@ -92,8 +92,9 @@ class FitResult:
 
     @property
     def chi2(self) -> float:
-        """Sum of the squares of the readings' residuals over their noise."""
-        return float(self.evaluation.noise @ self.evaluation.noise)
+        """Sum of the squares of the readings' residuals over their noise, but for mere limits."""
+        noise = self.evaluation.noise[self.misfit.censored == 0]
+        return float(noise @ noise)
 
     @property
     def noise_fitted(self) -> bool:
@@ -113,7 +114,8 @@ class FitResult:
 
         Values of specimens count by how much their readings, not the others', determine them.
         """
-        freedom = self.n + len(self.misfit.priors) - self.n_fitted
+        values = self.n - np.count_nonzero(self.misfit.censored)
+        freedom = values + len(self.misfit.priors) - self.n_fitted
         if self.material is None:
             return freedom
         m = len(self.parameters)
@@ -149,6 +151,7 @@ class FitResult:
         rows = np.ones(len(self.evaluation.residuals), dtype=bool)
         for _, series, part in misfit.records:
             rows[part] = not series.sd_fitted
+        rows[: self.n] &= misfit.censored == 0
         if misfit.problem.settings.process and self.material is not None:
             readings = rows[: self.n]
             free = (1.0 - self.material.leverage)[readings].sum() + len(misfit.priors)
@@ -361,8 +364,10 @@ class FitResult:
         experiments: dict[str, dict[str, Any]] = {}
         scales = self.misfit.noise_scale.tolist()
         for (experiment, series, part), scale in zip(self.misfit.records, scales, strict=True):
-            noise = self.evaluation.noise[part]
+            noise = self.evaluation.noise[part][self.misfit.censored[part] == 0]
             entry = {"chi2": float(noise @ noise), "n": series.n, "unit": series.unit}
+            if len(noise) < series.n:
+                entry["censored"] = series.n - len(noise)
             if series.sd_fitted:
                 entry["sd"] = scale * float(series.sd[0]) / series.factor
             experiments.setdefault(experiment.name, {})[series.name] = entry

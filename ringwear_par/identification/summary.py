@@ -135,6 +135,8 @@ def warnings(fit: "FitResult") -> tuple[str, ...]:
         if one.verdict == "not identified":
             bound = "; the estimate is at its bound" if one.key in fit.keys_at_bound else ""
             sentences.append(f"{one.key} is not identified: {one.direction}{bound}")
+        elif one.verdict == "at bound" and one.key not in fit.keys_at_bound:
+            sentences.append(f"the readings give {one.key} only a limit on one side")
         elif one.verdict == "at bound":
             sentences.append(
                 f"{one.key} = {one.estimate:g} is at its bound; its interval has one limit only"

@@ -25,6 +25,7 @@ from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.files.text import parse_toml, read_text, refuse_depth
 from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.identification.definition import schema
+from ringwear_par.identification.definition.censoring import check_censored
 from ringwear_par.identification.definition.data_sources import FileStore
 from ringwear_par.identification.definition.fitted_parameters import (
     read_parameters,
@@ -91,6 +92,7 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
         raise InputError(*faults)
     _check_counts(name, parameters, experiments, faults)
     check_scatter(name, parameters, experiments, settings, faults)
+    check_censored(name, settings, experiments, faults)
     check_process(name, settings.process, experiments, settings.intervals, faults)
     alternatives = {}
     for law, (changes, law_parameters) in laws.items():

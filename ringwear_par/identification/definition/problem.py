@@ -16,12 +16,12 @@ from ringwear_par.version import __version__
 
 Quantity = Literal[
     "penetration", "approach", "torque", "profile.lower", "profile.upper", "mass.lower",
-    "mass.upper", "volume.lower", "volume.upper",
+    "mass.upper", "volume.lower", "volume.upper", "through.lower", "through.upper",
 ]  # fmt: skip
 #: what readings are in here; forces of a compliance are in kN
 BASE = {
     "time": "s", "r": "mm", "penetration": "mm", "approach": "mm", "torque": "N mm",
-    "profile": "mm", "mass": "g", "volume": "mm^3", "density": "g/mm^3",
+    "profile": "mm", "mass": "g", "volume": "mm^3", "density": "g/mm^3", "through": "s",
 }  # fmt: skip
 Method = Literal["brgn", "lm"]
 Loss = Literal["gaussian", "student"]
@@ -171,6 +171,8 @@ class Series:
     planned: bool = False
     #: (low, high) of what was left out, s or mm
     excluded: tuple[tuple[float, float], ...] = ()
+    #: (n,) -1 where the true value is at most the reading, 1 where it is at least; None: nowhere
+    censored: IntArray | None = None
 
     @property
     def n(self) -> int:
@@ -184,7 +186,7 @@ class Series:
 
     @property
     def body(self) -> Literal["lower", "upper"]:
-        """The body that a profile, mass or volume is of."""
+        """The body that a profile, mass, volume or layer is of."""
         return "upper" if self.quantity.endswith(".upper") else "lower"
 
     def tells_wear(self, body: str) -> bool:

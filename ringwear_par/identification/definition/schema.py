@@ -41,6 +41,7 @@ NUISANCES = {
     "profile": ("level", "tilt"),
     "mass": ("offset",),
     "volume": ("offset",),
+    "through": (),
 }
 #: g/mm3: foams have more, osmium has less
 DENSITIES = (1e-5, 0.03)
@@ -229,7 +230,8 @@ KEYS: tuple[Key, ...] = (
         "case keys that differ in this test; no fitted ones", None),
     Key("experiment.data.quantity", *one_of(*QUANTITIES), "-",
         "measured quantity. Depths, penetrations, masses and volumes are positive where material "
-        "is lost; profile points outside the contact count as unworn"),
+        "is lost; profile points outside the contact count as unworn; through is the time at which "
+        "the first layer of a body is worn through anywhere (value)"),
     Key("experiment.data.file",
         *text("the name of a table: a text file with commas, semicolons or tabs"), "-",
         "table of readings, relative to this file: a line of column names, perhaps a row of "
@@ -268,6 +270,9 @@ KEYS: tuple[Key, ...] = (
         "correlation time of the noise (AR(1)), at most 100 times the duration of the test; not "
         "for profiles",
         0.0),
+    Key("experiment.data.censored", *text("below, above, or the name of a column of file"), "-",
+        "readings of which only a limit is known: below, the true value is at most the reading; "
+        "above, at least; or a column with these words, empty where the reading is a value", None),
     Key("experiment.data.exclude", *anything("a list of increasing pairs"), "s or mm",
         "pairs of times (of radii for a profile) between which readings are left out", None),
     *(Key(f"experiment.data.nuisance.{kind}",

@@ -22,7 +22,7 @@ from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.interpolated_pairs import InterpolatedPairs, interpolate
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
-from ringwear_par.identification.model.readings import Reader, Trajectory, lost_mass
+from ringwear_par.identification.model.readings import Reader, Trajectory, lost_mass, time_through
 from ringwear_par.results.result import Result
 from ringwear_par.studies.definition.variations import split_key
 from ringwear_par.studies.execution.batches import computed
@@ -322,4 +322,5 @@ def _trajectory(result: Result, case: Case, keys: Sequence[str]) -> Trajectory:
         np.stack([both(f"worn_volume_{b}", histories[f"worn_volume_{b}"]) for b in BODIES]),
         wear,
         np.stack([lost_mass(case, i, of_body, keys) for i, of_body in enumerate(wear)]),
+        np.stack([time_through(case, i, histories["time"], w, keys) for i, w in enumerate(wear)]),
     )

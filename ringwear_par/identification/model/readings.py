@@ -23,6 +23,8 @@ _EARLY = 5e-4
 _GRIDS = 4
 #: relative, for times that are one
 _CLOSE = 1e-9
+#: of the test: a layer that lasts longer is not worn through
+_NEVER = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +47,8 @@ class Trajectory:
     #: (2, s, q) g, lost by lower and upper by the densities of their layers; NaN where these are
     #: not known.
     mass: FloatArray
+    #: (2, q) s, at which the first layers of lower and upper are worn through; NaN without layers
+    through: FloatArray
 
 
 class TimeInterpolation:
@@ -139,6 +143,8 @@ class Reader:
         if series.profile:
             profile: FloatArray = self._radial[series.name] @ in_steps(trajectory.wear[body])[0]
             return profile
+        if series.quantity.startswith("through"):
+            return trajectory.through[[body]]
         if series.quantity in ("penetration", "approach"):
             values = trajectory.approach
             if series.quantity == "penetration":
@@ -189,6 +195,40 @@ def nuisance_columns(series: Series, case: Case) -> FloatArray:
             column = np.ones(series.n)
         columns.append(series.factor * column)
     return np.stack(columns, axis=1) if columns else np.zeros((series.n, 0))
+
+
+def time_through(
+    case: Case, body: int, time: FloatArray, wear: FloatArray, keys: Sequence[str] = ()
+) -> FloatArray:
+    """Return when (s) the first layer of lower (0) or upper (1) is worn through anywhere, (q,).
+
+    From the rate of the last step before it, or of the last one of all; with derivatives; NaN of a
+    body without layers.
+
+    Parameters
+    ----------
+    time : (s,) s.
+    wear : (s, n, q) mm, along the axis, and its derivatives.
+    keys : of the q - 1 derivatives, of which the layer's thickness moves its end.
+    """
+    if not case.rings[body].layers:
+        return np.full(wear.shape[-1], np.nan)
+    end = np.zeros(wear.shape[1:])
+    end[:, 0] = case.layer_ends(body)[0]
+    end[:, 1:] = [float(key == f"{BODIES[body]}.layers[0].thickness") for key in keys]
+    places = np.arange(len(end))
+    steps = np.maximum((wear[..., 0] < end[:, 0]).sum(axis=0) - 1, 1)
+    last, before = wear[steps, places], wear[steps - 1, places]
+    rate = (last - before) / (time[steps] - time[steps - 1])[:, None]
+    wearing = np.flatnonzero(rate[:, 0] > 0.0)
+    if not len(wearing):
+        return np.array([_NEVER * time[-1], *[0.0] * len(keys)])
+    lasts = (end - last)[:, 0] / np.where(rate[:, 0] > 0.0, rate[:, 0], 1.0)
+    first = wearing[np.argmin((time[steps] + lasts)[wearing])]
+    through = (end - last)[first] / rate[first, 0]
+    through[1:] -= lasts[first] * rate[first, 1:] / rate[first, 0]
+    through[0] += time[steps[first]]
+    return through
 
 
 def lost_mass(case: Case, body: int, wear: FloatArray, keys: Sequence[str] = ()) -> FloatArray:

@@ -10,6 +10,9 @@ from ringwear_par.identification.model.noise import log_volume, weights
 from ringwear_par.identification.scatter.clocks import TestClocks
 from ringwear_par.identification.scatter.reduction import LinearisedTest, ReducedTest, reduce_test
 
+#: of a reading without weight, instead of 0
+_NO_WEIGHT = 1e-12
+
 
 class Linearisation:
     """The tests of a misfit, linearised where they were evaluated.
@@ -53,7 +56,8 @@ class Linearisation:
             answers, depths = misfit.clocks(x, test_unknowns)
             self.clocks = [
                 TestClocks(
-                    experiment.series, misfit.sd[rows], self._roots[rows], answers[rows],
+                    experiment.series, misfit.sd[rows],
+                    self._roots[rows] * evaluation.roots[rows] + _NO_WEIGHT, answers[rows],
                     depths[rows],
                 )
                 for experiment, rows in zip(misfit.problem.experiments, self.rows, strict=True)

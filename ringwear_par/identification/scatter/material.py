@@ -81,7 +81,7 @@ class Material:
 
     @property
     def process(self) -> dict[str, dict[str, Any]]:
-        """What fit.json says of each body whose wear is random."""
+        """Entries of fit.json of each body whose wear is random."""
         return self.wear.entries(self.posterior, self.level)
 
     @property

@@ -23,6 +23,8 @@ _POINTS = {1: 120, 2: 60, 3: 20}
 _GRID = (0.007, 17.0)
 #: of -2 log likelihood: a finer grid covers what is as near as this to the best
 _NEAR = 8.0
+#: points of an axis there, fewer of which are too coarse
+_FEW = 10
 #: points whose solutions are made at once, and -2 log likelihood over the best from which on they
 #: are not kept: their weights are round-off
 _CHUNK, _IMPROBABLE = 256, 75.0
@@ -222,8 +224,8 @@ def integrate(
 ) -> ScatterPosterior:
     """Return the posterior of mixed models over the sizes of their levels and of process noise.
 
-    With three sizes to be fitted, a coarse grid finds where the likelihood is, and a second one
-    covers that.
+    With three sizes to be fitted, or one that is known well, a coarse grid finds where the
+    likelihood is, and a second one covers that.
 
     Parameters
     ----------
@@ -239,13 +241,16 @@ def integrate(
     unknown = sum(size.known is None for size in every)
     axes = [axis(size, _POINTS.get(unknown, 1)) for size in every]
     posterior = _posterior(models_at, axes, len(sizes), shares)
-    if unknown < 3:
-        return posterior
     restricted = posterior.solutions.restricted
     values = np.concatenate([posterior.solutions.tau, posterior.shares], axis=1)
     near = values[restricted < restricted.min() + _NEAR]
+    counts = [
+        len(np.unique(v)) for v, size in zip(near.T, every, strict=True) if size.known is None
+    ]
+    if unknown < 3 and min(counts, default=_FEW) >= _FEW:
+        return posterior
     finer = [
-        axis(size, _POINTS[3], _widened(before, near[:, i]))
+        axis(size, _POINTS[unknown], _widened(before, near[:, i]))
         for i, (size, before) in enumerate(zip(every, axes, strict=True))
     ]
     return _posterior(models_at, finer, len(sizes), shares)
@@ -273,7 +278,7 @@ def _posterior(
         null[:, body] = 0.0
         nulls.append(np.unique(null, axis=0) if size.known is None else null[:0])
     models = models_at(np.concatenate([points, *nulls]))
-    kept, weighted, of_model = [], [], []
+    probable, weighted, of_model = [], [], []
     least = np.inf
     for number, model in enumerate(models[: len(points)]):
         for first in range(0, len(tau), _CHUNK):
@@ -281,7 +286,7 @@ def _posterior(
             solutions = model.solve(tau[part])
             least = min(least, float(solutions.restricted.min()))
             near = np.flatnonzero(solutions.restricted < least + _IMPROBABLE)
-            kept.append(take(solutions, near))
+            probable.append(take(solutions, near))
             weighted.append(prior[number] * weights[part][near])
             of_model.append(np.full(len(near), number))
     ends = len(points) + np.cumsum([0, *map(len, nulls)])
@@ -289,7 +294,7 @@ def _posterior(
         min((model.solve(tau).restricted.min() for model in models[low:high]), default=np.nan)
         for low, high in itertools.pairwise(ends)
     ]
-    solutions = concat(kept)
+    solutions = concat(probable)
     posterior = np.exp(-0.5 * (solutions.restricted - least)) * np.concatenate(weighted)
     return ScatterPosterior(
         tuple(models[: len(points)]), solutions, posterior / posterior.sum(),

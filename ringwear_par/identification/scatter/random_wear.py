@@ -19,7 +19,7 @@ from ringwear_par.identification.estimation.record_checks import FitWarning
 from ringwear_par.identification.scatter.posterior import DEGREES, ScatterPosterior, Size
 
 #: of the logarithm of the prior's interval: a narrower one is told by the readings
-_TOLD = 0.5
+_NARROW = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class RandomWear:
         )
 
     def entries(self, posterior: ScatterPosterior, level: float) -> dict[str, dict[str, Any]]:
-        """Return what fit.json says of each body; intervals are of a confidence level."""
+        """Return the entries of each body in fit.json, intervals of a confidence level."""
         return {key: self._entry(body, posterior, level) for body, key in enumerate(self.process)}
 
     def _entry(self, body: int, posterior: ScatterPosterior, level: float) -> dict[str, Any]:
@@ -87,20 +87,20 @@ class RandomWear:
         if share.known is not None:
             size = {"known": share.known**2 * depth}
             return {"size": size, "share": {"known": share.known}, "depth": depth}
-        found = posterior.share(body, level)
-        low, high = found.interval
+        of_share = posterior.share(body, level)
+        low, high = of_share.interval
         verdict = "not identified"
-        if found.at_bound:
+        if of_share.at_bound:
             verdict = "at bound"
-        elif np.log(high / low) < _TOLD * _prior_width(level):
+        elif np.log(high / low) < _NARROW * _prior_width(level):
             verdict = "identified"
         # increments are not normal where single events are larger than they
-        coarse = found.median**2 * depth > self.steps[body]
+        coarse = of_share.median**2 * depth > self.steps[body]
         ends = None if coarse else [low**2 * depth, high**2 * depth]
         return {
-            "size": {"estimate": found.median**2 * depth, "interval": ends},
-            "share": {"estimate": found.median, "interval": None if coarse else [low, high],
-                      "reml": found.restricted},
+            "size": {"estimate": of_share.median**2 * depth, "interval": ends},
+            "share": {"estimate": of_share.median, "interval": None if coarse else [low, high],
+                      "reml": of_share.restricted},
             "depth": depth,
             "verdict": verdict,
         }  # fmt: skip

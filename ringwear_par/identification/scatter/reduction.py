@@ -106,15 +106,15 @@ def reduce_test(test: LinearisedTest, sizes: FloatArray | None = None) -> list[R
         return [_reduce(test, np.zeros(len(test.readings)))]
     reduced: list[ReducedTest | None] = [None] * len(sizes)
     # one decomposition makes the covariances of all sizes of the first body diagonal
-    for others in np.unique(sizes[:, 1:], axis=0):
-        alone = uncorrelated(test, np.append(0.0, others))[0] if others.any() else test
+    for other_sizes in np.unique(sizes[:, 1:], axis=0):
+        alone = uncorrelated(test, np.append(0.0, other_sizes))[0] if other_sizes.any() else test
         variances, vectors = np.linalg.eigh(alone.process[0])
         variances = np.maximum(variances, 0.0)
         turned = replace(
             alone, readings=vectors.T @ alone.readings, jacobian=vectors.T @ alone.jacobian,
             nuisances=vectors.T @ alone.nuisances,
         )  # fmt: skip
-        for i in np.flatnonzero((sizes[:, 1:] == others).all(axis=1)):
+        for i in np.flatnonzero((sizes[:, 1:] == other_sizes).all(axis=1)):
             reduced[i] = _reduce(turned, sizes[i, 0] * variances)
     return [one for one in reduced if one is not None]
 
