@@ -42,7 +42,7 @@ def measure(
 
     Returns
     -------
-    MeasureResult : ``.summary()``, ``.to_dict()``, ``.figure()``, ``.save(folder)``.
+    MeasureResult : ``.summary()``, ``.to_dict()``, ``.plot()``, ``.save(folder)``.
 
     Raises
     ------

@@ -1,11 +1,11 @@
 """Numbers of a case that are more likely in another unit than meant so."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 from ringwear_par.cases.case import Case, Ring, RingLayer
 from ringwear_par.cases.forecast import DEEP, forecasts
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.errors import ValidityWarning
 from ringwear_par.schedules import largest
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.threshold import AboveThreshold
@@ -33,22 +33,6 @@ _SOFT, _PRESSED = 300.0, 0.03
 _GIGAPASCALS = (65.0, 1100.0)
 
 
-@dataclass(frozen=True)
-class ValidityWarning:
-    """A reason why an answer may not be valid, though it was computed.
-
-    Parameters
-    ----------
-    flag : short name, of letters and underscores.
-    text : the whole sentence.
-    key : of the number that may be wrong, and that a study may vary by purpose; "" for none.
-    """
-
-    flag: str
-    text: str
-    key: str = ""
-
-
 def unit_suspicions(case: Case) -> tuple[ValidityWarning, ...]:
     """Return numbers of a case that are more likely in another unit than meant so. Not collective.
 
@@ -73,13 +57,13 @@ def unit_suspicions(case: Case) -> tuple[ValidityWarning, ...]:
         *(ValidityWarning(_FLAG, text) for text in texts),
         *_keyed(_too_thin(case)),
         *_keyed(fast.items()),
-        *(warning for warning in deep_wear(case) if warning.key not in fast),
+        *(warning for warning in deep_wear(case) if fast.keys().isdisjoint(warning.keys)),
         *_keyed(_in_gigapascals(case)),
     )
 
 
 def _keyed(faults: Iterable[tuple[str, str]]) -> list[ValidityWarning]:
-    return [ValidityWarning(_FLAG, text, key) for key, text in faults]
+    return [ValidityWarning(_FLAG, text, (key,)) for key, text in faults]
 
 
 def deep_wear(case: Case) -> list[ValidityWarning]:
@@ -112,7 +96,7 @@ def but_varied(flags: Sequence[str], case: Case, varied: Sequence[str]) -> tuple
     if _FLAG not in flags:
         return tuple(flags)
     by_purpose = all(
-        any(warning.key == key or warning.key.startswith(f"{key}[") for key in varied)
+        any(f"{name}[".startswith(f"{key}[") for name in warning.keys for key in varied)
         for warning in unit_suspicions(case)
     )
     return tuple(flag for flag in flags if not (by_purpose and flag == _FLAG))

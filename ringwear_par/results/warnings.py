@@ -9,6 +9,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.elasticity.stress.measures import mises
+from ringwear_par.errors import ValidityWarning
 from ringwear_par.history.observers.balances import WorstBalances
 from ringwear_par.history.observers.stresses import RISING, CaseStresses, StressObserver
 from ringwear_par.history.observers.worst_states import (
@@ -23,7 +24,6 @@ from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.validity.stable_steps import missed_corner, stable_steps
 from ringwear_par.results.unit_suspicions import (
     MOST_PRESSED,
-    ValidityWarning,
     deep_wear,
     smallest_modulus,
     too_much_load,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ringwear_par.errors import InputError
+from ringwear_par.files.measurements import read_measurements
 from ringwear_par.measuring.definition.records import read_record
 from ringwear_par.measuring.definition.weighings import read_weighings
 
@@ -22,7 +23,7 @@ def read(tmp_path):
         path = tmp_path / "w.csv"
         path.write_text("\n".join([names, *(row(i) for i in range(count))]))
         usual = {"columns": {}, "units": {}, "exclude": [], "sense": None}
-        return read_record(path, **{**usual, **options})
+        return read_record(read_measurements(path), **{**usual, **options})
 
     return read
 

@@ -15,8 +15,8 @@ LAYERED = CASES / "wear_through.toml"
 def told(path, **changes):
     """Return what is doubted of a case with some of its keys changed, by key."""
     doubts = unit_suspicions(rw.read_case(path, changes))
-    assert {doubt.flag for doubt in doubts} <= {"implausible_numbers"}
-    return {doubt.key: doubt.text for doubt in doubts}
+    assert {doubt.code for doubt in doubts} <= {"implausible_numbers"}
+    return {"".join(doubt.keys): doubt.text for doubt in doubts}
 
 
 @pytest.mark.parametrize("path", sorted(CASES.glob("*.toml")), ids=lambda path: path.stem)

@@ -142,7 +142,9 @@ def refuse_order(
     fitted = {parameter.key: parameter for parameter in parameters}
     ordered = {(parameters[i].key, parameters[j].key) for i, j in ordered_keys(parameters)}
     for body, law in zip(BODIES, case.laws, strict=True):
-        for name, rule in parameters_of(type(law)).items() if law is not None else ():
+        if law is None:
+            continue
+        for name, rule in parameters_of(type(law)).items():
             keys = f"wear.{body}.{name}", f"wear.{body}.{rule.at_least}"
             if not rule.at_least or not fitted.keys() & set(keys) or keys in ordered:
                 continue

@@ -5,8 +5,8 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ValidityWarning
 from ringwear_par.identification.estimation.intervals import ParameterEstimate
-from ringwear_par.identification.estimation.record_checks import FitWarning
 
 #: of the sd with another key free, below which an interval depends on the bound of that
 _NARROWED = 0.5
@@ -39,7 +39,7 @@ def growths_of_sd(
 
 def conditional_verdicts(
     estimates: Sequence[ParameterEstimate], covariance: FloatArray, narrowed: Collection[str]
-) -> list[FitWarning]:
+) -> list[ValidityWarning]:
     """Return warnings about keys that are identified only while others are at their bounds.
 
     Parameters
@@ -61,5 +61,5 @@ def conditional_verdicts(
             f"that free its sd is {growth:.2g} times as large"
         )
         keys, values = (one.key, other.key), {"growth_of_sd": growth}
-        warnings.append(FitWarning("conditional-verdict", text, (), keys, values))
+        warnings.append(ValidityWarning("conditional-verdict", text, keys, (), values))
     return warnings

@@ -244,13 +244,14 @@ def integrate(
     restricted = posterior.solutions.restricted
     values = np.concatenate([posterior.solutions.tau, posterior.shares], axis=1)
     near = values[restricted < restricted.min() + _NEAR]
-    counts = [
-        len(np.unique(v)) for v, size in zip(near.T, every, strict=True) if size.known is None
+    coarse = [
+        size.known is None and (unknown > 2 or len(np.unique(v)) < _FEW)
+        for v, size in zip(near.T, every, strict=True)
     ]
-    if unknown < 3 and min(counts, default=_FEW) >= _FEW:
+    if not any(coarse):
         return posterior
     finer = [
-        axis(size, _POINTS[unknown], _widened(before, near[:, i]))
+        axis(size, _POINTS[unknown], _widened(before, near[:, i])) if coarse[i] else before
         for i, (size, before) in enumerate(zip(every, axes, strict=True))
     ]
     return _posterior(models_at, finer, len(sizes), shares)

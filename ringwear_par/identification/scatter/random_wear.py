@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import t as student_t
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ValidityWarning
 from ringwear_par.identification.definition.problem import (
     Problem,
     ProcessNoise,
@@ -15,7 +16,6 @@ from ringwear_par.identification.definition.problem import (
     body_of_wear,
 )
 from ringwear_par.identification.estimation.misfit import Misfit
-from ringwear_par.identification.estimation.record_checks import FitWarning
 from ringwear_par.identification.scatter.posterior import DEGREES, ScatterPosterior, Size
 
 #: of the logarithm of the prior's interval: a narrower one is told by the readings
@@ -105,7 +105,7 @@ class RandomWear:
             "verdict": verdict,
         }  # fmt: skip
 
-    def warnings(self, entries: Mapping[str, Mapping[str, Any]]) -> list[FitWarning]:
+    def warnings(self, entries: Mapping[str, Mapping[str, Any]]) -> list[ValidityWarning]:
         """Return warnings about sizes that readings do not tell."""
         warnings = []
         for body, (key, entry) in enumerate(entries.items()):
@@ -119,13 +119,13 @@ class RandomWear:
                     "known, those of the keys are"
                 )
                 values = {"size": 1e-3 * size, "step": 1e-3 * step}
-                warnings.append(FitWarning("coarse-wear", text, (), (key,), values))
+                warnings.append(ValidityWarning("coarse-wear", text, (key,), (), values))
             if entry["verdict"] == "not identified":
                 text = (
                     f"the readings hardly tell the noise of the wear of {body_of_wear(key)}: the "
                     "intervals of the keys hold what was assumed of it (fit.process, prior)"
                 )
-                warnings.append(FitWarning("process-from-prior", text, (), (key,)))
+                warnings.append(ValidityWarning("process-from-prior", text, (key,)))
         return warnings
 
 

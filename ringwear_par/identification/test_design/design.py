@@ -8,7 +8,7 @@ may be: draws from an earlier fit or from priors.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
 from mpi4py import MPI
@@ -36,17 +36,15 @@ from ringwear_par.identification.test_design.information import (
 from ringwear_par.identification.test_design.search import Design, Search
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together
-from ringwear_par.results import outcomes
+from ringwear_par.results.outcomes import Outcome
 from ringwear_par.version import versions
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 Source = Path | str | Mapping[str, Any]
+_ROOM = "ringwear_par.identification.test_design"
 
 
 @dataclass(frozen=True, eq=False)
-class DesignResult:
+class DesignResult(Outcome):
     """The result of ``design``, with a fixed set of names in ``to_dict``.
 
     Parameters
@@ -67,6 +65,11 @@ class DesignResult:
     histories : computed.
     versions : of the software.
     """
+
+    functions: ClassVar = {
+        "summary": f"{_ROOM}.design_numbers", "to_dict": f"{_ROOM}.design_numbers",
+        "save": f"{_ROOM}.design_folder", "plot": f"{_ROOM}.design_numbers",
+    }  # fmt: skip
 
     problem: Problem
     candidates: tuple[Candidate, ...]
@@ -92,30 +95,6 @@ class DesignResult:
     def criterion(self) -> Criterion:
         """The criterion by which designs were compared."""
         return self.problem.design.criterion
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the contents of design.json."""
-        return outcomes.to_dict(self)
-
-    def summary(self) -> str:
-        """Return the outcome in a few lines."""
-        return outcomes.summary(self)
-
-    def plot(self) -> "Figure":
-        """Return the map of predicted standard deviations."""
-        return outcomes.figure(self)
-
-    def save(self, folder: str | Path) -> None:
-        """Write design.json, next.toml and design.png to a folder, which is made.
-
-        Not collective: the process that calls this writes, each file whole.
-
-        Raises
-        ------
-        InputError : a folder that cannot be written.
-        ComputationError : the disk.
-        """
-        outcomes.save(self, folder)
 
 
 def design(

@@ -8,7 +8,7 @@ from typing import Literal
 from ringwear_par.cases.case import Case
 from ringwear_par.measuring.definition.records import Record
 from ringwear_par.measuring.definition.weighings import Weighing
-from ringwear_par.schedules import Quantity, mean, mean_of_product
+from ringwear_par.schedules import Quantity, mean, mean_of_product, smallest
 
 Body = Literal["lower", "upper"]
 
@@ -107,6 +107,11 @@ class Test:
         if self.case.load.force is None:
             raise ValueError("a displacement is no load")
         return self.case.load.force
+
+    @property
+    def slides(self) -> bool:
+        """Whether it is always loaded, and turned."""
+        return smallest(self.force) > 0.0 and mean(self.case.load.omega, 0.0, self.duration) > 0.0
 
     def conditions(self, start: float, end: float) -> Conditions:
         """Return the conditions of a part of the test, between two times (s)."""

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.units import factor, told_unit
-from ringwear_par.cases.values import RejectedError
+from ringwear_par.cases.files.columns import unit_by_name
+from ringwear_par.cases.units import factor
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, measurements_in, unused_columns
 from ringwear_par.files.ordinary import read_bytes
@@ -180,12 +180,9 @@ def _columns(table: Measurements, faults: list[str]) -> dict[int, tuple[str, flo
         if len(kinds) != 1:
             continue
         try:
-            unit = told_unit(one.label(name), "g")
-        except RejectedError as reason:
-            faults.append(
-                f"{table.name}: the column {legible(name)} {reason}; must be in the unit of a "
-                "mass, such as mg or g"
-            )
+            unit = unit_by_name(one, name, "g")
+        except InputError as error:
+            faults += error.faults
             continue
         if unit is None:
             faults.append(f"{table.name}: {legible(name)}: no unit; name it {legible(name)} / g")
