@@ -358,7 +358,7 @@ def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
 def process_lines(outcome: Outcome) -> list[str]:
     """Return a sentence about each body whose wear is itself random, and what follows of it."""
     lines = []
-    for key, entry in outcome["process"].items():
+    for key, entry in outcome.get("process", {}).items():
         depth = f"of the {1e3 * entry['depth']:.3g} um that are worn at the end"
         size, share = entry["size"], entry["share"]
         if "known" in share:

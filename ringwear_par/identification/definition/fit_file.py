@@ -117,6 +117,8 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
         _check_counts(f"{name}: compare.{law}", law_parameters, experiments, faults)
         linear = replace(settings, intervals=("linear",))
         check_scatter(f"{name}: compare.{law}", law_parameters, experiments, linear, faults)
+        changed = alternatives[law].experiments
+        check_process(alternatives[law].name, settings.process, changed, ("linear",), faults)
     if faults:
         raise InputError(*faults)
     return Problem(

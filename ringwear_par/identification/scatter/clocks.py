@@ -17,7 +17,7 @@ from ringwear_par.identification.model.noise import whitened
 from ringwear_par.identification.scatter.reduction import LinearisedTest, uncorrelated
 
 #: readings of a series from which on it is averaged, in as many blocks of equal time
-_MOST_READINGS = 500
+MOST_READINGS = 500
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,13 +32,13 @@ class Blocks:
     @classmethod
     def of(cls, series: Series, sd: FloatArray) -> "Blocks":
         """Return the blocks of a series with noise (n,): one of each reading, or 500 in all."""
-        if series.n <= _MOST_READINGS:
+        if series.n <= MOST_READINGS:
             return cls(np.arange(series.n), np.ones(series.n))
         reach = float(np.ptp(series.x)) or 1.0
-        number = np.floor((series.x - series.x.min()) / reach * _MOST_READINGS)
-        number = np.minimum(number, _MOST_READINGS - 1)
+        number = np.floor((series.x - series.x.min()) / reach * MOST_READINGS)
+        number = np.minimum(number, MOST_READINGS - 1)
         for low, _ in series.excluded:  # no block on both sides of one
-            number += _MOST_READINGS * (series.x > low)
+            number += MOST_READINGS * (series.x > low)
         first = np.flatnonzero(np.diff(number, prepend=-1.0))
         size = np.sqrt(np.add.reduceat(sd**-2, first))
         counts = np.diff(np.append(first, series.n))

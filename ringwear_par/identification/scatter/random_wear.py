@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import t as student_t
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import ValidityWarning
+from ringwear_par.errors import ComputationError, ValidityWarning
 from ringwear_par.identification.definition.problem import (
     Problem,
     ProcessNoise,
@@ -16,6 +16,7 @@ from ringwear_par.identification.definition.problem import (
     body_of_wear,
 )
 from ringwear_par.identification.estimation.misfit import Misfit
+from ringwear_par.identification.scatter.clocks import MOST_READINGS
 from ringwear_par.identification.scatter.posterior import DEGREES, ScatterPosterior, Size
 
 #: of the logarithm of the prior's interval: a narrower one is told by the readings
@@ -30,7 +31,7 @@ class RandomWear:
     ----------
     process : by key ("wear.lower").
     depths : (bodies,) mm, largest mean worn depth of each in any test.
-    steps : (bodies,) mm, what is worn between two readings, the median of all.
+    steps : (bodies,) mm, worn between two readings or blocks of them, the median of all.
     shares : of the process noise: sqrt(size / depth).
     """
 
@@ -40,19 +41,33 @@ class RandomWear:
     shares: tuple[Size, ...]
 
     @classmethod
-    def of(cls, misfit: Misfit, x: FloatArray, *, plan: bool) -> "RandomWear":
-        """Return the bodies at unknowns (u,); in a plan, shares are known: half their scale."""
+    def of(
+        cls, misfit: Misfit, x: FloatArray, test_unknowns: FloatArray, *, plan: bool
+    ) -> "RandomWear":
+        """Return the bodies at unknowns (u,) and those of the keys in each test, (tests, m).
+
+        In a plan, shares are known: half the scale of their priors.
+
+        Raises
+        ------
+        ComputationError : a body does not wear there.
+        """
         process = misfit.problem.settings.process
         if not process:
             return cls(process, np.zeros(0), np.zeros(0), ())
-        depths = misfit.clocks(x)[1]
+        depths = misfit.clocks(x, test_unknowns)[1]
         steps = [
-            np.diff(depths[rows], axis=0)
+            np.diff(depths[rows], axis=0) * max(1.0, series.n / MOST_READINGS)
             for _, series, rows in misfit.records
             if series.n > 1 and not series.profile
         ]
         steps.append(depths[:0])
         largest = depths.max(axis=0)
+        for key, depth in zip(process, largest.tolist(), strict=True):
+            if not depth > 0.0:
+                raise ComputationError(
+                    f"{misfit.problem.name}: fit.process.{key}: nothing is worn off at the optimum"
+                )
         shares = [
             _share(noise, depth, plan=plan)
             for noise, depth in zip(process.values(), largest.tolist(), strict=True)

@@ -33,6 +33,8 @@ from ringwear_par.identification.scatter.reduction import ReducedTest, uncorrela
 
 #: sd by which no test's unknowns move any more, and most rounds until then
 _STILL, _MOST_ROUNDS = 1e-3, 60
+#: rounds after which the depth stays that shares are of
+_SETTLING = 3
 #: in a round, most of a logarithm, and of the width of the bounds; least share of a move
 _LOG_MOVE, _MOVE, _LEAST_SHARE = 1.0, 0.25, 0.05
 #: how often tests go half as far, where there is no history
@@ -64,9 +66,11 @@ def estimate_material(
     test_unknowns = before = np.tile(x[:m], (len(problem.experiments), 1))
     fitted_noise = np.array([record.series.sd_fitted for record in misfit.records])
     share, farthest = 1.0, np.inf
-    wear, weighed = RandomWear.of(misfit, x, plan=sizes is not None), None
-    for _ in range(_MOST_ROUNDS):
+    wear, weighed = RandomWear.of(misfit, x, test_unknowns, plan=sizes is not None), None
+    for number in range(_MOST_ROUNDS):
         x, evaluation, test_unknowns = _evaluated(misfit, x, before, test_unknowns)
+        if number < _SETTLING:  # without the noise of wear, x may have been far off
+            wear = RandomWear.of(misfit, x, test_unknowns, plan=sizes is not None)
         prior = _prior_of_keys(problem.parameters, x)
         if sizes is not None:
             x[m:] = _expected_nuisances(misfit)
