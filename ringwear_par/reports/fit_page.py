@@ -20,6 +20,7 @@ from ringwear_par.identification.summary import (
     goodness,
     law_rows,
     of_specimens,
+    process_lines,
     scatter_lines,
     series_rows,
 )
@@ -122,6 +123,8 @@ def _summary(outcome: Mapping[str, Any]) -> list[Block]:
     ]
     blocks: list[Block] = [Lines([*map(with_signs, warnings)], warning=True)] if warnings else []
     blocks += [Lines(lines), _estimates("Estimates", parameters, level), *_scatter(outcome)]
+    if random_wear := process_lines(outcome):
+        blocks.append(Lines([*map(with_signs, random_wear)]))
     unidentified = [
         f"{key}: {one['direction']}" for key, one in parameters.items() if one.get("direction")
     ]

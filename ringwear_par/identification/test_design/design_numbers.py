@@ -177,6 +177,10 @@ def summary(design: DesignResult) -> str:
             f"each test is of a new specimen, between which {', '.join(scattering)} scatters; "
             "what follows is of the material"
         )
+    if problem.settings.process:
+        lines.append(
+            "noise of the wear itself (fit.process) is not counted: tests tell less than this"
+        )
     names = [name_of_tests(design, one) for one in design.designs[:_LISTED]]
     width = max(map(len, names))
     for name, one in zip(names, design.designs, strict=False):
