@@ -193,7 +193,7 @@ COMMANDS = {
                   help="seed of the draws (default: %(default)s)"),
         _NO_CACHE,
     ), solves=True, stopped=UNWRITTEN,
-        example="ringwear predict out/fit case.toml -o out/prediction"),
+        example="ringwear predict out/fit case.toml -o out/prediction --set load.pressure=60"),
     "measure": Command(
         "compute steady wear rates and friction from a rig's files, without a contact model",
         "measuring.measure:run_measure", (

@@ -138,6 +138,8 @@ def warnings(fit: "FitResult") -> tuple[str, ...]:
         if one.verdict == "not identified":
             bound = "; the estimate is at its bound" if one.key in fit.keys_at_bound else ""
             sentences.append(f"{one.key} is not identified: {one.direction}{bound}")
+        elif one.verdict == "at bound" and one.key not in fit.keys_at_bound:
+            sentences.append(f"the readings give {one.key} only a limit on one side")
         elif one.verdict == "at bound":
             sentences.append(
                 f"{one.key} = {one.estimate:g} is at its bound; its interval has one limit only"
@@ -231,8 +233,9 @@ def summary(fit: "FitResult") -> str:
         f"{counted(len(fit.parameters), 'parameter')}, {fit.histories} histories"
         + (f" ({fit.histories_of_profiles} for profiles)" if fit.profiles else ""),
         *_parameter_lines(outcome),
+        *(f"  {line}" for line in process_lines(outcome)),
     ]
-    if fit.material is None:
+    if not problem.scatters:
         lines.append(f"  intervals {of_specimens(outcome)}")
     if fit.posterior is not None:
         lines += _posterior_lines(fit, fit.posterior, outcome)
@@ -276,7 +279,9 @@ def prediction(fit: "FitResult") -> str:
         "their start values (nothing written):"
     ]
     lines += warning_lines(_assumptions(fit))
-    lines += _parameter_lines(fit.to_dict())
+    outcome = fit.to_dict()
+    lines += _parameter_lines(outcome)
+    lines += [f"  {line}" for line in process_lines(outcome)]
     for one in fit.parameters:
         if one.direction:
             lines.append(f"  {one.key} would not be identified: {one.direction}")
@@ -377,6 +382,40 @@ def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
         lines[-1] += f" ({100.0 * level:g} %); {', '.join(limits)}"
     if (needed := estimate.get("specimens_for_10_percent")) is not None:
         lines.append(f"10 % on either side of the material's value need some {needed} specimens")
+    return lines
+
+
+def process_lines(outcome: Outcome) -> list[str]:
+    """Return a sentence about each body whose wear is itself random, and what follows of it."""
+    lines = []
+    for key, entry in outcome.get("process", {}).items():
+        depth = f"of the {1e3 * entry['depth']:.3g} um that are worn at the end"
+        size, share = entry["size"], entry["share"]
+        if "known" in share:
+            lines.append(
+                f"{key} is random: {100.0 * share['known']:.2g} % {depth}, size "
+                f"{1e6 * size['known']:.3g} nm (taken as known)"
+            )
+            continue
+        text = f"{key} is random: {100.0 * share['estimate']:.2g} % {depth}"
+        if share["interval"] is not None:
+            low, high = share["interval"]
+            text += f" ({100.0 * low:.2g} to {100.0 * high:.2g} %)"
+        text += f", size {1e6 * size['estimate']:.3g} nm"
+        if size["interval"] is not None:
+            low, high = size["interval"]
+            text += f" ({1e6 * low:.3g} to {1e6 * high:.3g} nm)"
+        lines.append(f"{text}  {entry['verdict']}")
+    scatters = [
+        scatter
+        for estimate in outcome["parameters"].values()
+        for scatter in estimate.get("scatter", {}).values()
+    ]
+    if lines and any(scatter.get("verdict") == "at bound" for scatter in scatters):
+        lines.append(
+            "scatter between specimens is not excluded to be none beside it: with 3 specimens or "
+            "more, scatter alone is enough for values of the material"
+        )
     return lines
 
 

@@ -20,11 +20,13 @@ from ringwear_par.identification.summary import (
     goodness,
     law_rows,
     of_specimens,
+    process_lines,
     scatter_lines,
     series_rows,
 )
 from ringwear_par.pictures import fits
 from ringwear_par.pictures.designs import design_panels
+from ringwear_par.pictures.style import in_words
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -40,7 +42,6 @@ from ringwear_par.reports.blocks import (
     checks_tile,
     software,
 )
-from ringwear_par.results.instants import time_words
 from ringwear_par.results.storage.hdf5 import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
 
@@ -127,6 +128,8 @@ def _summary(outcome: Mapping[str, Any]) -> list[Block]:
     if warnings:
         blocks.append(Lines([*map(with_signs, warnings)], warning=True))
     blocks += [Lines(lines), _estimates("Estimates", parameters, level), *_scatter(outcome)]
+    if random_wear := process_lines(outcome):
+        blocks.append(Lines([*map(with_signs, random_wear)]))
     unidentified = [
         f"{key}: {one['direction']}" for key, one in parameters.items() if one.get("direction")
     ]
@@ -148,8 +151,8 @@ def _tiles(outcome: Mapping[str, Any]) -> Tiles:
     for key, one in outcome["parameters"].items():
         entry = one.get("told") or one
         known = one["verdict"] != "not identified" and None not in entry["interval"]
-        note = " to ".join(f"{end:.4g}" for end in entry["interval"]) if known else ""
-        note += f" ({percent})" * known
+        low, high = entry["interval"]
+        note = f"{low:.4g} to {high:.4g} ({percent})" if known else ""
         unit = in_signs(str(entry["unit"])) if entry["unit"] not in ("1", "-") else ""
         tiles.append(Tile(key, f"{entry['estimate']:.4g}", unit, note or str(one["verdict"])))
     return Tiles([*tiles, checks_tile(len(outcome["warnings"]))])
@@ -297,24 +300,15 @@ def _alternatives(outcome: Mapping[str, Any]) -> Table:
 
 
 def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
-    scales = outcome["sd_scales"]
-
-    def sds(one: Mapping[str, Any]) -> list[str]:
-        """Return the standard deviations of a design."""
-        known = {key: sd for key, sd in one["sd"].items() if sd is not None}
-        return [
-            f"{scale['factor'] * known[key]:.3g}" if key in known else _DASH
-            for key, scale in scales.items()
-        ]
-
-    rows = [
-        [str(number), one["name"], time_words(one["seconds"], one["seconds"]), *sds(one)]
-        for number, one in enumerate(outcome["designs"], start=1)
-    ]
-    rows.append(["fit file", "its own tests", _DASH, *sds(outcome["fit_file"])])
-    units = {key: f" ({in_signs(scale['unit'])})" * bool(scale["unit"])
-             for key, scale in scales.items()}  # fmt: skip
-    header = ["design", "tests", "duration", *(f"sd of {key}{units[key]}" for key in scales)]
+    keys = list(outcome["parameters"])
+    rows = []
+    for number, one in enumerate(outcome["designs"], start=1):
+        tests = " + ".join(map(_test, one["experiments"]))
+        rows.append([str(number), tests, f"{one['seconds']:g}",
+                     *(_number(one["sd"][key], 3) for key in keys)])  # fmt: skip
+    rows.append(["fit file", "its own tests", _DASH,
+                 *(_number(outcome["fit_file"]["sd"][key], 3) for key in keys)])  # fmt: skip
+    header = ["design", "tests", "seconds", *(f"sd of {key}" for key in keys)]
     blocks: list[Block] = [
         Lines([f"{outcome['candidates']} candidate tests, criterion {outcome['criterion']}, "
                f"measured as in {outcome['measured_as']}"]),
@@ -329,6 +323,10 @@ def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
     if following.exists():
         blocks.append(Source("The best tests, as tables of a fit file", read_file(following)))
     return Section("The next tests", blocks)
+
+
+def _test(keys: Mapping[str, Any]) -> str:
+    return ", ".join(f"{key} = {in_words(value)}" for key, value in keys.items())
 
 
 def _reproduced(outcome: Mapping[str, Any], text: str) -> Section:

@@ -28,11 +28,13 @@ from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.files.text import parse_toml, read_text, refuse_depth
 from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.identification.definition import schema
+from ringwear_par.identification.definition.censoring import check_censored
 from ringwear_par.identification.definition.fitted_parameters import (
     read_parameters,
     read_units,
     refuse_both,
     refuse_fixed,
+    refuse_order,
 )
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
@@ -42,6 +44,7 @@ from ringwear_par.identification.definition.problem import (
     Series,
     Settings,
 )
+from ringwear_par.identification.definition.process import check_process, read_process
 from ringwear_par.identification.definition.scatter import check_scatter, read_groups
 from ringwear_par.identification.definition.series import read_series
 
@@ -105,7 +108,9 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     if faults:
         raise InputError(*faults)
     _check_counts(name, parameters, experiments, faults)
-    check_scatter(name, parameters, experiments, settings.intervals, faults)
+    check_scatter(name, parameters, experiments, settings, faults)
+    check_censored(name, settings, experiments, faults)
+    check_process(name, settings.process, experiments, settings.intervals, faults)
     alternatives = {}
     for law, (changes, law_parameters) in laws.items():
         alternatives[law] = Problem(
@@ -114,7 +119,10 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
             design,
         )  # fmt: skip
         _check_counts(f"{name}: compare.{law}", law_parameters, experiments, faults)
-        check_scatter(f"{name}: compare.{law}", law_parameters, experiments, (), faults)
+        linear = replace(settings, intervals=("linear",))
+        check_scatter(f"{name}: compare.{law}", law_parameters, experiments, linear, faults)
+        changed = alternatives[law].experiments
+        check_process(alternatives[law].name, settings.process, changed, ("linear",), faults)
     if faults:
         raise InputError(*faults)
     return Problem(
@@ -141,9 +149,10 @@ def _read_settings(
     parameters = read_parameters(f"{said}.parameters", fitted, faults, units, case_units)
     names = ("starts", "method", "intervals", "samples", "level", "loss")
     settings = {name: reader.read(name) for name in names}
+    process = read_process(f"{said}.process", reader.raw("process", {}), faults)
     reader.finish()
     intervals = dict.fromkeys(("linear", *settings.pop("intervals")))
-    return Settings(intervals=tuple(intervals), **settings), parameters
+    return Settings(intervals=tuple(intervals), process=process, **settings), parameters
 
 
 def _read_design_space(
@@ -282,6 +291,7 @@ class _Experiments:
             faults.append(f'{said}: mesh.geometry = "updated": must be "fixed" in a fit')
             return None
         refuse_fixed(said, parameters, case, faults)
+        refuse_order(said, parameters, case, faults)
         return case
 
     def _refuse_twin(self, one: Experiment, other: Experiment, faults: list[str]) -> None:

@@ -183,6 +183,10 @@ def summary(design: DesignResult) -> str:
             f"each test is of a new specimen, between which {', '.join(scattering)} scatters; "
             "what follows is of the material"
         )
+    if problem.settings.process:
+        lines.append(
+            "noise of the wear itself (fit.process) is not counted: tests tell less than this"
+        )
     names = [name_of_tests(design, one) for one in design.designs[:_LISTED]]
     width = max(map(len, names))
     for name, one in zip(names, design.designs, strict=False):
@@ -213,7 +217,7 @@ def name_of(test: Candidate, units: Mapping[str, str]) -> str:
     units : that keys are told in, where another than the case's.
     """
 
-    def words_of(key: str, base: str, *values: float) -> str:
+    def words_of(key: str, base: str, *values: Any) -> str:
         unit = units.get(key, base)
         return f"{' then '.join(f'{value / factor(unit, base):.4g}' for value in values)} {unit}"
 
