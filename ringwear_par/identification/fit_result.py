@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.identification.definition.fitted_parameters import units_of
+from ringwear_par.identification.definition.user_units import in_users_unit, specific_wear_rate
 from ringwear_par.identification.estimation.conditions import conditional_verdicts
 from ringwear_par.identification.estimation.intervals import (
     ParameterEstimate,
@@ -339,7 +340,19 @@ class FitResult(Outcome, Solution):
                     "interval": ends[:, j].tolist(),
                     "effective_samples": self.posterior.effective,
                 }
+        self._add_users_units(entries)
         return entries
+
+    def _add_users_units(self, entries: dict[str, Any]) -> None:
+        problem = self.misfit.problem
+        covariance = self.natural_covariance.tolist()
+        for parameter in problem.parameters:
+            entry = entries[parameter.key]
+            if (numbers := in_users_unit(parameter, entry)) is not None:
+                entry["told"] = numbers
+            rate = specific_wear_rate(problem, parameter.key, entries, covariance)
+            if rate is not None:
+                entry["specific_wear_rate"] = rate
 
     @property
     def experiments(self) -> dict[str, dict[str, Any]]:

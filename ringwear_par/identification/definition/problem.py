@@ -95,6 +95,8 @@ class FittedParameter:
     prior: Prior | None = None
     #: None: all tests have the same value
     scatter: Scatter | None = None
+    #: as the user writes it, "" for the case's
+    unit: str = ""
 
     def unknown(self, value: float) -> float:
         """Return the unknown of a value."""
@@ -251,6 +253,8 @@ class DesignSpace:
     seconds: float | None = None
     #: how many
     experiments: int = 1
+    #: in which ranges are written, by key, or the case; of others the case's own
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def time_limit(self) -> float:
