@@ -152,16 +152,6 @@ def test_faults_stay_until_numbers_can_be_computed(comm):
     assert "Infinity" not in visited.talk.answer
 
 
-def test_units_that_are_taken_are_told_as_long_as_a_table_is_there(comm):
-    visited = Visited(comm)
-    visited.work()
-    visited.give("a.csv", b"t,penetration_um,torque_Nm\n1,2,3\n")
-    assert visited.told["laid_fault"] == "a.csv: the column t names no unit; s is taken"
-    for column in visited.told["laid"]:
-        visited.talk.table = json.dumps({"number": column["number"], "remove": True})
-    assert visited.told["laid_fault"] == ""
-
-
 def test_only_answers_have_the_number_of_a_wish(comm):
     visited = Visited(comm)
     visited.work()
@@ -172,20 +162,6 @@ def test_only_answers_have_the_number_of_a_wish(comm):
     told = visited.work()
     assert told["n"] == 1
     assert told["controls"]["wear.lower.k"]["value"] == 3e-8
-
-
-def test_only_the_case_file_stands_as_the_case_file(comm):
-    visited = Visited(comm)
-    visited.ask(1, **{"load.omega": "9"})  # before the first history
-    told = visited.work()
-    assert [row[2] for row in told["numbers"]] == [""] * len(told["numbers"])
-    assert "case file" not in told["charts"]["penetration"]["sources"]["lines"]["label"]
-    visited.ask(2)
-    before = {row[0]: row[1] for row in visited.work()["numbers"]}
-    visited.ask(3, **{"load.omega": "9"})
-    told = visited.work()
-    assert {row[0]: row[2] for row in told["numbers"]} == before
-    assert "case file" in told["charts"]["penetration"]["sources"]["lines"]["label"]
 
 
 def test_a_page_that_is_closed_meanwhile_ends_nothing():

@@ -193,15 +193,6 @@ def test_the_summary_begins_with_the_answer(laboratory):
     assert rw.summary(laboratory[2]) == laboratory[2].summary()
 
 
-def test_one_test_alone_says_what_it_is_of(laboratory):
-    folder, _, _ = laboratory
-    result = rw.measure([folder / "W1.csv"], case=folder / "rig.toml")
-    assert result.summary().startswith("numbers of this specimen only: repeats of a material")
-    same = rw.measure(folder / "W1.csv", case=rw.read_case(folder / "rig.toml"))
-    assert same.to_dict()["tests"] == result.to_dict()["tests"]
-    assert result.tests[0].whole.mass_loss is None
-
-
 def test_weighings_without_an_sd_tell_it_by_their_scatter(laboratory):
     folder, _, _ = laboratory
     result = rw.measure([folder / "W1.csv"], case=folder / "rig.toml", masses=folder / "masses.csv")
@@ -209,17 +200,6 @@ def test_weighings_without_an_sd_tell_it_by_their_scatter(laboratory):
     assert (source.name, source.type) == ("mass", "A")
     assert 0.4e-4 < source.u < 1.6e-4
     assert "weighed specimens without a test: W2, W3, W4" in result.problem.notes[0]
-
-
-def test_without_uncertainties_nothing_is_drawn(laboratory, tmp_path):
-    folder, _, _ = laboratory
-    (tmp_path / "masses.csv").write_text("specimen;before_g;after_g\nW1;41.2004;41.1565\n")
-    result = rw.measure(folder / "W1.csv", case=folder / "rig.toml", masses=tmp_path / "masses.csv")
-    (test,) = result.tests
-    assert test.whole.specific_wear_rate.shortest is None
-    assert "monte_carlo" not in result.to_dict()["tests"]["W1"]["whole"]["specific_wear_rate"]
-    assert not any("Monte Carlo" in note for note in test.notes)
-    assert "by weighing: 1.505e-06 mm3/(N m); 43.9 mg" in result.summary()
 
 
 def test_equal_weighings_are_not_certain(laboratory, tmp_path):
@@ -259,13 +239,6 @@ def test_a_folder_holds_numbers_a_table_and_a_picture(laboratory, tmp_path):
     assert value == pytest.approx(stored["tests"]["W1"]["specific_wear_rate"]["value"], rel=1e-5)
     assert rows[0]["temperature, mean / degC"]
     assert not rows[1]["temperature, mean / degC"]
-
-
-def test_a_figure_has_a_panel_for_each_channel(laboratory):
-    figure = laboratory[2].figure()
-    titles = [axes.get_title(loc="left") for axes in figure.axes]
-    assert [title[:2] for title in titles] == ["W1", "W1", "W2", "W2", "W3", "W3", "W4", "W4"]
-    assert all("\N{PLUS-MINUS SIGN}" in title for title in titles)
 
 
 def test_a_test_with_one_channel(laboratory, tmp_path):
@@ -469,9 +442,3 @@ def test_the_volume_by_displacement_is_within_its_interval(tmp_path):
         ratios.append((estimate.value - true) / estimate.u)
     assert inside >= 36
     assert abs(np.mean(ratios)) < 0.5
-
-
-def test_long_records_are_read_in_a_time_that_grows_with_them(tmp_path):
-    rows = [f"{i};{1e-3 * i + i % 7:.3f};{9 + 0.01 * (i % 11):.2f}" for i in range(100_000)]
-    result = record(tmp_path, "long", rows)
-    assert result.tests[0].part.steady

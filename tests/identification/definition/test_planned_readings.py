@@ -4,18 +4,13 @@ import copy
 
 import numpy as np
 import pytest
-from laboratory import PEN, PROF, changed, fit_tables, write_tests
+from laboratory import PEN, PROF, changed
 
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fit import expected_result
 
-
-@pytest.fixture(scope="module")
-def good(tmp_path_factory):
-    """A folder of measurements, and the fit file as a dict."""
-    folder = tmp_path_factory.mktemp("laboratory")
-    return fit_tables(folder, write_tests(folder), starts=1)
+pytestmark = pytest.mark.serial
 
 
 @pytest.mark.parametrize(
@@ -155,16 +150,6 @@ def test_readings_may_be_planned(plan, good, comm):
             spreads.append([p.sd for p in told.parameters])
         assert spreads[0] == pytest.approx(spreads[1], rel=1e-5)
     assert expected_result(found, comm).chi2 < 1e-12
-
-
-def test_a_weighing_may_be_planned(plan):
-    tables = copy.deepcopy(plan)
-    tables["experiment"][0]["data"] += [
-        {"quantity": "mass.lower", "unit": "mg", "density": 0.0019, "sd": 0.1, **when}
-        for when in ({}, {"at": 50.0}, {"times": [10.0, 20.0]})
-    ]
-    series = read_fit(tables, plans=True).experiments[0].series[2:]
-    assert [one.x.tolist() for one in series] == [[100.0], [50.0], [10.0, 20.0]]
 
 
 def test_a_fit_needs_readings(plan):
