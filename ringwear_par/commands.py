@@ -176,9 +176,9 @@ COMMANDS = {
                   help="table of weighings, with record files"),
     ), serial=True, stopped=UNWRITTEN),
     "plot": Command(
-        "draw figures from result files of runs, or from the folder of a sweep",
+        "draw figures from result files of runs, the folder of a sweep, or the rig of a case file",
         "studies.pictures.plot:plot_stored", (
-        _argument("results", type=_path, nargs="+", metavar="RUN.h5 or DIR"),
+        _argument("results", type=_path, nargs="+", metavar="RUN.h5, DIR or CASE.toml"),
         _output("FIG.png"),
         _argument("--panels", metavar="LIST",
                   help="any of wear, pressure, section, stress, depth, interfaces, mises, "

@@ -5,6 +5,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from typing import Any, Literal
 
 import numpy as np
@@ -162,6 +163,11 @@ class Case:
     rebuild: Callable[[str, Overrides], "Case"] | None = field(
         default=None, init=False, compare=False, repr=False
     )
+
+    def _repr_html_(self) -> str:
+        """Return the drawing of the rig, for notebooks."""
+        # pictures stand on cases, which know nothing else of them
+        return str(import_module("ringwear_par.pictures.rig").rig_svg(self))
 
     @property
     def overlap(self) -> tuple[float, float]:

@@ -367,6 +367,16 @@ def test_pages_are_made_for_everybody(kind, pages):
     assert len(names) == len(set(names))
 
 
+def test_a_run_with_little_stored_has_a_page(tmp_path):
+    words = {"output.profiles": "last", "contact.friction": 0.0, "time.steps": 2}
+    result = rw.simulate(rw.read_case(PAPER, {**CASE, **words}))
+    told = rw.report(result, tmp_path / "page.html")
+    page = Read((tmp_path / "page.html").read_text())
+    assert "No profiles are stored" in page.text
+    assert HISTORY_PANELS.keys() - page.charts.keys() == {"pv", "through"}  # no friction, no layers
+    assert told.endswith(f"{len(HISTORY_PANELS) - 1} figures")
+
+
 @pytest.mark.parametrize(
     ("source", "output", "words"),
     [
@@ -408,7 +418,7 @@ def test_missing_packages_are_told(folder, tmp_path, monkeypatch):
 def test_the_command(ranks, folder, tmp_path):
     done = ringwear("report", folder / "run.h5", "-o", tmp_path / "page.html", ranks=ranks)
     assert done.returncode == 0, done.stderr
-    assert done.stdout == f"{tmp_path}/page.html: Wear history of a test, 11 figures\n"
+    assert done.stdout == f"{tmp_path}/page.html: Wear history of a test, 12 figures\n"
     assert (tmp_path / "page.html").read_bytes() == (folder / "run.html").read_bytes()
     refused = ringwear("report", folder / "away.h5", "-o", tmp_path / "other.html", ranks=ranks)
     assert refused.returncode == 2
