@@ -78,7 +78,7 @@ def test_a_solver_that_does_not_solve_is_an_error(tmp_path, kind):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(("ranks", "number"), [(0, signal.SIGUSR1), (2, signal.SIGTERM)])
+@pytest.mark.parametrize(("ranks", "number"), [(0, signal.SIGHUP), (2, signal.SIGTERM)])
 def test_a_signal_ends_the_run_with_its_steps_on_disk(tmp_path, ranks, number):
     (tmp_path / "case").mkdir()
     (tmp_path / "out").mkdir()

@@ -161,6 +161,28 @@ sys.exit(main(["info", "--schema"]))
     assert (process.returncode, errors) == (0, "")
 
 
+def test_a_signal_while_an_object_is_taken_down_stops_all_the_same():
+    program = """
+import os, signal, sys, time
+from ringwear_par.results.execution.stopping import StopAtOnce, Stopped
+
+class Object:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.0)
+
+try:
+    with StopAtOnce():
+        Object()
+        time.sleep(60.0)
+except Stopped as stopped:
+    sys.exit(f"stopped by {stopped}")
+"""
+    done = subprocess.run([sys.executable, "-c", program], env=SHELL_ENVIRONMENT, timeout=50,
+                          capture_output=True, text=True, check=False)  # fmt: skip
+    assert done.stderr == "stopped by SIGINT\n"
+
+
 @pytest.mark.skipif(not shutil.which("timeout"), reason="no timeout")
 def test_a_second_signal_does_not_take_the_word_away(tmp_path):
     """As `timeout` sends it: to the program, and to its group."""

@@ -44,6 +44,8 @@ def test_a_study_is_told_as_such():
     assert faults(study.read_text(), "load.pressure=50") == said
     with pytest.raises(InputError, match="case: is a study, not a case"):
         read_case({"case": "paper.toml", "vary": {}})
+    with pytest.raises(InputError, match="case: is a fit file, not a case"):
+        read_case({"case": "paper.toml", "fit": {}, "experiment": []})
 
 
 def test_overrides_enter_the_text_that_is_stored():

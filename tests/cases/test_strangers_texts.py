@@ -120,6 +120,7 @@ LISTED = '[design]\nmethod = "list"\nfile = "table.csv"\n'
         (LISTED, "load.pressure\n" + "1" * 200_000, "is not a table of comma-separated values: f"),
         (LISTED, "load.pressure\n" + "1" * 5000, "load.pressure = "),
         (LISTED, "load.pressure\n" + DEEP, "load.pressure = "),
+        (LISTED, "wear.lower.k;load.pressure\n1,5e-7;50\n", "separated by commas, not ;"),
         (LISTED, "x" * 1000 + "\n1", f"column {'x' * 51} ... {'x' * 16}: unknown key"),
         (
             '[vary]\n"load.pressure" = { linear = [1, 2], count = 100000000000000000000 }\n', "",

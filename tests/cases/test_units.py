@@ -146,6 +146,7 @@ def test_a_trace_of_a_profilometer_is_a_face(tmp_path):
     case = rw.read_case(tmp_path / "case.toml")
     parabola = -((RADII - 12.5) ** 2) / 1000.0
     assert case.sections[1].depth(RADII) == pytest.approx(parabola, abs=1e-6)
+    assert rw.read_case(CROWN, [f"upper.profile.file={tmp_path / 'trace.csv'}"]).upper == case.upper
     (tmp_path / "trace.csv").unlink()
     assert case.replace({}) == case  # the text has the points
 

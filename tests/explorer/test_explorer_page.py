@@ -164,6 +164,20 @@ def test_only_answers_have_the_number_of_a_wish(comm):
     assert told["controls"]["wear.lower.k"]["value"] == 3e-8
 
 
+def test_only_the_case_file_stands_as_the_case_file(comm):
+    visited = Visited(comm)
+    visited.ask(1, **{"load.omega": "9"})  # before the first history
+    told = visited.work()
+    assert [row[2] for row in told["numbers"]] == [""] * len(told["numbers"])
+    assert "case file" not in told["charts"]["penetration"]["sources"]["lines"]["label"]
+    visited.ask(2)
+    before = {row[0]: row[1] for row in visited.work()["numbers"]}
+    visited.ask(3, **{"load.omega": "9"})
+    told = visited.work()
+    assert {row[0]: row[2] for row in told["numbers"]} == before
+    assert "case file" in told["charts"]["penetration"]["sources"]["lines"]["label"]
+
+
 def test_a_page_that_is_closed_meanwhile_ends_nothing():
     loop, document, called = IOLoop(make_current=False), Document(), []
     context = SimpleNamespace()

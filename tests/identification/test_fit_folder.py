@@ -42,7 +42,10 @@ def test_a_dry_run_tells_what_is_not_installed(tables, tmp_path, comm, capsys, m
         run_fit(path, tmp_path / "out", comm)
     monkeypatch.undo()
     run_fit(path, tmp_path / "out", comm, dry_run=True)
-    assert "missing" not in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "missing" not in said
+    assert "to be expected" in said
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.serial

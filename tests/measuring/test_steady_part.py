@@ -106,6 +106,11 @@ def test_a_record_that_is_linear_is_steady_at_once():
     assert steady_start(block_means(time, 1e-2 * time + noise), 2, 0.15) == 0.0
 
 
+def test_fewer_than_twenty_blocks_are_never_steady():
+    time = np.linspace(0.0, 100.0, 57)
+    assert steady_start(block_means(time, time), 2, 0.15) is None
+
+
 def test_the_later_of_both_counts_and_one_channel_is_enough():
     time = np.linspace(0.0, 100.0, 600)
     line = block_means(time, time + 0.01 * np.sin(time))

@@ -51,6 +51,15 @@ def test_contours(runs, tmp_path):
         assert np.array_equal(data["body"], np.repeat([0, 1], [k, len(upper.elements)]))
         assert np.array_equal(data["wear"][:k], lower.wear)
         assert np.array_equal(data["pressure"][k:], upper.pressure)
+    with h5py.File(tmp_path / "a.vtkhdf") as file:
+        assert np.array_equal(file["VTKHDF/Steps/Values"], [state.time for state in states])
+
+
+def test_displacements_are_magnified(runs, tmp_path):
+    export(runs / "run.h5", tmp_path / "a.vtkhdf")
+    export(runs / "run.h5", tmp_path / "b.vtkhdf", scale=50.0)
+    data, warped = (last_state(tmp_path / f"{name}.vtkhdf") for name in "ab")
+    assert warped["points"] - data["points"] == pytest.approx(50 * data["displacement"], abs=1e-12)
 
 
 @pytest.mark.parametrize("segments", [72, 5])

@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -80,6 +81,8 @@ def test_what_is_drawn_is_what_is_stored(runs):
         (("wear", "3,99"), "'99' is not a stored step"),
         (("wear", "x"), "'x' is not a stored step"),
         (("temperature", ""), "must be one of wear, pressure, section, stress, depth"),
+        (("section",), r"holds no fields .* output\.boundary"),
+        (("stress",), r"holds no stresses; must .* \[stress\]"),
         (("wear", "1", (), "5"), "--times: must be absent beside --steps"),
         (("wear", "", (), "30"), "'30' is no time of .* from 0 to 20 .s., or with a unit"),
         (("wear", "", (), "2 mm"), "'2 mm' is no time of"),
@@ -252,6 +255,14 @@ def test_legends_cover_nothing(runs, panels):
         assert legend.x1 <= figure.bbox.x1
         boxes.append(legend)
     assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+
+
+def test_a_history_of_one_state_has_no_rate(runs):
+    whole = open_result(runs[1])
+    first = {name: values[:1] for name, values in whole.histories.items()}
+    begun = replace(whole, histories=first, step=whole.step[:1], steps_made=whole.steps_made[:1])
+    figure = plot(begun, "rate,pv,volume")
+    assert [len(axes.lines) for axes in figure.axes] == [0, 0, 1]
 
 
 def test_the_peak_of_pressure_is_the_same_everywhere(tmp_path, comm):

@@ -47,6 +47,17 @@ def test_opens_in_xarray(shared_path, comm):
     assert [p.name for p in path.parent.iterdir()] == ["run.h5"]
 
 
+def test_only_the_steps_and_fields_asked_for(shared_path, comm):
+    path = shared_path / "run.h5"
+    run_case(PAPER, path, [*SMALL, "output.every=8", "output.fields=['pressure']"], comm=comm)
+    if comm.rank == 0:
+        with xarray.open_dataset(path, engine="h5netcdf") as data:
+            assert list(data.step.values) == [0, 8, 16, 20]
+            assert list(data.time.values) == [0, 8, 16, 20]
+            assert "gap" not in data
+            assert int(data.contact_iterations.sum()) >= 20
+
+
 @pytest.mark.parametrize(
     ("stop", "extra"),
     [

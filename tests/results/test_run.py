@@ -40,6 +40,7 @@ def interrupted(shared_path, comm, stopped_after):
 @pytest.mark.ranks
 def test_a_failed_run_says_why_and_is_replaced(failed, comm):
     assert "more than half of its height" in open_result(failed).attributes["error"]
+    assert "WARNING: failed after step" in open_result(failed).summary().splitlines()[1]
     assert read_status(failed)[0] == "incomplete"
     run_case(PAPER, failed, SMALL, comm=comm)
     assert read_status(failed) == ("complete", 20)
@@ -47,12 +48,21 @@ def test_a_failed_run_says_why_and_is_replaced(failed, comm):
 
 
 @pytest.mark.ranks
-def test_an_interrupted_run_is_kept(interrupted, comm):
-    with pytest.raises(InputError, match=r"after step 7; --restart continues it, --overwrite"):
-        run_case(PAPER, interrupted, SMALL, comm=comm)
-    with pytest.raises(InputError, match=r"one of another case, and --overwrite replaces it"):
-        run_case(PAPER, interrupted, [*SMALL, "wear.lower.k=2e-7"], comm=comm)
+def test_an_interrupted_run_is_kept_until_it_is_said_what_becomes_of_it(interrupted, comm):
+    other = [*SMALL, "wear.lower.k=2e-7"]
+    for keys, how, said in (
+        (SMALL, {}, "after step 7; --restart continues it, --overwrite"),
+        (other, {}, "one of another case, and --overwrite replaces it"),
+        (other, {"restart": True}, "holds another case"),
+        (SMALL, {"restart": True, "overwrite": True}, "--restart, --overwrite: must be one of"),
+    ):
+        with pytest.raises(InputError, match=said):
+            run_case(PAPER, interrupted, keys, comm=comm, **how)
     assert read_status(interrupted) == ("incomplete", 7)
+    told = open_result(interrupted).summary().splitlines()[1]
+    assert told == "WARNING: stopped after step 7 of 20: ringwear run --restart continues it"
+    run_case(PAPER, interrupted, other, comm=comm, overwrite=True)
+    assert read_status(interrupted) == ("complete", 20)
 
 
 @pytest.mark.ranks

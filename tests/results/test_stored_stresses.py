@@ -256,6 +256,16 @@ def test_exports(stored, tmp_path):
     assert list(map(float, rows[-1][4:10])) == state.points[-1].tolist()
 
 
+def test_the_page_of_a_run_has_them(stored, tmp_path):
+    page = tmp_path / "run.html"
+    rw.report(stored, page)
+    text = page.read_text()
+    section = text[text.index(">Stress inside</h2>") :]
+    assert "data:image/png;base64," in section
+    state = rw.open_result(stored).stress.states[-1]
+    assert f"<td>{state.largest[0].mises:.5g}</td>" in section
+
+
 def test_stresses_beside_the_contact_converge(comm):
     """The free face has elements for them, which pressures would not need."""
     beside = [[31.8, 19.9], [31.7, 19.95], [28.2, 19.9], [28.45, 19.95], [28.6, 19.9]]

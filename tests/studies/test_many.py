@@ -92,6 +92,14 @@ def test_a_case_that_cannot_be_is_refused_before_any_assembly(case, comm, monkey
         assert each.case == huge.text
 
 
+def test_a_bad_case_does_not_take_its_group_along(case, comm):
+    """The first of those that share a pair stores too much."""
+    bad = case.replace({"time.steps": 10**9})
+    found = simulate_all([bad, case], comm)
+    assert "GB of memory" in str(found[0].error)
+    assert isinstance(found[1], Result)
+
+
 @pytest.mark.parametrize("shapes", [1, 2, 5])
 def test_ranks_share_the_cases_whatever_their_shapes(case, comm, computed, shapes):
     """And all of them get all results, in order."""

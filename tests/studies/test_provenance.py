@@ -111,3 +111,9 @@ def test_doubts_of_run_are_flags_of_a_sweep(swept, shared_path, comm, capsys):
         }
         for flag, words in said.items():
             assert (words in told) == (flag in flags[0]), flag
+
+
+def test_good_cases_have_no_flags(swept, shared_path):
+    case = CASE.replace("contact_elements = 16", "contact_elements = 64")
+    assert "flagged" not in str(swept("0, 20", case))
+    assert {row["flags"] for row in table(shared_path / "out")} == {""}

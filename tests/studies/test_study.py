@@ -3,6 +3,7 @@
 import itertools
 import math
 import os
+import re
 import tomllib
 from pathlib import Path
 
@@ -98,6 +99,12 @@ def test_samples_fill_their_ranges(write, method):
     assert sampled(write, method, 256, seed=2).rows != study.rows
 
 
+def test_latin_hypercube_has_one_point_in_each_stratum(write):
+    k = np.array([row[0] for row in sampled(write, "latin-hypercube", 50).rows])
+    strata = (50.0 * np.log(k / 1e-8) / np.log(100.0)).astype(int)
+    assert sorted(strata) == list(range(50))
+
+
 def test_list_from_a_table(write, shared_path):
     (shared_path / "rows.csv").write_text(
         'load.pressure,upper.r,time.scheme\n50,"[28, 32]",implicit\n60.5,"[28.5, 31.5]",explicit\n'
@@ -116,6 +123,14 @@ def test_schemes_vary_and_each_has_the_keys_that_it_knows(shared_path, comm):
     assert [study.case(n).time.end for n in (0, 1)] == [200.0, 200.0]
     assert study.case(1).time.tolerance == 1e-5
     assert "time.tolerance" not in study.keys(0)
+
+
+def test_id_follows_content_only():
+    one = {"load.pressure": 80, "wear.lower.p0": 0, "title": "x"}
+    same = {"wear.lower.p0": 0.0, "load.pressure": 80.0, "time.scheme": "implicit"}
+    assert case_id(one) == case_id(same)
+    assert case_id(one) != case_id({**one, "load.pressure": 81})
+    assert re.fullmatch("[0-9a-f]{16}", case_id(one))
 
 
 def test_ids_are_those_of_earlier_versions():
@@ -161,6 +176,7 @@ method = "grid"
         ('[vary]\n"wear.lower.k" = { linear = [1, 2] }', ["count is missing", "from 2"]),
         ('[vary]\n"wear.lower.k" = { linear = [1, 2], count = 2, seed = 1 }', ["seed"]),
         ('[vary]\n"title" = { values = ["a"] }', ["title"]),
+        ('[vary]\n"stress.exclude" = { values = [0.1] }', ["stress.exclude: must not vary"]),
         (
             '[vary]\n"output.boundary" = { values = ["all"] }',
             ['output.boundary = "all"', "ringwear run"],
@@ -310,6 +326,12 @@ def test_every_rank_checks_its_share_of_the_cases(write, comm, monkeypatch):
             assert getattr(found, name) == getattr(alone, name), name
         assert found.case(36) == make_case(found.keys(36), "")
         assert found.case(36).text == make_case(found.keys(36), "").text
+
+
+def test_ranks_without_any_case(write, comm):
+    path = write('[vary]\n"load.pressure" = { values = [50] }\n')
+    found = read_study_together(path, 1, comm)
+    assert comm.bcast(found).ids == read_study(path).ids
 
 
 @pytest.mark.ranks

@@ -87,6 +87,19 @@ def test_edge_elements_are_those_of_single_runs(write, shared_path, comm):
             assert (np.nansum(marked, axis=1) == 4).all()
 
 
+def test_opens_lazily_in_xarray_with_coordinates(write, shared_path, comm):
+    swept(write(STUDY), shared_path / "out", comm)
+    with open_ensemble(shared_path / "out") as data:
+        assert data.pressure.dims == ("case", "step", "element")
+        assert data.pressure._in_memory is False
+        assert {"wear.lower.k", "upper.young", "upper.r"} <= set(data.pressure.coords)
+        first = data.isel(case=0)
+        assert float(first["wear.lower.k"]) == 1e-8
+        assert data.sel(case=str(first.case.values)).penetration[-1] == first.penetration[-1]
+        assert data.pressure.attrs["units"] == "MPa"
+        assert list(data.step.values) == list(range(21))
+
+
 def test_units_of_the_table_stand_beside_it(write, shared_path, comm):
     swept(write(STUDY), shared_path / "out", comm)
     rows = table(shared_path / "out")
@@ -146,6 +159,10 @@ def test_again_recomputes_nothing_and_changes_nothing(write, shared_path, comm, 
     swept(study, folder, comm)
     same(before, variables(folder))
     assert table(folder) == rows
+    content = (folder / "results.h5").read_bytes()
+    sweep.run_sweep(study, folder, comm, dry_run=True)
+    comm.Barrier()
+    assert (folder / "results.h5").read_bytes() == content
 
 
 def test_changed_study_keeps_what_is_the_same(write, shared_path, comm):

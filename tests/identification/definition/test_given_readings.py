@@ -69,6 +69,15 @@ def test_times_that_end_long_before_the_test(good, tmp_path):
     assert not read_fit(tables).experiments[0].series[0].assumptions
 
 
+def test_noise_in_another_unit_than_its_readings(good, tmp_path):
+    columns = (1.0, 2.0, 3.0), (1.0, 2.0, 3.0), (2e-4, 2e-4, 2e-4)
+    write_table(tmp_path / "z.csv", ("t_s", "z_um", "noise_mm"), *columns)
+    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
+    tables["experiment"][0]["data"][0]["sd"] = "noise_mm"
+    with pytest.raises(InputError, match=r'sd = "noise_mm": .* in mm by its name; must be in um'):
+        read_fit(tables)
+
+
 def test_the_same_readings_twice(good):
     path = good["experiment"][0]["data"][0]["file"]
     with pytest.raises(InputError, match="has the readings of experiment"):

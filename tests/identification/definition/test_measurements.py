@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringwear_par.cases.units import factor, told_unit, unit_of_column
+from ringwear_par.cases.units import factor, number_in, told_unit, unit_of_column
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError
 from ringwear_par.files.measurements import read_measurements
@@ -144,6 +144,19 @@ def test_quotients_in_units_of_something_else(name):
     for base in ("s", "mm", "N mm"):
         with pytest.raises(RejectedError, match="by its name"):
             told_unit(name, base)
+
+
+def test_files_of_any_size_are_looked_at_once(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(",".join(["t", *(f"c{i}" for i in range(100_000))]) + "\n1,2\n")
+    with pytest.raises(InputError, match=r"line 1: names 100001 columns; must be at most 1000"):
+        read_measurements(path)
+    path.write_text(f"t;z\n1;{'1' * 100_000}x\n")
+    with pytest.raises(InputError, match="must be a number, or empty"):
+        numbers(path, "t", "z")
+    with pytest.raises(RejectedError):
+        number_in("1" * 100_000 + " x", "mm")
+    assert unit_of_column("z" + " " * 100_000 + "z", "mm") is None
 
 
 def test_endings_that_do_not_fit():

@@ -152,6 +152,16 @@ def test_readings_may_be_planned(plan, good, comm):
     assert expected_result(found, comm).chi2 < 1e-12
 
 
+def test_a_weighing_may_be_planned(plan):
+    tables = copy.deepcopy(plan)
+    tables["experiment"][0]["data"] += [
+        {"quantity": "mass.lower", "unit": "mg", "density": 0.0019, "sd": 0.1, **when}
+        for when in ({}, {"at": 50.0}, {"times": [10.0, 20.0]})
+    ]
+    series = read_fit(tables, plans=True).experiments[0].series[2:]
+    assert [one.x.tolist() for one in series] == [[100.0], [50.0], [10.0, 20.0]]
+
+
 def test_a_fit_needs_readings(plan):
     with pytest.raises(InputError) as caught:
         read_fit(plan)

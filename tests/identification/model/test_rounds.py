@@ -9,14 +9,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from laboratory import TRUTH
+from laboratory import FITTED, TRUTH
 
 from ringwear_par.errors import ComputationError, LawError, RingwearError
 from ringwear_par.identification import fit as run_room
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation import profile as profile_room
 from ringwear_par.identification.estimation.minimise import Optimum, minimise
-from ringwear_par.identification.fit import expected_result, fit
+from ringwear_par.identification.fit import expected_result, fit, fit_problem
 from ringwear_par.identification.model import histories as histories_room
 from ringwear_par.identification.model import rounds as rounds_room
 from ringwear_par.identification.model.histories import Histories, HistoryError
@@ -180,6 +180,16 @@ def test_a_profile_takes_only_missing_histories_for_too_far(
             profile_room.likelihood_profiles(*arguments)
     else:
         assert set(profile_room.likelihood_profiles(*arguments).inexact_limits) == set(TRUTH)
+
+
+@pytest.mark.serial
+def test_starts_are_where_all_parameters_are_felt(tables, comm):
+    """Of thresholds that mostly are above all pressures, from which nothing leads away."""
+    given = tables(starts=8)
+    given["fit"]["parameters"] = {**FITTED, "wear.lower.p0": {"start": 0.0, "bounds": [0.0, 1000]}}
+    found = fit_problem(read_fit(given), comm)
+    assert found.n_at_best == 8
+    assert all(start.converged for start in found.starts)
 
 
 def test_threads_need_an_mpi_that_allows_them(monkeypatch):

@@ -86,6 +86,14 @@ def test_reduced_tests_are_those_of_the_dense_covariance(process):
         assert found.log_volume + found.log_nuisances == pytest.approx(volume, rel=1e-10)
 
 
+def test_nuisances_that_do_the_same_count_once():
+    z, jacobian = np.array([1.0, 2.0, 4.0, 3.0]), np.array([[0.0], [1.0], [2.0], [5.0]])
+    none = np.zeros((0, 2))
+    once = LinearisedTest(z, jacobian, np.ones((4, 1)), none[:, :1], np.zeros(0), 0.0)
+    twice = LinearisedTest(z, jacobian, np.ones((4, 2)), none, np.zeros(0), 0.0)
+    assert reduce_test(twice)[0].information == pytest.approx(reduce_test(once)[0].information)
+
+
 def test_information_of_new_specimens_adds():
     jacobians, z = laboratory()
     tests = [reduced(j, y) for j, y in zip(jacobians, z, strict=True)]
