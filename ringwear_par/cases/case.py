@@ -164,6 +164,17 @@ class Case:
         default=None, init=False, compare=False, repr=False
     )
 
+    def __repr__(self) -> str:
+        rings = ", ".join(
+            f"{body} r = {ring.r[0]:g} to {ring.r[1]:g} mm"
+            for body, ring in zip(BODIES, self.rings, strict=True)
+        )
+        wear = ", ".join(f"{table} by {law}" for table, law in self.laws_by_table.items() if law)
+        return (
+            f"<Case{f' {self.title!r}' if self.title else ''}: {rings}; {wear or 'nothing wears'}; "
+            f"{self.mesh.contact_elements} contact elements, {self.time.end:g} s>"
+        )
+
     def _repr_html_(self) -> str:
         """Return the drawing of the rig, for notebooks."""
         # pictures stand on cases, which know nothing else of them

@@ -64,7 +64,7 @@ def run_page(result: Result) -> Page:
     title = str(result.attributes.get("title", ""))
     if title:
         del lines[0]
-    doubts = [line for line in lines if line.startswith("WARNING")]
+    doubts = [line for line in lines if line.startswith("warning")]
     blocks: list[Block] = [Lines(doubts, warning=True)] if doubts else []
     blocks.append(Lines([line for line in lines if line not in doubts]))
     header = ("quantity", "value", "unit")

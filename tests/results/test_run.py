@@ -40,7 +40,7 @@ def interrupted(shared_path, comm, stopped_after):
 @pytest.mark.ranks
 def test_a_failed_run_says_why_and_is_replaced(failed, comm):
     assert "more than half of its height" in open_result(failed).attributes["error"]
-    assert "WARNING: failed after step" in open_result(failed).summary().splitlines()[1]
+    assert "warning: failed after step" in open_result(failed).summary().splitlines()[1]
     assert read_status(failed)[0] == "incomplete"
     run_case(PAPER, failed, SMALL, comm=comm)
     assert read_status(failed) == ("complete", 20)
@@ -60,7 +60,7 @@ def test_an_interrupted_run_is_kept_until_it_is_said_what_becomes_of_it(interrup
             run_case(PAPER, interrupted, keys, comm=comm, **how)
     assert read_status(interrupted) == ("incomplete", 7)
     told = open_result(interrupted).summary().splitlines()[1]
-    assert told == "WARNING: stopped after step 7 of 20: ringwear run --restart continues it"
+    assert told == "warning: stopped after step 7 of 20: ringwear run --restart continues it"
     run_case(PAPER, interrupted, other, comm=comm, overwrite=True)
     assert read_status(interrupted) == ("complete", 20)
 
@@ -84,7 +84,7 @@ def test_what_makes_an_answer_doubtful_is_stored(shared_path, comm, capsys):
     assert "times its stability limit" in told
     if comm.rank == 0:
         out, err = capsys.readouterr()
-        assert out.splitlines()[1] == f"WARNING: {told}"  # below the title
+        assert out.splitlines()[1] == f"warning: {told}"  # below the title
         assert told not in err
 
 
