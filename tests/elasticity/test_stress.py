@@ -234,7 +234,7 @@ def coated_stresses(n, thickness, young, comm):
     return lower.points.reshape(len(depth), len(r), 6), lower.largest
 
 
-@pytest.mark.parametrize("thickness", [0.005, 0.05, 0.5])
+@pytest.mark.parametrize("thickness", [0.005, 0.5])
 def test_stress_in_a_layer_and_under_it(thickness, comm):
     coarse, fine = (coated_stresses(n, thickness, 1e5, comm) for n in (48, 96))
     assert mises(coarse[0]) == pytest.approx(mises(fine[0]), rel=1e-2)
@@ -248,7 +248,7 @@ def test_stress_in_a_layer_and_under_it(thickness, comm):
     assert strain[0] == pytest.approx(strain[1], rel=1e-9)
 
 
-@pytest.mark.parametrize(("thickness", "young"), [(0.02, 30.0), (0.005, 3.0), (0.001, 100.0)])
+@pytest.mark.parametrize(("thickness", "young"), [(0.005, 3.0), (0.001, 100.0)])
 def test_stress_under_a_soft_film_is_that_of_the_body(thickness, young, comm):
     """Tangential strains times the stiff side's modulus are no noise of the film's."""
     coarse, fine = (coated_stresses(n, thickness, young, comm) for n in (48, 96))

@@ -103,7 +103,7 @@ def test_exchange_finds_the_best_three(tables, comm):
 
 def test_an_earlier_fit_counts(tables, comm, tmp_path):
     """Information of the fit and of the tests add up; draws are around its estimates."""
-    source = tables()
+    source = tables(starts=1)
     earlier = fit(source, comm, compare=False)
     folder = MPI.COMM_WORLD.bcast(str(tmp_path)) if comm.size > 1 else str(tmp_path)
     earlier.save(folder)
@@ -216,7 +216,7 @@ def test_instants_of_profiles_vary(tables, comm):
 
 def test_noise_that_a_fit_has_found_counts(tables, comm, tmp_path):
     """The file's is but a guess, of second differences."""
-    source = tables()
+    source = tables(starts=1)
     for experiment in source["experiment"]:
         experiment["data"][0]["sd"] = "fit"
     before = rw.design(source, comm)
