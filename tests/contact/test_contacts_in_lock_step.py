@@ -61,6 +61,28 @@ def solver():
         yield engine
 
 
+@pytest.mark.parametrize("name", LAWS)
+def test_the_hessian_is_the_derivative_of_the_gradient(solver, name):
+    """As TAO is given it: a product with a direction against differences of gradients."""
+    solver.solve(GAP, force=FORCE, wear=wear_of(name))
+    tao = solver._tao
+    solver._problem.at_work = np.arange(B)
+    x, g, d, y = (tao.getSolution().duplicate() for _ in "xgdy")
+    q = RNG.uniform(0.5, 2.0, B * N) * solver.warm.scaled_pressure.max()
+    x.setArray(q)
+    d.setArray(direction := RNG.normal(size=B * N))
+    hessian = tao.getHessian()[0]
+    tao.computeHessian(x, hessian)
+    hessian.mult(d, y)
+    h, sides = 1e-5 * q.min(), []
+    for sign in (1.0, -1.0):
+        x.setArray(q + sign * h * direction)
+        tao.computeGradient(x, g)
+        sides.append(g.getArray().copy())
+    found = (sides[0] - sides[1]) / (2.0 * h)
+    assert found == pytest.approx(y.getArray(), rel=1e-4, abs=1e-4 * np.abs(found).max())
+
+
 def load_of(control):
     return {control: {"force": FORCE, "approach": np.linspace(-1e-3, 4e-3, B)}[control]}
 
