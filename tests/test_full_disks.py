@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -91,6 +92,8 @@ def check(full, results, name, old=None):
     whole = []
     for size, status, said in results:
         left = full.kept / str(size)
+        # but for the progress that a busy machine shows
+        said = [one for one in said if not re.search("will be replaced$|: step [0-9]+, time", one)]
         if status == 0:
             whole.append(left)
             assert said == []
@@ -116,7 +119,7 @@ def test_run(full, runs, there):
         found = contents(left / "run.h5")
         assert found.keys() == reference.keys()
         assert all(np.array_equal(value, found[key]) for key, value in reference.items())
-    assert all("nothing of this run is stored" in said[0] for _, status, said in results if status)
+    assert all("nothing of this run is stored" in said[-1] for _, status, said in results if status)
 
 
 def test_run_with_checkpoints(full, runs):
