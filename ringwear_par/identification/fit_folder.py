@@ -34,6 +34,7 @@ from ringwear_par.identification.definition.problem import BASE, Problem
 from ringwear_par.identification.estimation.starts import PROGRESS, StoredStarts
 from ringwear_par.identification.fit import expected_result, fit_problem
 from ringwear_par.identification.fit_result import FitResult
+from ringwear_par.identification.fitted_values import fitted_values, write_values
 from ringwear_par.identification.model.rounds import StoppedError
 from ringwear_par.identification.summary import prediction
 from ringwear_par.options import reject_unused_options
@@ -167,6 +168,7 @@ def _write(file: h5py.File, fit: FitResult) -> None:
     file.attrs.update(
         {"software": SOFTWARE, "fit": misfit.problem.text, "keys": keys, **fit.versions}
     )
+    write_values(file, fitted_values(fit))
     if fit.posterior is not None:
         group = file.create_group("posterior")
         samples = fit.posterior.samples
