@@ -179,7 +179,7 @@ def test_sweep(full, tmp_path, comm):
     run_sweep(study, tmp_path / "reference", comm)
     size = (tmp_path / "reference" / "results.h5").stat().st_size
     words = ["sweep", study, "-o", full.folder / "out"]
-    found = full(words, sizes_for(1.5 * size), again=True)
+    found = full(words, sizes_for(1.5 * size, 11), again=True)
     stored = set()
     for size, status, said, status_again, said_again in found:
         left = full.kept / str(size) / "out"
