@@ -40,7 +40,7 @@ def interrupted(shared_path, comm, stopped_after):
 @pytest.mark.ranks
 def test_a_failed_run_says_why_and_is_replaced(failed, comm):
     assert "more than half of its height" in open_result(failed).attributes["error"]
-    assert "warning: failed after step" in open_result(failed).summary().splitlines()[1]
+    assert "warning: failed after step" in open_result(failed).summary().splitlines()[0]
     assert read_status(failed)[0] == "incomplete"
     run_case(PAPER, failed, SMALL, comm=comm)
     assert read_status(failed) == ("complete", 20)
@@ -59,7 +59,7 @@ def test_an_interrupted_run_is_kept_until_it_is_said_what_becomes_of_it(interrup
         with pytest.raises(InputError, match=said):
             run_case(PAPER, interrupted, keys, comm=comm, **how)
     assert read_status(interrupted) == ("incomplete", 7)
-    told = open_result(interrupted).summary().splitlines()[1]
+    told = open_result(interrupted).summary().splitlines()[0]
     assert told == "warning: stopped after step 7 of 20: ringwear run --restart continues it"
     run_case(PAPER, interrupted, other, comm=comm, overwrite=True)
     assert read_status(interrupted) == ("complete", 20)
