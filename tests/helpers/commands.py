@@ -25,7 +25,7 @@ def python(*words, ranks=0, cwd=None, **environment):
     return subprocess.run(
         [*launcher, sys.executable, *map(str, words)],
         env={**SHELL_ENVIRONMENT, "OPENBLAS_NUM_THREADS": "1", **environment}, cwd=cwd,
-        capture_output=True, text=True, timeout=100, check=False,
+        capture_output=True, text=True, timeout=280, check=False,
     )  # fmt: skip
 
 

@@ -196,7 +196,7 @@ def test_the_summary_begins_with_the_answer(laboratory):
     assert lines[0].startswith("specific wear rate 1.")
     assert "mm3/(N m) from" in lines[0]
     assert "repeatability r =" in lines[0]
-    assert lines[1].startswith("W1  (1.")
+    assert lines[1].startswith("W1  1.")
     assert any(line.startswith("warning: W4: not steady") for line in lines)
     assert rw.summary(laboratory[2]) == laboratory[2].summary()
 
@@ -208,6 +208,17 @@ def test_weighings_without_an_sd_tell_it_by_their_scatter(laboratory):
     assert (source.name, source.type) == ("mass", "A")
     assert 0.4e-4 < source.u < 1.6e-4
     assert "weighed specimens without a test: W2, W3, W4" in result.problem.notes[0]
+
+
+def test_without_uncertainties_nothing_is_drawn(laboratory, tmp_path):
+    folder, _, _ = laboratory
+    (tmp_path / "masses.csv").write_text("specimen;before_g;after_g\nW1;41.2004;41.1565\n")
+    result = rw.measure(folder / "W1.csv", case=folder / "rig.toml", masses=tmp_path / "masses.csv")
+    (test,) = result.tests
+    assert test.whole.specific_wear_rate.shortest is None
+    assert "monte_carlo" not in result.to_dict()["tests"]["W1"]["whole"]["specific_wear_rate"]
+    assert not any("Monte Carlo" in note for note in test.notes)
+    assert "by weighing: 1.505e-06 mm3/(N m); 43.9 mg" in result.summary()
 
 
 def test_equal_weighings_are_not_certain(laboratory, tmp_path):
