@@ -7,6 +7,7 @@ are paired (see ``slopes``).
 import itertools
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -158,6 +159,7 @@ def contact_pieces(
     return [(a, b, n) for (a, b), n in zip(itertools.pairwise(ends), shares, strict=True)]
 
 
+@lru_cache(maxsize=64)
 def contact_line(contact: tuple[float, float], mesh: Mesh, *faces: Section) -> ContactLine:
     """Return the contact elements between two radii (mm), cut at the corners of the faces.
 

@@ -78,7 +78,7 @@ class ThresholdLaw(AboveThreshold):
     k: Coefficient
     p0: Threshold = 0.0
 
-    def _per_energy(self, friction: float) -> float | None:
+    def per_energy(self, friction: float) -> float | None:
         """Return k, 1/MPa, where it is a number and p0 = 0."""
         return self.k if not isinstance(self.k, Table | Stacked) and self.p0 == 0.0 else None
 
