@@ -4,6 +4,7 @@ It does not fall with pressure. An element of a body with layers wears by the la
 all of a step, see ``LayeredLaw.in_layers``.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -142,7 +143,7 @@ class WearIncrement:
         self, law: Law, at: LocalState, average: FloatArray | None, p: FloatArray
     ) -> FloatArray:
         """Return the depth d = step rate(p, wear + d) of one material along the normal, mm."""
-        p = np.maximum(p, 0.0)
+        p = _not_negative(p)
         if law.remembers:
             at = self.after_step(law, at, p)
         return self.step * averaged_rate(law, at, average, p)
@@ -192,7 +193,7 @@ class WearIncrement:
         )
 
     def _d_depth_dp(self, law: Law, at: LocalState, p: FloatArray) -> FloatArray:
-        p = np.maximum(p, 0.0)
+        p = _not_negative(p)
         if not law.remembers:
             return self.step * law.d_rate_dp(p, at)
         after = self.after_step(law, at, p)
@@ -361,6 +362,11 @@ class WearIncrement:
         return total * span
 
 
-def total_of(parts: list[FloatArray]) -> FloatArray:
+def _not_negative(p: FloatArray) -> FloatArray:
+    """Return pressures, 0 where they are negative: few iterates have such, and looking is quick."""
+    return p if (p >= 0.0).all() else np.maximum(p, 0.0)
+
+
+def total_of(parts: Sequence[FloatArray] | FloatArray) -> FloatArray:
     """Return the sum of fields of one body, or of two."""
     return parts[0] if len(parts) == 1 else parts[0] + parts[1]

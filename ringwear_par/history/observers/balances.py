@@ -133,7 +133,7 @@ class WorstBalances:
         new = np.flatnonzero(snapshot.accepted)
         values, numbers = balances(snapshot.physics, snapshot.state), snapshot.numbers[new]
         if snapshot.step is not None:
-            values["step_error"] = snapshot.step.history_error
+            values["step_error"] = snapshot.progress.step_error
             closing = np.broadcast_to(snapshot.step.closing, snapshot.accepted.shape)[new]
             self.closing_contact[numbers] |= closing
         table = np.zeros((len(_NAMES), len(snapshot.numbers)))

@@ -33,7 +33,8 @@ class AboveThreshold(Law):
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s."""
         rise, p0 = self._line(local)
-        return rise * np.maximum(p - p0, 0.0)
+        excess = p - p0
+        return rise * np.maximum(excess, 0.0, out=excess)
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
