@@ -1,5 +1,6 @@
 """Array types that the package's functions take and return."""
 
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -51,3 +52,13 @@ def relative(off: Any, exact: Any) -> Any:
     NaN where either is.
     """
     return np.divide(off, exact, out=np.zeros_like(exact), where=~(exact <= 0.0))
+
+
+def short_repr(data: Any) -> str:
+    """Return the repr of a dataclass with the shapes of its arrays."""
+
+    def text(value: Any) -> str:
+        return f"array{value.shape}" if isinstance(value, np.ndarray) else repr(value)
+
+    parts = (f"{one.name}={text(getattr(data, one.name))}" for one in fields(data) if one.repr)
+    return f"{type(data).__name__}({', '.join(parts)})"

@@ -145,11 +145,12 @@ COMMANDS = {
     ), solves=True, stopped="; the same command goes on"),
     "fit": Command(
         "fit parameters of the wear law to measurements, with confidence intervals",
-        "identification.fit:run_fit", (
+        "identification.fit_folder:run_fit", (
         _FIT_FILE,
         _FOLDER,
         _flag("--dry-run", "print the intervals to expect if the starts are true; write nothing"),
         _flag("--restart", "continue an interrupted fit from its stored optima"),
+        _flag("--overwrite", "start anew, even if DIR holds an interrupted fit"),
         _flag("--compare", "fit the laws of [compare] as well"),
         _NO_CACHE,
     ), solves=True, stopped=f" before the first start{UNWRITTEN}"),
@@ -176,9 +177,9 @@ COMMANDS = {
                   help="table of weighings, with record files"),
     ), serial=True, stopped=UNWRITTEN),
     "plot": Command(
-        "draw figures from result files of runs, or from the folder of a sweep",
+        "draw figures from result files of runs, the folder of a sweep, or the rig of a case file",
         "studies.pictures.plot:plot_stored", (
-        _argument("results", type=_path, nargs="+", metavar="RUN.h5 or DIR"),
+        _argument("results", type=_path, nargs="+", metavar="RUN.h5, DIR or CASE.toml"),
         _output("FIG.png"),
         _argument("--panels", metavar="LIST",
                   help="any of wear, pressure, section, stress, depth, interfaces, mises, "

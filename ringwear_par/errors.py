@@ -1,5 +1,7 @@
-"""The two ways a command can fail, with their exit statuses; and how messages show texts."""
+"""The two ways a command can fail, with their exit statuses; warnings; how messages show texts."""
 
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 #: longest value, key or word of a user, and longest sentence that messages show in full
@@ -25,6 +27,35 @@ def _cut(text: str, most: int) -> str:
         return text
     tail = (most - 5) // 4
     return f"{text[: most - 5 - tail]} ... {text[-tail:]}"
+
+
+@dataclass(frozen=True)
+class ValidityWarning:
+    """A reason why numbers may not be valid, though they were computed.
+
+    Parameters
+    ----------
+    code : a short name, of letters, underscores and hyphens, of warnings of this kind.
+    text : the whole sentence.
+    keys : of the numbers that may be wrong, or that it is about; () for none.
+    experiments : of a fit, that it is of; () for all.
+    values : numbers of the sentence, by name.
+    """
+
+    code: str
+    text: str
+    keys: tuple[str, ...] = ()
+    experiments: tuple[str, ...] = ()
+    values: dict[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return its fields, as JSON files have them."""
+        return asdict(self)
+
+
+def warning_lines(sentences: Iterable[str]) -> list[str]:
+    """Return the lines of a summary that warn."""
+    return [f"warning: {sentence}" for sentence in sentences]
 
 
 class RingwearError(Exception):

@@ -238,6 +238,8 @@ def test_what_is_shown_of_objects_is_short(case, pair, comm):
     failed = rw.FailedResult(case.text, rw.ComputationError("step 3: no"))
     assert repr(failed) == f"<FailedResult: {case.title}: ComputationError: step 3: no>"
     study = rw.read_study({"case": str(PAPER), "vary": {"load.pressure": {"values": [40, 80]}}})
+    assert repr(case).startswith(f"<Case {case.title!r}: lower r = 20 to 40 mm, upper r = 28.5 to")
+    assert len(repr(result.checkpoint)) < 2000
     assert repr(study) == "<Study study: grid, cases: 2, operators: 1, varied: load.pressure>"
 
 

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 CASES = Path(__file__).parents[2] / "scripts" / "cases"
+#: of the page of standard tests, which shows their rigs
+STANDARD_CASES = ("astm_d3702", "jis_k7218_a", "face_seal")
 #: what is told on the page of a kind of file: directive of its entries, title, keys
 KEYS: Mapping[str, tuple[str, str, Sequence[Any]]] = {
     "case_keys": ("casekey", "Keys of a case file", CASE_KEYS),
@@ -249,6 +251,9 @@ def _made(app: "Sphinx") -> None:
     write(folder / "laws.txt", law_list())
     page = (Path(app.srcdir) / "first_case.md").read_text("utf-8")
     first_case(page).savefig(folder / "first_case.png", dpi=200)
+    rw.plot(first_case_of(page)).savefig(folder / "rig.svg")
+    for name in STANDARD_CASES:
+        rw.plot(rw.read_case(CASES / f"{name}.toml")).savefig(folder / f"{name}.svg")
     for name in KEYS:
         write(folder / f"{name}.md", key_page(name))
 

@@ -5,6 +5,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from typing import Any, Literal
 
 import numpy as np
@@ -162,6 +163,22 @@ class Case:
     rebuild: Callable[[str, Overrides], "Case"] | None = field(
         default=None, init=False, compare=False, repr=False
     )
+
+    def __repr__(self) -> str:
+        rings = ", ".join(
+            f"{body} r = {ring.r[0]:g} to {ring.r[1]:g} mm"
+            for body, ring in zip(BODIES, self.rings, strict=True)
+        )
+        wear = ", ".join(f"{table} by {law}" for table, law in self.laws_by_table.items() if law)
+        return (
+            f"<Case{f' {self.title!r}' if self.title else ''}: {rings}; {wear or 'nothing wears'}; "
+            f"{self.mesh.contact_elements} contact elements, {self.time.end:g} s>"
+        )
+
+    def _repr_html_(self) -> str:
+        """Return the drawing of the rig, for notebooks."""
+        # pictures stand on cases, which know nothing else of them
+        return str(import_module("ringwear_par.pictures.rig").rig_svg(self))
 
     @property
     def overlap(self) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, inner, largest
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, inner, largest, short_repr
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.wear.increment import WearIncrement
 
@@ -68,6 +68,8 @@ class ContactState:
     iterations: Numbers
     residual: Numbers
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True)
 class WarmStart:
@@ -81,6 +83,8 @@ class WarmStart:
 
     scaled_pressure: FloatArray
     approach: FloatArray
+
+    __repr__ = short_repr
 
 
 class ContactProblem:

@@ -24,6 +24,7 @@ from ringwear_par.explorer.exploring import Exploration, Explored
 from ringwear_par.explorer.figures import MENU, Drawing, figures
 from ringwear_par.explorer.measured import LARGEST, Laid, read_table
 from ringwear_par.explorer.sliders import Control
+from ringwear_par.pictures.rig import rig_address
 from ringwear_par.reports.run_page import key_rows, worn_table
 from ringwear_par.results.key_numbers import key_numbers
 from ringwear_par.results.result import Result
@@ -274,6 +275,8 @@ class Page:
                 "controls": {} if self._faults else _states(explored.controls.values()),
                 "doubts": [*map(with_signs, result.doubts)],
                 "summary": with_signs(result.summary()), "case": explored.text,
+                # sliders that move wait for no drawing
+                "rig": "" if wanted["moving"] else rig_address(explored.case),
                 "numbers": [(name, value, before.get(name, ""), unit)
                             for name, value, unit in key_rows(numbers)],
                 "worn": [] if worn is None else [worn.header, *worn.rows],

@@ -1,7 +1,7 @@
 """The folders of outcomes: what their files are called, how they are written, what draws them."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -37,10 +37,20 @@ def refuse_others(folder: Path, command: str) -> None:
     InputError : its files would be replaced.
     """
     for name, other in _COMMANDS.items():
-        if other != command and (folder / name).exists():
+        if other != command and _has_content(folder / name):
             raise InputError(
                 f"{folder}: is the folder of ringwear {other} ({name}); must be another, or new"
             )
+
+
+def _has_content(path: Path) -> bool:
+    """Tell whether a file is there, or a folder with files that are not empty.
+
+    A sweep that fails before its first case leaves empty ones.
+    """
+    if path.is_dir():
+        return any(file.stat().st_size for file in path.iterdir())
+    return path.exists()
 
 
 def check_folder(folder: Path, files: Sequence[str], command: str) -> None:
@@ -87,10 +97,30 @@ def new_files(folder: Path, files: Sequence[str], command: str) -> Iterator[None
         raise ComputationError(f"{name}: {error.strerror or error}") from error
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write numbers that all JSON readers know."""
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
+def write_contents(folder: Path, contents: Mapping[str, Callable[[], bytes | None]]) -> None:
+    """Write files, one after the other, each whole. On one rank.
+
+    Parameters
+    ----------
+    contents : functions that return the contents of a file, by its name; None: there is none, and
+        one of before goes.
+
+    Raises
+    ------
+    OSError : the disk or the folder.
+    """
+    for name, content in contents.items():
+        written = content()
+        if written is None:
+            (folder / name).unlink(missing_ok=True)
+            continue
+        with atomic_write(folder / name) as path:
+            path.write_bytes(written)
+
+
+def json_bytes(content: Mapping[str, Any]) -> bytes:
+    """Return numbers as all JSON readers know them."""
+    return f"{json.dumps(content, indent=1, allow_nan=False)}\n".encode()
 
 
 def refuse_drawn(folder: Path) -> None:

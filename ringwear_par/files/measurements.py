@@ -3,6 +3,7 @@
 import hashlib
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -220,6 +221,11 @@ class Measurements:
         place = self.columns.index(name)
         cells = [self.rows[i][place] for i in np.flatnonzero(rows).tolist()]
         return all(has_hours(cell) for cell in cells) or all(is_stamp(cell) for cell in cells)
+
+
+def unused_columns(names: Sequence[str]) -> str:
+    """Return the sentence about columns of a table of which nothing is taken."""
+    return f"columns not used: {legible(', '.join(names), 200)}"
 
 
 def and_more(count: int, noun: str) -> str:

@@ -138,6 +138,8 @@ def _day_number(text: str, month_first: bool, row: int) -> int:
 def _time_of_day(match: re.Match[str], row: int) -> float:
     hours = int(match["h"])
     if match["half"]:
+        if hours > _NOON:
+            raise StampError(row, "there is no such hour; AM and PM are of hours up to 12")
         hours = hours % _NOON + (_NOON if match["half"] in "Pp" else 0)
     seconds = float((match["s"] or "0").replace(",", "."))
     if hours + int(match["min"]) / 60.0 + seconds / _HOUR > 24.0:

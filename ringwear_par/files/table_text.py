@@ -11,7 +11,7 @@ from ringwear_par.files.stamps import is_clock, is_date, is_stamp
 #: read one way only, so that the time of long cells is linear in their length
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 #: cells that say that there is nothing, in small letters
-EMPTY = frozenset({"", "nan", "n.a.", "na", "-", "--", "---"})
+EMPTY = frozenset({"", "nan", "n.a.", "na", "n/a", "#n/a", "-", "--", "---"})
 #: what Excel writes above a table
 _SEPARATOR = re.compile(r'"?sep=([,;\t])"?', re.IGNORECASE)
 #: lines of equally many cells that say where a table is

@@ -2,6 +2,7 @@
 
 import errno
 import fcntl
+import logging
 import os
 import re
 import secrets
@@ -11,6 +12,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ringwear_par.errors import ComputationError, InputError, RingwearError
+
+log = logging.getLogger(__name__)
 
 #: failures that another name would not mend
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
@@ -114,6 +117,12 @@ def check_writable(path: Path) -> None:
         probe.unlink(missing_ok=True)
     except OSError as error:
         raise unwritable(path, error) from error
+
+
+def announce_replacement(path: Path) -> None:
+    """Say that a finished outcome will be replaced, before any work. On one rank."""
+    if path.exists():
+        log.info("%s is there already: it will be replaced", path)
 
 
 def unwritable(path: Path, error: OSError) -> RingwearError:

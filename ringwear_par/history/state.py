@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, short_repr
 from ringwear_par.batched import along
 from ringwear_par.contact.problem import ContactState, WarmStart
 
@@ -34,6 +34,8 @@ class Tangent:
     approach: FloatArray = field(metadata=along(1))
     time: FloatArray = field(metadata=along(1))
     interface: FloatArray = field(metadata=along(1))
+
+    __repr__ = short_repr
 
     def at_interfaces(self, moving: BoolArray) -> "Tangent":
         """Return the derivatives at ends that are those of interfaces where so (B,), else fixed."""
@@ -86,6 +88,8 @@ class State:
     gap_offset: FloatArray | None = None
     tangent: Tangent | None = None
     through: FloatArray | None = field(default=None, metadata=along(1))
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)

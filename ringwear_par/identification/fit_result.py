@@ -4,13 +4,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ValidityWarning
 from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.estimation.intervals import (
     ParameterEstimate,
@@ -18,18 +18,19 @@ from ringwear_par.identification.estimation.intervals import (
     name_of,
     without_nuisances,
 )
-from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
-from ringwear_par.identification.estimation.posterior import Posterior
-from ringwear_par.identification.estimation.record_checks import FitWarning, record_warnings
+from ringwear_par.identification.estimation.misfit import Misfit
+from ringwear_par.identification.estimation.record_checks import record_warnings
+from ringwear_par.identification.estimation.solution import Solution
 from ringwear_par.identification.estimation.starts import StartOutcome
 from ringwear_par.identification.model.histories import MOST_SHIFT_SD
 from ringwear_par.identification.scatter.disagreement import disagreements
 from ringwear_par.identification.scatter.material import Material
-from ringwear_par.results import outcomes
+from ringwear_par.results.outcomes import Outcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_ROOM = "ringwear_par.identification"
 #: of the p-value: below it a model does not fit
 IMPROBABLE = 1e-3
 #: relative difference of sums of squares that are one optimum
@@ -38,46 +39,30 @@ _SAME = 1e-3
 _DEPENDENT = 1e-8
 
 
-@dataclass(frozen=True, eq=False)
-class FitResult:
-    """The outcome of a fit, with a fixed set of names in ``to_dict``.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FitResult(Outcome, Solution):
+    """The outcome of a fit: its solution, with a fixed set of names in ``to_dict``.
 
     Parameters
     ----------
     misfit : the least squares problem, with its noise.
-    x : (u,) unknowns at the optimum.
-    evaluation : residuals there.
-    parameters : estimates of the fitted keys.
-    covariance : (u, u) of the unknowns.
-    starts : what came of each, the best optimum among them.
-    histories : computed in all.
-    alternatives : outcomes under other laws, by name.
-    profiles : of the likelihood, by key: (2, points) values and what the sum of squares grows by.
     versions : of the software.
-    posterior : samples of the fitted keys, where they were asked for.
+    alternatives : outcomes under other laws, by name.
     failed : why there is no outcome under some other laws, by name.
-    histories_of_profiles : how many of them were for likelihood profiles.
-    inexact_limits : keys of which a profile's limit is not as close as it should be.
-    discretisation_shift_sd : sd by which steps half as long would move a key, by key.
     material : behind the specimens, where values of keys scatter; ``x``, ``evaluation``,
         ``parameters`` and ``covariance`` are its.
     """
 
+    functions: ClassVar = {
+        "summary": f"{_ROOM}.summary", "warnings": f"{_ROOM}.summary",
+        "save": f"{_ROOM}.fit_folder", "plot": f"{_ROOM}.figures",
+        "plot_parameters": f"{_ROOM}.figures", "plot_specimens": f"{_ROOM}.figures",
+    }  # fmt: skip
+
     misfit: Misfit
-    x: FloatArray
-    evaluation: Evaluation
-    parameters: tuple[ParameterEstimate, ...]
-    covariance: FloatArray
-    starts: tuple[StartOutcome, ...]
-    histories: int
-    alternatives: "Mapping[str, FitResult]"
-    profiles: Mapping[str, FloatArray]
     versions: Mapping[str, str]
-    posterior: Posterior | None = None
+    alternatives: "Mapping[str, FitResult]" = field(default_factory=dict)
     failed: Mapping[str, str] = field(default_factory=dict)
-    histories_of_profiles: int = 0
-    inexact_limits: tuple[str, ...] = ()
-    discretisation_shift_sd: Mapping[str, float] = field(default_factory=dict)
     material: Material | None = None
 
     def __repr__(self) -> str:
@@ -239,7 +224,7 @@ class FitResult:
         return sum(one.objective <= best * (1.0 + _SAME) for one in self.starts)
 
     @cached_property
-    def doubts(self) -> tuple[FitWarning, ...]:
+    def doubts(self) -> tuple[ValidityWarning, ...]:
         """What records say against the model or the intervals; ``warnings`` has their texts."""
         misfit, x, evaluation = self.misfit, self.x, self.evaluation
         if self.material is None:
@@ -255,11 +240,7 @@ class FitResult:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What speaks against taking the numbers as they are, a sentence each."""
-        return outcomes.warnings(self)
-
-    def summary(self) -> str:
-        """Return the outcome in a few lines, what is doubtful first."""
-        return outcomes.summary(self)
+        return tuple(self.apply("warnings"))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of fit.json."""
@@ -286,7 +267,7 @@ class FitResult:
             "steps": self.misfit.steps,
             "moved_by_shorter_steps": dict(self.discretisation_shift_sd),
             "warnings": list(self.warnings),
-            "doubts": [asdict(doubt) for doubt in self.doubts],
+            "doubts": [doubt.to_dict() for doubt in self.doubts],
             "starts": [_started(one, problem.keys) for one in self.starts],
             "profiles": {key: _finite(table) for key, table in self.profiles.items()},
             "alternatives": {
@@ -306,10 +287,12 @@ class FitResult:
         }
 
     def _parameters(self) -> dict[str, Any]:
-        units = units_of(self.misfit.problem)
+        problem = self.misfit.problem
+        units, bounds = units_of(problem), {p.key: p.bounds for p in problem.parameters}
         entries = {
             p.key: {
                 **_parameter(p),
+                "bounds": list(bounds[p.key]),
                 "of": "specimens",
                 "interval_of": "likelihood profile" if p.key in self.profiles else "linear model",
                 "unit": units[p.key],
@@ -321,7 +304,7 @@ class FitResult:
                 entry.update(self.material.entry(j))
         if self.posterior is not None:
             samples = self.posterior.samples
-            ends = self.posterior.interval(self.misfit.problem.settings.level)
+            ends = self.posterior.interval(problem.settings.level)
             for j, entry in enumerate(entries.values()):
                 entry["posterior"] = {
                     "median": float(np.median(samples[:, j])),
@@ -358,13 +341,10 @@ class FitResult:
             nuisances.setdefault(experiment, {}).setdefault(series, {})[kind] = entry
         return nuisances
 
-    def plot(self) -> "Figure":
-        """Return the figure of data, model and residuals."""
-        return outcomes.figure(self)
-
     def plot_parameters(self) -> "Figure":
         """Return the figure of the fitted keys: ellipses, likelihood profiles, samples."""
-        return outcomes.parameter_figure(self)
+        figure: Figure = self.apply("plot_parameters")
+        return figure
 
     def plot_specimens(self) -> "Figure":
         """Return the figure of the specimens: each one's value, the material's, the next one's.
@@ -373,19 +353,8 @@ class FitResult:
         ------
         InputError : a fit without scatter.
         """
-        return outcomes.specimen_figure(self)
-
-    def save(self, folder: str | Path) -> None:
-        """Write fit.json, results.h5 and both figures to a folder, which is made.
-
-        Not collective: the process that calls this writes, each file whole.
-
-        Raises
-        ------
-        InputError : a folder that cannot be written.
-        ComputationError : the disk.
-        """
-        outcomes.save(self, folder)
+        figure: Figure = self.apply("plot_specimens")
+        return figure
 
     def correlations(self) -> list[tuple[str, str, float]]:
         """Return pairs of fitted keys and nuisances and their correlation, the strongest first."""

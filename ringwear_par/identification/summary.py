@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ringwear_par.errors import warning_lines
 from ringwear_par.identification.definition.scatter import PLURALS
 
 if TYPE_CHECKING:
@@ -233,7 +234,7 @@ def summary(fit: "FitResult") -> str:
         lines.append(f"  intervals {of_specimens(outcome)}")
     if fit.posterior is not None:
         lines += _posterior_lines(fit, fit.posterior, outcome)
-    lines += [f"warning: {sentence}" for sentence in fit.warnings]
+    lines += warning_lines(fit.warnings)
     lines.append(goodness(outcome))
     for row in series_rows(outcome):
         noise = "" if row.noise is None else f", noise {row.noise:.3g} {row.unit}"
@@ -272,7 +273,7 @@ def prediction(fit: "FitResult") -> str:
         f"{counted(len(problem.experiments), 'experiment')}; to be expected if the parameters have "
         "their start values (nothing written):"
     ]
-    lines += [f"warning: {sentence}" for sentence in _assumptions(fit)]
+    lines += warning_lines(_assumptions(fit))
     lines += _parameter_lines(fit.to_dict())
     for one in fit.parameters:
         if one.direction:

@@ -1,7 +1,6 @@
 """The figure of a measurement: records, block means and the part that numbers are of."""
 
 from collections.abc import Iterator
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -13,7 +12,7 @@ from ringwear_par.measuring.analysis.numbers import TestNumbers, friction_readin
 from ringwear_par.measuring.analysis.steady_part import Blocks
 from ringwear_par.measuring.measure_numbers import estimate_text
 from ringwear_par.measuring.measure_result import MeasureResult
-from ringwear_par.pictures.matplotlib import draw
+from ringwear_par.pictures.matplotlib import panel_grid
 from ringwear_par.pictures.panels import GREY, Axis, Band, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure
 from ringwear_par.results.instants import time_unit
@@ -26,34 +25,16 @@ _ROOM = 0.05
 _FLAT = 1e-3
 #: of the usual time between block means: where they are further apart nothing was read
 _GAP = 3.0
-#: columns of the legend, by the number of panels beside each other
-_LEGEND_COLUMNS = {1: 2, 2: 5}
 _MICROMETRE = "\N{MICRO SIGN}m"
 
 
-def figure(result: MeasureResult) -> Figure:
+def plot(result: MeasureResult) -> Figure:
     """Return a row a test: depth and friction over time, with the steady part and its numbers."""
     rows = [list(panels(test)) for test in result.tests]
-    across, down = max(map(len, rows)), len(rows)
+    size = _WIDTH * max(map(len, rows)), _HEIGHT * len(rows) + _LEGEND
     with matplotlib.rc_context(STYLE):
-        chart = NotebookFigure(
-            figsize=(_WIDTH * across, _HEIGHT * down + _LEGEND), layout="constrained"
-        )
-        grid = chart.subplots(down, across, squeeze=False)
-        for row, drawn in zip(grid, rows, strict=True):
-            for axes, panel in zip(row, drawn, strict=False):
-                draw(axes, panel, 0)
-                axes.set_title(panel.title, loc="left")
-            for axes in row[len(drawn) :]:
-                axes.set_axis_off()
-        entries: dict[str, Any] = {}
-        for axes in grid.flat:
-            handles, labels = axes.get_legend_handles_labels()
-            entries |= dict(zip(labels, handles, strict=True))
-        chart.legend(
-            entries.values(), entries.keys(), loc="outside upper center", frameon=False,
-            ncols=_LEGEND_COLUMNS[across],
-        )  # fmt: skip
+        chart = NotebookFigure(figsize=size, layout="constrained")
+        panel_grid(chart, rows)
     return chart
 
 

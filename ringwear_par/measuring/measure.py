@@ -11,6 +11,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.folders import check_folder
+from ringwear_par.files.writing import announce_replacement
 from ringwear_par.measuring.analysis.numbers import coverage_fault, numbers_of
 from ringwear_par.measuring.analysis.repeats import repeats_of
 from ringwear_par.measuring.definition.measure_file import read_measure, tables_of
@@ -41,7 +42,7 @@ def measure(
 
     Returns
     -------
-    MeasureResult : ``.summary()``, ``.to_dict()``, ``.figure()``, ``.save(folder)``.
+    MeasureResult : ``.summary()``, ``.to_dict()``, ``.plot()``, ``.save(folder)``.
 
     Raises
     ------
@@ -77,6 +78,7 @@ def run_measure(
         raise InputError(f"{files[0]}: a measure file must be the only file of the command")
     problem = _problem(files[0] if files else sources, case, masses)
     check_folder(folder, FILES, "measure")
+    announce_replacement(folder / FILES[0])
     result = measure_problem(problem)
     result.save(folder)
     return result.summary()

@@ -2,19 +2,20 @@
 
 import csv
 import io
+from collections.abc import Callable
 from pathlib import Path
 
 from ringwear_par.files.folders import (
     MEASURE,
     MEASURED_ROWS,
     RECORDS,
+    json_bytes,
     new_files,
-    write_json,
+    write_contents,
 )
-from ringwear_par.files.writing import atomic_write
 from ringwear_par.measuring.measure_numbers import COLUMNS, number_at
 from ringwear_par.measuring.measure_result import MeasureResult
-from ringwear_par.pictures.style import save_figure
+from ringwear_par.pictures.style import picture
 
 FILES = (MEASURE, MEASURED_ROWS, RECORDS)
 
@@ -27,10 +28,12 @@ def save(result: MeasureResult, folder: Path) -> None:
     InputError, ComputationError : the folder or the disk.
     """
     with new_files(folder, FILES, "measure"):
-        save_figure(result.figure(), folder / RECORDS)
-        with atomic_write(folder / MEASURED_ROWS) as path:
-            path.write_text(table(result), encoding="utf-8")
-        write_json(folder / MEASURE, result.to_dict())
+        contents: dict[str, Callable[[], bytes | None]] = {
+            RECORDS: lambda: picture(result.plot, str(folder / RECORDS)),
+            MEASURED_ROWS: lambda: table(result).encode(),
+            MEASURE: lambda: json_bytes(result.to_dict()),
+        }
+        write_contents(folder, contents)
 
 
 def table(result: MeasureResult) -> str:

@@ -2,8 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 from ringwear_par.measuring.analysis.budget import Estimate
 from ringwear_par.measuring.analysis.numbers import (
@@ -15,17 +14,14 @@ from ringwear_par.measuring.analysis.numbers import (
 from ringwear_par.measuring.analysis.repeats import Repeats
 from ringwear_par.measuring.analysis.whole_test import WholeTest
 from ringwear_par.measuring.definition.problem import Problem
-from ringwear_par.results import outcomes
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from ringwear_par.results.outcomes import Outcome
 
 #: um/h and in/h in a mm/s
 UM_PER_H, IN_PER_H = 3.6e6, 3600.0 / 25.4
 
 
 @dataclass(frozen=True, eq=False)
-class MeasureResult:
+class MeasureResult(Outcome):
     """The numbers of the standards of some tests, with a fixed set of names in ``to_dict``.
 
     Parameters
@@ -35,6 +31,11 @@ class MeasureResult:
     repeats : tests of the same conditions.
     versions : of the software.
     """
+
+    functions: ClassVar = {
+        "summary": "ringwear_par.measuring.summary",
+        "save": "ringwear_par.measuring.measure_folder", "plot": "ringwear_par.measuring.figures",
+    }  # fmt: skip
 
     problem: Problem
     tests: tuple[TestNumbers, ...]
@@ -48,10 +49,6 @@ class MeasureResult:
             if test.specific_wear_rate is not None
         )
         return f"<MeasureResult: specific wear rates in mm3/(N m): {rates or 'none'}>"
-
-    def summary(self) -> str:
-        """Return the outcome in a few lines, the specific wear rate first."""
-        return outcomes.summary(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of measure.json."""
@@ -68,22 +65,6 @@ class MeasureResult:
             "versions": dict(self.versions),
             "data": dict(self.problem.hashes),
         }  # fmt: skip
-
-    def figure(self) -> "Figure":
-        """Return the figure of records, block means and steady parts."""
-        return outcomes.figure(self)
-
-    def save(self, folder: str | Path) -> None:
-        """Write measure.json, measure.csv and measure.png to a folder, which is made.
-
-        Not collective: the process that calls this writes, each file whole.
-
-        Raises
-        ------
-        InputError : a folder that cannot be written.
-        ComputationError : the disk.
-        """
-        outcomes.save(self, folder)
 
 
 def _test(numbers: TestNumbers) -> dict[str, Any]:
@@ -116,7 +97,7 @@ def _test(numbers: TestNumbers) -> dict[str, Any]:
         "skipped": {
             "empty": record.empty, "repeated": record.repeated, "excluded": record.excluded,
         },
-        "doubts": [{"code": doubt.code, "text": doubt.text} for doubt in numbers.doubts],
+        "doubts": [doubt.to_dict() for doubt in numbers.doubts],
         "notes": list(numbers.notes),
     }  # fmt: skip
     return entry

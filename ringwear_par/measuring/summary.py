@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from ringwear_par.errors import warning_lines
 from ringwear_par.measuring.measure_numbers import (
     entry_text,
     repeats_text,
@@ -30,9 +31,8 @@ def summary(result: MeasureResult) -> str:
         for number, line in enumerate(_lines(entry)):
             lines.append(f"{'' if number else name:{width}}  {line}")
     lines += [f"note: {note}" for note in outcome["notes"]]
-    for name, entry in tests.items():
-        lines += [f"warning: {name}: {doubt['text']}" for doubt in entry["doubts"]]
-    return "\n".join(lines)
+    doubts = [f"{name}: {d['text']}" for name, entry in tests.items() for d in entry["doubts"]]
+    return "\n".join([*lines, *warning_lines(doubts)])
 
 
 def _lines(entry: Mapping[str, Any]) -> Iterator[str]:

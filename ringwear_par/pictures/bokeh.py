@@ -7,21 +7,27 @@ page that is open changes a chart by new columns.
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import matplotlib
 import numpy as np
 from bokeh.embed import json_item
 from bokeh.models import (
+    ColorBar,
     ColumnDataSource,
     FixedTicker,
     HoverTool,
     Legend,
     LegendItem,
+    LinearColorMapper,
+    LogColorMapper,
     PlainText,
     Range1d,
 )
 from bokeh.plotting import figure
+from matplotlib.colors import to_hex
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.pictures.panels import Axis, Band, Curve, Panel, Points
+from ringwear_par.pictures.panels import Axis, Band, Cells, Curve, Panel, Points
+from ringwear_par.pictures.style import CELL_COLOURS
 
 #: in the order of matplotlib's
 DASHES = ("solid", "dashed", "dashdot", "dotted", "dotdash")
@@ -33,7 +39,8 @@ KINDS = {
     "ends": _LINE,
     "levels": ("y",),
     "uprights": ("x",),
-    "bars": ("y", "right", "label", "colour"),
+    "cells": ("left", "right", "bottom", "top", "value"),
+    "bars": ("y", "left", "right", "height", "label", "colour", "opacity"),
     "whiskers": ("x0", "y0", "x1", "y1", "colour"),
     "lines": _LINE,
     "dots": ("x", "y", "colour"),
@@ -46,8 +53,8 @@ _IN_LEGEND = ("lines", "asides", "points", "bars", "ribbons")
 _CHANGING = ("asides", "lines", "dots", "points", "labels")
 #: of an axis, beyond what is drawn
 _ROOM = 0.04
-#: height of a bar where categories are 1 apart
-_BAR = 0.3
+#: colours of cells
+_SHADES = 256
 #: decades from which on numbers beside an axis have an exponent
 _LARGE = 7
 #: letters of the labels in a line of a legend, and of what is beside a label
@@ -87,6 +94,8 @@ def chart(name: str, panel: Panel, height: int, *, changing: bool = False) -> An
     plot.add_tools(
         HoverTool(renderers=pointed, tooltips=_POINTER, formatters=formats, visible=False)
     )
+    if panel.cells is not None and np.isfinite(panel.cells.values).any():
+        _add_colours(plot, panel.cells, marks["cells"])
     _add_legend(plot, marks, changing=changing)
     _style(plot, panel)
     return plot
@@ -102,13 +111,18 @@ def _add_marks(plot: Any, kind: str, source: Any) -> Any:
     match kind:
         case "ribbons":
             return plot.patches("x", "y", fill_alpha="opacity", **filled, source=source)
+        case "cells":
+            sides = {side: side for side in ("left", "right", "bottom", "top")}
+            return plot.quad(**sides, line_color=None, source=source)
         case "levels":
             return plot.hspan(y="y", **dotted, source=source)
         case "uprights":
             return plot.vspan(x="x", **dotted, source=source)
         case "bars":
-            size = {"left": 0.0, "height": _BAR}
-            return plot.hbar(y="y", right="right", fill_alpha=0.8, **size, **filled, source=source)
+            return plot.hbar(
+                "y", left="left", right="right", height="height", fill_alpha="opacity", **filled,
+                source=source,
+            )  # fmt: skip
         case "whiskers":
             return plot.segment("x0", "y0", "x1", "y1", line_color="colour", source=source)
         case "labels":
@@ -196,6 +210,10 @@ def _values(panel: Panel, number: int) -> Iterator[Any]:
             yield from (points.y - points.errors, points.y + points.errors)
     for bars in panel.bars:
         yield bars.places if number else bars.values
+        if bars.starts is not None and not number:
+            yield bars.starts
+    if panel.cells is not None:
+        yield panel.cells.borders()[number]
 
 
 def _range(axis: Axis, values: FloatArray) -> list[float]:
@@ -236,10 +254,16 @@ def columns_of(panel: Panel) -> dict[str, dict[str, list[Any]]]:
         "ends": [_line(curve) for curve in ends],
         "levels": [(level,) for level in panel.levels],
         "uprights": [(upright,) for upright in panel.uprights],
+        "cells": [] if panel.cells is None else [*_cells(panel.cells)],
         "bars": [
-            (place, value, bars.name, bars.colour)
+            (place, start, end, bars.height, bars.name, bars.colour, bars.opacity)
             for bars in panel.bars
-            for place, value in zip(bars.places.tolist(), bars.values.tolist(), strict=True)
+            for place, start, end in zip(
+                bars.places.tolist(),
+                (0.0 * bars.places if bars.starts is None else bars.starts).tolist(),
+                bars.values.tolist(),
+                strict=True,
+            )
         ],
         "whiskers": [*_whiskers(panel)],
         "lines": [_line(curve) for curve in panel.curves if curve.tabulated],
@@ -319,6 +343,24 @@ def _whiskers(panel: Panel) -> Iterator[tuple[Any, ...]]:
         if bars.errors is not None:
             for place, value, half in zip(bars.places, bars.values, bars.errors, strict=True):
                 yield float(value - half), float(place), float(value + half), float(place), "#222"
+
+
+def _cells(cells: Cells) -> Iterator[tuple[float, ...]]:
+    x, y = (borders.tolist() for borders in cells.borders())
+    for i, j in np.argwhere(np.isfinite(cells.values)).tolist():
+        yield x[j], x[j + 1], y[i], y[i + 1], float(cells.values[i, j])
+
+
+def _add_colours(plot: Any, cells: Cells, drawn: Any) -> None:
+    """Colour cells by their values, with a bar of the colours, and show these at the pointer."""
+    known = cells.values[np.isfinite(cells.values)]
+    shades = matplotlib.colormaps[CELL_COLOURS](np.linspace(0.0, 1.0, _SHADES))
+    mapper = (LogColorMapper if cells.log else LinearColorMapper)(
+        palette=[to_hex(shade) for shade in shades], low=known.min(), high=known.max()
+    )
+    drawn.glyph.fill_color = {"field": "value", "transform": mapper}
+    plot.add_layout(ColorBar(color_mapper=mapper, title=PlainText(text=cells.label)), "right")
+    plot.add_tools(HoverTool(renderers=[drawn], tooltips="@value{0.0000}", visible=False))
 
 
 def _points(points: Points) -> Iterator[tuple[Any, ...]]:

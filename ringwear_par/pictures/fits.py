@@ -1,15 +1,17 @@
-"""Panels of a fit: readings with the model and its bands, residuals."""
+"""Panels of a fit: readings with the model and its bands, residuals, fitted keys, specimens."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.units import in_signs
-from ringwear_par.pictures.panels import GREY, Axis, Band, Curve, Panel, Points
+from ringwear_par.errors import legible
+from ringwear_par.pictures.panels import GREY, Axis, Band, Bars, Curve, Label, Panel, Points
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.instants import time_unit
 
@@ -17,7 +19,6 @@ from ringwear_par.results.instants import time_unit
 _GAP = 3.0
 #: relative distance within which a radius is that of an edge
 _CLOSE = 1e-9
-RESIDUAL = "(data - model) / sd"
 #: standard deviations that axes of residuals have at least
 _REACH = 4.0
 #: from the middle of a specimen, its values by its own readings and with the others
@@ -26,6 +27,14 @@ _ASIDE = 0.12
 _NAMED = 12
 #: readings whose noise has a bar each
 _FEW = 60
+#: what readings are called, by the first part of their quantity, if not by that
+_WORDS = {"profile": "depth", "mass": "mass loss", "volume": "volume loss"}
+#: of ellipses
+_LEVELS = (0.68, 0.95)
+#: sd to both sides of an estimate that an axis of a key shows, and points of a curve over it
+_WIDTH_SD, _FINE = 4.0, 161
+_LINE, _DIGITS = "#808080", str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074"
+                                          "\u2075\u2076\u2077\u2078\u2079")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -34,28 +43,39 @@ class Series:
 
     Parameters
     ----------
-    experiment, name : of the series; unit : of its readings.
+    experiment, name : of the series.
+    quantity : what was read, as fit files have it; unit : of its readings.
     x : (n,) float, times (s), or radii (mm) of a profile.
     data, model : (n,) float; sd, band : standard deviations of the noise and of the model.
     residuals : (n,) float, in standard deviations of the noise.
     level : confidence of the bands.
-    label : of the axis of readings, with the unit; "" for the name and the unit.
     edges : mm, of the contact, where the model of a profile is broken; () if they are not known.
     """
 
     experiment: str
     name: str
+    quantity: str
     unit: str
     x: FloatArray
-    profile: bool
     data: FloatArray
     model: FloatArray
     sd: FloatArray
     band: FloatArray
     residuals: FloatArray
     level: float
-    label: str = ""
     edges: tuple[float, ...] = ()
+
+    @property
+    def profile(self) -> bool:
+        """Whether it is over radii."""
+        return self.quantity.startswith("profile")
+
+    @property
+    def label(self) -> str:
+        """The label of an axis of its readings."""
+        kind, _, body = self.quantity.partition(".")
+        of = f" of {body}" if body else ""
+        return f"{_WORDS.get(kind, kind)}{of} ({in_signs(self.unit)})"
 
     @property
     def quantile(self) -> float:
@@ -106,9 +126,8 @@ def readings(series: Series) -> Panel:
         ends = f"{name}, from", f"{name}, to"
         bands.append(Band(broken(x), low, high, name, ends, colour, opacity, edge))
     noise = series.sd if len(x) <= _FEW else None
-    label = series.label or f"{series.name} ({series.unit})"
     return Panel(
-        below, Axis(label, reversed=series.profile), series.title,
+        below, Axis(series.label, reversed=series.profile), series.title,
         curves=[Curve(broken(x), broken(series.model), "model", COLOURS[1])],
         bands=bands, points=[Points(x, series.data, "data", GREY, 4.0, errors=noise)],
     )  # fmt: skip
@@ -119,10 +138,195 @@ def residuals(series: Series) -> Panel:
     x, below = series.along()
     reach = max(_REACH, 1.1 * float(np.abs(series.residuals).max()))
     return Panel(
-        below, Axis(RESIDUAL, ends=(-reach, reach)), f"{series.title}, residuals",
+        below, Axis("residual / sd", ends=(-reach, reach)), f"{series.title}, residuals",
         points=[Points(x, series.residuals, "", GREY, 4.0)],
         levels=(-series.quantile, series.quantile),
     )  # fmt: skip
+
+
+def single_readings(every: Sequence[Series]) -> Panel:
+    """Return series of one reading, a line each: how far it is off the model, and both numbers."""
+    level, quantile = f"{100 * every[0].level:g} %", every[0].quantile
+    places = np.arange(len(every), dtype=float)
+    residuals = np.array([series.residuals[0] for series in every])
+    model = quantile * np.array([(series.band / series.sd)[0] for series in every])
+    both = np.hypot(model, quantile)
+    words = []
+    for series in every:
+        unit, (sd, band) = in_signs(series.unit), (quantile * series.sd, quantile * series.band)
+        words.append(
+            f"{legible(series.title)}\n{series.data[0]:.4g} \u00b1 {sd[0]:.2g} {unit}, model "
+            f"{series.model[0]:.4g} \u00b1 {band[0]:.2g}"
+        )
+    reach = max(_REACH, 1.1 * float(np.abs(residuals).max()), 1.1 * float(model.max()))
+    ends = np.array([-0.6, len(every) - 0.4])
+    return Panel(
+        Axis("(data - model) / sd", ends=(-reach, reach)),
+        Axis("", reversed=True, categories=tuple(words)),
+        bars=[
+            Bars(places, both, f"{level} of readings", COLOURS[0], None, -both, 0.7, 0.15),
+            Bars(places, model, f"{level} of the model", COLOURS[1], None, -model, 0.7, 0.35),
+        ],
+        curves=[Curve(np.zeros(2), ends, "model", COLOURS[1])],
+        points=[Points(residuals, places, "data", GREY, 6.0)],
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FittedKey:
+    """A fitted key on an axis.
+
+    Parameters
+    ----------
+    name : of the case key; entry : of fit.json.
+    log : whether its unknown is the logarithm of its value.
+    sd : of the unknown, infinite where the readings give none.
+    samples : of the posterior, (s,) float; None for none.
+    """
+
+    name: str
+    entry: Mapping[str, Any]
+    log: bool
+    sd: float
+    samples: FloatArray | None
+
+    def values(self, shifts: FloatArray) -> FloatArray:
+        """Return values that are so many of the unknown's units off the estimate, within bounds."""
+        at = self.entry["estimate"]
+        moved = at * np.exp(np.clip(shifts, -700.0, 700.0)) if self.log else at + shifts
+        return np.clip(moved, *self.entry["bounds"])
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the readings give it an interval."""
+        return self.entry["verdict"] != "not identified" and math.isfinite(self.sd)
+
+    @property
+    def ends(self) -> tuple[float, float] | None:
+        """The ends of its axis; None: what is drawn there."""
+        ends = [float(self.entry["estimate"])]
+        if self.is_known:
+            ends += self.values(self.sd * np.array([-_WIDTH_SD, _WIDTH_SD])).tolist()
+        if self.samples is not None:
+            ends += np.quantile(self.samples, [0.001, 0.999]).tolist()
+        low, high = min(ends), max(ends)
+        return (low, high) if low < high else None
+
+    @property
+    def power(self) -> int:
+        """The power of ten that numbers beside its axis leave out."""
+        largest = max(map(abs, self.ends or (float(self.entry["estimate"]),)))
+        power = math.floor(math.log10(largest)) if largest else 0
+        return 0 if -3 <= power < 4 else power
+
+    def scaled(self, values: Any) -> FloatArray:
+        """Return values without that power of ten."""
+        return np.asarray(values, dtype=float) / 10.0**self.power
+
+    @property
+    def axis(self) -> Axis:
+        """The axis of its values."""
+        power = f"10{str(self.power).translate(_DIGITS)}" if self.power else ""
+        unit = "" if self.entry["unit"] in ("1", "-") else in_signs(self.entry["unit"])
+        unit = " ".join(filter(None, (power, unit)))
+        ends = None if self.ends is None else tuple(self.scaled(self.ends).tolist())
+        return Axis(f"{self.name} ({unit})" if unit else self.name, ends=ends)
+
+
+def fitted_keys(outcome: Mapping[str, Any], samples: Mapping[str, FloatArray]) -> list[list[Panel]]:
+    """Return likelihoods by key, and before each of them its pairs with the keys before it.
+
+    Parameters
+    ----------
+    outcome : the contents of fit.json.
+    samples : of the posterior, by key; {} for none.
+    """
+    keys = []
+    for j, (name, entry) in enumerate(outcome["parameters"].items()):
+        variance, log = outcome["covariance"][j][j], outcome["log"][j]
+        sd = np.inf if variance is None else np.sqrt(variance) / (entry["estimate"] if log else 1.0)
+        keys.append(FittedKey(name, entry, log, float(sd), samples.get(name)))
+    return [
+        [*(_pair(outcome, keys[i], keys[j], i, j) for i in range(j)), _likelihood(outcome, key)]
+        for j, key in enumerate(keys)
+    ]
+
+
+def _likelihood(outcome: Mapping[str, Any], key: FittedKey) -> Panel:
+    """Return the panel of likelihoods over a key, relative to the best fit's."""
+    entry, level, bands, points = key.entry, outcome["level"], [], []
+    curves: list[Curve] = []
+    shifts = np.linspace(-_WIDTH_SD, _WIDTH_SD, _FINE)
+    if key.is_known:
+        values = key.scaled(key.values(key.sd * shifts))
+        curves.append(Curve(values, np.exp(-0.5 * shifts**2), "linear"))
+    if key.samples is not None:
+        # more bins than so many independent samples fill show but their scatter
+        bins = max(math.ceil(2.0 * entry["posterior"]["effective_samples"] ** (1.0 / 3.0)), 5)
+        heights, borders = np.histogram(key.samples, bins=bins, density=True)
+        # of a normal distribution the largest density is 1 / (sd sqrt(2 pi))
+        heights = np.repeat(heights * np.sqrt(2.0 * np.pi) * key.samples.std(), 2)
+        words = "posterior, from", "posterior, to"
+        x = key.scaled(np.repeat(borders, 2)[1:-1])
+        bands.append(Band(x, 0.0 * heights, heights, "posterior", words, _LINE, 0.35))
+    if key.name in outcome["profiles"]:
+        x, growth = np.array(outcome["profiles"][key.name], dtype=float)
+        # the root of the growth is nearly linear between points
+        between = np.linspace(x[0], x[-1], _FINE)
+        roots = np.interp(between, x, np.sign(x - entry["estimate"]) * np.sqrt(growth))
+        name, colour = "likelihood profile", COLOURS[2]
+        curves.append(Curve(key.scaled(between), np.exp(-0.5 * roots**2), name, colour))
+        points.append(Points(key.scaled(x), np.exp(-0.5 * growth), "", colour, 4.5))
+    ends = key.axis.ends
+    if outcome["loss"] == "gaussian" and entry["verdict"] != "not identified" and ends:
+        half = float(norm.ppf(level if entry["verdict"] == "at bound" else 0.5 + 0.5 * level))
+        curves.append(
+            Curve(np.array(ends), np.full(2, np.exp(-0.5 * half * half)),
+                  f"likelihood at {100 * level:g} % limits", _LINE, 3, 1.2)
+        )  # fmt: skip
+    upright = np.array([0.0, 1.05])
+    limits = [end for end in entry["interval"] if end is not None]
+    curves += [
+        Curve(key.scaled([end, end]), upright, f"{100 * level:g} % interval", _LINE, 1, 1.2)
+        for end in limits
+    ]
+    at = key.scaled(entry["estimate"])
+    curves.append(Curve(np.full(2, at), upright, "best fit", COLOURS[1]))
+    labels = []
+    if entry["verdict"] == "not identified":
+        middle = float(at) if ends is None else 0.5 * (ends[0] + ends[1])
+        labels.append(Label(middle, 0.9, entry["verdict"], centred=True))
+    return Panel(
+        key.axis, Axis("relative likelihood", ends=(0.0, 1.1)), curves=curves, bands=bands,
+        points=points, labels=labels,
+    )  # fmt: skip
+
+
+def _pair(outcome: Mapping[str, Any], first: FittedKey, second: FittedKey, i: int, j: int) -> Panel:
+    """Return the panel of two keys: ellipses and samples."""
+    points, curves, labels = [], [], []
+    if first.samples is not None and second.samples is not None:
+        x, y = first.scaled(first.samples), second.scaled(second.samples)
+        points.append(Points(x, y, "", _LINE, 2.0, opacity=0.5))
+    pair = first, second
+    unknown = [key for key in pair if key.entry["verdict"] != "identified"]
+    at = [key.scaled(key.entry["estimate"]) for key in pair]
+    if unknown:
+        verdicts = "\n".join(f"{key.name}: {key.entry['verdict']}" for key in unknown)
+        labels.append(Label(float(at[0]), float(at[1]), verdicts, centred=True))
+    else:
+        table = np.array(outcome["covariance"], dtype=float)[np.ix_([i, j], [i, j])]
+        slopes = np.array([key.entry["estimate"] if key.log else 1.0 for key in pair])
+        variances, vectors = np.linalg.eigh(table / np.outer(slopes, slopes))
+        angle = np.linspace(0.0, 2.0 * np.pi, 181)
+        circle = np.stack([np.cos(angle), np.sin(angle)])
+        for dash, level in enumerate(_LEVELS):
+            radii = np.sqrt(np.maximum(variances, 0.0) * chi2.ppf(level, 2))
+            shifts = vectors @ (radii[:, None] * circle)
+            x, y = (key.scaled(key.values(s)) for key, s in zip(pair, shifts, strict=True))
+            curves.append(Curve(x, y, f"{100 * level:g} % ellipse", dash=dash))
+    points.append(Points(np.atleast_1d(at[0]), np.atleast_1d(at[1]), "", COLOURS[1], 9.0))
+    return Panel(first.axis, second.axis, curves=curves, points=points, labels=labels)
 
 
 def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:

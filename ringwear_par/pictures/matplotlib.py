@@ -6,13 +6,16 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import LogNorm
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from ringwear_par.pictures.panels import Axis, Curve, Label, Panel
-from ringwear_par.pictures.style import DASHES, number_text, plain, set_legend
+from ringwear_par.pictures.panels import Axis, Cells, Curve, Label, Panel
+from ringwear_par.pictures.style import CELL_COLOURS, DASHES, number_text, plain, set_legend
 
 #: letters of the labels in a line of a legend, with what is beside each, and its most columns
 _LETTERS, _GLYPH, _MOST_COLUMNS = 54, 5, 3
+#: likewise of an inch of a legend of many panels
+_LETTERS_OF_INCH = 15.0
 #: widths of lines of a page, in those of a figure; of sizes of points
 _WIDTH, _SIZE = 0.65, 0.7
 #: so many points are a picture in drawings, whose files would be large
@@ -62,15 +65,60 @@ def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
     if panel.uprights:
         axes.vlines(panel.uprights, 0.0, 1.0, transform=upwards, **dotted)
     for bars in panel.bars:
+        starts = np.zeros(len(bars.values)) if bars.starts is None else bars.starts
         axes.barh(
-            bars.places, bars.values, 0.3, xerr=bars.errors, color=bars.colour, alpha=0.75,
-            label=plain(bars.name),
+            bars.places, bars.values - starts, bars.height, starts, xerr=bars.errors,
+            color=bars.colour, alpha=bars.opacity, linewidth=0.0, label=plain(bars.name),
             error_kw={"ecolor": "0.1", "elinewidth": 0.9, "capsize": 2.0},
         )  # fmt: skip
+    if panel.cells is not None:
+        _draw_cells(axes, panel.cells)
     _set_axis(axes, "x", panel.x)
     _set_axis(axes, "y", panel.y)
     if columns:
         add_legend(axes, panel.legend, columns)
+
+
+def _draw_cells(axes: Any, cells: Cells) -> None:
+    """Draw a table of values, with a bar of its colours."""
+    drawn = axes.pcolormesh(
+        *cells.borders(), cells.values, cmap=CELL_COLOURS, norm=LogNorm() if cells.log else None
+    )
+    bar = axes.figure.colorbar(drawn, ax=axes)
+    if cells.log:
+        bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        bar.ax.yaxis.set_minor_locator(NullLocator())
+    bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value, 6)))
+    bar.set_label(plain(cells.label))
+
+
+def panel_grid(chart: Any, rows: Sequence[Sequence[Panel]], heights: Sequence[float] = ()) -> Any:
+    """Draw rows of panels under one legend; the first row is the longest.
+
+    Parameters
+    ----------
+    chart : a figure, or a part of one.
+    heights : of the rows, relative; () for equal ones.
+    """
+    across = max(map(len, rows))
+    grid = chart.add_gridspec(len(rows), across, height_ratios=heights or None)
+    entries: dict[str, Any] = {}
+    for i, row in enumerate(rows):
+        for j, panel in enumerate(row):
+            axes = chart.add_subplot(grid[i, j])
+            draw(axes, panel, 0)
+            draw_labels(axes, panel)
+            axes.set_title(plain(panel.title), loc="left")
+            handles, labels = axes.get_legend_handles_labels()
+            entries |= {label: h for h, label in zip(handles, labels, strict=True) if label}
+    if entries:
+        widest = max(map(len, entries)) + _GLYPH
+        letters = _LETTERS_OF_INCH * chart.bbox.width / chart.figure.dpi
+        chart.legend(
+            entries.values(), entries.keys(), loc="outside upper center", frameon=False,
+            ncols=max(1, min(len(entries), int(letters / widest))),
+        )  # fmt: skip
+    return chart
 
 
 def _draw_curve(axes: Any, curve: Curve) -> None:
@@ -109,7 +157,7 @@ def _set_categories(axes: Any, name: str, categories: Sequence[str]) -> None:
     """Write the words of categories, or some of them where there are many."""
     every = -(-len(categories) // _MOST_CATEGORIES) if name == "x" else 1
     places = range(0, len(categories), every)
-    words = [plain(categories[i]) for i in places]
+    words = ["\n".join(map(plain, categories[i].split("\n"))) for i in places]
     getattr(axes, f"set_{name}lim")(-0.6, len(categories) - 0.4)
     getattr(axes, f"set_{name}ticks")(places, words)
     if name == "x" and sum(len(word) + 2 for word in words) > _LEVEL_LETTERS:

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.pictures.style import COLOURS
 
@@ -127,12 +129,14 @@ class Points:
 
 @dataclass(frozen=True)
 class Bars:
-    """Bars from 0 to the right.
+    """Bars to the right.
 
     Parameters
     ----------
     places : (n,) float, their middles on the axis of categories.
     values : (n,) float, where they end; errors : (n,) float, half-lengths about these.
+    starts : (n,) float, where they begin; None: at 0.
+    height : where categories are 1 apart.
     """
 
     places: FloatArray
@@ -140,6 +144,45 @@ class Bars:
     name: str
     colour: str
     errors: FloatArray | None = None
+    starts: FloatArray | None = None
+    height: float = 0.3
+    opacity: float = 0.75
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A table of values as colours, the darker the larger.
+
+    Parameters
+    ----------
+    x : (m,) float; y : (n,) float, middles of the cells.
+    values : (n, m) float; NaN are gaps.
+    label : of the values, with the unit.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    values: FloatArray
+    label: str
+
+    @property
+    def log(self) -> bool:
+        """Whether the colours are of logarithms, as those of values that differ much."""
+        known = self.values[np.isfinite(self.values)]
+        return len(known) > 0 and bool(known.max() > 5.0 * known.min() > 0.0)
+
+    def borders(self) -> tuple[FloatArray, FloatArray]:
+        """Return the borders of the cells along both axes, (m + 1,) and (n + 1,)."""
+        return _borders(self.x), _borders(self.y)
+
+
+def _borders(middles: FloatArray) -> FloatArray:
+    if len(middles) == 1:
+        half = 0.1 * abs(middles) or 0.5
+        return np.concatenate([middles - half, middles + half])
+    between = 0.5 * (middles[1:] + middles[:-1])
+    first, last = 1.5 * middles[:1] - 0.5 * middles[1:2], 1.5 * middles[-1:] - 0.5 * middles[-2:-1]
+    return np.concatenate([first, between, last])
 
 
 @dataclass(frozen=True)
@@ -161,6 +204,7 @@ class Panel:
     bands: Sequence[Band] = ()
     points: Sequence[Points] = ()
     bars: Sequence[Bars] = ()
+    cells: Cells | None = None
     levels: tuple[float, ...] = ()
     uprights: tuple[float, ...] = ()
     labels: Sequence[Label] = ()

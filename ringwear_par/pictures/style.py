@@ -1,8 +1,9 @@
 """What all figures share: one style, colours that stay apart, words for values."""
 
 import io
+import logging
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from ringwear_par.cases.values import is_number
 from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.writing import atomic_write, check_writable
+
+log = logging.getLogger(__name__)
 
 STYLE: dict[Any, Any] = {
     "font.size": 9.0,
@@ -30,6 +33,8 @@ STYLE: dict[Any, Any] = {
 _FONTS: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"}
 #: of Okabe and Ito, which the colour-blind tell apart; dashes do in print without colour
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#222222")
+#: map of the colours of cells, which the colour-blind see as others do
+CELL_COLOURS = "viridis_r"
 #: line styles that stay apart in print without colour
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 #: of a map whose lightness grows evenly, the dark part that can be seen on white
@@ -130,11 +135,31 @@ def save_figure(figure: Figure, output: Path) -> None:
     InputError : what is drawn is too large for matplotlib's axes.
     OSError : the disk or the folder.
     """
-    picture = io.BytesIO()  # backends leave files open where the disk fails
-    with matplotlib.rc_context(STYLE):
-        try:
-            figure.savefig(picture, format=output.suffix[1:].lower())
-        except ArithmeticError as error:
-            raise InputError(f"{output}: cannot be drawn: {error}; values are too large") from error
+    try:
+        picture = _drawn(figure, output.suffix[1:].lower())
+    except ArithmeticError as error:
+        raise InputError(f"{output}: cannot be drawn: {error}; values are too large") from error
     with atomic_write(output) as temporary:
-        temporary.write_bytes(picture.getbuffer())
+        temporary.write_bytes(picture)
+
+
+def picture(draw: Callable[[], Figure], name: str) -> bytes | None:
+    """Return a picture, PNG; None, with a warning, where its numbers are too large for axes.
+
+    Parameters
+    ----------
+    name : what the warning calls it.
+    """
+    try:
+        return _drawn(draw(), "png")
+    except (ArithmeticError, TypeError, ValueError) as error:
+        log.warning("%s: cannot be drawn: %s", name, error)
+        return None
+
+
+def _drawn(figure: Figure, form: str) -> bytes:
+    """Return a figure in a format: backends leave files open where the disk fails."""
+    content = io.BytesIO()
+    with matplotlib.rc_context(STYLE):
+        figure.savefig(content, format=form)
+    return content.getvalue()

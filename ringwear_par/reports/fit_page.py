@@ -1,6 +1,6 @@
 """The page of a fit, and of the design of the next tests, from what their folders hold."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ringwear_par.cases.units import in_signs, with_signs
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.units import factor, in_signs, with_signs
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files import folders
 from ringwear_par.files.ordinary import read_bytes
@@ -23,6 +24,7 @@ from ringwear_par.identification.summary import (
     series_rows,
 )
 from ringwear_par.pictures import fits
+from ringwear_par.pictures.designs import design_panels
 from ringwear_par.pictures.style import in_words
 from ringwear_par.reports.blocks import (
     Block,
@@ -39,8 +41,6 @@ from ringwear_par.reports.blocks import (
 from ringwear_par.results.storage.hdf5 import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
 
-#: units that readings are shown in, and how many of them one of the file is
-_DISPLAY_UNITS = {"mm": ("\N{MICRO SIGN}m", 1e3), "g": ("mg", 1e3), "N mm": ("N m", 1e-3)}
 _DASH = "\N{EN DASH}"
 
 
@@ -97,22 +97,15 @@ def stored_picture(title: str, path: Path, alt: str) -> Picture:
 def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:
     sections = [Section("Summary", _summary(outcome))]
     level = float(outcome["level"])
-    drawn, single, text = _series(folder / folders.READINGS, level)
-    blocks: list[Block] = [Lines(_bands(level)), Charts(drawn)] if drawn else []
-    if single:
-        header = ("experiment", "series", "data", "model", "unit", "(data - model) / sd")
-        caption = f"Series of one reading, with the range that holds {100 * level:g} % of readings"
-        blocks.append(Table(caption, header, single))
-    blocks.append(_series_table(outcome))
+    series, samples, text = _readings(folder / folders.READINGS, level)
+    blocks = Lines(_bands(level)), Charts(_series_charts(series)), _series_table(outcome)
     sections.append(Section("Data, model and residuals", blocks))
-    picture = folder / folders.ESTIMATES
-    if picture.exists():
-        alt = (
-            "Relative likelihood of each fitted key, and confidence ellipses of each pair of them; "
-            "estimates, intervals and correlations are in the table above"
-        )
-        estimates = stored_picture("Fitted keys", picture, alt)
-        sections.append(Section("Likelihoods and ellipses", [estimates]))
+    keys = [
+        Chart(f"keys-{i}-{j}", panel, f"{panel.y.label} over {panel.x.label}; numbers above")
+        for i, row in enumerate(fits.fitted_keys(outcome, samples))
+        for j, panel in enumerate(row)
+    ]
+    sections.append(Section("Likelihoods and ellipses", [Charts(keys)]))
     if outcome["alternatives"]:
         sections.append(Section("Other laws", [_alternatives(outcome)]))
     sections.append(_reproduced(outcome, text))
@@ -211,36 +204,42 @@ def _in_signs(text: str) -> str:
     return with_signs(text.replace("+-", "\N{PLUS-MINUS SIGN}"))
 
 
-def _series(path: Path, level: float) -> tuple[list[Chart], list[list[str]], str]:
-    """Return charts of the series, rows of those of one reading, and the fit file's text."""
-    drawn: list[Chart] = []
-    single: list[list[str]] = []
+def _readings(path: Path, level: float) -> tuple[list[fits.Series], dict[str, FloatArray], str]:
+    """Return the series, the samples of the posterior by key, and the fit file's text."""
     with reading(path, SOFTWARE, "the readings of ringwear fit") as file:
-        for number, group in enumerate(_groups(file), start=1):
-            series = _series_of(group, level)
-            if len(series.data) == 1:
-                bars = [(series.data, series.sd), (series.model, series.band)]
-                words = [f"{v[0]:.5g} \u00b1 {series.quantile * sd[0]:.2g}" for v, sd in bars]
-                residual = f"{series.residuals[0]:.2g}"
-                single.append([series.experiment, series.name, *words, series.unit, residual])
-                continue
-            name = f"series-{number}"
-            drawn += [
-                Chart(name, fits.readings(series), f"Data, model and band of {series.title}"),
-                Chart(f"{name}-residuals", fits.residuals(series), f"Residuals of {series.title}"),
-            ]
-        return drawn, single, read_text(file.attrs["fit"])
+        series = [_series_of(group, level) for group in _groups(file)]
+        posterior = file.get("posterior", {})
+        samples = {key: posterior[key][()] for key in posterior if key != "sample"}
+        return series, samples, read_text(file.attrs["fit"])
 
 
 def _series_of(group: h5py.Group, level: float) -> fits.Series:
-    """Return a stored series in the unit that people read it in."""
-    base = read_text(group["data"].attrs["units"])
-    unit, factor = _DISPLAY_UNITS.get(base, (in_signs(base), 1.0))
-    experiment, name = (read_text(group.attrs[n]) for n in ("experiment", "series"))
-    data, model, sd, band = (factor * group[n][()] for n in ("data", "model", "sd", "band"))
-    profile = "r" in group
-    x, residuals = (group[n][()] for n in ("r" if profile else "time", "residual"))
-    return fits.Series(experiment, name, unit, x, profile, data, model, sd, band, residuals, level)
+    """Return a stored series in the unit of its readings."""
+    experiment, name, quantity, unit = (
+        read_text(group.attrs[n]) for n in ("experiment", "series", "quantity", "data_unit")
+    )
+    scale = 1.0 / factor(unit, read_text(group["data"].attrs["units"]))
+    data, model, sd, band = (scale * group[n][()] for n in ("data", "model", "sd", "band"))
+    x, residuals = group["r" if "r" in group else "time"][()], group["residual"][()]
+    edges = tuple(group.attrs["contact"].tolist())
+    return fits.Series(
+        experiment, name, quantity, unit, x, data, model, sd, band, residuals, level, edges
+    )
+
+
+def _series_charts(every: Sequence[fits.Series]) -> list[Chart]:
+    charts = []
+    for number, series in enumerate(every, start=1):
+        if len(series.x) > 1:
+            name, title = f"series-{number}", series.title
+            charts += [
+                Chart(name, fits.readings(series), f"Data, model and band of {title}"),
+                Chart(f"{name}-residuals", fits.residuals(series), f"Residuals of {title}"),
+            ]
+    if single := [series for series in every if len(series.x) == 1]:
+        panel, height = fits.single_readings(single), 160 + 45 * len(single)
+        charts.append(Chart("single", panel, "Series of one reading", height, wide=True))
+    return charts
 
 
 def _bands(level: float) -> list[str]:
@@ -284,10 +283,12 @@ def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
                f"measured as in {outcome['measured_as']}"]),
         Table("Best designs, with predicted standard deviations", header, rows),
     ]  # fmt: skip
-    picture, following = folder / folders.MAP, folder / folders.NEXT
-    if picture.exists():
-        alt = "Predicted standard deviations of the fitted keys over the tests; numbers above"
-        blocks.append(stored_picture("Map of the tests", picture, alt))
+    panels, following = design_panels(outcome), folder / folders.NEXT
+    charts = [
+        Chart(f"design-{number}", panel, "Predicted standard deviations over the tests")
+        for number, panel in enumerate(panels)
+    ]
+    blocks.append(Charts(charts))
     if following.exists():
         blocks.append(Source("The best tests, as tables of a fit file", read_file(following)))
     return Section("The next tests", blocks)

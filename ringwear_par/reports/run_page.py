@@ -15,6 +15,7 @@ from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import InputError
 from ringwear_par.pictures import runs
 from ringwear_par.pictures.figures import plot
+from ringwear_par.pictures.rig import rig_svg
 from ringwear_par.pictures.stresses import along_height, along_interfaces, largest
 from ringwear_par.reports.blocks import (
     Block,
@@ -63,7 +64,7 @@ def run_page(result: Result) -> Page:
     title = str(result.attributes.get("title", ""))
     if title:
         del lines[0]
-    doubts = [line for line in lines if line.startswith("WARNING")]
+    doubts = [line for line in lines if line.startswith("warning")]
     blocks: list[Block] = [Lines(doubts, warning=True)] if doubts else []
     blocks.append(Lines([line for line in lines if line not in doubts]))
     header = ("quantity", "value", "unit")
@@ -217,6 +218,11 @@ def _case_words(result: Result) -> list[Block]:
             "The stored text does not tell the whole case: only its laws are known for certain."
         )
         blocks.append(Lines([caution]))
+    if case is not None:
+        words = laws["lower"] or "", laws["upper"] or ""
+        alt = "Section of the rig through its axis: bodies, load, rotation, contact"
+        drawing = rig_svg(case, words).encode()
+        blocks.append(Picture("The rig", drawing, "image/svg+xml", alt))
     rows = wear if case is None else [*_bodies(case), *wear, *_test(case)]
     if rows:
         blocks.append(Table("The case in words", ("what", "how"), rows))

@@ -1,103 +1,87 @@
-"""Verbs that act on the outcomes of runs, fits and designs of tests.
+"""Outcomes of runs, fits, designs of tests and measurements: data, with doors to what shows it."""
 
-An outcome is data: how it looks and where it is kept is the matter of functions of its room. Doors
-to them stand here, and modules are loaded when a door is first used, so that no outcome knows any
-of them.
-"""
-
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_FIT, _DESIGN = "ringwear_par.identification", "ringwear_par.identification.test_design"
-_MEASURING = "ringwear_par.measuring"
-#: modules of the functions, by the class of an outcome and the function's name
-_MODULES = {
-    ("Result", "summary"): "ringwear_par.results.summary",
-    ("Result", "to_dict"): "ringwear_par.results.summary",
-    ("Result", "save"): "ringwear_par.results.storage.result_files",
-    ("FitResult", "summary"): f"{_FIT}.summary",
-    ("FitResult", "warnings"): f"{_FIT}.summary",
-    ("FitResult", "save"): f"{_FIT}.fit_folder",
-    ("FitResult", "figure"): f"{_FIT}.figures",
-    ("FitResult", "parameter_figure"): f"{_FIT}.figures",
-    ("FitResult", "specimen_figure"): f"{_FIT}.figures",
-    ("MeasureResult", "summary"): f"{_MEASURING}.summary",
-    ("MeasureResult", "save"): f"{_MEASURING}.measure_folder",
-    ("MeasureResult", "figure"): f"{_MEASURING}.figures",
-    ("DesignResult", "summary"): f"{_DESIGN}.design_numbers",
-    ("DesignResult", "to_dict"): f"{_DESIGN}.design_numbers",
-    ("DesignResult", "save"): f"{_DESIGN}.design_folder",
-    ("DesignResult", "figure"): f"{_DESIGN}.design_figures",
-}
+
+class Outcome:
+    """Data whose looks and files are the matter of functions of its room.
+
+    A class names the modules of these functions, which are loaded when a function is first used:
+    no outcome knows any of them.
+    """
+
+    #: modules of functions of the outcome, by the functions' names
+    functions: ClassVar[Mapping[str, str]]
+
+    def apply(self, name: str, *arguments: Any) -> Any:
+        """Return the value of a function of the outcome.
+
+        Raises
+        ------
+        TypeError : there is no such function of it.
+        """
+        if name not in self.functions:
+            raise TypeError(f"{type(self).__name__}: has no {name}")
+        return getattr(import_module(self.functions[name]), name)(self, *arguments)
+
+    def summary(self) -> str:
+        """Return it in a few lines, as the command prints it. Not collective.
+
+        Raises
+        ------
+        InputError : a result that was stored without its last state.
+        """
+        return str(self.apply("summary"))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as JSON can hold it, for a page or a script. Not collective.
+
+        Raises
+        ------
+        InputError : a result that was stored without its last state.
+        """
+        return dict(self.apply("to_dict"))
+
+    def plot(self) -> "Figure":
+        """Return its figure."""
+        figure: Figure = self.apply("plot")
+        return figure
+
+    def save(self, path: str | Path) -> None:
+        """Write its file, or the files of its folder, which is made.
+
+        Not collective: the process that calls this writes, each file whole.
+
+        Raises
+        ------
+        InputError : what cannot be written.
+        ComputationError : the disk.
+        """
+        self.apply("save", Path(path))
 
 
-def _apply(verb: str, outcome: Any, *arguments: Any) -> Any:
-    module = _MODULES.get((type(outcome).__name__, verb))
-    if module is None:
+def summary(outcome: Outcome) -> str:
+    """Return an outcome in a few lines, see ``Outcome.summary``."""
+    return _checked(outcome, "summary").summary()
+
+
+def to_dict(outcome: Outcome) -> dict[str, Any]:
+    """Return an outcome as JSON can hold it, see ``Outcome.to_dict``."""
+    return _checked(outcome, "to_dict").to_dict()
+
+
+def save(outcome: Outcome, path: str | Path) -> None:
+    """Write an outcome to its file or folder, see ``Outcome.save``."""
+    _checked(outcome, "save").save(path)
+
+
+def _checked(outcome: Outcome, verb: str) -> Outcome:
+    if not isinstance(outcome, Outcome):
         raise TypeError(f"{verb}: {type(outcome).__name__}: must be the outcome of a run or a fit")
-    return getattr(import_module(module), verb)(outcome, *arguments)
-
-
-def summary(outcome: Any) -> str:
-    """Return an outcome in a few lines, as the command prints it. Not collective.
-
-    Raises
-    ------
-    InputError : a result that was stored without its last state.
-    """
-    return str(_apply("summary", outcome))
-
-
-def to_dict(outcome: Any) -> dict[str, Any]:
-    """Return an outcome for a page or a script, as JSON can hold it. Not collective.
-
-    Raises
-    ------
-    InputError : a result that was stored without its last state.
-    """
-    if (type(outcome).__name__, "to_dict") in _MODULES:
-        return dict(_apply("to_dict", outcome))
-    return dict(outcome.to_dict())
-
-
-def save(outcome: Any, path: str | Path) -> None:
-    """Write an outcome to its file or folder. Not collective: the process that calls this writes.
-
-    Raises
-    ------
-    InputError : what cannot be written.
-    ComputationError : the disk.
-    """
-    _apply("save", outcome, Path(path))
-
-
-def warnings(outcome: Any) -> tuple[str, ...]:
-    """Return sentences against taking the numbers of a fit as they are."""
-    return tuple(_apply("warnings", outcome))
-
-
-def figure(outcome: Any) -> "Figure":
-    """Return the figure of a fit, of a design of tests or of a measurement."""
-    drawn: Figure = _apply("figure", outcome)
-    return drawn
-
-
-def parameter_figure(outcome: Any) -> "Figure":
-    """Return the figure of the fitted keys of a fit."""
-    drawn: Figure = _apply("parameter_figure", outcome)
-    return drawn
-
-
-def specimen_figure(outcome: Any) -> "Figure":
-    """Return the figure of the specimens of a fit with scatter.
-
-    Raises
-    ------
-    InputError : a fit without scatter.
-    """
-    drawn: Figure = _apply("specimen_figure", outcome)
-    return drawn
+    return outcome

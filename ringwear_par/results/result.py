@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -17,8 +17,8 @@ from ringwear_par.elasticity.stress.fields import StressHistory
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.files.text import parse_toml
 from ringwear_par.history.state import Progress, Start, State
-from ringwear_par.results import outcomes
 from ringwear_par.results import variables as table
+from ringwear_par.results.outcomes import Outcome
 from ringwear_par.results.stress_variables import stress_coordinates, stress_variables
 from ringwear_par.results.variables import Variable, edge_elements, layer_axis
 
@@ -55,7 +55,7 @@ class Checkpoint:
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class Result(Outcome):
     """A history as it is stored; arrays have the names of its file's variables.
 
     Parameters
@@ -78,6 +78,12 @@ class Result:
         or (n,) where the last profiles are stored only.
     stress : stored stresses, None where the case asks for none.
     """
+
+    functions: ClassVar = {
+        "summary": "ringwear_par.results.summary", "to_dict": "ringwear_par.results.summary",
+        "save": "ringwear_par.results.storage.result_files",
+        "plot": "ringwear_par.pictures.figures",
+    }  # fmt: skip
 
     line: ContactLine
     step: IntArray
@@ -129,10 +135,6 @@ class Result:
     def user_laws(self) -> dict[str, str]:
         """Texts of the users' own laws by body."""
         return dict(json.loads(self.attributes["user_laws"]))
-
-    def summary(self) -> str:
-        """Return it in a few lines, see ``rw.summary``."""
-        return outcomes.summary(self)
 
     def variables(self) -> list[tuple[Variable, Any]]:
         """Return every variable on the contact line and in time, with its values."""
@@ -199,14 +201,6 @@ class Result:
         )
         return dataset.set_coords(self.coordinates)
 
-    def save(self, path: str | Path) -> None:
-        """Write its file, see ``rw.save``."""
-        outcomes.save(self, path)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return title, status, warnings and key numbers, see ``rw.to_dict``."""
-        return outcomes.to_dict(self)
-
 
 @dataclass(frozen=True)
 class FailedResult:
@@ -244,7 +238,7 @@ class HistoryColumns:
     profiles : (rows, n) each, by name, see ``variables.PROFILES``; or (B, n), where the last ones
         are stored only: NaN where a history has none.
     imbalance : (B,) float, the worst balance of each, see ``Balances.worst``.
-    flags : what makes each doubtful, see ``ValidityWarning.flag``.
+    flags : what makes each doubtful, see ``ValidityWarning.code``.
     seconds : (B,) float, s, that each took: of those that are stepped together, its share.
     status : "done" or "failed".
     reason : why it failed, one line; "" for one that has not.

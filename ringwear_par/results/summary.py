@@ -10,7 +10,7 @@ from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.values import is_number
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
-from ringwear_par.errors import LONGEST_SENTENCE, legible
+from ringwear_par.errors import LONGEST_SENTENCE, legible, warning_lines
 from ringwear_par.results.key_numbers import (
     TIME_STEPS,
     check_numbers,
@@ -36,7 +36,7 @@ def summary(result: Result) -> str:
     time_steps = checks.pop(TIME_STEPS, None)
     lines = [
         *([title] if title else []),
-        *(f"WARNING: {text}" for text in (*_unfinished(about, last), *result.doubts)),
+        *warning_lines([*_unfinished(about, last), *result.doubts]),
         *(f"{group}: {', '.join(map(str, them))}" for group, them in in_groups(numbers).items()),
         *_wearing(about),
         *(

@@ -1,11 +1,11 @@
 """Numbers of a case that are more likely in another unit than meant so."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 from ringwear_par.cases.case import Case, Ring, RingLayer
 from ringwear_par.cases.forecast import DEEP, forecasts
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.errors import ValidityWarning
 from ringwear_par.schedules import largest
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.threshold import AboveThreshold
@@ -29,24 +29,8 @@ _SOFTEST, _RUBBERY = 10.0, 0.4
 #: MPa, and mean pressure in moduli: what is softer and pressed more is a rubber too. Metals in GPa
 #: are; friction papers bear less, and PTFE is stiffer
 _SOFT, _PRESSED = 300.0, 0.03
-#: MPa; no modulus in GPa is a larger number
-_GIGAPASCALS = 1000.0
-
-
-@dataclass(frozen=True)
-class ValidityWarning:
-    """A reason why an answer may not be valid, though it was computed.
-
-    Parameters
-    ----------
-    flag : short name, of letters and underscores.
-    text : the whole sentence.
-    key : of the number that may be wrong, and that a study may vary by purpose; "" for none.
-    """
-
-    flag: str
-    text: str
-    key: str = ""
+#: MPa; moduli of metals and ceramics in GPa are such numbers, from aluminium to diamond
+_GIGAPASCALS = (65.0, 1100.0)
 
 
 def unit_suspicions(case: Case) -> tuple[ValidityWarning, ...]:
@@ -73,13 +57,13 @@ def unit_suspicions(case: Case) -> tuple[ValidityWarning, ...]:
         *(ValidityWarning(_FLAG, text) for text in texts),
         *_keyed(_too_thin(case)),
         *_keyed(fast.items()),
-        *(warning for warning in deep_wear(case) if warning.key not in fast),
+        *(warning for warning in deep_wear(case) if fast.keys().isdisjoint(warning.keys)),
         *_keyed(_in_gigapascals(case)),
     )
 
 
 def _keyed(faults: Iterable[tuple[str, str]]) -> list[ValidityWarning]:
-    return [ValidityWarning(_FLAG, text, key) for key, text in faults]
+    return [ValidityWarning(_FLAG, text, (key,)) for key, text in faults]
 
 
 def deep_wear(case: Case) -> list[ValidityWarning]:
@@ -112,7 +96,7 @@ def but_varied(flags: Sequence[str], case: Case, varied: Sequence[str]) -> tuple
     if _FLAG not in flags:
         return tuple(flags)
     by_purpose = all(
-        any(warning.key == key or warning.key.startswith(f"{key}[") for key in varied)
+        any(f"{name}[".startswith(f"{key}[") for name in warning.keys for key in varied)
         for warning in unit_suspicions(case)
     )
     return tuple(flag for flag in flags if not (by_purpose and flag == _FLAG))
@@ -169,18 +153,24 @@ def _in_gigapascals(case: Case) -> Iterator[tuple[str, str]]:
     for name, material in case.materials.items():
         young, poisson = material.young, material.poisson
         soft = young < _SOFTEST or (young < _SOFT and _load(case) > _PRESSED * young)
-        if poisson < _RUBBERY and soft and _load(case) <= MOST_PRESSED * young:
+        as_metal = _GIGAPASCALS[0] <= young < _GIGAPASCALS[1]
+        if poisson < _RUBBERY and (soft or as_metal) and _load(case) <= MOST_PRESSED * young:
             key = f"{name}.young"
+            solids = (
+                "rubber, which has a Poisson's ratio near 0.5, not"
+                if soft
+                else "rubbers, papers and soft plastics, here with a Poisson's ratio of"
+            )
             text = (
-                f"{key} = {young:g} MPa is softer than any solid but rubber, which has a "
-                f"Poisson's ratio near 0.5, not {poisson:g}{_or_gigapascals(young)}"
+                f"{key} = {young:g} MPa is softer than any solid but {solids} {poisson:g}"
+                f"{_or_gigapascals(young)}"
             )
             yield key, text
 
 
 def _or_gigapascals(young: float) -> str:
     """Return the question about a modulus that may be in GPa."""
-    return f'; if it is in GPa, write "{young:g} GPa"' * (young < _GIGAPASCALS)
+    return f'; if it is in GPa, write "{young:g} GPa"' * (young < _GIGAPASCALS[1])
 
 
 def _too_dense(key: str, density: float | None) -> list[str]:

@@ -9,6 +9,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.elasticity.stress.measures import mises
+from ringwear_par.errors import ValidityWarning
 from ringwear_par.history.observers.balances import WorstBalances
 from ringwear_par.history.observers.stresses import RISING, CaseStresses, StressObserver
 from ringwear_par.history.observers.worst_states import (
@@ -23,17 +24,19 @@ from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.validity.stable_steps import missed_corner, stable_steps
 from ringwear_par.results.unit_suspicions import (
     MOST_PRESSED,
-    ValidityWarning,
     deep_wear,
     smallest_modulus,
     too_much_load,
     unit_suspicions,
 )
+from ringwear_par.schedules import largest
 
 #: share of the largest force of a history under which contact need not be resolved
 _SLIGHT_LOAD = 0.1
 #: largest approach or wear, in heights of a body, that small displacements describe
 _MOST_MOVED = 0.05
+#: largest gap between the unloaded faces, in heights of a body, that is likely meant
+_MOST_APART = 0.01
 #: largest defect of the boundary elements' own balances
 _MOST_DEFECT = 0.01
 #: likewise of the symmetry of a compliance without layers: pressures are off by as much at most,
@@ -116,6 +119,7 @@ def validity_warnings(
     """
     return (
         *_deep_wear(case, worst),
+        *_apart(case),
         *_contact_beyond_mesh(case, worst),
         *_missed_corner(case),
         *_high_pressure(case, worst),
@@ -149,7 +153,8 @@ def _deep_wear(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[Val
     One warning for one thing: wear that much was forecast for is there.
     """
     moved, time, *_ = worst["moved"]
-    if moved <= _MOST_MOVED * min(ring.z[1] - ring.z[0] for ring in case.rings):
+    gap = case.smallest_gaps[0] if _is_apart(case) else 0.0  # of which another warning tells
+    if moved - gap <= _MOST_MOVED * _height(case):
         yield from unit_suspicions(case)
         return
     forecast = deep_wear(case)
@@ -160,6 +165,40 @@ def _deep_wear(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[Val
         "height: small displacements and the mesh of the unworn bodies no longer hold"
         + "".join(f". {warning.text}" for warning in forecast),
     )
+
+
+def _height(case: Case) -> float:
+    """Return the height of the less high body, mm."""
+    return min(ring.z[1] - ring.z[0] for ring in case.rings)
+
+
+def _never_touches(case: Case) -> bool:
+    """Tell whether a displacement ends before the faces meet."""
+    displacement = case.load.displacement
+    return displacement is not None and largest(displacement) <= case.smallest_gaps[0]
+
+
+def _is_apart(case: Case) -> bool:
+    return case.smallest_gaps[0] > _MOST_APART * _height(case) or _never_touches(case)
+
+
+def _apart(case: Case) -> Iterator[ValidityWarning]:
+    """Yield whether the faces are further apart, before they are pressed, than is likely meant."""
+    if not _is_apart(case):
+        return
+    gap, (lower, upper) = case.smallest_gaps[0], case.rings
+    text = (
+        f"the unloaded faces are {gap:.4g} mm apart (lower.z ends at {lower.z[1]:g} mm, upper.z "
+        f"begins at {upper.z[0]:g} mm): "
+    )
+    if case.load.displacement is not None and _never_touches(case):
+        text += (
+            f"load.displacement is {largest(case.load.displacement):.4g} mm at most, so the bodies "
+            "never touch and nothing wears"
+        )
+    else:
+        text += "the approach begins with that way, the penetration does not"
+    yield ValidityWarning("bodies_apart", text)
 
 
 def _contact_beyond_mesh(
@@ -270,11 +309,11 @@ def _infinite_stress(
     history: StressHistory, worst: Mapping[str, Sequence[float]]
 ) -> Iterator[ValidityWarning]:
     """Yield whether the largest stress was where it would be infinite."""
-    largest, time, r, *_ = worst["infinite_stress"]
-    if largest and time in [state.time for state in history.states]:
+    stress, time, r, *_ = worst["infinite_stress"]
+    if stress and time in [state.time for state in history.states]:
         yield ValidityWarning(
             "infinite_stress",
-            f"the largest von Mises stress at t = {time:g} s, {largest:.5g} MPa, is beside the "
+            f"the largest von Mises stress at t = {time:g} s, {stress:.5g} MPa, is beside the "
             f"edge of contact at r = {r:.6g} mm, where stress is infinite until wear has rounded "
             "the edge: this number grows as stress.exclude, now "
             f"{history.exclude:g} mm, is made smaller",
@@ -320,13 +359,13 @@ def _infinite_at_interfaces(case: Case, history: StressHistory) -> Iterable[Vali
     """Return which bodies' largest stress was beside the end of an interface, the last of each."""
     warnings: dict[tuple[int, int, float], ValidityWarning] = {}
     for state in history.states:
-        for i, (body, largest) in enumerate(zip(BODIES, state.largest, strict=True)):
+        for i, (body, highest) in enumerate(zip(BODIES, state.largest, strict=True)):
             for number, r, z, reach in _infinite_ends(case, history, state, i):
-                if np.hypot(largest.r - r, largest.z - z) <= reach:
+                if np.hypot(highest.r - r, highest.z - z) <= reach:
                     warnings[i, number, r] = ValidityWarning(
                         "infinite_stress_at_interface",
                         f"the largest von Mises stress of {body} at t = {state.time:g} s, "
-                        f"{largest.mises:.5g} MPa, is beside the free edge of the interface "
+                        f"{highest.mises:.5g} MPa, is beside the free edge of the interface "
                         f"under {body}.layers[{number}], at r = {r:.6g}, z = {z:.6g} mm, where "
                         "stress between two materials is infinite: this number grows as "
                         f"stress.exclude, now {history.exclude:g} mm, is made smaller",

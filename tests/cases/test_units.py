@@ -152,8 +152,8 @@ def test_a_trace_of_a_profilometer_is_a_face(tmp_path):
 
 def test_heights_in_other_units_are_refused_and_in_none_are_told(tmp_path, caplog):
     for name, said in (
-        ("z_MPa", "is in MPa by its name; must be in a unit of length"),
-        ("z_um [tip]", "ends with [tip], no unit; must be in a unit of length"),
+        ("z_MPa", "is in MPa by its name; must be in the unit of a length"),
+        ("z_um [tip]", "ends with [tip], no unit; must be in the unit of a length"),
         ("höhe", ""),
     ):
         path = tmp_path / "trace.csv"

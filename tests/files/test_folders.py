@@ -17,12 +17,13 @@ pytestmark = pytest.mark.serial
         ("shards", "fit", "ringwear sweep"),
         ("measure.json", "fit", "ringwear measure"),
         ("design.json", "sweep", "ringwear fit"),
+        ("shards/", "fit", ""),  # of a sweep that has failed before its first case
         ("design.json", "fit", ""),
         ("cases.csv", "sweep", ""),
     ],
 )
 def test_outcomes_of_other_commands_are_not_replaced(tmp_path, name, command, refused):
-    (tmp_path / name).write_text("")
+    (tmp_path / name).mkdir() if name.endswith("/") else (tmp_path / name).write_text("")
     if not refused:
         refuse_others(tmp_path, command)
         return

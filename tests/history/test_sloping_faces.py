@@ -324,7 +324,7 @@ def flags(case, comm):
             worst = WorstStates(case)
             worst(snapshot)
             own = validity_warnings(case, worst.history())
-            found.update({doubt.flag: doubt.text for doubt in own})
+            found.update({doubt.code: doubt.text for doubt in own})
         return False
 
     simulate_one(case, comm, observers=[look])

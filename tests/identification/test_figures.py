@@ -8,8 +8,7 @@ from laboratory import FITTED, fit_tables, write_tests
 from mpi4py import MPI
 
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.definition.problem import Series
-from ringwear_par.identification.figures import _series, label
+from ringwear_par.identification.figures import drawn_series
 from ringwear_par.identification.fit import expected_result
 from ringwear_par.pictures import fits
 
@@ -28,31 +27,26 @@ def found(tmp_path_factory):
     return expected_result(read_fit(tables), MPI.COMM_WORLD)
 
 
-def profile_at(radii):
-    x = np.array(radii)
-    return Series("profile", "profile.lower", x, 0.0 * x, 0.0 * x + 1.0)
-
-
-def drawn_series(radii, edges, profile=True):
+def series_at(radii, edges, quantity="profile.lower", unit="um"):
     x = np.array(radii)
     columns = dict.fromkeys(("data", "model", "sd", "band", "residuals"), 0.0 * x)
-    return fits.Series("test", "profile", "um", x, profile, **columns, level=0.95, edges=edges)
+    return fits.Series("test", "profile", quantity, unit, x, **columns, level=0.95, edges=edges)
 
 
 def test_a_profile_is_broken_at_edges_and_gaps():
     radii = [28.3, 28.4, 28.5, 28.6, 28.7, 28.8, 29.4, 29.5]
     for order in (radii, radii[::-1]):
-        series = drawn_series(order, (28.5, 31.5))
+        series = series_at(order, (28.5, 31.5))
         assert series.breaks().tolist() == [2, 6]
         (model,) = fits.readings(series).curves
         assert np.flatnonzero(np.isnan(model.x)).tolist() == [2, 7]
         assert model.x[np.isfinite(model.x)].tolist() == radii
-    assert drawn_series([31.4, 31.5, 31.6], (28.5, 31.5)).breaks().tolist() == [2]
-    assert drawn_series(radii, ()).breaks().tolist() == [6]  # where edges are not known
+    assert series_at([31.4, 31.5, 31.6], (28.5, 31.5)).breaks().tolist() == [2]
+    assert series_at(radii, ()).breaks().tolist() == [6]  # where edges are not known
 
 
 def test_readings_in_time_are_joined():
-    assert not len(drawn_series([1.0, 2.0, 28.0, 29.0], (1.5, 31.5), profile=False).breaks())
+    assert not len(series_at([1.0, 2.0, 28.0, 29.0], (1.5, 31.5), "penetration").breaks())
 
 
 @pytest.mark.parametrize(
@@ -67,7 +61,7 @@ def test_readings_in_time_are_joined():
     ],
 )
 def test_axes_are_in_words(quantity, unit, said):
-    assert label(replace(profile_at([1.0]), quantity=quantity, unit=unit)) == said
+    assert series_at([1.0], (), quantity, unit).label == said
 
 
 def test_notebooks_show_a_fit(found):
@@ -78,7 +72,7 @@ def test_notebooks_show_a_fit(found):
 
 def test_residuals_are_data_less_model(found):
     chart = found.plot()
-    panels = [axes for axes in chart.axes if axes.get_ylabel() == "(data - model) / sd"]
+    panels = [axes for axes in chart.axes if axes.get_ylabel() == "residual / sd"]
     assert len(panels) == 2
     for axes, (_, series, part) in zip(panels, found.misfit.records, strict=False):
         expected = (series.value - found.evaluation.model[part]) / series.sd
@@ -91,13 +85,11 @@ def test_single_readings_share_a_strip(found):
     chart = found.plot()
     chart.draw_without_rendering()
     *curves, strip = chart.axes
-    assert [tick.get_text() for tick in strip.get_yticklabels()] == ["test 1: mass.lower"]
+    (words,) = (tick.get_text() for tick in strip.get_yticklabels())
+    assert words.startswith("test 1: mass.lower\n5 \N{PLUS-MINUS SIGN} 0.2 mg, model ")
     assert strip.get_xlabel() == "(data - model) / sd"
     (data,) = (line for line in strip.lines if line.get_label() == "data")
     assert data.get_xdata() == pytest.approx([-found.evaluation.noise[-1]])
-    (side,) = strip.child_axes
-    (told,) = (tick.get_text() for tick in side.get_yticklabels())
-    assert told.startswith("5 \N{PLUS-MINUS SIGN} 0.2 mg, model ")
     boxes = [axes.get_window_extent() for axes in (*curves, strip)]
     assert all(boxes[-1].y1 < box.y0 for box in boxes[:-1])
     assert boxes[-1].height < 0.1 * chart.bbox.height
@@ -107,16 +99,16 @@ def test_single_readings_alone_are_a_figure(found):
     problem = found.misfit.problem
     (test,) = problem.experiments
     one = replace(test, series=test.series[2:])
-    (axes,) = expected_result(replace(problem, experiments=(one,)), MPI.COMM_SELF).plot().axes
-    words = [text.get_text() for text in axes.get_legend().texts]
+    chart = expected_result(replace(problem, experiments=(one,)), MPI.COMM_SELF).plot()
+    assert len(chart.axes) == 1
+    words = [text.get_text() for text in chart.legends[0].texts]
     assert sorted(words) == ["95 % of readings", "95 % of the model", "data", "model"]
 
 
 def test_what_is_not_identified_has_neither_curve_nor_ellipse(found):
     def labels(chart):
         chart.draw_without_rendering()
-        panels = [axes for axes in chart.axes if axes.axison]
-        return [axes.get_legend_handles_labels()[1] for axes in panels]
+        return [[*filter(None, axes.get_legend_handles_labels()[1])] for axes in chart.axes]
 
     first, pair, second = labels(found.plot_parameters())
     assert "linear" in first
@@ -138,8 +130,8 @@ def test_long_tests_are_drawn_in_hours(found):
     assert not series.profile
     long = replace(series, x=series.x * (2e4 / series.x.max()))
     for one, seconds, words in ((long, 3600.0, "time (h)"), (series, 1.0, "time (s)")):
-        x, axis = _series(found, test, one, found.misfit.records[0].rows).along()
+        x, axis = drawn_series(found, test, one, found.misfit.records[0].rows).along()
         assert x == pytest.approx(one.x / seconds)
         assert axis.label == words
-    _, axis = _series(found, test, test.series[1], found.misfit.records[1].rows).along()
+    _, axis = drawn_series(found, test, test.series[1], found.misfit.records[1].rows).along()
     assert axis.label == "radius (mm)"

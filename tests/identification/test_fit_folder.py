@@ -24,11 +24,13 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.folders import FIT
 from ringwear_par.identification import fit as fit_room
-from ringwear_par.identification import fit as run_room
 from ringwear_par.identification import fit_folder
 from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.estimation import solution as solution_room
 from ringwear_par.identification.estimation import starts as starts_room
-from ringwear_par.identification.fit import fit, fit_problem, run_fit
+from ringwear_par.identification.fit import fit, fit_problem
+from ringwear_par.identification.fit_folder import run_fit
+from ringwear_par.identification.model.rounds import StoppedError
 from ringwear_par.results.execution.stopping import StopSignals
 
 
@@ -129,7 +131,8 @@ def test_doubts_are_said_once(tables, tmp_path, comm, capfd):
 
 
 @pytest.mark.serial
-def test_a_complete_fit_is_left_as_it_is(written, comm, monkeypatch):
+def test_a_complete_fit_is_left_as_it_is(written, comm, monkeypatch, caplog):
+    caplog.set_level("INFO")
     path, folder = written
     text = path.read_text()
     path.write_text(
@@ -146,12 +149,13 @@ def test_a_complete_fit_is_left_as_it_is(written, comm, monkeypatch):
     def never(*args, **kwargs):
         raise AssertionError("fitted again")
 
-    monkeypatch.setattr(fit_room, "fit_problem", never)
+    monkeypatch.setattr(fit_folder, "fit_problem", never)
     run_fit(path, folder, comm, restart=True)
     assert (folder / "fit.json").read_text() == whole
     path.write_text(path.read_text() + "\n# another\n")
     with pytest.raises(AssertionError, match="fitted again"):
-        run_fit(path, folder, comm, restart=True)
+        run_fit(path, folder, comm)
+    assert f"{folder / 'fit.json'} is there already: it will be replaced" in caplog.text
 
 
 @pytest.mark.serial
@@ -164,23 +168,30 @@ def test_a_dry_run_writes_nothing(written, comm, capsys):
 
 @pytest.mark.serial
 def test_a_fit_goes_on_with_the_starts_that_are_kept(written, comm, monkeypatch):
+    """If it was stopped; one that has failed leaves nothing in the way of the next."""
     path, folder = written
     whole = fit_problem(read_fit(path), comm)
-    calls = []
 
-    def stopping(*args):
-        calls.append(args)
-        if len(calls) == 2:
-            raise ComputationError("the power failed")
-        return solved(*args)
+    def fails_with(error):
+        calls = []
+
+        def ending(*args):
+            calls.append(args)
+            if len(calls) == 2:
+                raise error("the power failed")
+            return solved(*args)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(starts_room, "_solved", ending)
+            with pytest.raises(error, match="the power failed"):
+                run_fit(path, folder, comm)
 
     solved = starts_room._solved
-    with monkeypatch.context() as patch:
-        patch.setattr(starts_room, "_solved", stopping)
-        with pytest.raises(ComputationError, match="the power failed"):
-            run_fit(path, folder, comm)
+    fails_with(ComputationError)
+    assert not folder.exists()
+    fails_with(StoppedError)
     assert len(list((folder / "progress").iterdir())) == 1
-    with pytest.raises(InputError, match="interrupted; --restart goes on with it"):
+    with pytest.raises(InputError, match="interrupted; --restart goes on with it, --overwrite"):
         run_fit(path, folder, comm)
     run_fit(path, folder, comm, restart=True)
     told = json.loads((folder / "fit.json").read_text())
@@ -198,11 +209,11 @@ def test_histories_of_a_fit_that_goes_on_are_all_counted(written, comm, monkeypa
     whole = fit_problem(read_fit(path), comm)
 
     def stopping(*args):
-        raise ComputationError("the power failed")
+        raise StoppedError("the power failed")
 
     with monkeypatch.context() as patch:
-        patch.setattr(run_room, "likelihood_profiles", stopping)
-        with pytest.raises(ComputationError, match="the power failed"):
+        patch.setattr(solution_room, "likelihood_profiles", stopping)
+        with pytest.raises(StoppedError, match="the power failed"):
             run_fit(path, folder, comm)
     again = fit_problem(read_fit(path), comm, folder=folder)
     assert 0 <= again.histories - whole.histories <= 2

@@ -38,6 +38,14 @@ def laboratory(tmp_path_factory):
     return folder, rates, rw.measure(folder / "measure.toml")
 
 
+def test_what_is_shown_of_a_test_is_short(laboratory):
+    _, _, result = laboratory
+    shown = repr(result.tests[0])
+    assert shown.startswith("<TestNumbers W1, of the steady part: specific wear rate <Estimate 1.")
+    assert len(shown) < 300
+    assert len(repr(result.problem)) < 300
+
+
 def at_end(rate, hours):
     return rate * (1.0 + (START - 1.0) * np.exp(-hours / RUNNING_IN))
 
@@ -262,7 +270,7 @@ def test_a_folder_holds_numbers_a_table_and_a_picture(laboratory, tmp_path):
 
 
 def test_a_figure_has_a_panel_for_each_channel(laboratory):
-    figure = laboratory[2].figure()
+    figure = laboratory[2].plot()
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert [title[:2] for title in titles] == ["W1", "W1", "W2", "W2", "W3", "W3", "W4", "W4"]
     assert all("\N{PLUS-MINUS SIGN}" in title for title in titles)
@@ -280,7 +288,7 @@ def test_a_test_with_one_channel(laboratory, tmp_path):
     assert test.friction is not None
     assert "friction 0.2" in result.summary()
     assert result.to_dict()["tests"]["torque"]["specific_wear_rate"] is None
-    assert len(result.figure().axes) == 1
+    assert len(result.plot().axes) == 1
 
 
 def test_loads_in_steps_are_averaged_over_the_part(laboratory):
@@ -414,7 +422,7 @@ def record(folder, name, rows):
 def test_records_without_noise_have_finite_numbers(name, row, tmp_path):
     result = record(tmp_path, name, [row(120 * i) for i in range(600)])
     json.dumps(result.to_dict(), allow_nan=False)
-    result.figure()
+    result.plot()
     assert len(result.summary()) < 1000
     assert ("is negative" in result.summary()) == (name == "negative")
 

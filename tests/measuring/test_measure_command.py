@@ -96,6 +96,8 @@ def change(name, old, new):
         # keys
         ("measure.toml", "masses.csv", "mass.csv", "measure.toml: measure.masses: mass.csv"),
         ("measure.toml", "sd =", "u =", "masses: u: unknown key; must be one of file, sd"),
+        ("measure.toml", '"0.1 mg"', "0.1", 'sd = 0.1: must have its unit, such as "0.1 mg"'),
+        ("measure.toml", "W1.csv", "masses.csv", "is a table of weighings, not a record; it must"),
         ("measure.toml", '"0.1 mg"', '"0.1 mm"', "must be a finite number > 0 (mm is no unit"),
         ("measure.toml", '"6 N"', '"6 kg"', "load.force = \"6 kg\": must be a number > 0"),
         ("measure.toml", "load.force", "load.forse", "load.forse: unknown key (did you mean load"),

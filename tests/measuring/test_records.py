@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ringwear_par.errors import InputError
+from ringwear_par.files.measurements import read_measurements
 from ringwear_par.measuring.definition.records import read_record
 from ringwear_par.measuring.definition.weighings import read_weighings
 
@@ -22,7 +23,7 @@ def read(tmp_path):
         path = tmp_path / "w.csv"
         path.write_text("\n".join([names, *(row(i) for i in range(count))]))
         usual = {"columns": {}, "units": {}, "exclude": [], "sense": None}
-        return read_record(path, **{**usual, **options})
+        return read_record(read_measurements(path), **{**usual, **options})
 
     return read
 
@@ -239,3 +240,19 @@ def test_weighings_that_are_refused(text, said, tmp_path):
     with pytest.raises(InputError) as caught:
         weighings(tmp_path, text)
     assert said in str(caught.value)
+
+
+def test_columns_of_which_nothing_is_taken_are_named(read, tmp_path):
+    assert read("t_s;z_um;humidity_%;room").notes == ("columns not used: humidity_%, room",)
+    assert read("t_s;z_um;M / N m").notes == ()
+    path = tmp_path / "m.csv"
+    path.write_text("specimen,before / g,after / g,operator\na,12.1,12.0,n/a\n")
+    assert read_weighings(path).notes == ("weighings: columns not used: operator",)
+
+
+def test_half_days_have_twelve_hours(read):
+    rows = [f"2026-03-14 {1 + i // 60}:{i % 60:02d} PM;{i}" for i in range(80)]
+    assert read("time;z_um", rows.__getitem__, 80).duration == 79 * 60.0
+    rows[70] = rows[70].replace("2:10", "14:10")
+    with pytest.raises(InputError, match=r"line 72: time = .*14:10 PM: there is no such hour"):
+        read("time;z_um", rows.__getitem__, 80)

@@ -398,7 +398,7 @@ def test_a_run_with_little_stored_has_a_page(tmp_path):
     page = Read((tmp_path / "page.html").read_text())
     assert "No profiles are stored" in page.text
     assert HISTORY_PANELS.keys() - page.charts.keys() == {"pv", "through"}  # no friction, no layers
-    assert told.endswith(f"{len(HISTORY_PANELS) - 2} figures")
+    assert told.endswith(f"{len(HISTORY_PANELS) - 1} figures")
 
 
 def test_laws_of_users_are_told_but_not_run(tmp_path):
@@ -454,7 +454,7 @@ def test_missing_packages_are_told(folder, tmp_path, monkeypatch):
 def test_the_command(ranks, folder, tmp_path):
     done = ringwear("report", folder / "run.h5", "-o", tmp_path / "page.html", ranks=ranks)
     assert done.returncode == 0, done.stderr
-    assert done.stdout == f"{tmp_path}/page.html: Wear history of a test, 11 figures\n"
+    assert done.stdout == f"{tmp_path}/page.html: Wear history of a test, 12 figures\n"
     assert (tmp_path / "page.html").read_bytes() == (folder / "run.html").read_bytes()
     refused = ringwear("report", folder / "away.h5", "-o", tmp_path / "other.html", ranks=ranks)
     assert refused.returncode == 2

@@ -86,7 +86,7 @@ def test_what_makes_an_answer_doubtful_is_stored(shared_path, comm, capsys):
     assert "times its stability limit" in told
     if comm.rank == 0:
         out, err = capsys.readouterr()
-        assert out.splitlines()[1] == f"WARNING: {told}"  # below the title
+        assert out.splitlines()[1] == f"warning: {told}"  # below the title
         assert told not in err
 
 
@@ -109,11 +109,11 @@ def test_a_number_in_another_unit_is_doubted_where_there_is_no_summary(shared_pa
 
 def test_the_summary_of_a_stopped_run_says_so_first(interrupted):
     told = open_result(interrupted).summary().splitlines()[1]
-    assert told == "WARNING: stopped after step 7 of 20: ringwear run --restart continues it"
+    assert told == "warning: stopped after step 7 of 20: ringwear run --restart continues it"
 
 
 def test_the_summary_of_a_failed_run_says_why_first(failed):
-    assert "WARNING: failed after step" in open_result(failed).summary().splitlines()[1]
+    assert "warning: failed after step" in open_result(failed).summary().splitlines()[1]
 
 
 def test_the_summary_leads_with_the_answer_and_ends_with_checks(shared_path, comm, capsys):

@@ -15,8 +15,8 @@ LAYERED = CASES / "wear_through.toml"
 def told(path, **changes):
     """Return what is doubted of a case with some of its keys changed, by key."""
     doubts = unit_suspicions(rw.read_case(path, changes))
-    assert {doubt.flag for doubt in doubts} <= {"implausible_numbers"}
-    return {doubt.key: doubt.text for doubt in doubts}
+    assert {doubt.code for doubt in doubts} <= {"implausible_numbers"}
+    return {"".join(doubt.keys): doubt.text for doubt in doubts}
 
 
 @pytest.mark.parametrize("path", sorted(CASES.glob("*.toml")), ids=lambda path: path.stem)
@@ -161,7 +161,14 @@ def soft(young, poisson, pressure):
 
 @pytest.mark.parametrize(
     ("young", "poisson", "pressure"),
-    [(4, 0.38, 50.0), (4, 0.38, 0.2), (0.5, 0.3, 0.01), (210, 0.3, 10.0), (70, 0.33, 5.0)],
+    [
+        (4, 0.38, 50.0),
+        (4, 0.38, 0.2),
+        (0.5, 0.3, 0.01),
+        (210, 0.3, 10.0),
+        (210, 0.3, 0.1),
+        (70, 0.33, 5.0),
+    ],
 )
 def test_a_modulus_in_gigapascals_is_doubted(young, poisson, pressure):
     (text,) = soft(young, poisson, pressure)
@@ -181,6 +188,22 @@ def test_a_modulus_in_gigapascals_is_doubted(young, poisson, pressure):
 )
 def test_moduli_of_soft_materials_are_not_doubted(young, poisson, pressure):
     assert soft(young, poisson, pressure) == []
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("load", "said"),
+    [
+        ({}, "the approach begins with that way"),
+        ({"load.control": "displacement", "load.pressure": None, "load.displacement": 0.5},
+         "load.displacement is 0.5 mm at most, so the bodies never touch and nothing wears"),
+    ],
+)  # fmt: skip
+def test_bodies_that_are_apart(load, said):
+    keys = {"upper.z": [21, 41], "time.steps": 1, "mesh.contact_elements": 12, **load}
+    (text,) = rw.simulate(rw.read_case(PAPER, keys), MPI.COMM_SELF).doubts
+    assert text.startswith("the unloaded faces are 1 mm apart (lower.z ends at 20 mm, upper.z beg")
+    assert said in text
 
 
 @pytest.mark.serial

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ringwear_par.cases.units import factor, told_unit
-from ringwear_par.cases.values import RejectedError
+from ringwear_par.cases.files.columns import unit_by_name
+from ringwear_par.cases.units import factor
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.measurements import read_measurements
+from ringwear_par.files.measurements import Measurements, read_measurements
 
 log = logging.getLogger(__name__)
 
@@ -29,7 +29,7 @@ def read_trace(path: Path) -> list[list[float]]:
     if len(table.columns) != 2:
         names = legible(", ".join(table.columns))
         raise InputError(f"{path}: has the columns {names}; must have two, radii and heights")
-    units = [_unit(str(path), table.label(name)) for name in table.columns]
+    units = [_unit(table, name) for name in table.columns]
     rows = table.filled(*table.columns)
     columns = [
         factor(unit, "mm") * table.numbers(name, rows)
@@ -40,22 +40,11 @@ def read_trace(path: Path) -> list[list[float]]:
     return points
 
 
-def _unit(path: str, column: str) -> str:
-    """Return the unit of a column.
-
-    Raises
-    ------
-    InputError : it is no length.
-    """
-    try:
-        unit = told_unit(column, "mm")
-    except RejectedError as reason:
-        raise InputError(
-            f"{path}: the column {legible(column)} {reason}; must be in a unit of length, such as "
-            "um, mm or inch"
-        ) from reason
+def _unit(table: Measurements, column: str) -> str:
+    """Return the unit of a column of lengths."""
+    unit = unit_by_name(table, column, "mm")
     if unit is None:
-        _warn(path, column)
+        _warn(table.name, table.label(column))
     return unit or "mm"
 
 

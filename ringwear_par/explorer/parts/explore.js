@@ -99,6 +99,7 @@ function hear(told) {
       fill(find("worn").tBodies[0], told.worn.slice(1));
     }
     find("summary").textContent = told.summary;
+    if (told.rig) find("rig").src = told.rig;
     find("case").textContent = told.case;
     find("chosen").textContent = told.chosen;
     find("instant").setAttribute("aria-valuetext", told.chosen);

@@ -3,73 +3,38 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import median_filter
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.files.columns import (
+    UNITS,
+    FileStore,
+    missing_column,
+    read_texts,
+    unit_by_name,
+)
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import (
     assumption,
     factor,
     has_unit,
-    told_unit,
+    number_and_unit,
     unit_of_anything,
     unit_of_column,
 )
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.measurements import Measurements, and_more, read_measurements
+from ringwear_par.files.measurements import Measurements, and_more
 from ringwear_par.identification.definition.problem import BASE
 from ringwear_par.identification.definition.schema import SD
 
-#: what messages say of units
-_UNITS = {
-    "s": "a time, such as s, min or h", "mm": "a length, such as um, mm or inch",
-    "N mm": "a torque, such as N mm or N m", "g": "a mass, such as mg or g",
-    "mm^3": "a volume, such as mm^3 or um^3",
-}  # fmt: skip
 #: readings of which data are smoothed by their median
 _SMOOTH = 9
 #: of the largest reading: below it a relative error means nothing
 _NEAR_ZERO = 0.05
-
-
-class FileStore:
-    """The files of data, each read once.
-
-    Parameters
-    ----------
-    folder : from which their names count.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._read: dict[str, Measurements | InputError] = {}
-
-    def __call__(self, name: str) -> Measurements:
-        """Return a file's table.
-
-        Raises
-        ------
-        InputError : it cannot be read; every time it is asked for.
-        """
-        if name not in self._read:
-            try:
-                self._read[name] = read_measurements(self._folder / name)
-            except InputError as error:
-                self._read[name] = error
-        table = self._read[name]
-        if isinstance(table, InputError):
-            raise table
-        return table
-
-    @property
-    def hashes(self) -> dict[str, str]:
-        """SHA-256 of what has been read."""
-        return {k: v.sha256 for k, v in self._read.items() if isinstance(v, Measurements)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,8 +86,17 @@ def read_readings(
 
 
 def _single(reader: TableReader, kind: str, at: float) -> Readings | None:
-    single = reader.read("value")
-    unit, scale = _unit(reader, kind)
+    written = reader.raw("value")
+    if has_unit(written) and "unit" not in reader:
+        unit, base = number_and_unit(written)[1], BASE[kind]
+        try:
+            scale: float | None = factor(unit, base)
+        except RejectedError:
+            reader.wrong("value", f"must be in the unit of {UNITS[base]}")
+            return None
+    else:
+        unit, scale = _unit(reader, kind)
+    single = None if scale is None else reader.read("value", unit=unit)
     if single is None or scale is None:
         return None
     return Readings(np.array([at]), np.array([scale * single]), unit, scale)
@@ -171,13 +145,8 @@ def _from_file(reader: TableReader, kind: str, files: FileStore) -> Readings | N
             reader.raw(key)
             reader.wrong(key, "must be absent beside file")
     roles = ("r" if kind == "profile" else "time", "value")
-    columns, units = reader.raw("columns", {}), reader.raw("units", {})
-    for key, table in (("columns", columns), ("units", units)):
-        wrong = not isinstance(table, Mapping) or set(table) - set(roles)
-        if wrong or not all(isinstance(entry, str) for entry in table.values()):
-            reader.wrong(key, f"must be a table of texts, for {' and '.join(roles)}")
-            return None
-    if name is None:
+    columns, units = (read_texts(reader, key, roles) for key in ("columns", "units"))
+    if columns is None or units is None or name is None:
         return None
     try:
         data = files(name)
@@ -189,20 +158,15 @@ def _from_file(reader: TableReader, kind: str, files: FileStore) -> Readings | N
     assumed: list[str] = []  # roles
     for role in roles:
         column = columns.get(role, role)
-        if column not in data.columns:
-            reader.fault(
-                f"{data.name}: has no column {legible(column)} for {role}; must be one of "
-                f"{legible(', '.join(data.columns), 200)}"
-            )
+        if fault := missing_column(data, column, role):
+            reader.fault(fault)
             continue
         base = BASE[kind if role == "value" else role]
         try:
-            unit = units.get(role) or told_unit(data.label(column), base) or ""
-        except RejectedError as reason:
-            reader.fault(
-                f"{data.name}: the column {legible(column)} {reason}; must be in the unit of "
-                f"{_UNITS[base]}, or units.{role} must be given"
-            )
+            hint = f", or units.{role} must be given"
+            unit = units.get(role) or unit_by_name(data, column, base, hint) or ""
+        except InputError as error:
+            reader.faults += error.faults
             continue
         if not unit:
             unit = base
@@ -255,7 +219,7 @@ def _unit_factor(reader: TableReader, key: str, unit: str, base: str) -> float |
         return factor(unit, base)
     except RejectedError:
         state = f"= {shortened(unit)}" if unit else "is missing"
-        reader.fault(f"{key} {state}: must be the unit of {_UNITS[base]}")
+        reader.fault(f"{key} {state}: must be the unit of {UNITS[base]}")
         return None
 
 

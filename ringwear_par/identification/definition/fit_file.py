@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.files.faults import Origin
 from ringwear_par.cases.files.keys import (
     base_keys,
@@ -25,7 +26,6 @@ from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.files.text import parse_toml, read_text, refuse_depth
 from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.identification.definition import schema
-from ringwear_par.identification.definition.data_sources import FileStore
 from ringwear_par.identification.definition.fitted_parameters import (
     read_parameters,
     refuse_both,
@@ -50,6 +50,19 @@ _OUTPUT = {
 }  # fmt: skip
 _TABLES = ("case", "fit", "experiment", "compare", "design")
 _LOADS = ("load.pressure", "load.force")
+
+
+def read_complete(source: Path | str | Mapping[str, Any]) -> Problem:
+    """Read a fit file, if the packages for its intervals are there. Not collective.
+
+    Raises
+    ------
+    InputError : its faults; a package that is missing.
+    """
+    problem = read_fit(source)
+    if missing := problem.settings.missing_package:
+        raise InputError(f"{problem.name}: {missing}")
+    return problem
 
 
 def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> Problem:

@@ -223,8 +223,8 @@ KEYS: tuple[Key, ...] = (
         *text("the name of a table: a text file with commas, semicolons or tabs"), "-",
         "table of readings, relative to this file: a line of column names, perhaps a row of "
         "units, then numbers. Lines above the names, lines that begin with #, and cells that are "
-        "empty or nan, n.a., NA, -, --- are skipped. Times may be dates with times (2026-03-14 "
-        "08:15:00, 14.03.2026 08:15:00) or clock times: h:mm:ss, or min:s (h:min where "
+        "empty or nan, n.a., n/a, NA, -, --- are skipped. Times may be dates with times "
+        "(2026-03-14 08:15:00, 14.03.2026 08:15:00) or clock times: h:mm:ss, or min:s (h:min where "
         "units.time is h)", None),
     Key("experiment.data.columns", *_COLUMNS, "-",
         "names of the columns of file; default: time (or r) and value", None),
@@ -232,9 +232,9 @@ KEYS: tuple[Key, ...] = (
         "units of the columns of file, as pint writes them; default: the units in the columns' "
         "names (z_um, z / um), which must agree; without any, s, mm, N mm, g, mm^3", None),
     Key("experiment.data.value", *number(-math.inf), "data's",
-        "a single reading, instead of file", None),
+        "a single reading, instead of file; perhaps with its unit (\"6.1 mg\")", None),
     Key("experiment.data.unit", *anything("a unit that pint knows, of the quantity"), "-",
-        "unit of value and sd; with planned readings, of sd", None),
+        "unit of value and sd, where value has none; with planned readings, of sd", None),
     Key("experiment.data.at", *number(0.0), "s",
         "time in the test at which the profile or value was measured; default: the end", None),
     Key("experiment.data.times", *_instants(), "s",

@@ -8,13 +8,11 @@ import numpy as np
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.cases.case import Case, density_keys
+from ringwear_par.cases.files.columns import FileStore, read_intervals
 from ringwear_par.cases.tables import TableReader
-from ringwear_par.cases.units import (
-    in_unit_where_right,
-)
 from ringwear_par.errors import legible
 from ringwear_par.files.measurements import and_more
-from ringwear_par.identification.definition.data_sources import FileStore, read_noise, read_readings
+from ringwear_par.identification.definition.data_sources import read_noise, read_readings
 from ringwear_par.identification.definition.problem import Nuisance, Quantity, Series
 from ringwear_par.identification.definition.schema import DATA, DENSITIES, NUISANCE, NUISANCES
 
@@ -69,7 +67,7 @@ def read_series(
     if kind != "profile" and len(x) and end < x[-1] <= end * (1.0 + _ROUNDED):
         x = np.append(x[:-1], end)
     keep = np.ones(len(x), dtype=bool)
-    for low, high in _intervals(reader, "mm" if kind == "profile" else "s"):
+    for low, high in read_intervals(reader, "exclude", "mm" if kind == "profile" else "s"):
         keep &= (x < low) | (x > high)
     sd, fitted = read_noise(reader, readings, keep)
     nuisances = _nuisances(reader, kind, case)
@@ -112,22 +110,6 @@ def read_series(
     return series if len(faults) == before else None
 
 
-def _intervals(reader: TableReader, unit: str) -> list[tuple[float, float]]:
-    """Return the intervals of ``exclude``, in a unit."""
-    value = in_unit_where_right(reader.raw("exclude", []), unit)
-    good = isinstance(value, list | tuple) and all(
-        isinstance(entry, list | tuple)
-        and len(entry) == 2
-        and all(isinstance(v, int | float) and math.isfinite(v) for v in entry)
-        and entry[0] < entry[1]
-        for entry in value
-    )
-    if not good:
-        reader.wrong("exclude", "must be a list of increasing pairs (mm of a profile, else s)")
-        return []
-    return [(float(low), float(high)) for low, high in value]
-
-
 def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisance, ...]:
     table = reader.raw("nuisance", {})
     if not isinstance(table, Mapping):
@@ -167,8 +149,11 @@ def density_of(reader: TableReader, quantity: str, case: Case | None) -> float |
     if reader.raw("density") is None and len(densities) > 1:
         _check_densities(reader, body, densities)
         return case_density
-    default = ... if case_density is None else case_density
-    density: float | None = reader.read("density", default)
+    if "density" not in reader and case_density is None:
+        if case is not None:  # else that of the case may be there
+            reader.wrong("density", f"must be given here, or as {body}.density of the case (g/mm3)")
+        return None
+    density: float | None = reader.read("density", case_density)
     if density is not None and (rule := _density_rule(density)):
         reader.wrong("density", rule)
     return density

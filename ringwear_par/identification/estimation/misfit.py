@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray, short_repr
 from ringwear_par.identification.definition.fitted_parameters import ordered_keys
 from ringwear_par.identification.definition.problem import Experiment, Prior, Problem, Series
 from ringwear_par.identification.model.histories import ROUGH_STEPS, STEPS, Histories, HistoryError
@@ -55,6 +55,8 @@ class Evaluation:
     jacobian: FloatArray
     #: (n, m) derivatives of the readings with respect to the fitted keys' values
     sensitivity: FloatArray
+
+    __repr__ = short_repr
 
     @property
     def objective(self) -> float:

@@ -1,13 +1,10 @@
 """Checks of single records: readings that cannot be what they are called, or oppose the model."""
 
-from dataclasses import dataclass, field
-from typing import Any
-
 import numpy as np
 from scipy.stats import f as f_distribution
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import InputError, ValidityWarning, legible
 from ringwear_par.identification.definition.problem import Experiment, Series
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.estimation.starts import case_points
@@ -34,24 +31,9 @@ _HARMLESS = ("offset", "level", "tilt")
 _PARTS = 40
 
 
-@dataclass(frozen=True)
-class FitWarning:
-    """Something that speaks against taking the numbers of a fit as they are."""
-
-    #: the same for doubts of a kind.
-    code: str
-    #: a sentence.
-    text: str
-    #: which it is of; none where it is of all.
-    experiments: tuple[str, ...]
-    keys: tuple[str, ...] = ()
-    #: numbers of the sentence, by name.
-    values: dict[str, Any] = field(default_factory=dict)
-
-
 def record_warnings(
     misfit: Misfit, x: FloatArray, evaluation: Evaluation
-) -> tuple[FitWarning, ...]:
+) -> tuple[ValidityWarning, ...]:
     """Return warnings about single records of a fit, whose unknowns are x at the optimum."""
     nuisances = misfit.nuisance_columns @ x[len(misfit.problem.parameters) :]
     return (
@@ -60,7 +42,7 @@ def record_warnings(
     )
 
 
-def _oppositions(misfit: Misfit, model: FloatArray) -> list[FitWarning]:
+def _oppositions(misfit: Misfit, model: FloatArray) -> list[ValidityWarning]:
     """Return warnings about records that fall where the model's, without nuisances, rise."""
     warnings = []
     for experiment, series, rows in misfit.records:
@@ -81,11 +63,11 @@ def _oppositions(misfit: Misfit, model: FloatArray) -> list[FitWarning]:
                 f"exclude = [[{first:.10g}, {last:.10g}]]"
             )
         values = {"series": series.name, "exclude": exclude and list(exclude)}
-        warnings.append(FitWarning("readings-oppose", said, (experiment.name,), values=values))
+        warnings.append(ValidityWarning("readings-oppose", said, (), (experiment.name,), values))
     return warnings
 
 
-def _trends(misfit: Misfit, evaluation: Evaluation) -> list[FitWarning]:
+def _trends(misfit: Misfit, evaluation: Evaluation) -> list[ValidityWarning]:
     """Return warnings about records whose residuals are no noise."""
     warnings = []
     for experiment, series, rows in misfit.records:
@@ -101,7 +83,7 @@ def _trends(misfit: Misfit, evaluation: Evaluation) -> list[FitWarning]:
             "narrow"
         )
         values = {"series": series.name, "p": probability}
-        warnings.append(FitWarning("residuals-trend", said, (experiment.name,), values=values))
+        warnings.append(ValidityWarning("residuals-trend", said, (), (experiment.name,), values))
     return warnings
 
 

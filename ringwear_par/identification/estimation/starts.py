@@ -2,6 +2,7 @@
 
 import json
 import logging
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -107,7 +108,9 @@ class StoredStarts:
             log.warning("%s: cannot be written: %s", path, error.strerror or error)
 
     def remove(self) -> None:
-        """Remove all stored outcomes. On one rank.
+        """Remove all stored outcomes, and the folder of the results where nothing else is in it.
+
+        On one rank.
 
         Raises
         ------
@@ -118,6 +121,8 @@ class StoredStarts:
         for path in (self._folder / PROGRESS).iterdir():
             path.unlink(missing_ok=True)
         (self._folder / PROGRESS).rmdir()
+        with suppress(OSError):
+            self._folder.rmdir()
 
 
 def case_points(misfit: Misfit, count: int) -> FloatArray:

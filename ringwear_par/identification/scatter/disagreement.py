@@ -8,9 +8,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ValidityWarning
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
-from ringwear_par.identification.estimation.record_checks import FitWarning
 from ringwear_par.identification.scatter.linearisation import Linearisation
 
 #: probability below which what tests differ by is no chance
@@ -36,7 +36,7 @@ class _Heterogeneity(NamedTuple):
 
 def disagreements(
     misfit: Misfit, x: FloatArray, evaluation: Evaluation, test_unknowns: FloatArray
-) -> list[FitWarning]:
+) -> list[ValidityWarning]:
     """Return a warning about the key of a rate whose values differ most between tests.
 
     Of those that the fit file does not let scatter.
@@ -82,7 +82,7 @@ def disagreements(
         )
         values = {**heterogeneity._asdict(), "p": heterogeneity.probability, "readings": own_sd}
         names = tuple(problem.experiments[i].name for i in informed)
-        warnings.append(FitWarning("tests-disagree", text, names, (parameter.key,), values))
+        warnings.append(ValidityWarning("tests-disagree", text, (parameter.key,), names, values))
     # one that scatters makes the others look as if they did
     return sorted(warnings, key=lambda warning: -warning.values["q"])[:1]
 

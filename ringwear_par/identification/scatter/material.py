@@ -9,6 +9,7 @@ from scipy.stats import norm
 from scipy.stats import t as student_t
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ValidityWarning
 from ringwear_par.identification.definition.problem import FittedParameter
 from ringwear_par.identification.definition.scatter import PLURALS
 from ringwear_par.identification.estimation.intervals import (
@@ -17,7 +18,6 @@ from ringwear_par.identification.estimation.intervals import (
     is_vague,
 )
 from ringwear_par.identification.estimation.misfit import Evaluation
-from ringwear_par.identification.estimation.record_checks import FitWarning
 from ringwear_par.identification.scatter.mixture import Mixture
 from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size, SizePosterior
 
@@ -185,7 +185,7 @@ class Material:
         return entry
 
     @property
-    def warnings(self) -> tuple[FitWarning, ...]:
+    def warnings(self) -> tuple[ValidityWarning, ...]:
         """Warnings about scatters of which readings say next to nothing."""
         warnings = []
         if not self.converged:
@@ -193,7 +193,7 @@ class Material:
                 "the iteration over values of specimens has not converged: numbers of the material "
                 "are from its last round; fit fewer keys, or add priors"
             )
-            warnings.append(FitWarning("scatter-not-converged", text, ()))
+            warnings.append(ValidityWarning("scatter-not-converged", text))
         for key, parameter in enumerate(self.parameters):
             for i in self.levels_of(key):
                 count, plural = len(self.names[i]), PLURALS[self._name(i)]
@@ -204,7 +204,9 @@ class Material:
                         f"3 or more {plural} are needed"
                     )
                     values = {"groups": count, "level": self._name(i)}
-                    warnings.append(FitWarning("few-specimens", text, (), (parameter.key,), values))
+                    warnings.append(
+                        ValidityWarning("few-specimens", text, (parameter.key,), (), values)
+                    )
         return tuple(warnings)
 
     def _size_entry(self, level: int) -> dict[str, Any]:

@@ -8,7 +8,7 @@ may be: draws from an earlier fit or from priors.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
 from mpi4py import MPI
@@ -16,6 +16,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.folders import DESIGN, MAP, NEXT, check_folder
+from ringwear_par.files.writing import announce_replacement
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Criterion, Problem
 from ringwear_par.identification.test_design.candidates import (
@@ -33,18 +34,17 @@ from ringwear_par.identification.test_design.information import (
     with_noise,
 )
 from ringwear_par.identification.test_design.search import Design, Search
-from ringwear_par.parallel import on_first_rank
-from ringwear_par.results import outcomes
+from ringwear_par.options import reject_unused_options
+from ringwear_par.parallel import on_first_rank, together
+from ringwear_par.results.outcomes import Outcome
 from ringwear_par.version import versions
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 Source = Path | str | Mapping[str, Any]
+_ROOM = "ringwear_par.identification.test_design"
 
 
 @dataclass(frozen=True, eq=False)
-class DesignResult:
+class DesignResult(Outcome):
     """The result of ``design``, with a fixed set of names in ``to_dict``.
 
     Parameters
@@ -65,6 +65,11 @@ class DesignResult:
     histories : computed.
     versions : of the software.
     """
+
+    functions: ClassVar = {
+        "summary": f"{_ROOM}.design_numbers", "to_dict": f"{_ROOM}.design_numbers",
+        "save": f"{_ROOM}.design_folder", "plot": f"{_ROOM}.design_numbers",
+    }  # fmt: skip
 
     problem: Problem
     candidates: tuple[Candidate, ...]
@@ -90,30 +95,6 @@ class DesignResult:
     def criterion(self) -> Criterion:
         """The criterion by which designs were compared."""
         return self.problem.design.criterion
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the contents of design.json."""
-        return outcomes.to_dict(self)
-
-    def summary(self) -> str:
-        """Return the outcome in a few lines."""
-        return outcomes.summary(self)
-
-    def plot(self) -> "Figure":
-        """Return the map of predicted standard deviations."""
-        return outcomes.figure(self)
-
-    def save(self, folder: str | Path) -> None:
-        """Write design.json, next.toml and design.png to a folder, which is made.
-
-        Not collective: the process that calls this writes, each file whole.
-
-        Raises
-        ------
-        InputError : a folder that cannot be written.
-        ComputationError : the disk.
-        """
-        outcomes.save(self, folder)
 
 
 def design(
@@ -229,8 +210,15 @@ def run_design(
     criterion: Criterion | None = None,
 ) -> None:
     """Find the next tests and write them to a folder. Collective on comm."""
-    on_first_rank(comm, lambda: check_folder(folder, (DESIGN, NEXT, MAP), "fit"))
+
+    def check() -> None:
+        check_folder(folder, (DESIGN, NEXT, MAP), "fit")
+        announce_replacement(folder / DESIGN)
+
+    on_first_rank(comm, check)
     result = design(source, comm, after=after, criterion=criterion)
+    with together(comm):
+        reject_unused_options()
     on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:
         print(result.summary())

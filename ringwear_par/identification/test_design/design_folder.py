@@ -4,7 +4,7 @@ Readings of these tests are planned, to be filled in.
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +16,13 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.units import has_unit, in_unit
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import legible
-from ringwear_par.files.folders import DESIGN, MAP, NEXT, new_files, write_json
+from ringwear_par.files.folders import DESIGN, MAP, NEXT, json_bytes, new_files, write_contents
 from ringwear_par.files.text import parse_toml
-from ringwear_par.files.writing import atomic_write
 from ringwear_par.identification.definition.problem import Series
-from ringwear_par.identification.fit_folder import png
 from ringwear_par.identification.test_design.candidates import LOADS, Candidate, last_profiles
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.design_numbers import spreads
+from ringwear_par.pictures.style import picture
 
 FILES = (DESIGN, NEXT, MAP)
 
@@ -39,12 +38,12 @@ def save(design: DesignResult, folder: Path) -> None:
     InputError, ComputationError : the folder or the disk.
     """
     with new_files(folder, FILES, "fit"):
-        picture = png(design.plot())
-        with atomic_write(folder / MAP) as path:
-            path.write_bytes(picture)
-        with atomic_write(folder / NEXT) as path:
-            path.write_text(next_tests(design), encoding="utf-8")
-        write_json(folder / DESIGN, design.to_dict())
+        contents: dict[str, Callable[[], bytes | None]] = {
+            MAP: lambda: picture(design.plot, str(folder / MAP)),
+            NEXT: lambda: next_tests(design).encode(),
+            DESIGN: lambda: json_bytes(design.to_dict()),
+        }
+        write_contents(folder, contents)
 
 
 def next_tests(design: DesignResult) -> str:

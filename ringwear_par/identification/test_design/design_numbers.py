@@ -1,15 +1,19 @@
 """The numbers of a test design: design.json, the summary, and the names and units of both."""
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
 from ringwear_par.identification.test_design.candidates import Candidate
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.search import Design
+from ringwear_par.pictures.designs import design_figure
+from ringwear_par.results.instants import time_unit, time_words
 
 _CRITERIA = {
     "D": "smallest volume of the confidence ellipsoid (D)",
@@ -52,8 +56,11 @@ def to_dict(design: DesignResult) -> dict[str, Any]:
         ],
         "histories": design.histories,
         "measured_as": design.problem.experiments[0].name,
+        "map": _map(design),
+        "sd_scales": {scale.key: asdict(scale) for scale in sd_scales(design)},
         "designs": [
             {
+                "name": name_of_tests(design, one),
                 "experiments": [design.candidates[i].to_dict() for i in one.tests],
                 "seconds": sum(design.candidates[i].seconds for i in one.tests),
                 **_predicted(keys, one),
@@ -63,6 +70,69 @@ def to_dict(design: DesignResult) -> dict[str, Any]:
         "fit_file": _predicted(keys, design.planned),
         "versions": dict(design.versions),
     }
+
+
+def plot(design: DesignResult) -> Figure:
+    """Return the map of predicted standard deviations, or bars of those of the best designs."""
+    return design_figure(to_dict(design))
+
+
+def _map(design: DesignResult) -> dict[str, Any] | None:
+    """Return predicted standard deviations over loads, or over load and duration.
+
+    Of two tests a cell has the durations of the best score within the budget; of one the best
+    instant of a profile; of several the map is that of one. None where neither varies.
+    """
+    plain = [i for i, test in enumerate(design.candidates) if _is_plain(test)]
+    seconds = sorted({design.candidates[i].seconds for i in plain})
+    if not plain or (len(seconds) < 2 and not len(design.pairs)):
+        return None
+    first = design.candidates[plain[0]]
+    quantity = "mean pressure (MPa)" if "load.pressure" in first.keys else "force (N)"
+    loads = sorted({design.candidates[i].loads[0] for i in plain})
+    best = [design.candidates[i] for i in design.designs[0].tests]
+    best = best if all(map(_is_plain, best)) else []
+    cells: dict[tuple[int, int], tuple[float, FloatArray]] = {}
+    if len(design.pairs):
+        y, ends = {"label": f"{quantity} of the other", "values": loads}, best[::-1]
+        pairs = np.array(plain)[np.argwhere(np.isfinite(design.pair_scores[np.ix_(plain, plain)]))]
+        for i, j in pairs.tolist():
+            row, column = (loads.index(design.candidates[k].loads[0]) for k in (i, j))
+            _keep_better(cells, (row, column), design.pair_scores[i, j], design.pairs[i, j])
+        places = [test.loads[0] for test in ends]
+    else:
+        unit, length = time_unit(seconds[-1])
+        y = {"label": f"duration ({unit})", "values": [one / length for one in seconds]}
+        for i in plain:
+            test = design.candidates[i]
+            cell = seconds.index(test.seconds), loads.index(test.loads[0])
+            _keep_better(cells, cell, design.single_scores[i], design.single[i])
+        places = [test.seconds / length for test in best]
+    values = np.full((len(design.problem.keys), len(y["values"]), len(loads)), np.nan)
+    for cell, (_, sds) in cells.items():
+        values[(slice(None), *cell)] = sds
+    tables = zip(design.problem.keys, values.tolist(), strict=True)
+    return {
+        "x": {"label": f"{quantity} of one test", "values": loads},
+        "y": y,
+        "sd": {key: [[_finite(v) for v in row] for row in table] for key, table in tables},
+        "best": {"x": [test.loads[0] for test in best], "y": places},
+    }
+
+
+def _is_plain(test: Candidate) -> bool:
+    return len(test.loads) == 1 and len(test.profiles) <= 1 and "load.omega" not in test.keys
+
+
+def _keep_better(
+    cells: dict[tuple[int, int], tuple[float, FloatArray]],
+    cell: tuple[int, int],
+    score: float,
+    sds: FloatArray,
+) -> None:
+    """Put standard deviations into a cell, if none of a better score are there."""
+    if cell not in cells or score >= cells[cell][0]:
+        cells[cell] = score, sds
 
 
 def _predicted(keys: tuple[str, ...], one: Design) -> dict[str, Any]:
@@ -112,7 +182,7 @@ def summary(design: DesignResult) -> str:
     for name, one in zip(names, design.designs, strict=False):
         lines.append(f"  {name.ljust(width)}  {spreads(design, one)}")
     seconds = sum(experiment.case.time.end for experiment in problem.experiments)
-    planned = f"the fit file's{' again' if design.after else ''}, {seconds:g} s"
+    planned = f"the fit file's{' again' if design.after else ''}, {time_words(seconds, seconds)}"
     lines.append(f"  {planned.ljust(width)}  {spreads(design, design.planned)}")
     if design.failed:
         test, why = next(iter(design.failed.items()))
@@ -136,10 +206,10 @@ def name_of(test: Candidate) -> str:
         words.append(f"{' then '.join(f'{load:.4g}' for load in test.loads)} {unit}")
     if "load.omega" in test.keys:
         words.append(f"{test.keys['load.omega']:.4g} rad/s")
-    words.append(f"{test.seconds:.4g} s")
+    words.append(time_words(test.seconds, test.seconds))
     if test.instants_vary:
-        at = ", ".join(f"{at:.4g}" for at in test.profiles)
-        words.append(f"profile{'s' if test.profiles[1:] else ''} at {at} s")
+        at = ", ".join(time_words(at, test.seconds) for at in test.profiles)
+        words.append(f"profile{'s' if test.profiles[1:] else ''} at {at}")
     return ", ".join(words)
 
 

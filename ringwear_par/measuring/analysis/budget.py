@@ -55,6 +55,10 @@ class Estimate:
     sources: tuple[Source, ...]
     shortest: tuple[float, float] | None = None
 
+    def __repr__(self) -> str:
+        low, high = self.interval
+        return f"<Estimate {self.value:.4g} {self.unit}, from {low:.4g} to {high:.4g} (95 %)>"
+
     @property
     def u(self) -> float:
         """Combined standard uncertainty, of sources that do not depend on each other."""

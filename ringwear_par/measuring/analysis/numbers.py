@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ValidityWarning
 from ringwear_par.measuring.analysis.budget import SPECIFIC, Estimate, Source
 from ringwear_par.measuring.analysis.sources import load_sources, source_of
 from ringwear_par.measuring.analysis.steady_part import (
@@ -36,14 +37,6 @@ RATE = "mm/s"
 _DIFFERENT, _GAP, _SHORT, _OTHER_LOAD = 0.05, 10.0, 0.3, 0.02
 
 
-@dataclass(frozen=True)
-class Doubt:
-    """A sentence against taking a number as it is; ``code`` is for programs."""
-
-    code: str
-    text: str
-
-
 @dataclass(frozen=True, eq=False)
 class TestNumbers:
     """The numbers of a test.
@@ -72,8 +65,16 @@ class TestNumbers:
     autocorrelation: float
     whole: WholeTest
     temperature: tuple[float, float] | None
-    doubts: tuple[Doubt, ...]
+    doubts: tuple[ValidityWarning, ...]
     notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        numbers = {
+            "specific wear rate": self.specific_wear_rate, "wear rate": self.wear_rate,
+            "friction": self.friction,
+        }  # fmt: skip
+        known = (f"{name} {number!r}" for name, number in numbers.items() if number is not None)
+        return f"<TestNumbers {self.name}, of the {self.part.of}: {', '.join(known)}>"
 
     @property
     def name(self) -> str:
@@ -188,7 +189,7 @@ def _temperature(
     return (float(read.mean()), float(read.max())) if len(read) else None
 
 
-def _doubts(numbers: TestNumbers, problem: Problem) -> list[Doubt]:
+def _doubts(numbers: TestNumbers, problem: Problem) -> list[ValidityWarning]:
     """Return the doubts about the numbers of a test."""
     part, record, doubts = numbers.part, numbers.test.record, []
     if not part.steady:
@@ -204,12 +205,12 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[Doubt]:
             if blocks is not None and start is None
         ]
         text = f"not steady: {' and '.join(never)}; numbers are of the last third"
-        doubts.append(Doubt("not-steady", text))
+        doubts.append(ValidityWarning("not-steady", text))
     else:
         share = 1.0 - part.start / record.end
         if share < _SHORT:
             text = f"the steady part is only {100 * share:.0f} % of the test; test for longer"
-            doubts.append(Doubt("steady-part-short", text))
+            doubts.append(ValidityWarning("steady-part-short", text))
     whole = numbers.whole
     if (
         whole.volume is not None
@@ -223,11 +224,11 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[Doubt]:
                 f"over the whole test the displacement gives {depth.value:.4g} mm3 and the balance "
                 f"{balance.value:.4g} mm3: look for thermal growth of the rings, debris or drift"
             )
-            doubts.append(Doubt("displacement-against-weighing", text))
+            doubts.append(ValidityWarning("displacement-against-weighing", text))
     return doubts + _gaps(record)
 
 
-def _gaps(record: Record) -> list[Doubt]:
+def _gaps(record: Record) -> list[ValidityWarning]:
     """Return doubts about the longest time without readings of a channel, of one that is long.
 
     What is excluded is no gap.
@@ -245,7 +246,9 @@ def _gaps(record: Record) -> list[Doubt]:
             gap = float(steps[longest]), float(times[longest])
             channels.setdefault(gap, []).append(channel)
     return [
-        Doubt("gap", f"no readings of {' and '.join(of)} for {_hours(gap)} from {_hours(start)} on")
+        ValidityWarning(
+            "gap", f"no readings of {' and '.join(of)} for {_hours(gap)} from {_hours(start)} on"
+        )
         for (gap, start), of in channels.items()
     ]
 

@@ -2,17 +2,17 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.columns import FileStore, read_intervals, read_texts
 from ringwear_par.cases.files.faults import Origin
 from ringwear_par.cases.files.keys import base_keys, flatten, in_full, kinds, override, plain
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.text import shortened, toml_value
-from ringwear_par.cases.units import in_unit, in_unit_where_right
+from ringwear_par.cases.units import has_unit, in_unit
 from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import parse_toml, read_text, refuse_depth
@@ -20,20 +20,11 @@ from ringwear_par.measuring.definition import schema
 from ringwear_par.measuring.definition.problem import Limits, Problem, Test, Uncertainty
 from ringwear_par.measuring.definition.records import CHANNELS, Record, read_record
 from ringwear_par.measuring.definition.weighings import Weighing, Weighings, read_weighings
-from ringwear_par.schedules import mean, smallest
 
 _TABLES = ("case", "measure", "test")
 #: of a test: a record may end so much before it, and be so much longer
 _SHORTER = 0.1
 _HOUR = 3600.0
-
-
-@dataclass
-class _Files:
-    """The folder that names of files count from, and the hashes of what has been read."""
-
-    folder: Path
-    hashes: dict[str, str] = field(default_factory=dict)
 
 
 def read_measure(source: Path | str | Mapping[str, Any]) -> Problem:
@@ -59,7 +50,7 @@ def read_measure(source: Path | str | Mapping[str, Any]) -> Problem:
     faults: list[str] = []
     name_unknown_keys(name, tables, _TABLES, faults)
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
-    files = _Files(folder)
+    files = FileStore(folder)
     reader = TableReader(f"{name}: measure", tables.get("measure", {}), faults, schema.MEASURE)
     weighings, mass_sd = _read_masses(reader, files)
     uncertainty = _read_uncertainty(reader)
@@ -95,7 +86,7 @@ def tables_of(
 
 
 def _read_masses(
-    reader: TableReader, files: _Files
+    reader: TableReader, files: FileStore
 ) -> tuple[Weighings | None, tuple[float | None, Any]]:
     """Return the weighings, and the sd of one (g) with its type."""
     table = reader.raw("masses")
@@ -103,18 +94,19 @@ def _read_masses(
         return None, (None, "B")
     masses = TableReader(f"{reader.place}.masses", table, reader.faults, schema.MASSES)
     file, sd = masses.read("file"), masses.read("sd")
+    if sd is not None and not has_unit(masses.raw("sd")):
+        masses.wrong("sd", 'must have its unit, such as "0.1 mg"')
     masses.finish()
     if file is None:
         if isinstance(table, Mapping) and "file" not in table:
             masses.wrong("file", f"must be {schema.MASSES['file'].allowed}")
         return None, (sd, "B")
     try:
-        weighings = read_weighings(files.folder / file)
+        weighings = files.read(file, read_weighings)
     except InputError as error:
         for fault in error.faults:
             masses.fault(fault)
         return None, (sd, "B")
-    files.hashes[file] = weighings.sha256
     if sd is not None:
         return weighings, (sd, "B")
     return weighings, (weighings.sd, "B" if weighings.coarse else "A")
@@ -194,7 +186,7 @@ class _Tests:
         self,
         name: str,
         base: dict[str, Any] | None,
-        files: _Files,
+        files: FileStore,
         weighings: Weighings | None,
         limits: Limits,
     ) -> None:
@@ -268,42 +260,24 @@ class _Tests:
 
     def _record(self, reader: TableReader) -> Record | None:
         file, sense = reader.read("file"), reader.read("sense")
-        exclude = self._intervals(reader)
-        texts: list[Mapping[str, str]] = []
-        for key in ("columns", "units"):
-            table = reader.raw(key, {})
-            wrong = not isinstance(table, Mapping) or set(table) - set(CHANNELS)
-            if wrong or not all(isinstance(entry, str) for entry in table.values()):
-                reader.wrong(key, f"must be a table of texts, for {', '.join(CHANNELS)}")
-                table = {}
-            texts.append(table)
+        exclude = read_intervals(reader, "exclude", "s")
+        texts = [read_texts(reader, key, [*CHANNELS]) or {} for key in ("columns", "units")]
         if file is None:
             return None
         try:
-            record = read_record(
-                self._files.folder / file, columns=texts[0], units=texts[1], exclude=exclude,
-                sense=sense,
-            )  # fmt: skip
+            return read_record(
+                self._files(file), columns=texts[0], units=texts[1], exclude=exclude, sense=sense
+            )
         except InputError as error:
-            for fault in error.faults:
+            faults = error.faults
+            if _has_weighings(self._files.folder / file):
+                faults = (
+                    f"{legible(file)}: is a table of weighings, not a record; it must be given as "
+                    "--masses or measure.masses.file",
+                )
+            for fault in faults:
                 reader.fault(fault)
             return None
-        self._files.hashes[file] = record.sha256
-        return record
-
-    def _intervals(self, reader: TableReader) -> list[tuple[float, float]]:
-        value = in_unit_where_right(reader.raw("exclude", []), "s")
-        good = isinstance(value, list) and all(
-            isinstance(entry, list)
-            and len(entry) == 2
-            and all(is_number(v) and math.isfinite(v) for v in entry)
-            and entry[0] < entry[1]
-            for entry in value
-        )
-        if not good:
-            reader.wrong("exclude", "must be a list of increasing pairs (s)")
-            return []
-        return [(float(low), float(high)) for low, high in value]
 
     def _check(self, reader: TableReader, test: Test, weighing: Weighing | None) -> None:
         """Add what the case and the record do not tell of each other to the faults."""
@@ -313,7 +287,7 @@ class _Tests:
                 'load.control = "displacement": must be "force": a wear rate needs the load'
             )
             return
-        if smallest(case.load.force) <= 0.0 or mean(case.load.omega, 0.0, test.duration) <= 0.0:
+        if not test.slides:
             reader.fault("load.omega, and the load at any time, must be > 0 in a test")
         if not (1.0 - _SHORTER) * length <= test.duration:
             reader.fault(
@@ -348,6 +322,15 @@ class _Tests:
             )
 
 
+def _has_weighings(path: Path) -> bool:
+    """Tell whether a file is a table of weighings."""
+    try:
+        read_weighings(path)
+    except InputError:
+        return False
+    return True
+
+
 def _notes(tests: Sequence[Test], weighings: Weighings | None, mass_sd: float | None) -> list[str]:
     """Return sentences about what the files do not tell of each other."""
     notes = [
@@ -358,6 +341,7 @@ def _notes(tests: Sequence[Test], weighings: Weighings | None, mass_sd: float | 
     ]
     if weighings is None:
         return notes
+    notes += weighings.notes
     notes += [f"{test.name} was not weighed" for test in tests if test.weighing is None]
     names = {test.name for test in tests}
     untested = [name for name in weighings.specimens if name not in names]

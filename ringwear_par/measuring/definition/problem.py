@@ -8,7 +8,7 @@ from typing import Literal
 from ringwear_par.cases.case import Case
 from ringwear_par.measuring.definition.records import Record
 from ringwear_par.measuring.definition.weighings import Weighing
-from ringwear_par.schedules import Quantity, mean, mean_of_product
+from ringwear_par.schedules import Quantity, mean, mean_of_product, smallest
 
 Body = Literal["lower", "upper"]
 
@@ -88,6 +88,9 @@ class Test:
     duration: float
     weighing: Weighing | None
 
+    def __repr__(self) -> str:
+        return f"<Test {self.name}: {self.record!r}>"
+
     @property
     def body(self) -> Body:
         """The body that wears."""
@@ -104,6 +107,11 @@ class Test:
         if self.case.load.force is None:
             raise ValueError("a displacement is no load")
         return self.case.load.force
+
+    @property
+    def slides(self) -> bool:
+        """Whether it is always loaded, and turned."""
+        return smallest(self.force) > 0.0 and mean(self.case.load.omega, 0.0, self.duration) > 0.0
 
     def conditions(self, start: float, end: float) -> Conditions:
         """Return the conditions of a part of the test, between two times (s)."""
@@ -150,3 +158,6 @@ class Problem:
     limits: Limits = field(default_factory=Limits)
     hashes: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<Problem {self.name}: {', '.join(test.name for test in self.tests)}>"

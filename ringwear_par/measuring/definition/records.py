@@ -4,26 +4,20 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.cases.files.columns import UNITS, missing_column, unit_by_name
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import factor, told_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.measurements import Measurements, and_more, read_measurements
+from ringwear_par.files.measurements import Measurements, and_more, unused_columns
 
 #: units of channels; of a temperature the letter behind the degree
 CHANNELS = {"time": "s", "wear": "mm", "torque": "N mm", "load": "N", "temperature": "degC"}
-#: what messages say of units
-_UNITS = {
-    "time": "a time, such as s, min or h", "wear": "a length, such as um, mm or inch",
-    "torque": "a torque, such as N m or N mm", "load": "a force, such as N, kN or lbf",
-    "temperature": "a temperature, such as degC or K",
-}  # fmt: skip
 #: how units in names are written, for messages
 _WRITTEN = {"time": "s", "wear": "um", "torque": "N m", "load": "N", "temperature": "degC"}
 #: words in names of columns, the surest first; letters alone are names as they are
@@ -83,6 +77,13 @@ class Record:
     exclude: tuple[tuple[float, float], ...] = ()
     notes: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        read = [name for name in CHANNELS if name != "time" and getattr(self, name) is not None]
+        return (
+            f"<Record {self.file}: {len(self.time)} readings of {', '.join(read)} over "
+            f"{self.duration:g} s>"
+        )
+
     @property
     def end(self) -> float:
         """Time of the last reading that is not excluded, s."""
@@ -99,14 +100,14 @@ class Record:
 
 
 def read_record(
-    path: Path,
+    table: Measurements,
     *,
     columns: Mapping[str, str],
     units: Mapping[str, str],
     exclude: list[tuple[float, float]],
     sense: Sense | None,
 ) -> Record:
-    """Return the record in a file. Not collective.
+    """Return the record in a table. Not collective.
 
     Parameters
     ----------
@@ -118,7 +119,7 @@ def read_record(
     ------
     InputError : all faults, each with the file, the line or the column.
     """
-    table = _with_dates(read_measurements(path), columns)
+    table = _with_dates(table, columns)
     faults: list[str] = []
     names = _columns(table, columns, units, faults)
     if faults:
@@ -150,7 +151,7 @@ def read_record(
             and (count := int(np.isfinite(values[channel]).sum())) < FEWEST_READINGS
         ):
             faults.append(
-                f"{path}: the column {legible(names[channel])} has {count} readings"
+                f"{table.name}: the column {legible(names[channel])} has {count} readings"
                 f"{' that are not excluded' if exclude else ''}; must have {FEWEST_READINGS} at "
                 "least"
             )
@@ -161,9 +162,9 @@ def read_record(
     if wear is not None and falling:
         wear = -wear
     return Record(
-        str(path), table.sha256, time, duration, wear, values.get("torque"), values.get("load"),
+        table.name, table.sha256, time, duration, wear, values.get("torque"), values.get("load"),
         values.get("temperature"), falling and wear is not None, names, empty, repeated,
-        int((~inside).sum()), _union(exclude), _notes(table, names["time"]),
+        int((~inside).sum()), _union(exclude), _notes(table, names),
     )  # fmt: skip
 
 
@@ -178,15 +179,22 @@ def _union(intervals: list[tuple[float, float]]) -> tuple[tuple[float, float], .
     return tuple(union)
 
 
-def _notes(table: Measurements, time: str) -> tuple[str, ...]:
-    """Return sentences about how a table is read."""
-    date = table.ambiguous_date(time)
-    if not date:
-        return ()
-    return (
-        f"{legible(time)}: dates such as {date} are read day first, no day above 12 tells the "
-        "order",
-    )
+def _notes(table: Measurements, names: Mapping[str, str]) -> tuple[str, ...]:
+    """Return sentences about how a table is read, whose channels have columns of these names."""
+    notes, time = [], names["time"]
+    if date := table.ambiguous_date(time):
+        notes.append(
+            f"{legible(time)}: dates such as {date} are read day first, no day above 12 tells the "
+            "order"
+        )
+    unused = [
+        column
+        for column in table.columns
+        if column and column not in names.values() and not table.dates(column)
+    ]
+    if unused:
+        notes.append(unused_columns(unused))
+    return tuple(notes)
 
 
 def _with_dates(table: Measurements, columns: Mapping[str, str]) -> Measurements:
@@ -221,11 +229,8 @@ def _columns(
     names: dict[str, str] = {}
     for channel in CHANNELS:
         if channel in columns:
-            if columns[channel] not in table.columns:
-                faults.append(
-                    f"{table.name}: has no column {legible(columns[channel])} for {channel}; must "
-                    f"be one of {legible(', '.join(table.columns), 200)}"
-                )
+            if fault := missing_column(table, columns[channel], channel):
+                faults.append(fault)
                 continue
             names[channel] = columns[channel]
         elif column := _known_column(table, channel, set(columns.values()), faults):
@@ -307,19 +312,17 @@ def _unit_fault(table: Measurements, channel: str, column: str, unit: str | None
         else:
             right = _is_unit_of(unit, base)
         state = f"units.{channel} = {shortened(unit)}"
-        return "" if right else f"{table.name}: {state}: must be the unit of {_UNITS[channel]}"
+        return "" if right else f"{table.name}: {state}: must be the unit of {UNITS[base]}"
     if channel == "temperature":
         named = _TEMPERATURE.search(label) is not None
     elif channel == "time" and table.begins_with_stamp(column):
         return ""
     else:
         try:
-            named = told_unit(label, base) is not None
-        except RejectedError as reason:
-            return (
-                f"{table.name}: the column {legible(column)} {reason}; must be in the unit of "
-                f'{_UNITS[channel]}, or units = {{ {channel} = "{_WRITTEN[channel]}" }}'
-            )
+            hint = f', or units = {{ {channel} = "{_WRITTEN[channel]}" }}'
+            named = unit_by_name(table, column, base, hint) is not None
+        except InputError as error:
+            return str(error)
     written = _WRITTEN[channel]
     return "" if named else (
         f"{table.name}: {legible(column)}: no unit; name it {legible(column)} / {written}, or "

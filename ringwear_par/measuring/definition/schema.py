@@ -21,7 +21,8 @@ KEYS: tuple[Key, ...] = (
         "test; columns of masses before (vor, initial) and after (nach, final), repeated ones "
         "averaged, or of the loss", None),
     Key("measure.masses.sd", *number(0.0), "g",
-        "standard uncertainty of one weighing, a loss being of two; default: the scatter of "
+        "standard uncertainty of one weighing, with its unit (\"0.1 mg\"), a loss being of two; "
+        "default: the scatter of "
         "repeated weighings, at least that of their last digit", None),
     *(Key(f"measure.uncertainty.{name}",
           *anything("a number > 0, or { relative = x }" if unit else "{ relative = x }, x > 0"),

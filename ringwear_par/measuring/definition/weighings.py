@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.units import factor, told_unit
-from ringwear_par.cases.values import RejectedError
+from ringwear_par.cases.files.columns import unit_by_name
+from ringwear_par.cases.units import factor
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.measurements import Measurements, measurements_in
+from ringwear_par.files.measurements import Measurements, measurements_in, unused_columns
 from ringwear_par.files.ordinary import read_bytes
 from ringwear_par.files.table_text import EMPTY
 
@@ -52,12 +52,14 @@ class Weighings:
     scatter : g, sd of readings of one mass about their mean; None where none was read twice.
     resolution : g, by the digits of readings.
     sha256 : of the file.
+    notes : sentences about how the file was read.
     """
 
     specimens: Mapping[str, Weighing]
     scatter: float | None
     resolution: float
     sha256: str
+    notes: tuple[str, ...] = ()
 
     @property
     def coarse(self) -> bool:
@@ -131,7 +133,9 @@ def read_weighings(path: Path) -> Weighings:
     if faults:
         raise InputError(*faults)
     scatter = math.sqrt(squares / freedom) if freedom else None
-    return Weighings(specimens, scatter, _resolution(table, columns), table.sha256)
+    unused = [name for i, name in enumerate(table.columns) if i and name and i not in columns]
+    notes = (f"weighings: {unused_columns(unused)}",) if unused else ()
+    return Weighings(specimens, scatter, _resolution(table, columns), table.sha256, notes)
 
 
 def _readings(
@@ -176,12 +180,9 @@ def _columns(table: Measurements, faults: list[str]) -> dict[int, tuple[str, flo
         if len(kinds) != 1:
             continue
         try:
-            unit = told_unit(one.label(name), "g")
-        except RejectedError as reason:
-            faults.append(
-                f"{table.name}: the column {legible(name)} {reason}; must be in the unit of a "
-                "mass, such as mg or g"
-            )
+            unit = unit_by_name(one, name, "g")
+        except InputError as error:
+            faults += error.faults
             continue
         if unit is None:
             faults.append(f"{table.name}: {legible(name)}: no unit; name it {legible(name)} / g")

@@ -154,7 +154,7 @@ class Recorder:
         columns = HistoryColumns(
             **rows,
             imbalance=np.where(failed, 0.0, self._balances.imbalance),
-            flags=tuple(tuple(warning.flag for warning in texts) for texts in warnings),
+            flags=tuple(tuple(warning.code for warning in texts) for texts in warnings),
             seconds=np.full(count, self._stepping / count),
             status=tuple("failed" if bad else "done" for bad in failed),
             reason=tuple(reason_of(failures[i]) if bad else "" for i, bad in enumerate(failed)),

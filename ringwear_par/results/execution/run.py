@@ -185,7 +185,7 @@ def _doubting(case: Case, path: Path, comm: MPI.Comm) -> Iterator[None]:
     except RingwearError as error:
         if comm.rank == 0:
             for warning in unit_suspicions(case):
-                if not warning.key or f"{warning.key} = " not in str(error):
+                if not any(f"{key} = " in str(error) for key in warning.keys):
                     log.warning("%s: %s", path, warning.text)
         raise
 

@@ -5,20 +5,24 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.reading import read_case
 from ringwear_par.errors import InputError
 from ringwear_par.files.folders import refuse_drawn
 from ringwear_par.pictures import figures
+from ringwear_par.pictures.rig import draw_rig
+from ringwear_par.pictures.style import check_format, save_figure
 from ringwear_par.results.result import Result
 
 
 def plot(
-    results: figures.Source | Sequence[figures.Source],
+    results: Case | figures.Source | Sequence[figures.Source],
     panels: str | Sequence[str] | None = None,
     steps: str = "",
     profiles_of: Sequence[figures.Source] = (),
     times: str = "",
 ) -> Figure:
-    """Return the panels of one or more results side by side, or the figure of a sweep.
+    """Return the panels of results side by side, the figure of a sweep, or the rig of a case.
 
     Not collective. Profiles (``wear``, ``pressure``) and deformed sections (``section``, the last
     one stored) are drawn of every result, one panel each; the histories of all of them share a
@@ -27,7 +31,8 @@ def plot(
 
     Parameters
     ----------
-    results : a result or a result file, or several; or the folder of a sweep.
+    results : a result or a result file, or several; the folder of a sweep; or a case, whose rig is
+        drawn as a section through the axis.
     panels : names, in a list or separated by commas; None for wear and penetration.
     steps : comma-separated step numbers of the profiles.
     profiles_of : those of the results whose profiles and sections are drawn; () for all.
@@ -39,6 +44,8 @@ def plot(
     InputError : something that is not a result, an unknown panel, a step not stored; more than its
         folder where a sweep is drawn; the folder of a fit or a design, which has its pictures.
     """
+    if isinstance(results, Case):
+        return draw_rig(results)
     several = [results] if isinstance(results, Result | str | Path) else results
     if isinstance(several, Sequence):
         folders = [s for s in several if isinstance(s, str | Path) and Path(s).is_dir()]
@@ -65,7 +72,7 @@ def plot_stored(
     profiles_of: Sequence[Path] | None = None,
     times: str | None = None,
 ) -> None:
-    """Write the picture of result files, or of the folder of a sweep; see ``plot``. On one rank.
+    """Write the picture of runs, of a sweep or of the rig of a case; see ``plot``. On one rank.
 
     Parameters
     ----------
@@ -75,20 +82,27 @@ def plot_stored(
     ------
     InputError : what cannot be drawn or written.
     """
+    options = {"panels": panels, "steps": steps, "profiles-of": profiles_of, "times": times}
+    used = [name for name, option in options.items() if option is not None]
     folders = [path for path in results if path.is_dir()]
-    if not folders:
+    cases = [path for path in results if path.suffix == ".toml"]
+    if not folders and not cases:
         panels = panels or figures.DEFAULT
         figures.plot_files(results, output, panels, steps or "", profiles_of or (), times or "")
         return
-    refuse_drawn(folders[0])
+    alone, kind = (folders[0], "a folder") if folders else (cases[0], "a case")
+    if folders:
+        refuse_drawn(alone)
     if len(results) > 1:
-        raise InputError(f"{folders[0]}: is a folder; must be the only thing to be drawn")
-    options = {"panels": panels, "steps": steps, "profiles-of": profiles_of, "times": times}
-    for name in (name for name, option in options.items() if option is not None):
+        raise InputError(f"{alone}: is {kind}; must be the only thing to be drawn")
+    if used:
         raise InputError(
-            f"--{name}: must be absent where {folders[0]}, a folder, is "
-            "drawn; it is for result files"
+            f"--{used[0]}: must be absent where {alone}, {kind}, is drawn; it is for result files"
         )
+    if cases:
+        check_format(output)
+        save_figure(draw_rig(read_case(alone)), output)
+        return
     from ringwear_par.studies.pictures.figures import plot_sweep
 
     plot_sweep(folders[0], output)

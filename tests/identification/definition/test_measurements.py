@@ -74,7 +74,7 @@ def test_encodings(encoding, tmp_path):
         ("t,z\n0,5,1\n", "line 2: has 3 values; must have 2, as the first line; decimal commas"),
         ("t;z\n1\n", "line 2: has 1 values; must have 2"),
         ("t;z\n\n1;1,2,3\n", "line 3: z = 1,2,3: must be a number, or empty"),
-        ("t;z\n1;2\n2;n/a\n", "line 3: z = n/a: must be a number, or empty"),
+        ("t;z\n1;2\n2;n:a\n", "line 3: z = n:a: must be a number, or empty"),
         ("t;z\n1;a\n2;3\n3;b\n4;c\n", "line 2: z = a (and 2 more lines): must be a number"),
         ("t;z\n1\n2\n3;4\n", "line 2: has 1 values (and 1 more line); must have 2"),
         ("t;z\n1;1:30\n", "line 2: z = 1:30: must be a number"),

@@ -52,6 +52,15 @@ def test_numbers_with_units(plan):
     assert mass.sd == pytest.approx([1e-4])
     assert record.sd == pytest.approx(2e-4)
     assert record.correlation_time == pytest.approx(6.0)
+    written = tables["experiment"][0]["data"][-1]
+    del written["unit"]
+    written["value"] = "3.0 mg"
+    text = read_fit(tables, plans=True).experiments[0].series[-1]
+    assert (text.value, text.sd, text.unit) == (mass.value, mass.sd, "mg")
+    written["value"] = "3.0 mm"
+    with pytest.raises(InputError, match=r'value = "3.0 mm": must be in the unit of a mass'):
+        read_fit(tables, plans=True)
+    written["value"] = "3.0 mg"
     tables["experiment"][0]["data"][0]["sd"] = "2 s"
     with pytest.raises(InputError, match=r'sd = "2 s": must be .*s is no unit of um'):
         read_fit(tables, plans=True)
@@ -61,9 +70,13 @@ def test_a_mass_has_the_density_of_its_body(plan):
     tables = copy.deepcopy(plan)
     weighing = {"quantity": "mass.lower", "value": 5.0, "unit": "mg", "sd": 0.1}
     tables["experiment"][0]["data"].append(weighing)
-    with pytest.raises(InputError, match=r"density is missing: must be"):
+    with pytest.raises(InputError, match=r"density is missing: must be .* as lower.density of"):
         read_fit(tables, plans=True)
-    tables["experiment"][0]["set"]["lower.density"] = "7.8 g/cm3"
+    tables["experiment"][0]["set"] |= {"lower.density": "7.8 g/cm3", "upper.poisson": 2}
+    with pytest.raises(InputError) as caught:
+        read_fit(tables, plans=True)
+    assert len(caught.value.faults) == 1  # of Poisson's ratio alone
+    del tables["experiment"][0]["set"]["upper.poisson"]
     mass = read_fit(tables, plans=True).experiments[0].series[-1]
     assert mass.density == pytest.approx(0.0078)
     weighing["density"] = 0.0019

@@ -13,9 +13,9 @@ import pytest
 from laboratory import FITTED, TRUTH, fit_tables, write_tests
 
 from ringwear_par.errors import ComputationError, LawError, RingwearError
-from ringwear_par.identification import fit as run_room
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation import profile as profile_room
+from ringwear_par.identification.estimation import solution as solution_room
 from ringwear_par.identification.estimation.minimise import Optimum, minimise
 from ringwear_par.identification.fit import expected_result, fit, fit_problem
 from ringwear_par.identification.model import histories as histories_room
@@ -82,7 +82,7 @@ def test_an_error_of_the_first_rank_ends_all(tables, comm, monkeypatch):
     def failing(*_):
         raise RingwearError("no starts")
 
-    monkeypatch.setattr(run_room, "solve_starts", failing)
+    monkeypatch.setattr(solution_room, "solve_starts", failing)
     with pytest.raises(RingwearError, match="no starts"):
         fit(tables(), comm)
 
@@ -151,7 +151,7 @@ def test_a_profile_that_finds_a_better_optimum_is_followed(tables, comm, monkeyp
         away[1] += 0.5 * expected.parameters[1].sd
         return replace(found, x=away, evaluation=misfit.evaluate(away))
 
-    monkeypatch.setattr(run_room, "minimise", stuck)
+    monkeypatch.setattr(solution_room, "minimise", stuck)
     found = fit(tables(starts=1, intervals=["profile"]), comm)
     assert len(calls) == 2
     assert len(found.starts) == 2

@@ -1,0 +1,120 @@
+"""Columns of tables of measurements, as fit and measure files name them: which, in which units."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from ringwear_par.cases.tables import TableReader
+from ringwear_par.cases.units import in_unit_where_right, told_unit
+from ringwear_par.cases.values import RejectedError, is_number
+from ringwear_par.errors import InputError, legible
+from ringwear_par.files.measurements import Measurements, read_measurements
+
+T = TypeVar("T")
+#: what messages say of units
+UNITS = {
+    "s": "a time, such as s, min or h", "mm": "a length, such as um, mm or inch",
+    "N mm": "a torque, such as N mm or N m", "N": "a force, such as N, kN or lbf",
+    "g": "a mass, such as mg or g", "mm^3": "a volume, such as mm^3 or um^3",
+    "degC": "a temperature, such as degC or K",
+}  # fmt: skip
+
+
+class FileStore:
+    """The files that a file names, each read once.
+
+    Parameters
+    ----------
+    folder : from which their names count.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._read: dict[tuple[str, Any], Any] = {}
+
+    def __call__(self, name: str) -> Measurements:
+        """Return a file's table, see ``read``."""
+        return self.read(name, read_measurements)
+
+    def read(self, name: str, function: Callable[[Path], T]) -> T:
+        """Return the content of a file, which has its ``sha256``.
+
+        Raises
+        ------
+        InputError : it cannot be read; every time it is asked for.
+        """
+        if (name, function) not in self._read:
+            try:
+                self._read[name, function] = function(self.folder / name)
+            except InputError as error:
+                self._read[name, function] = error
+        content: T = self._read[name, function]
+        if isinstance(content, InputError):
+            raise content
+        return content
+
+    @property
+    def hashes(self) -> dict[str, str]:
+        """SHA-256 of what has been read."""
+        read = self._read.items()
+        return {k: v.sha256 for (k, _), v in read if not isinstance(v, InputError)}
+
+
+def read_texts(reader: TableReader, key: str, roles: Sequence[str]) -> Mapping[str, str] | None:
+    """Return a table of texts by role, such as ``columns`` and ``units``; None, and a fault."""
+    table = reader.raw(key, {})
+    wrong = not isinstance(table, Mapping) or set(table) - set(roles)
+    if wrong or not all(isinstance(entry, str) for entry in table.values()):
+        *most, last = roles
+        reader.wrong(key, f"must be a table of texts, for {', '.join(most)} and {last}")
+        return None
+    texts: Mapping[str, str] = table
+    return texts
+
+
+def read_intervals(reader: TableReader, key: str, unit: str) -> list[tuple[float, float]]:
+    """Return increasing pairs in a unit; none, and a fault, where there is something else."""
+    value = in_unit_where_right(reader.raw(key, []), unit)
+    good = isinstance(value, list | tuple) and all(
+        isinstance(entry, list | tuple)
+        and len(entry) == 2
+        and all(is_number(v) and math.isfinite(v) for v in entry)
+        and entry[0] < entry[1]
+        for entry in value
+    )
+    if not good:
+        reader.wrong(key, f"must be a list of increasing pairs ({unit})")
+        return []
+    return [(float(low), float(high)) for low, high in value]
+
+
+def missing_column(table: Measurements, column: str, role: str) -> str:
+    """Return the fault of a column that a table does not have, "" where it has."""
+    if column in table.columns:
+        return ""
+    return (
+        f"{table.name}: has no column {legible(column)} for {role}; must be one of "
+        f"{legible(', '.join(table.columns), 200)}"
+    )
+
+
+def unit_by_name(table: Measurements, column: str, base: str, hint: str = "") -> str | None:
+    """Return the unit in the name of a column, or in the row below the names; None for none.
+
+    Parameters
+    ----------
+    base : a unit of what the column should be of.
+    hint : what else the user may do, for the message.
+
+    Raises
+    ------
+    InputError : it is in a unit of something else.
+    """
+    try:
+        return told_unit(table.label(column), base)
+    except RejectedError as reason:
+        raise InputError(
+            f"{table.name}: the column {legible(column)} {reason}; must be in the unit of "
+            f"{UNITS[base]}{hint}"
+        ) from reason

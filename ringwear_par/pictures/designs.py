@@ -1,0 +1,62 @@
+"""Panels of a test design: predicted standard deviations over loads, or load and duration."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from ringwear_par.cases.units import in_signs
+from ringwear_par.pictures.matplotlib import panel_grid
+from ringwear_par.pictures.panels import Axis, Bars, Cells, Panel, Points
+from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure
+
+#: inches of a panel, and of a test of a design that bars show
+_WIDTH, _HEIGHT, _LINE = 4.6, 4.2, 0.2
+
+
+def design_figure(outcome: Mapping[str, Any]) -> Figure:
+    """Return the panels of a design side by side.
+
+    Parameters
+    ----------
+    outcome : the contents of design.json.
+    """
+    panels = design_panels(outcome)
+    lines = sum(len(one["experiments"]) for one in outcome["designs"])
+    with matplotlib.rc_context(STYLE):
+        size = _WIDTH * len(panels), max(_HEIGHT, _LINE * lines)
+        chart = NotebookFigure(figsize=size, layout="constrained")
+        panel_grid(chart, [panels])
+    return chart
+
+
+def design_panels(outcome: Mapping[str, Any]) -> list[Panel]:
+    """Return the predicted standard deviations of each key: a map, or bars of the best designs."""
+    panels = []
+    for key, scale in outcome["sd_scales"].items():
+        unit = in_signs(scale["unit"])
+        label = f"predicted sd of {key}" + (f" ({unit})" if unit else "")
+        if outcome["map"] is None:
+            panels.append(_bars(outcome, key, scale["factor"], label))
+        else:
+            panels.append(_map(outcome, key, scale["factor"], label))
+    return panels
+
+
+def _map(outcome: Mapping[str, Any], key: str, factor: float, label: str) -> Panel:
+    table, best = outcome["map"], outcome["map"]["best"]
+    x, y = (np.array(table[name]["values"]) for name in ("x", "y"))
+    cells = Cells(x, y, factor * np.array(table["sd"][key], dtype=float), label)
+    name = f"best: {outcome['designs'][0]['name']}"
+    marks = [Points(np.array(best["x"]), np.array(best["y"]), name, COLOURS[1], 14.0, hollow=True)]
+    axes = Axis(table["x"]["label"]), Axis(table["y"]["label"])
+    return Panel(*axes, cells=cells, points=marks if best["x"] else [])
+
+
+def _bars(outcome: Mapping[str, Any], key: str, factor: float, label: str) -> Panel:
+    names = tuple(one["name"].replace(" + ", "\n+ ") for one in outcome["designs"])
+    values = np.array([one["sd"][key] for one in outcome["designs"]], dtype=float)
+    bars = Bars(np.arange(len(values), dtype=float), factor * np.nan_to_num(values), "", COLOURS[0])
+    return Panel(Axis(label, zero=True), Axis("", reversed=True, categories=names), bars=[bars])
