@@ -61,7 +61,9 @@ def _apply(function: Callable[..., Any], *batches: Any) -> Any:
     return type(first)(**changed)
 
 
-@cache
-def _fields(batch: type) -> tuple[tuple[str, int | None], ...]:
+def _declared(batch: type) -> tuple[tuple[str, int | None], ...]:
     """Return the fields that make a batch, with the axes of their histories."""
     return tuple((f.name, f.metadata.get("histories", 0)) for f in fields(batch) if f.init)
+
+
+_fields: Callable[[type], tuple[tuple[str, int | None], ...]] = cache(_declared)

@@ -48,15 +48,15 @@ class RowProducts:
         *leading, count, n = rows.shape
         if self._slots is None:
             whole, product = count // ROWS * ROWS, np.empty(rows.shape)
-            shape = (*leading, -1, ROWS, n)
+            shape = (*leading, whole // ROWS, ROWS, n)
             full = (..., slice(whole), slice(None))
             matrix = matrices[self._stack]
             np.matmul(rows[full].reshape(shape), matrix, out=product[full].reshape(shape))
             if whole < count:
                 rest = (..., slice(whole, None), slice(None))
-                last = np.zeros((*leading, ROWS, n))
-                last[..., : count - whole, :] = rows[rest]
-                product[rest] = (last @ matrix)[..., : count - whole, :]
+                padded = np.zeros((*leading, ROWS, n))
+                padded[..., : count - whole, :] = rows[rest]
+                product[rest] = (padded @ matrix)[..., : count - whole, :]
             return product
         blocks = np.zeros((*leading, ROWS * self._n_blocks, n))
         blocks[..., self._slots, :] = rows

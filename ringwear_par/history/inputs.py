@@ -125,7 +125,7 @@ class HistoryInputs:
         return self.steady_speed and not reads
 
 
-def _per_energy(laws: Sequence[Law | None], frictions: Sequence[float]) -> FloatArray | None:
+def _per_energy(laws: Sequence[Any], frictions: Sequence[float]) -> FloatArray | None:
     """Return the ratios of a body's laws, see ``HistoryInputs.per_energy``."""
     first = laws[0]
     if first is None:
