@@ -149,7 +149,7 @@ class FixedSteps:
         iterations = progress.tried_iterations + step.state.contact.iterations
         accepted = np.logical_not(step.too_far) & np.ones(len(self.length), dtype=bool)
         complete = accepted & (step.state.time == self._end(progress))
-        before = np.where(progress.begun, progress.step_error, 0.0)  # of this step's parts
+        parts = np.where(progress.begun, progress.step_error, 0.0)  # of this step so far
         return Decision(
             accepted,
             complete,
@@ -160,7 +160,7 @@ class FixedSteps:
                 tried_iterations=np.where(complete, 0, iterations),
                 begun=~complete & (accepted | progress.begun),
                 interface=np.where(accepted, np.inf, step.interface),
-                step_error=before + np.where(accepted, step.history_error, 0.0),
+                step_error=parts + np.where(accepted, step.history_error, 0.0),
             ),
         )
 
