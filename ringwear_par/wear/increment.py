@@ -91,6 +91,10 @@ class WearIncrement:
     local: bool = field(init=False, repr=False)
     #: whether any body has layers, whose laws may differ from element to element
     layered: bool = field(init=False, repr=False)
+    #: of laws that remember, by identity, the last pressures and the local state after the step
+    _after: dict[int, tuple[FloatArray, LocalState]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         parts = enumerate(zip(self.laws, self.at, self.averages, strict=True))
@@ -151,12 +155,15 @@ class WearIncrement:
     def after_step(self, law: Law, at: LocalState, p: FloatArray) -> LocalState:
         """Return the local state with the depth worn at the end of the step (Newton, from below).
 
-        A history that has settled stays as it is while others go on.
+        A history that has settled stays as it is while others go on. Depths, slopes and errors are
+        asked for at the same pressures one after another.
 
         Raises
         ------
         ComputationError : it does not settle: the rate grows with worn depth too fast.
         """
+        if id(law) in self._after and np.array_equal(self._after[id(law)][0], p):
+            return self._after[id(law)][1]
         depth = np.zeros_like(p)
         before: Any = np.inf
         settled: Any = np.zeros(p.shape[:-1], dtype=bool)
@@ -175,7 +182,9 @@ class WearIncrement:
             # no better than its round-off
             settled = (largest <= _ROUND_OFF) | ((before <= largest) & (largest <= _NOISE))
             if settled if p.ndim == 1 else settled.all():
-                return replace(at, wear=at.wear + depth)
+                after = replace(at, wear=at.wear + depth)
+                self._after[id(law)] = p, after
+                return after
             before = largest
         raise ComputationError(self._unsettled(at, np.unravel_index(e, p.shape)))
 

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
-from ringwear_par.errors import reason_of
+from ringwear_par.errors import ValidityWarning, reason_of
 from ringwear_par.history.observers.balances import Balances, WorstBalances
 from ringwear_par.history.observers.boundaries import BoundaryObserver
 from ringwear_par.history.observers.stresses import CaseStresses, StressObserver
@@ -28,7 +28,6 @@ from ringwear_par.results.execution.last_states import LastStates
 from ringwear_par.results.execution.stored_rows import StoredRows
 from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
 from ringwear_par.results.stress_variables import point_columns, stress_rows
-from ringwear_par.results.unit_suspicions import ValidityWarning
 from ringwear_par.results.warnings import Warnings
 
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
