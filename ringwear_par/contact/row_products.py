@@ -48,10 +48,11 @@ class RowProducts:
         *leading, count, n = rows.shape
         if self._slots is None:
             whole, product = count // ROWS * ROWS, np.empty(rows.shape)
-            shape = (*leading, whole // ROWS, ROWS, n)
-            full = (..., slice(whole), slice(None))
             matrix = matrices[self._stack]
-            np.matmul(rows[full].reshape(shape), matrix, out=product[full].reshape(shape))
+            if whole:
+                shape = (*leading, whole // ROWS, ROWS, n)
+                full = (..., slice(whole), slice(None))
+                np.matmul(rows[full].reshape(shape), matrix, out=product[full].reshape(shape))
             if whole < count:
                 rest = (..., slice(whole, None), slice(None))
                 padded = np.zeros((*leading, ROWS, n))
