@@ -213,15 +213,6 @@ def test_laws_that_cannot_be_stacked(laws):
         stack_laws([None, laws[0]])
 
 
-def test_volume_per_energy_of_many_histories():
-    friction = np.array([0.1, 0.2, 0.0])
-    assert stack_laws([ArchardLaw(x * 1e-8) for x in FIVE[:3]]).per_energy(friction) == (
-        pytest.approx([1e-7, 1e-7, 0.0])
-    )
-    laws = laws_of(ThresholdLaw, (1e-7, IN_TIME, 2e-7), (0.0, 0.0, 1.0))
-    assert stack_laws(laws).per_energy(friction).tolist() == [1e-7, 0.0, 0.0]
-
-
 def test_a_history_that_does_not_settle_is_named():
     growing = "def rate(p, at): return at.parameters['k'] * p * (1 + at.wear / 1e-3)\n"
     laws = [UserLaw("a.py", growing, (("k", k),)) for k in (1e-9, 1e-9, 1e-3, 1e-9, 1e-9)]
