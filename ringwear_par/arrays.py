@@ -32,6 +32,12 @@ def inner(weights: FloatArray, values: FloatArray) -> Any:
     return np.einsum("...i,...i->...", weights, values)
 
 
+def largest(values: FloatArray) -> FloatArray:
+    """Return the largest of each row, (..., n) to (...): NumPy finds its place in less time."""
+    rows = values.reshape(-1, values.shape[-1])
+    return rows[np.arange(len(rows)), rows.argmax(axis=1)].reshape(values.shape[:-1])
+
+
 def share(weights: FloatArray, which: BoolArray) -> Any:
     """Return the share of weights (n,) where it is so, (..., n): a float, or (...).
 

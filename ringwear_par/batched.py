@@ -6,7 +6,8 @@ dataclasses within are treated alike.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
+from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -23,7 +24,7 @@ def along(axis: int | None) -> dict[str, int | None]:
 
 def take(batch: T, histories: IntArray) -> T:
     """Return some of the histories of a batch, in the order of their numbers (h,)."""
-    return _apply(lambda axis, values: np.take(values, histories, axis), batch)
+    return _apply(lambda axis, values: values.take(histories, axis), batch)
 
 
 def one(batch: T, history: int) -> T:
@@ -49,13 +50,20 @@ def where(accepted: BoolArray, new: T, old: T) -> T:
 def _apply(function: Callable[..., Any], *batches: Any) -> Any:
     first: Any = batches[0]
     changed: dict[str, Any] = {}
-    for declared in fields(first):
-        axis = declared.metadata.get("histories", 0)
-        values = [getattr(batch, declared.name) for batch in batches]
+    for name, axis in _fields(type(first)):
+        values = [getattr(batch, name) for batch in batches]
         if axis is None or any(value is None for value in values):
-            continue
-        if is_dataclass(values[0]):
-            changed[declared.name] = _apply(function, *values)
+            changed[name] = values[0]
+        elif isinstance(values[0], np.ndarray) or not is_dataclass(values[0]):
+            changed[name] = function(axis, *values)
         else:
-            changed[declared.name] = function(axis, *values)
-    return replace(first, **changed)
+            changed[name] = _apply(function, *values)
+    return type(first)(**changed)
+
+
+def _declared(batch: type) -> tuple[tuple[str, int | None], ...]:
+    """Return the fields that make a batch, with the axes of their histories."""
+    return tuple((f.name, f.metadata.get("histories", 0)) for f in fields(batch) if f.init)
+
+
+_fields: Callable[[type], tuple[tuple[str, int | None], ...]] = cache(_declared)

@@ -90,6 +90,10 @@ class HistoriesError(ComputationError):
         self.which = which
 
 
+class InterfaceError(ComputationError):
+    """A step that is to end where an element comes to the end of its layer, and cannot."""
+
+
 class LawError(ComputationError):
     """A user's wear law that failed; no other step will do."""
 

@@ -59,25 +59,24 @@ class Table:
         return float(self._areas[j] + 0.5 * (self.y[j] + self(x)) * (x - self.x[j]))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Stacked:
     """A quantity for each of B histories, whose times are (B,), or a column (B, 1).
 
     Parameters
     ----------
-    quantities : the B quantities, numbers or tables.
+    quantities : the B quantities, numbers or tables; numbers alone may be an array.
     """
 
-    quantities: tuple[float | Table, ...]
+    quantities: tuple[float | Table, ...] | FloatArray
 
     @cached_property
     def numbers(self) -> FloatArray | None:
         """(B,) the quantities, where they are all numbers."""
-        return (
-            None
-            if any(isinstance(q, Table) for q in self.quantities)
-            else np.array(self.quantities)
-        )
+        if isinstance(self.quantities, np.ndarray):
+            return self.quantities
+        tables = any(isinstance(q, Table) for q in self.quantities)
+        return None if tables else np.array(self.quantities)
 
     def value(self, time: float | FloatArray, r: FloatArray | None) -> FloatArray:
         """Return (B,) values at times (B,); (B, 1) at a column, (B, n) where one is a profile."""
@@ -233,6 +232,8 @@ def stack(quantities: Sequence[Quantity]) -> Quantity:
 def take(quantity: Any, histories: IntArray) -> Any:
     """Return a stack, or an array (B, 1) or (B, n), of some of B histories."""
     if isinstance(quantity, Stacked):
+        if quantity.numbers is not None:
+            return Stacked(quantity.numbers[histories])
         return Stacked(tuple(quantity.quantities[i] for i in histories.tolist()))
     if isinstance(quantity, np.ndarray) and quantity.ndim > 1:
         return quantity[histories]

@@ -69,6 +69,8 @@ class CorrectedContacts:
         self.engine, self._products = engine, RowProducts(engine.which)
         count = len(engine.which)
         self._every, self._total = np.arange(count), float(engine.compliances.area.sum())
+        #: (B, n) MPa/mm, of each element alone
+        self._stiffness = engine.compliances.stiffness[engine.which]
         #: (B,) the largest errors that were left, and their elements
         self.largest_errors = np.zeros(count), np.zeros(count, dtype=np.int64)
         self._shift_at: tuple[FloatArray, FloatArray] | None = None
@@ -181,16 +183,16 @@ class CorrectedContacts:
         larger. As if each element were alone, in few operations; where that is too large, by the
         response of all.
         """
-        p, compliances, which = solution.pressure, self.engine.compliances, self.engine.which
+        p, area = solution.pressure, self.engine.compliances.area
         mean = np.maximum(np.divide(solution.force, self._total), _TINY)[:, None]
-        errors = np.abs(change) * compliances.stiffness[which] / np.maximum(p, mean)
+        errors = np.abs(change) * self._stiffness / np.maximum(p, mean)
         elements = errors.argmax(axis=1)
         largest = errors[self._every, elements]
         too_large = largest > largest_allowed
         if not too_large.any():
             return largest, elements
         touching = p > 0.0
-        carrying = inner(compliances.area, touching.astype(float))
+        carrying = inner(area, touching.astype(float))
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = np.maximum(p, np.divide(solution.force, carrying)[:, None])
             errors = np.where(

@@ -228,9 +228,9 @@ class ContactEngine:
             if len(gap) == 1:
                 raise ComputationError(self._failure(0, float(residual[0])))
             raise HistoriesError(failed)
-        p = self._q / problem.scale
+        p = problem.pressures(self._q, slice(None))
         return ContactState(
-            p, self._g / problem.weights, problem.approaches.copy(), inner(problem.area, p),
+            p, problem.gaps_of(self._g), problem.approaches.copy(), inner(problem.area, p),
             self._iterations.copy(), residual,
         )  # fmt: skip
 
@@ -256,7 +256,7 @@ class ContactEngine:
     def _separate(self, histories: IntArray) -> None:
         """Take the pressures of histories that need none; the gradient is the weighted gap."""
         problem = self._problem
-        self._q[histories] = 0.0
+        self._q[histories], problem.is_known[histories] = 0.0, False
         self._g[histories] = problem.weights[histories] * (
             problem.gaps[histories] - problem.approaches[histories, None]
         )
@@ -346,6 +346,7 @@ class ContactEngine:
     @warm.setter
     def warm(self, warm: WarmStart) -> None:
         self._q[:], self._problem.approaches[:] = warm.scaled_pressure, warm.approach
+        self._problem.is_known[:] = False
 
     def take(self, histories: IntArray) -> "ContactEngine":
         """Return an engine of some of the histories, which starts where this one would."""

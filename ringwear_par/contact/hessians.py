@@ -5,12 +5,13 @@ wear over pressure has another shape, such a basis preconditions conjugate gradi
 through layers, non-local wear and large systems have Cholesky factors of their own.
 """
 
+from collections import defaultdict
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner, largest
 from ringwear_par.contact.basis_stack import BROKEN, BasisStack
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
@@ -45,7 +46,7 @@ class Hessians:
         self._compliances, self._matrices, self._which = compliances, compliances.matrices, which
         self._weights = weights = compliances.weights[which]
         count, n = weights.shape
-        self._per_speed = 1.0 / compliances.speed
+        self._per_speed = (1.0 / compliances.speed)[which]
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
         #: (B, n, n) what non-local wear adds, its diagonal included in it; (0, n, n): wear is local
@@ -97,7 +98,7 @@ class Hessians:
         block = self._matrices[self._which[history]].copy()
         if len(self.coupling):
             block += self.coupling[history]
-        block[np.diag_indices(len(block))] += self.slope[history]
+        block.reshape(-1)[:: len(block) + 1] += self.slope[history]
         return block
 
     def forget(self, histories: IntArray) -> None:
@@ -116,36 +117,35 @@ class Hessians:
         ----------
         in_bases : whether sets are worth a basis; those that come and go are not.
         """
-        slope, touching = self.slope[histories], free[histories]
-        new = ~self._valid[histories]
-        new |= (slope != self._slope[histories]).any(axis=1)
-        new |= (touching != self._free[histories]).any(axis=1)
+        rows = slice(None) if len(histories) == len(self._valid) else histories
+        slope, touching = self.slope[rows], free[rows]
+        new = ~self._valid[rows]
+        new |= (slope != self._slope[rows]).any(axis=1)
+        new |= (touching != self._free[rows]).any(axis=1)
         coupled = bool(len(self.coupling))
         if coupled:
             new[:] = True
         if not new.all():
             if not new.any():
                 return
-            histories, slope, touching = histories[new], slope[new], touching[new]
-        self._slope[histories], self._free[histories] = slope, touching
-        self._valid[histories] = not coupled
+            rows = histories = histories[new]
+            slope, touching = slope[new], touching[new]
+        self._slope[rows], self._free[rows], self._valid[rows] = slope, touching, not coupled
         if coupled or not in_bases or slope.shape[1] > LARGEST_WITH_BASES:
             self._factorise(histories)
             return
-        rate = np.where(touching, slope * self._per_speed[self._which[histories]], 0.0)
-        wearing = rate > 0.0
-        most = rate.max(axis=1)
-        least = np.where(wearing, rate, np.inf).min(axis=1)
-        regular = ~(most - least > _ROUND_OFF * most)
+        rate = slope * self._per_speed[rows]
+        rate *= touching
+        wearing, most = rate > 0.0, largest(rate)
+        regular = ~(wearing & (rate < ((1.0 - _ROUND_OFF) * most)[:, None])).any(axis=1)
         if self.through_layers and not regular.all():
             self._factorise(histories[~regular])
-            histories, touching, wearing, most = (
-                values[regular] for values in (histories, touching, wearing, most)
-            )
+            rows = histories = histories[regular]
+            touching, wearing, most = (v[regular] for v in (touching, wearing, most))
             regular = regular[regular]
             if not len(histories):
                 return
-        self._regular[histories] = regular
+        self._regular[rows] = regular
         if not regular.all():
             places = np.flatnonzero(~regular)
             wearing[places] = True
@@ -154,16 +154,15 @@ class Hessians:
             most[places] = ordered[np.arange(len(places)), middle]  # the median
         wearing[~wearing.any(axis=1)] = True  # so as not to need a basis without wear
         self._choose_bases(histories, touching, wearing)
-        numbers = self._number[histories]
+        numbers = self._number[rows]
         if numbers.min() < 0:
             valid = numbers >= 0
-            histories, most, numbers = histories[valid], most[valid], numbers[valid]
-        inverse, force = (
-            1.0 / (1.0 + most[:, None] * self._stack.mu[numbers]),
-            self._stack.force[numbers],
-        )
-        self._inverse[histories], response = inverse, inverse * force
-        self._response[histories], self._stiffness[histories] = response, inner(force, response)
+            rows, most, numbers = histories[valid], most[valid], numbers[valid]
+        inverse, force = most[:, None] * self._stack.mu[numbers], self._stack.force[numbers]
+        inverse += 1.0
+        np.divide(1.0, inverse, out=inverse)
+        self._inverse[rows], response = inverse, inverse * force
+        self._response[rows], self._stiffness[rows] = response, inner(force, response)
 
     def _choose_bases(self, histories: IntArray, free: BoolArray, wearing: BoolArray) -> None:
         """Take the bases of the sets of histories, (h, n)."""
@@ -172,12 +171,16 @@ class Hessians:
         if not new.any():
             return
         self._sets[histories], self._rows = sets, None
+        alike: dict[tuple[int, bytes], list[int]] = defaultdict(list)
+        which, width = self._which[histories].tolist(), sets.shape[1]
+        packed = sets.tobytes()
         for place in np.flatnonzero(new).tolist():
-            history = int(histories[place])
+            alike[which[place], packed[place * width : (place + 1) * width]].append(place)
+        for (compliance, name), places in alike.items():
             if self._stack.is_full:
                 self._number = self._stack.make_room(self._number)
-            self._number[history] = self._stack.number_of(
-                int(self._which[history]), sets[place].tobytes(), free[place], wearing[place]
+            self._number[histories[places]] = self._stack.number_of(
+                compliance, name, free[places[0]], wearing[places[0]]
             )
 
     def _factorise(self, histories: IntArray) -> None:
@@ -253,7 +256,7 @@ class Hessians:
             np.negative(solved, out=solved)
         else:
             change = _divided(missing + inner(rows.force, solved), self._stiffness[rows.histories])
-            solved = change[..., None] * self._response[rows.histories] - solved
+            np.subtract(change[..., None] * self._response[rows.histories], solved, out=solved)
         irregular = np.flatnonzero(~self._regular[rows.histories])
         if len(irregular):
             sides = modal[..., irregular, :]
@@ -282,11 +285,13 @@ class Hessians:
         weights, sides = self._weights[histories[places]], gradient[..., places, :]
         right = np.concatenate([sides.reshape(-1, *weights.shape), weights[None]])
         solved = np.zeros_like(right)
+        whole = self._free[histories[places]].all(axis=1).tolist()
         for place, history in enumerate(histories[places].tolist()):
-            free, factor = self._free[history], self._factors.get(history, _NO_FACTOR)
+            factor = self._factors.get(history, _NO_FACTOR)
             if self._number[history] == BROKEN:
                 solved[:, place] = np.nan
             elif len(factor):
+                free = slice(None) if whole[place] else self._free[history]
                 solved[:, place, free] = dpotrs(factor, right[:, place, free].T, lower=1)[0].T
         by_gradient, response = solved[:-1].reshape(sides.shape), solved[-1]
         change = np.zeros(sides.shape[:-1])

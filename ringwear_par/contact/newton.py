@@ -13,7 +13,7 @@ Newton method, SIAM J. Control Optim. 20 (1982).
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner, largest
 from ringwear_par.contact.hessians import NEAR, SOLVED, Hessians
 from ringwear_par.contact.problem import FORCE_TOLERANCE, GRADIENT_TOLERANCE, ContactProblem
 from ringwear_par.petsc import PETSc
@@ -78,7 +78,7 @@ class ActiveSetNewton:
         broken = problem.at_work[:0]
         free = q > 0.0
         self._begin(tao, q, g, free)
-        self._evaluate(tao)
+        self._evaluate(tao, recall=True)
         iteration, limit = 0, min(PLAIN_ITERATIONS, tao.getMaximumIterations())
         while len(problem.at_work) and iteration < limit:
             iteration += 1
@@ -112,7 +112,7 @@ class ActiveSetNewton:
         histories, rows = problem.at_work, problem.rows
         x, slopes = q[rows], g[rows]
         before = free[rows]
-        keep = np.where(before, x > 0.0, slopes < 0.0)
+        keep = (before & (x > 0.0)) | (~before & (slopes < 0.0))
         same = (keep == before).all(axis=1)
         fine, broken = self._optimal(x, slopes)
         if same.all() and fine.all() and not broken.any():
@@ -122,6 +122,7 @@ class ActiveSetNewton:
         free[rows] = np.where(leaving[:, None], keep, before)
         cleared = (leaving[:, None] & ~keep & (x != 0.0)) | broken[:, None]
         q[rows] = np.where(cleared, 0.0, x)
+        problem.is_known[histories[broken]] = False
         problem.at_work = histories[~((same & fine) | broken)]
         return histories[broken], bool(cleared[~broken].any())
 
@@ -140,8 +141,8 @@ class ActiveSetNewton:
         fine = np.sqrt(square) <= GRADIENT_TOLERANCE * np.sqrt(inner(overlap, overlap))
         if not fine.all():
             # where wear makes the diagonal large, round-off in q is more than the tolerance in g
-            largest = np.maximum(x.max(axis=1), 0.0)
-            fine |= np.abs(defect / diagonal).max(axis=1) <= ROUND_OFF * largest
+            most = np.maximum(largest(x), 0.0)
+            fine |= largest(np.abs(defect / diagonal)) <= ROUND_OFF * most
         carried = inner(weights, x)
         if problem.forces is not None:
             force = problem.forces[rows]
@@ -150,8 +151,8 @@ class ActiveSetNewton:
 
     def _begin(self, tao: PETSc.TAO, q: FloatArray, g: FloatArray, free: BoolArray) -> None:
         """Let the sets be those of the present values; where nothing touches, guess."""
-        histories = self._problem.at_work
-        none = histories[~free[histories].any(axis=1)]
+        histories, rows = self._problem.at_work, self._problem.rows
+        none = histories[~free[rows].any(axis=1)]
         if len(none):
             q[none] = 0.0
             if self._problem.forces is not None:
@@ -159,7 +160,9 @@ class ActiveSetNewton:
             else:
                 self._evaluate(tao)
                 free[none] = g[none] < 0.0
-        q[histories] = np.where(free[histories], q[histories], 0.0)
+        if not (q[rows] >= 0.0).all():
+            q[rows] = np.where(free[rows], q[rows], 0.0)
+            self._problem.is_known[histories] = False
 
     def _iterate_damped(self, tao: PETSc.TAO, q: FloatArray, g: FloatArray) -> tuple[IntArray, int]:
         """Take damped steps of the history at work; return it if it did not end, and their number.
@@ -214,8 +217,9 @@ class ActiveSetNewton:
         residual = float(np.linalg.norm(np.where(x > 0.0, gradient, np.minimum(gradient, 0.0))))
         tao.monitor(iteration, tao.computeObjective(self._x), residual)
 
-    def _evaluate(self, tao: PETSc.TAO) -> None:
-        """Compute the gradient at the present unknowns."""
+    def _evaluate(self, tao: PETSc.TAO, recall: bool = False) -> None:
+        """Compute the gradient at the present unknowns, or ``recall`` what is known of them."""
+        self._problem.recall = recall
         tao.computeGradient(self._x, self._g)
         stop_if_ended(tao)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, inner, short_repr
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, inner, largest, short_repr
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.wear.increment import WearIncrement
 
@@ -103,7 +103,14 @@ class ContactProblem:
         self.area = compliances.area
         #: (B, n) 1/MPa, pressure times this is the unknown; gap times the weights the gradient
         self.scale, self.weights = compliances.scale[which], compliances.weights[which]
+        self._per_scale = (1.0 / compliances.scale)[which]
+        self._per_weight = (1.0 / compliances.weights)[which]
+        self._slope_scale = (compliances.weights / compliances.scale)[which]
         self.every = np.arange(len(which))
+        #: (B, n) A q of the last unknowns, and (B,) whether those are the ones that there are now
+        self._product, self.is_known = np.zeros_like(self.scale), np.zeros(len(which), dtype=bool)
+        #: whether a gradient is wanted at the last unknowns
+        self.recall = False
         #: (h,) the histories at work
         self.at_work: IntArray = self.every
         #: (B, n) mm, and (B,) mm
@@ -162,31 +169,42 @@ class ContactProblem:
             self._wear_at_work = histories, self.wear.take(histories)
         return self._wear_at_work[1]
 
-    def _terms(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the linear term of the gradient, and A q, (h, n)."""
+    def pressures(self, q: FloatArray, rows: IntArray | slice) -> FloatArray:
+        """Return the pressures of unknowns, MPa."""
+        return q * self._per_scale[rows]
+
+    def gaps_of(self, gradient: FloatArray) -> FloatArray:
+        """Return the gaps between the deformed profiles of all histories, mm."""
+        return gradient * self._per_weight
+
+    def _products_of(self, q: FloatArray) -> FloatArray:
+        """Return A q, (h, n)."""
         rows = self.rows
-        linear = self.gaps[rows] - self.approaches[rows, None]
-        linear *= self.weights[rows]
+        if self.recall and self.is_known[rows].all():
+            return self._product[rows]
         if self._products is None or self._products[0] is not self.at_work:
             self._products = self.at_work, RowProducts(self.which[rows])
-        return linear, self._products[1].of(q, self.compliances.matrices)
+        product = self._products[1].of(q, self.compliances.matrices)
+        self._product[rows], self.is_known[rows] = product, True
+        return product
 
     def gradient(self, q: FloatArray) -> FloatArray:
         """Return the gradient (h, n): the weighted gap of the deformed, worn profiles."""
-        gradient, product = self._terms(q)
-        gradient += product
-        wear = self._increment()
+        rows, wear = self.rows, self._increment()
+        gradient = self.gaps[rows] - self.approaches[rows, None]
         if wear is not None:
-            rows = self.rows
-            gradient += self.weights[rows] * wear.depth(q / self.scale[rows])
+            gradient += wear.depth(self.pressures(q, rows))
+        gradient *= self.weights[rows]
+        gradient += self._products_of(q)
         return gradient
 
     def objective(self, q: FloatArray) -> float:
         """Return the sum of the objectives, N mm."""
-        linear, product = self._terms(q)
-        objectives, wear = inner(q, 0.5 * product + linear), self._increment()
+        rows, wear = self.rows, self._increment()
+        linear = self.weights[rows] * (self.gaps[rows] - self.approaches[rows, None])
+        objectives = inner(q, 0.5 * self._products_of(q) + linear)
         if wear is not None:
-            objectives = objectives + inner(self.area, wear.potential(q / self.scale[self.rows]))
+            objectives = objectives + inner(self.area, wear.potential(self.pressures(q, rows)))
         return float(objectives.sum())
 
     def slopes(self, q: FloatArray) -> tuple[FloatArray, FloatArray | None]:
@@ -198,7 +216,7 @@ class ContactProblem:
         wear, rows = self._increment(), self.rows
         if wear is None:
             return np.zeros_like(q), None
-        p = q / self.scale[rows]
+        p = self.pressures(q, rows)
         diagonal = self.scaled_slopes(wear.d_depth_dp(p), rows)
         if wear.local:
             return diagonal, None
@@ -212,10 +230,9 @@ class ContactProblem:
 
         (h, n) mm/MPa, or of non-local wear (h, n, n).
         """
-        weights, scale = self.weights[rows], self.scale[rows]
-        if slopes.ndim == weights.ndim:
-            return slopes * (weights / scale)
-        return weights[..., None] * slopes / scale[:, None, :]
+        if slopes.ndim == self.weights.ndim:
+            return slopes * self._slope_scale[rows]
+        return self.weights[rows][..., None] * slopes / self.scale[rows][:, None, :]
 
     def residuals(
         self, histories: IntArray, q: FloatArray, gradient: FloatArray, slope: FloatArray
@@ -230,16 +247,17 @@ class ContactProblem:
         slope : (B, n) float, that wear adds to the diagonals of the Hessians.
         """
         rows = self.rows_of(histories)
-        largest = np.maximum(q[rows].max(axis=1), 0.0)
+        most = np.maximum(largest(q[rows]), 0.0)
         worst = _natural(q[rows], gradient[rows], slope[rows])
-        if self.wear is not None and not (worst <= KKT_TOLERANCE * largest).all():
+        if self.wear is not None and not (worst <= KKT_TOLERANCE * most).all():
             # at a kink of the law either side's slope will do
-            other = self.scaled_slopes(self.wear.d_depth_dp(q / self.scale), slice(None))
+            every = slice(None)
+            other = self.scaled_slopes(self.wear.d_depth_dp(self.pressures(q, every)), every)
             worst = _natural(q[rows], gradient[rows], np.maximum(slope, other)[rows])
-        return np.divide(worst, largest, out=np.full(len(histories), np.inf), where=largest > 0.0)
+        return np.divide(worst, most, out=np.full(len(histories), np.inf), where=most > 0.0)
 
 
 def _natural(q: FloatArray, gradient: FloatArray, slope: FloatArray) -> FloatArray:
     """Return natural KKT residuals of (h, n), infinite where there is none."""
-    worst = np.abs(np.minimum(q, gradient / (1.0 + slope))).max(axis=1)
+    worst = largest(np.abs(np.minimum(q, gradient / (1.0 + slope))))
     return np.where(np.isfinite(worst), worst, np.inf)

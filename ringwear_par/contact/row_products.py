@@ -25,12 +25,10 @@ class RowProducts:
         self._runs: list[tuple[int, int, int]] = []
         #: the one matrix of all blocks, or those of each, where they are a slice
         self._stack: int | slice | None = None
-        #: places of rows in the blocks; None: they fill them
-        self._slots: IntArray | slice | None = None
+        #: places of rows in the blocks; None: they follow each other
+        self._slots: IntArray | None = None
         if not count or (which == which[0]).all():
-            self._n_blocks, self._stack = -(-count // ROWS), int(which[0]) if count else 0
-            if count % ROWS:
-                self._slots = slice(count)
+            self._stack = int(which[0]) if count else 0
             return
         numbers, group, counts = np.unique(which, return_inverse=True, return_counts=True)
         blocks = -(-counts // ROWS)
@@ -47,11 +45,22 @@ class RowProducts:
 
     def of(self, rows: FloatArray, matrices: FloatArray) -> FloatArray:
         """Return rows (..., h, n) times their matrices (n, n), digits of each row its own."""
-        *leading, _, n = rows.shape
-        blocks = rows
-        if self._slots is not None:
-            blocks = np.zeros((*leading, ROWS * self._n_blocks, n))
-            blocks[..., self._slots, :] = rows
+        *leading, count, n = rows.shape
+        if self._slots is None:
+            whole, product = count // ROWS * ROWS, np.empty(rows.shape)
+            matrix = matrices[self._stack]
+            if whole:
+                shape = (*leading, whole // ROWS, ROWS, n)
+                full = (..., slice(whole), slice(None))
+                np.matmul(rows[full].reshape(shape), matrix, out=product[full].reshape(shape))
+            if whole < count:
+                rest = (..., slice(whole, None), slice(None))
+                padded = np.zeros((*leading, ROWS, n))
+                padded[..., : count - whole, :] = rows[rest]
+                product[rest] = (padded @ matrix)[..., : count - whole, :]
+            return product
+        blocks = np.zeros((*leading, ROWS * self._n_blocks, n))
+        blocks[..., self._slots, :] = rows
         blocks = blocks.reshape(*leading, self._n_blocks, ROWS, n)
         if self._stack is not None:
             product = blocks @ matrices[self._stack]
@@ -60,5 +69,4 @@ class RowProducts:
             for number, first, last in self._runs:
                 part = (..., slice(first, last), slice(None), slice(None))
                 np.matmul(blocks[part], matrices[number], out=product[part])
-        product = product.reshape(*leading, ROWS * self._n_blocks, n)
-        return product if self._slots is None else product[..., self._slots, :]
+        return product.reshape(*leading, ROWS * self._n_blocks, n)[..., self._slots, :]

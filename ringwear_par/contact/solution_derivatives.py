@@ -37,7 +37,7 @@ class SolutionDerivatives:
         problem = self._problem
         missing = None if problem.forces is None else np.zeros(gap.shape[:-1])
         steps, _ = self._hessians.steps(problem.every, problem.weights * gap, missing, SOLVED)
-        return steps / problem.scale
+        return problem.pressures(steps, slice(None))
 
     def deflections(self, d_p: FloatArray) -> FloatArray:
         """Return the changes of gaps, mm, with those of pressures, (P, B, n) MPa."""

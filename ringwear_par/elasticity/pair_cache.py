@@ -84,6 +84,12 @@ def read(
     return on_first_rank(comm, lambda: _read(key, n, is_sound))
 
 
+def has(key: Hashable) -> bool:
+    """Tell whether there is a file of a pair, whatever it holds. Not collective."""
+    where = folder()
+    return where is not None and (where / _name(key)).exists()
+
+
 def write(key: Hashable, stacked: FloatArray, comm: "MPI.Comm") -> None:
     """Keep the numbers of a pair, (2, n + 3, n), if that is possible. On the first rank of comm."""
     where = folder()

@@ -19,6 +19,7 @@ from ringwear_par.errors import (
     ComputationError,
     HistoriesError,
     InputError,
+    InterfaceError,
     LawError,
     RingwearError,
     UnfitError,
@@ -27,6 +28,7 @@ from ringwear_par.errors import (
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.moving_geometry import MovingGeometry
 from ringwear_par.history.physics import Physics
+from ringwear_par.history.schemes.interfaces import next_to_cross
 from ringwear_par.history.schemes.step import Scheme
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.history.start import initial_state
@@ -380,6 +382,8 @@ class Batch:
             return error
         case, state = self._ensemble.cases[int(self.numbers[0])], present.state
         why = f"{self._failure}, {NO_STEP}" if self._failure else str(error)
+        if isinstance(error, InterfaceError):
+            why += f": {next_to_cross(present.physics, state)}"
         named = type(error)(
             f"{why}; in step {int(present.progress.steps[0]) + 1}, from time {state.time[0]:g} s"
             f"{unit_question(case, state.wear[:, 0])}"

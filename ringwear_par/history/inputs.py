@@ -27,6 +27,9 @@ class HistoryInputs:
     omega : rad/s.
     force, displacement : N and mm; one of them is None.
     laws : of lower and upper, None where a body does not wear.
+    per_energy : worn volume of lower and upper per dissipated energy, (B,) 1/MPa, 0 where it is not
+        fixed; None where it is for none. Of bodies with layers those of all of them and of the body
+        itself, (layers + 1, B).
     pace : (2, B) factors on the rates of wear of lower and upper in the present step; None: 1.
     """
 
@@ -38,6 +41,7 @@ class HistoryInputs:
     force: Quantity | None
     displacement: Quantity | None
     laws: tuple[Law | None, ...]
+    per_energy: tuple[FloatArray | None, ...]
     pace: FloatArray | None = None
 
     @classmethod
@@ -51,16 +55,18 @@ class HistoryInputs:
         if len(cases) > 1 and any(case.follows_wear for case in cases):
             raise ValueError("histories with updated geometry cannot be stacked")
         loads = [case.load for case in cases]
-        laws = zip(*(case.laws for case in cases), strict=True)
+        frictions = [case.friction for case in cases]
+        laws = list(zip(*(case.laws for case in cases), strict=True))
         return cls(
             tuple(cases),
             np.array(of_faces(cases, lambda case: case.initial_gap)),
-            np.array([case.friction for case in cases]),
+            np.array(frictions),
             np.array([case.time.tolerance for case in cases]),
             stack([load.omega for load in loads]),
             _stacked([load.force for load in loads]),
             _stacked([load.displacement for load in loads]),
             tuple(stack_laws(body_laws) for body_laws in laws),
+            tuple(_per_energy(body_laws, frictions) for body_laws in laws),
         )
 
     def take(self, histories: IntArray) -> Self:
@@ -75,6 +81,7 @@ class HistoryInputs:
             force=take(self.force, histories),
             displacement=take(self.displacement, histories),
             laws=tuple(None if law is None else law.take(histories) for law in self.laws),
+            per_energy=tuple(None if r is None else r[..., histories] for r in self.per_energy),
             pace=None if self.pace is None else self.pace[:, histories],
         )
 
@@ -120,20 +127,16 @@ class HistoryInputs:
         reads = any(law is not None and law.reads_wear for law in self.laws)
         return self.steady_speed and not reads
 
-    @cached_property
-    def per_energy(self) -> tuple[Any, ...]:
-        """Worn volume of lower and upper per dissipated energy, 1/MPa, None where it is not fixed.
 
-        Of bodies with layers those of all of them and of the body itself, 0 where not fixed.
-        """
-        return tuple(
-            None
-            if law is None or self.pace is not None
-            else law.layer_ratios(self.friction)
-            if isinstance(law, LayeredLaw)
-            else law.per_energy(self.friction)
-            for law in self.laws
-        )
+def _per_energy(laws: Sequence[Any], frictions: Sequence[float]) -> FloatArray | None:
+    """Return the ratios of a body's laws, see ``HistoryInputs.per_energy``."""
+    first = laws[0]
+    if first is None:
+        return None
+    if isinstance(first, LayeredLaw):
+        return np.array([law.layer_ratios(mu) for law, mu in zip(laws, frictions, strict=True)]).T
+    ratios = np.array([law.per_energy(mu) or 0.0 for law, mu in zip(laws, frictions, strict=True)])
+    return ratios if ratios.any() else None
 
 
 def of_faces(cases: Sequence[Case], number: Callable[[Case], Any]) -> list[Any]:

@@ -323,7 +323,9 @@ class Physics:
 
     def at_pace(self, pace: FloatArray) -> Self:
         """Return the physics of a step in which rates are multiplied, by (2, B)."""
-        return replace(self, inputs=replace(self.inputs, pace=pace))
+        # energy does not tell what wears at random
+        inputs = replace(self.inputs, pace=pace, per_energy=(None, None))
+        return replace(self, inputs=inputs)
 
     def take(self, histories: IntArray) -> Self:
         """Return the physics of some of the histories."""

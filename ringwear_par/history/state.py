@@ -109,6 +109,7 @@ class Progress:
     undefined : whether the error of the last try was not a number.
     interface : s, when the first element is expected at the end of its layer; infinite where none
         is.
+    step_error : mm, estimated error of the last step, all of its parts, see ``Step.history_error``.
     """
 
     steps: IntArray
@@ -121,13 +122,14 @@ class Progress:
     tried_iterations: IntArray
     undefined: BoolArray
     interface: FloatArray
+    step_error: FloatArray
 
     @classmethod
     def at_start(cls, count: int) -> "Progress":
         """Return the progress of B histories before their first step."""
         zeros, no = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
         length, never = np.zeros(count), np.full(count, np.inf)
-        return cls(zeros, length, zeros, zeros, length, no, no, zeros, no, never)
+        return cls(zeros, length, zeros, zeros, length, no, no, zeros, no, never, length)
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, relative
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, largest, relative
 from ringwear_par.cases.case import Case
-from ringwear_par.errors import ComputationError, HistoriesError
+from ringwear_par.errors import ComputationError, HistoriesError, InterfaceError
 from ringwear_par.history.schemes.step import Step
 from ringwear_par.history.state import Progress, State
 
@@ -131,7 +131,7 @@ class FixedSteps:
         if (stuck := _is_short(state.time, end)).any():
             if len(stuck) > 1:
                 raise HistoriesError(stuck)
-            raise ComputationError(f"{_UNREACHED}, {NO_STEP}")
+            raise InterfaceError(f"{_UNREACHED}, {NO_STEP}")
         return end, progress
 
     def _end(self, progress: Progress) -> FloatArray:
@@ -149,6 +149,7 @@ class FixedSteps:
         iterations = progress.tried_iterations + step.state.contact.iterations
         accepted = np.logical_not(step.too_far) & np.ones(len(self.length), dtype=bool)
         complete = accepted & (step.state.time == self._end(progress))
+        parts = np.where(progress.begun, progress.step_error, 0.0)  # of this step so far
         return Decision(
             accepted,
             complete,
@@ -157,7 +158,9 @@ class FixedSteps:
                 steps=progress.steps + complete,
                 iterations=progress.iterations + np.where(complete, iterations, 0),
                 tried_iterations=np.where(complete, 0, iterations),
+                begun=~complete & (accepted | progress.begun),
                 interface=np.where(accepted, np.inf, step.interface),
+                step_error=parts + np.where(accepted, step.history_error, 0.0),
             ),
         )
 
@@ -218,10 +221,10 @@ class ErrorControl:
         if (stuck := _is_short(state.time, end)).any():
             if len(stuck) > 1:
                 raise HistoriesError(stuck)
+            if progress.interface[0] == end[0]:
+                raise InterfaceError(f"{_UNREACHED}, {NO_STEP}")
             why = (
-                _UNREACHED
-                if progress.interface[0] == end[0]
-                else "the estimated error of the step is not a number"
+                "the estimated error of the step is not a number"
                 if progress.undefined[0]
                 else f"errors exceed time.tolerance = {self.wear_tolerance[0]:g} mm or "
                 f"time.pressure_tolerance = {self.pressure_tolerance[0]:g} (try larger tolerances)"
@@ -245,7 +248,7 @@ class ErrorControl:
         limit = _until_interface(state, limit, progress)
         fresh, length = ~progress.begun, progress.length
         if fresh.any():
-            fastest = state.rates.max(axis=(0, 2))
+            fastest = largest(state.rates).max(axis=0)
             wears = fastest > 0.0
             first = _FIRST_WEAR * self.wear_tolerance
             worn = np.divide(first, fastest, out=self.end.copy(), where=wears)
@@ -289,6 +292,7 @@ class ErrorControl:
                 iterations,
                 ratio == np.inf,
                 np.where(accepted | too_far, step.interface, progress.interface),
+                step.history_error,
             ),
         )
 
@@ -310,7 +314,7 @@ class ErrorControl:
         That is whether the error of pressure was too large, and the errors of a step like this one
         over what the next may miss. NaN counts as infinite.
         """
-        state, missed = step.state, np.abs(before.error).max(axis=-1)
+        state, missed = step.state, largest(np.abs(before.error))
         whole = state.energy + step.power * (self.end - state.time)
         energy = np.maximum(relative(step.energy_error, _ENERGY_TOLERANCE * whole), 1e-6)
         ratio = np.maximum(energy, step.wear_error / self._allowed(step.carried_error))

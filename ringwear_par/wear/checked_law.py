@@ -304,8 +304,9 @@ class CompletedLaw(CheckedLaw):
         law: Any = self.user_object
         return replace(self, user_object=replace(law, **{name: values}))
 
-    def _per_energy(self, friction: float) -> float | None:
-        return self._attribute("per_energy", super()._per_energy)(friction)
+    def per_energy(self, friction: float) -> float | None:
+        """Return worn volume per dissipated energy, 1/MPa, if it is always the same."""
+        return self._attribute("per_energy", super().per_energy)(friction)
 
     def onset(self, local: LocalState) -> float | FloatArray:
         """Return the pressure, MPa, up to which nothing wears."""

@@ -4,6 +4,7 @@ It does not fall with pressure. An element of a body with layers wears by the la
 all of a step, see ``LayeredLaw.in_layers``.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -92,6 +93,10 @@ class WearIncrement:
     local: bool = field(init=False, repr=False)
     #: whether any body has layers, whose laws may differ from element to element
     layered: bool = field(init=False, repr=False)
+    #: of laws that remember, by identity, the last pressures and the local state after the step
+    _after: dict[int, tuple[FloatArray, LocalState]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         parts = enumerate(zip(self.laws, self.at, self.averages, strict=True))
@@ -149,7 +154,7 @@ class WearIncrement:
         self, law: Law, at: LocalState, average: FloatArray | None, p: FloatArray
     ) -> FloatArray:
         """Return the depth d = step rate(p, wear + d) of one material along the normal, mm."""
-        p = np.maximum(p, 0.0)
+        p = _not_negative(p)
         if law.remembers:
             at = self.after_step(law, at, p)
         return self.step * averaged_rate(law, at, average, p)
@@ -157,12 +162,15 @@ class WearIncrement:
     def after_step(self, law: Law, at: LocalState, p: FloatArray) -> LocalState:
         """Return the local state with the depth worn at the end of the step (Newton, from below).
 
-        A history that has settled stays as it is while others go on.
+        A history that has settled stays as it is while others go on. Depths, slopes and errors are
+        asked for at the same pressures one after another.
 
         Raises
         ------
         ComputationError : it does not settle: the rate grows with worn depth too fast.
         """
+        if id(law) in self._after and np.array_equal(self._after[id(law)][0], p):
+            return self._after[id(law)][1]
         depth = np.zeros_like(p)
         before: Any = np.inf
         settled: Any = np.zeros(p.shape[:-1], dtype=bool)
@@ -181,7 +189,9 @@ class WearIncrement:
             # no better than its round-off
             settled = (largest <= _ROUND_OFF) | ((before <= largest) & (largest <= _NOISE))
             if settled if p.ndim == 1 else settled.all():
-                return replace(at, wear=at.wear + depth)
+                after = replace(at, wear=at.wear + depth)
+                self._after[id(law)] = p, after
+                return after
             before = largest
         raise ComputationError(self._unsettled(at, np.unravel_index(e, p.shape)))
 
@@ -199,7 +209,7 @@ class WearIncrement:
         )
 
     def _d_depth_dp(self, law: Law, at: LocalState, p: FloatArray) -> FloatArray:
-        p = np.maximum(p, 0.0)
+        p = _not_negative(p)
         if not law.remembers:
             return self.step * law.d_rate_dp(p, at)
         after = self.after_step(law, at, p)
@@ -368,6 +378,11 @@ class WearIncrement:
         return total * span
 
 
-def total_of(parts: list[FloatArray]) -> FloatArray:
+def _not_negative(p: FloatArray) -> FloatArray:
+    """Return pressures, 0 where they are negative: few iterates have such, and looking is quick."""
+    return p if (p >= 0.0).all() else np.maximum(p, 0.0)
+
+
+def total_of(parts: Sequence[FloatArray] | FloatArray) -> FloatArray:
     """Return the sum of fields of one body, or of two."""
     return parts[0] if len(parts) == 1 else parts[0] + parts[1]

@@ -147,18 +147,8 @@ class Law:
         """Return the law with another number, or other values at the elements."""
         return replace(self, **{name: values})  # type: ignore[type-var]
 
-    def per_energy(self, friction: float | FloatArray) -> float | FloatArray | None:
-        """Return worn volume per dissipated energy, 1/MPa, if it is always the same.
-
-        Of B histories, whose friction coefficients are (B,): (B,), 0 where it is not.
-        """
-        if not isinstance(friction, np.ndarray):
-            return self._per_energy(friction)
-        ratios = [self.history(i)._per_energy(float(mu)) for i, mu in enumerate(friction)]
-        return np.array([ratio or 0.0 for ratio in ratios])
-
-    def _per_energy(self, friction: float) -> float | None:
-        """Return ``per_energy`` of one history."""
+    def per_energy(self, friction: float) -> float | None:
+        """Return worn volume per dissipated energy, 1/MPa, if it is always the same."""
         return None
 
     def onset(self, local: LocalState) -> float | FloatArray:

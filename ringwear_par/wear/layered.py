@@ -239,10 +239,9 @@ class LayeredLaw(Law):
             onset = np.where(present == number, law.onset(at), onset)
         return onset
 
-    def layer_ratios(self, friction: Any) -> list[Any]:
+    def layer_ratios(self, friction: float) -> list[float]:
         """Return worn volume per dissipated energy of each layer and the body, 1/MPa, 0: none."""
-        ratios = [law.per_energy(friction) for law in self.laws]
-        return [0.0 * friction if ratio is None else ratio for ratio in ratios]
+        return [law.per_energy(friction) or 0.0 for law in self.laws]
 
     def describe(self) -> str:
         """Return the formulas with their numbers and units, layer by layer."""

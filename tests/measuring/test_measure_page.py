@@ -53,9 +53,3 @@ def test_every_test_has_its_budgets(page):
     for source in ("readings", "steadiness", "load.force", "lower.density", "mass"):
         assert re.search(rf"\b{re.escape(source)} [AB] \d", text), source
     assert text.count("Monte Carlo 1.") >= 3
-
-
-def test_how_it_is_reproduced(page):
-    _, text = page
-    assert "ringwear measure measure.toml -o out/measure" in text
-    assert "[[test]]" in text

@@ -266,22 +266,6 @@ def test_charts_of_a_sweep_name_cases_and_their_values(folder, pages):
     assert np.isclose(fan["95 %"][1][-1], np.quantile(last, 0.95))
 
 
-def test_few_cases_have_a_line_each_and_many_a_few(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("ringwear_par.studies.pictures.histories._LINES", 3)
-    monkeypatch.setattr("ringwear_par.studies.pictures.effects._POINTS", 7)
-    rw.report(folder / "sweep", tmp_path / "page.html")
-    page = Read((tmp_path / "page.html").read_text())
-    assert "quantiles of 20 cases, and 3 of the cases" in page.text
-    assert "7 of 20 cases are drawn" in page.text
-    assert len(points(page)) == 7
-    assert page.charts["histories"].columns["asides"]["label"] == ["3 of the cases"] * 3
-    monkeypatch.setattr("ringwear_par.studies.pictures.histories.FEW", 20)
-    rw.report(folder / "sweep", tmp_path / "page.html")
-    drawn = Read((tmp_path / "page.html").read_text()).charts["histories"].columns["lines"]
-    assert len(drawn["x"]) == 20
-    assert len(set(drawn["words"])) == 20
-
-
 def test_a_fit_is_told_as_its_file_has_it(folder, pages):
     page, told = pages["fit"], json.loads((folder / "fit/fit.json").read_text())
     estimates = next(t for t in page.tables if t[0][:2] == ["key", "estimate"])
@@ -346,14 +330,6 @@ def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
     assert page.rows("tests")["1"] == ["two", "10 h", "1", dash]
 
 
-def test_a_long_table_of_cases_is_cut(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("ringwear_par.reports.sweep_page._MOST", 4)
-    rw.report(folder / "sweep", tmp_path / "page.html")
-    page = Read((tmp_path / "page.html").read_text())
-    assert len(page.rows("status")) == 4
-    assert "The first 4 of 30 cases; cases.csv has all" in page.text
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_pages_fetch_nothing(kind, pages):
     for tag, attributes in pages[kind].elements:
@@ -402,18 +378,6 @@ def test_a_run_with_little_stored_has_a_page(tmp_path):
     assert "No profiles are stored" in page.text
     assert HISTORY_PANELS.keys() - page.charts.keys() == {"pv", "through"}  # no friction, no layers
     assert told.endswith(f"{len(HISTORY_PANELS) - 1} figures")
-
-
-def test_laws_of_users_are_told_but_not_run(tmp_path):
-    law = tmp_path / "law.py"
-    law.write_text("def rate(p, local):\n    return 1e-7 * p * local.speed\n")
-    wear = {"wear.lower": {"law": "user", "file": str(law)}, "wear.upper": None}
-    rw.simulate(rw.read_case(PAPER, {**CASE, **wear})).save(tmp_path / "run.h5")
-    law.write_text("raise SystemExit('it was run')\n")
-    rw.report(tmp_path / "run.h5", tmp_path / "page.html")
-    text = Read((tmp_path / "page.html").read_text()).text
-    assert "1e-7 * p * local.speed" in text
-    assert "ring of radii 20 to 40 mm" in text
 
 
 @pytest.mark.parametrize(

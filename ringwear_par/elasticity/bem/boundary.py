@@ -8,6 +8,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -189,6 +190,7 @@ def face_elements(
     return mesh.contact_elements + flats
 
 
+@lru_cache(maxsize=64)
 def count_elements(section: Section, contact: tuple[float, float], mesh: Mesh) -> int:
     """Return the number of boundary elements that ``zone_meshes`` would make."""
     (inner, outer), (a, b) = section.r, contact

@@ -7,6 +7,7 @@ are paired (see ``slopes``).
 import itertools
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -59,7 +60,7 @@ class ContactLine:
         a, b = self.edges[[0, -1]]
         return f"<ContactLine: {self.n} elements, r = {a:g} to {b:g} mm>"
 
-    @property
+    @cached_property
     def r(self) -> FloatArray:
         """(n,) mm, mid-points."""
         return 0.5 * (self.edges[1:] + self.edges[:-1])
@@ -74,7 +75,7 @@ class ContactLine:
         """(n,) mm, radial lengths."""
         return np.diff(self.edges)
 
-    @property
+    @cached_property
     def area(self) -> FloatArray:
         """(n,) mm^2, annular areas ``m`` on the contact plane, so that the force is ``m . p``."""
         return 2.0 * np.pi * self.r * self.width
@@ -89,7 +90,7 @@ class ContactLine:
         """
         return self.r
 
-    @property
+    @cached_property
     def uniform_arm(self) -> FloatArray:
         """(n,) mm, Int r^2 dr / Int r dr: lever arm of a constant traction."""
         return 2.0 / 3.0 * np.diff(self.edges**3) / np.diff(self.edges**2)
@@ -158,6 +159,7 @@ def contact_pieces(
     return [(a, b, n) for (a, b), n in zip(itertools.pairwise(ends), shares, strict=True)]
 
 
+@lru_cache(maxsize=64)
 def contact_line(contact: tuple[float, float], mesh: Mesh, *faces: Section) -> ContactLine:
     """Return the contact elements between two radii (mm), cut at the corners of the faces.
 

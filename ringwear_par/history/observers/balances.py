@@ -63,9 +63,11 @@ def balances(physics: Physics, state: State) -> dict[str, Any]:
     volumes, worn = physics.integrals(state.wear), state.worn
     identity: Any = 0.0
     for body, (ratio, volume) in enumerate(zip(physics.inputs.per_energy, volumes, strict=True)):
-        if isinstance(ratio, list):
+        if ratio is None:
+            continue
+        if ratio.ndim > 1:
             identity = np.maximum(identity, _layers_defect(physics, state, body, ratio))
-        elif ratio is not None:
+        else:
             identity = np.maximum(identity, _defect(volume, ratio * state.energy))
     force = None if physics.inputs.force is None else in_time(physics.inputs.force, state.time)
     off = np.maximum(abs(volumes[0] - worn[0]), abs(volumes[1] - worn[1]))
@@ -80,13 +82,13 @@ def balances(physics: Physics, state: State) -> dict[str, Any]:
     }
 
 
-def _layers_defect(physics: Physics, state: State, body: int, ratios: list[Any]) -> Any:
+def _layers_defect(physics: Physics, state: State, body: int, ratios: FloatArray) -> Any:
     """Return how far the energy is off what volumes worn off the layers of a body took of it.
 
     0 where a law of them has no fixed volume by energy.
     """
     volumes = physics.layer_volumes(body, state.wear[body])
-    known = np.all([np.asarray(ratio) > 0.0 for ratio in ratios], axis=0)
+    known = (ratios > 0.0).all(axis=0)
     took = sum(
         np.divide(volumes[..., number], ratio, where=known, out=np.zeros(volumes.shape[:-1]))
         for number, ratio in enumerate(ratios)
@@ -131,7 +133,7 @@ class WorstBalances:
         new = np.flatnonzero(snapshot.accepted)
         values, numbers = balances(snapshot.physics, snapshot.state), snapshot.numbers[new]
         if snapshot.step is not None:
-            values["step_error"] = snapshot.step.history_error
+            values["step_error"] = snapshot.progress.step_error
             closing = np.broadcast_to(snapshot.step.closing, snapshot.accepted.shape)[new]
             self.closing_contact[numbers] |= closing
         table = np.zeros((len(_NAMES), len(snapshot.numbers)))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, inner
+from ringwear_par.arrays import FloatArray, inner, largest
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.geometry.slopes import case_slopes
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
@@ -93,7 +93,7 @@ class WorstStates:
                     measure[entry, numbers[worse]] = column[worse]
 
         take(_APPROACH, approach)
-        take(_MOVED, np.maximum(approach, wear.max(axis=(0, 2))))
+        take(_MOVED, np.maximum(approach, largest(wear).max(axis=0)))
         take(_FORCE, force)
         enough = count >= min(FEW_ELEMENTS, n)
         area = inner(physics.area, bearing.astype(float))

@@ -120,8 +120,10 @@ def entry_error(
     before: State,
     after: State,
     unhindered: FloatArray,
-) -> FloatArray:
+) -> FloatArray | None:
     """Return the estimated errors of pressure of elements that came into contact, (..., n) MPa.
+
+    None where none did.
 
     Such a pressure is right where the wear of the element is far more than what it yields, or far
     less: it is then what wears it off as fast as the gap closes, or what elasticity alone makes of
@@ -134,7 +136,7 @@ def entry_error(
     p = after.contact.pressure
     came = (before.contact.pressure <= 0.0) & (p > 0.0)
     if not came.any():
-        return np.zeros_like(p)
+        return None
     elastic, most = physics.own_displacement(p), unhindered.sum(axis=0)
     worn = (after.wear - before.wear).sum(axis=0)
     size = np.maximum((elastic + worn) * (elastic + most), np.finfo(float).tiny)

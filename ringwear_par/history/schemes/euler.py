@@ -8,7 +8,7 @@ rate.
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, columns
+from ringwear_par.arrays import FloatArray, columns, largest
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.interfaces import Passage, end_at_interfaces
@@ -16,6 +16,7 @@ from ringwear_par.history.schemes.step import Step, advanced
 from ringwear_par.history.schemes.tangent import along_step
 from ringwear_par.history.state import State
 from ringwear_par.schedules import mean
+from ringwear_par.wear.increment import total_of
 
 
 def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
@@ -26,15 +27,15 @@ def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: Fl
     p, rates = state.contact.pressure, state.rates
     if not physics.inputs.steady_speed:
         rates = physics.rates(state.time, omega, state.wear, p)
-    depths, volumes = columns(length) * rates, length * physics.integrals(rates)
+    wear, volumes = state.wear + columns(length) * rates, length * physics.integrals(rates)
     along = along_step(physics, contacts, state, end)
     if along is not None:
         along.explicit(physics.increment(state.time, omega, state.wear, length), p)
         along.work(length, omega, p, along.pressure)
-    contact = contacts.solve(physics.contact_inputs(end, state.wear + depths), p, along=along)
-    then = physics.rates_at(end, state.wear + depths, contact.pressure)
+    contact = contacts.solve(physics.contact_inputs(end, wear), p, along=along)
+    then = physics.rates_at(end, wear, contact.pressure)
     energy = length * omega * physics.torque(p)
-    after = advanced(physics, state, end, depths, volumes, energy, contact, then, along)
+    after = advanced(physics, state, end, wear, volumes, energy, contact, then, along)
     passage = Passage.of(physics, state, after, state.time, omega, p)
     return end_at_interfaces(contacts, state, _judged(state, after), passage, along)
 
@@ -51,22 +52,21 @@ def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: F
     )
     p = contact.pressure
     depths = during.depths(p)
-    then = during.rates(p, depths)
+    wear, then = state.wear + depths, during.rates(p, depths)
     volumes = length * physics.integrals(then)
     if not physics.inputs.rates_last:
-        then = physics.rates_at(end, state.wear + depths, p)
+        then = physics.rates_at(end, wear, p)
     energy = length * omega * physics.torque(p)
     if along is not None:
         along.implicit()
         along.work(length, omega, p, along.pressure)
-    after = advanced(physics, state, end, depths, volumes, energy, contact, then, along)
+    after = advanced(physics, state, end, wear, volumes, energy, contact, then, along)
     passage = Passage.of(physics, state, after, end, omega, p)
     return end_at_interfaces(contacts, state, _judged(state, after), passage, along)
 
 
 def _judged(state: State, after: State) -> Step:
     """Return the step from one state to another, half of what the rates changed as its error."""
-    lower, upper = after.rates - state.rates
-    change = lower + upper
-    error = 0.5 * (after.time - state.time) * np.abs(change).max(axis=-1)
+    change = total_of(after.rates) - total_of(state.rates)
+    error = 0.5 * (after.time - state.time) * largest(np.abs(change))
     return Step(after, error, error)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, columns, inner
+from ringwear_par.arrays import FloatArray, columns, inner, largest
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.physics import Physics
@@ -31,7 +31,7 @@ from ringwear_par.history.schemes.step import Step, advanced
 from ringwear_par.history.schemes.tangent import Along, along_step
 from ringwear_par.history.state import State
 from ringwear_par.schedules import in_time
-from ringwear_par.wear.increment import WearIncrement
+from ringwear_par.wear.increment import WearIncrement, total_of
 
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 # weights of the rates at 0, gamma and 1; what the integral of the quadratic through them has more
@@ -64,8 +64,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     )
     worn_first = first.depth_if_always_in_contact(stage.pressure)
     counts = 1.0 if closing is None else closing.stage_weights(stage.pressure, 0.0)
-    lost_first = _SHARE * counts * worn_first
-    carried = state.wear + lost_first
+    carried = state.wear + (_SHARE * counts) * worn_first
     if along is not None:
         along.first_stage(stage.pressure, counts, _SHARE)
     last, contact, counts_last = _last_stage(
@@ -74,7 +73,10 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     worn_last = last.depth_if_always_in_contact(contact.pressure)
     losses = worn_last if closing is None else last.depths(contact.pressure)
 
-    pressures = state.contact.pressure, counts * stage.pressure, counts_last * contact.pressure
+    pressures = (
+        state.contact.pressure, _counted(counts, stage.pressure),
+        _counted(counts_last, contact.pressure),
+    )  # fmt: skip
     powers = np.stack(
         [speed * physics.torque(p) for speed, p in zip(speeds, pressures, strict=True)], axis=-1
     )
@@ -84,49 +86,52 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         residual=np.maximum(stage.residual, contact.residual),
     )
     energy = length * inner(_WEIGHTS, powers)
-    depths = lost_first + losses
+    wear = carried + losses
     then = last.rates(contact.pressure, worn_last)
-    volumes = length * physics.integrals(
-        _WEIGHTS[1] * (counts * first.rates(stage.pressure, worn_first))
-        + _WEIGHTS[2] * (counts_last * then)
+    volumes = length * (
+        _WEIGHTS[1] * physics.integrals(_counted(counts, first.rates(stage.pressure, worn_first)))
+        + _WEIGHTS[2] * physics.integrals(_counted(counts_last, then))
     )
     if not physics.inputs.rates_last:
-        then = physics.rates(end, speeds[2], state.wear + depths, contact.pressure)
+        then = physics.rates(end, speeds[2], wear, contact.pressure)
     if along is not None:
         along.last_stage(last, contact.pressure, GAMMA * length)
         for i, d_p in enumerate(along.counted, start=1):
             along.work(_WEIGHTS[i] * length, speeds[i], pressures[i], d_p)
-    after = advanced(physics, state, end, depths, volumes, energy, contact, then, along)
-    standard = worn_last  # in a last stage of its usual length
+    after = advanced(physics, state, end, wear, volumes, energy, contact, then, along)
+    # of both bodies: at the rate of the start, in the first stage, in a last one of usual length
+    at_start = columns(length) * total_of(state.rates)
+    in_first, in_last = total_of(worn_first), total_of(worn_last)
     if closing is not None:
-        standard = np.where(closing.mask, 0.0, worn_last / np.where(closing.mask, 1.0, counts_last))
-    defect = (
-        _DEFECT[0] * columns(length) * state.rates
-        + (_DEFECT[1] * worn_first + _DEFECT[2] * standard) / GAMMA
-    ).sum(axis=0)
+        in_last = in_last / np.where(closing.mask, 1.0, counts_last)
+    errors = np.empty((3, *at_start.shape))
+    np.multiply(_DEFECT[0], at_start, out=errors[0])
+    errors[0] += (_DEFECT[1] / GAMMA) * in_first
+    in_last /= GAMMA
+    errors[0] += _DEFECT[2] * in_last
+    np.subtract(in_last, at_start, out=errors[1])
     if closing is not None:  # those make one step of first order, see ``entry_error``
-        defect = np.where(closing.mask, 0.0, defect)
-    rise = (standard / GAMMA - columns(length) * state.rates).sum(axis=0)
-    if closing is not None:
-        rise = np.where(closing.mask, 0.0, rise)
+        errors[:2, closing.mask] = 0.0
+    errors[2] = state.error
     feedback = _Feedback(
         last, last.slope(contact.pressure), last.memory(contact.pressure, worn_last)
     )
-    errors = np.stack([rise, state.error])
     # the wear that the defect undoes by the pressure that it takes away
-    reliefs = contacts.engine.derivatives.response(
-        np.concatenate([defect[None], feedback.memory * errors])
-    )
-    off = np.maximum(entry_error(physics, closing, state, after, worn_last), np.abs(reliefs[0]))
-    defect = defect + last.depth_change(feedback.slope, reliefs[0])
-    lacking, carried = feedback.after_relief(errors, reliefs[1:])
+    respond = contacts.engine.derivatives.response
+    reliefs = respond(np.concatenate([errors[:1], _counted(feedback.memory, errors[1:])]))
+    off = np.abs(reliefs[0])
+    came = entry_error(physics, closing, state, after, worn_last)
+    if came is not None:
+        np.maximum(came, off, out=off)
+    defect = errors[0] + last.depth_change(feedback.slope, reliefs[0])
     # (1 + (1 - 2 gamma) z) / (1 - gamma z)^2 of the error before, z being h J
-    errors = np.stack([_LACKING / GAMMA * lacking, state.error + carried / GAMMA * (1.0 - GAMMA)])
-    changes = feedback.after_relief(
-        errors, contacts.engine.derivatives.response(feedback.memory * errors)
-    )
-    defect = defect + errors[0] + changes[0]
-    carried = errors[1] + changes[1]
+    errors = feedback.after_relief(errors[1:], reliefs[1:])
+    errors[0] *= _LACKING / GAMMA
+    errors[1] *= (1.0 - GAMMA) / GAMMA
+    errors[1] += state.error
+    errors += feedback.after_relief(errors, respond(_counted(feedback.memory, errors)))
+    defect += errors[0]
+    carried = errors[1]
     after = replace(after, error=carried + defect)
     passage = Passage.of(physics, state, after, end, speeds[2], contact.pressure)
     if passage is not None:
@@ -139,7 +144,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         powers.max(axis=-1),
         _largest(off / _scale(physics, state.contact, contact)),
         _largest(carried),
-        ((state.contact.pressure <= 0.0) & (losses.sum(axis=0) > 0.0)).any(axis=-1),
+        ((state.contact.pressure <= 0.0) & (losses > 0.0).any(axis=0)).any(axis=-1),
     )
     return end_at_interfaces(contacts, state, judged, passage, along)
 
@@ -167,12 +172,18 @@ class _Feedback:
         depths : (P, ..., n) mm.
         reliefs : (P, ..., n) MPa, responses of the contacts to ``memory * depths``.
         """
-        return self.memory * depths - depths + self.last.depth_change(self.slope, reliefs)
+        more = self.last.depth_change(self.slope, reliefs)
+        return more if isinstance(self.memory, float) else self.memory * depths - depths + more
+
+
+def _counted(counts: FloatArray | float, values: FloatArray) -> FloatArray:
+    """Return values that count so many times; a number is 1."""
+    return values if isinstance(counts, float) else counts * values
 
 
 def _largest(values: FloatArray) -> FloatArray:
     """Return the largest size, of (..., n)."""
-    return np.abs(values).max(axis=-1)
+    return largest(np.abs(values))
 
 
 def _last_stage(

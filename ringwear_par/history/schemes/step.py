@@ -64,7 +64,7 @@ def advanced(
     physics: Physics,
     state: State,
     end: FloatArray,
-    depths: FloatArray,
+    wear: FloatArray,
     volumes: FloatArray,
     energy: FloatArray,
     contact: ContactState,
@@ -75,7 +75,7 @@ def advanced(
 
     Parameters
     ----------
-    depths : (2, ..., n) float, mm, worn off in it.
+    wear : (2, ..., n) float, mm, at its end.
     volumes : (2, ...) float, mm^3, integrals over the step of the rates of the worn volumes.
     energy : (B,), N mm, dissipated in it.
     rates : (2, ..., n) float, mm/s, of wear at its end.
@@ -86,7 +86,7 @@ def advanced(
     ComputationError : the physics no longer holds, see ``checked``.
     """
     after = State(
-        end, state.wear + depths, state.worn + volumes, state.energy + energy, contact, rates,
+        end, wear, state.worn + volumes, state.energy + energy, contact, rates,
         state.error, state.meshed_wear, state.gap_offset,
         None if along is None else along.reached(contact), state.through,
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ringwear_par.arrays import largest
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.errors import ComputationError, HistoriesError, UnfitError
@@ -51,7 +52,7 @@ def checked(case: Case, state: State) -> State:
         body has been worn off; HistoriesError of several histories.
     """
     most = np.array(_most_wear(case))
-    deepest = state.wear.max(axis=2)
+    deepest = largest(state.wear)
     too_deep = (deepest > most[:, None]).any(axis=0)
     off = too_deep.copy()
     for e in _open_ends(case):

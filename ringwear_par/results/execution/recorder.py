@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
-from ringwear_par.errors import reason_of
+from ringwear_par.errors import ValidityWarning, reason_of
 from ringwear_par.history.observers.balances import Balances, WorstBalances
 from ringwear_par.history.observers.boundaries import BoundaryObserver
 from ringwear_par.history.observers.stresses import CaseStresses, StressObserver
@@ -140,11 +140,17 @@ class Recorder:
         ----------
         failures : of histories that could not go on; they have the rows before.
         """
+        return self._recorded(failures)[0]
+
+    def _recorded(
+        self, failures: Mapping[int, Exception]
+    ) -> tuple[HistoryColumns, Sequence[Sequence[ValidityWarning]]]:
+        """Return all histories as they are stored, and the warnings of each."""
         failures, count = {**self._stresses.failures, **failures}, len(self._cases)
         failed = [number in failures for number in range(count)]
         warnings = [() if bad else self.warnings.history(i) for i, bad in enumerate(failed)]
         rows = self._rows.columns()
-        return HistoryColumns(
+        columns = HistoryColumns(
             **rows,
             imbalance=np.where(failed, 0.0, self._balances.imbalance),
             flags=tuple(tuple(warning.code for warning in texts) for texts in warnings),
@@ -154,6 +160,7 @@ class Recorder:
             stress=self._stress_rows(rows["histories"]["time"], rows["offsets"]),
             whole=self._single_values(),
         )
+        return columns, warnings
 
     def _stress_rows(self, times: FloatArray, offsets: IntArray) -> dict[str, FloatArray]:
         """Return the stored stresses of all rows; cases ask for the same, or for none."""
@@ -181,17 +188,25 @@ class Recorder:
         ----------
         error : why the history cannot go on, "" where it can.
         """
-        return self._result(0, self.columns(), error)
+        columns, (warnings,) = self._recorded(_NO_FAILURES)
+        return self._result(0, columns, warnings, error)
 
     def results(self, failures: Mapping[int, Exception]) -> list[Result | Exception]:
         """Return the results of all histories, or why there is none."""
-        failures, columns = {**self._stresses.failures, **failures}, self.columns(failures)
+        failures = {**self._stresses.failures, **failures}
+        columns, warnings = self._recorded(failures)
         return [
-            failures[number] if number in failures else self._result(number, columns)
-            for number in range(len(self._cases))
+            failures[number] if number in failures else self._result(number, columns, of_history)
+            for number, of_history in enumerate(warnings)
         ]
 
-    def _result(self, number: int, columns: HistoryColumns, error: str = "") -> Result:
+    def _result(
+        self,
+        number: int,
+        columns: HistoryColumns,
+        warnings: Sequence[ValidityWarning],
+        error: str = "",
+    ) -> Result:
         case, rows, last = self._cases[number], columns.rows(number), self._last.state(number)
         steps, time_reached = columns.steps[rows], float(last.start.state.time[0])
         through = times_through(case, self._last.through[:, number])
@@ -219,7 +234,7 @@ class Recorder:
                 "symmetry_defect": float(last.symmetry_defect[0]),
                 "step_error_time": float(self._balances.step_error_time[number]),
                 "closing_contact": int(self._balances.closing_contact[number]),
-                "doubts": json.dumps([warning.text for warning in self.warnings.history(number)]),
+                "doubts": json.dumps([warning.text for warning in warnings]),
             },
             Checkpoint(last.start, int(self._rows.pending[number]), self.warnings.worst(number)),
             parameters=self._rows.parameters,

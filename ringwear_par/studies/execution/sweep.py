@@ -16,9 +16,12 @@ from typing import Any
 
 from mpi4py import MPI
 
+from ringwear_par.elasticity import pair_cache
 from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.elasticity.stress.recovery import load_stress_kernels
 from ringwear_par.errors import ComputationError, RingwearError
+from ringwear_par.history.elastic.bodies import operator_key
+from ringwear_par.history.lockstep import must_run_alone
 from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads
 from ringwear_par.results.execution.progress import SweepProgress
 from ringwear_par.results.execution.stopping import StopSignals
@@ -140,7 +143,12 @@ def _sweep(
 def _compute(
     plan: Plan, started: float, comm: MPI.Intracomm, team: MPI.Comm
 ) -> tuple[Summary, RingwearError | None]:
-    load_kernels(comm)
+    def known() -> bool:
+        cases = (plan.study.case(int(plan.todo[group][0])) for group in plan.left)
+        return all(not must_run_alone(c) and pair_cache.has(operator_key(c)) for c in cases)
+
+    if not on_first_rank(comm, known):
+        load_kernels(comm)  # by all ranks together, not by each team when it needs them
     if plan.cases_left and plan.study.case(int(plan.todo.cases[0])).stress is not None:
         load_stress_kernels(comm)
     timings = Timings()

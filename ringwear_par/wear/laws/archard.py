@@ -30,7 +30,7 @@ class ArchardLaw(Law):
 
     k: Coefficient
 
-    def _per_energy(self, friction: float) -> float | None:
+    def per_energy(self, friction: float) -> float | None:
         """Return k / mu, 1/MPa, where k is a number and there is friction."""
         if isinstance(self.k, Table | Stacked) or friction <= 0.0:
             return None

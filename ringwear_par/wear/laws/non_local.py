@@ -44,6 +44,6 @@ class NonLocalLaw(ThresholdLaw):
         ),
     ] = field(kw_only=True)
 
-    def _per_energy(self, friction: float) -> float | None:
+    def per_energy(self, friction: float) -> float | None:
         """Return None: the sliding speed is not averaged."""
         return None

@@ -33,7 +33,8 @@ class AboveThreshold(Law):
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s."""
         rise, p0 = self._line(local)
-        return rise * np.maximum(p - p0, 0.0)
+        excess = p - p0
+        return rise * np.maximum(excess, 0.0, out=excess)
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
@@ -78,7 +79,7 @@ class ThresholdLaw(AboveThreshold):
     k: Coefficient
     p0: Threshold = 0.0
 
-    def _per_energy(self, friction: float) -> float | None:
+    def per_energy(self, friction: float) -> float | None:
         """Return k, 1/MPa, where it is a number and p0 = 0."""
         return self.k if not isinstance(self.k, Table | Stacked) and self.p0 == 0.0 else None
 
