@@ -145,7 +145,7 @@ COMMANDS = {
     ), solves=True, stopped="; the same command goes on"),
     "fit": Command(
         "fit parameters of the wear law to measurements, with confidence intervals",
-        "identification.fit_folder:run_fit", (
+        "identification.fit_command:run_fit", (
         _FIT_FILE,
         _FOLDER,
         _flag("--dry-run", "print the intervals to expect if the starts are true; write nothing"),

@@ -10,8 +10,6 @@ import numpy as np
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.text import parse_value
-from ringwear_par.pictures.style import in_words
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -27,7 +25,7 @@ from ringwear_par.studies.analysis.responses import done_cases
 from ringwear_par.studies.analysis.sensitivity import Indices, sensitivity_indices
 from ringwear_par.studies.analysis.surrogate import surrogate
 from ringwear_par.studies.definition.variations import own_key
-from ringwear_par.studies.pictures.choice import Choice, choose
+from ringwear_par.studies.pictures.choice import Choice, choose, raw_words
 from ringwear_par.studies.pictures.effects import effects, index_panels, pointed_cases
 from ringwear_par.studies.pictures.histories import case_words, histories
 from ringwear_par.studies.storage.end_values import end_value_of, final_name
@@ -120,7 +118,7 @@ def _ranges(ensemble: Ensemble, cases: Any) -> tuple[Table, list[str]]:
             count = len(np.unique(known))
         else:
             words = list(dict.fromkeys(values))
-            ends, count = [in_words(parse_value(w)) for w in (words[0], words[-1])], len(words)
+            ends, count = [raw_words(w) for w in (words[0], words[-1])], len(words)
         if count > 1:
             rows.append((name, in_signs(unit_of(name)), meaning, *ends, str(count)))
         else:
@@ -208,7 +206,7 @@ def _cases(ensemble: Ensemble) -> Table:
     rows = []
     for i in tabulated.tolist():
         keys = [
-            _number(column[i]) if column.dtype.kind == "f" else in_words(parse_value(column[i]))
+            _number(column[i]) if column.dtype.kind == "f" else raw_words(column[i])
             for column in ensemble.varied.values()
         ]
         ends = [_number(values[i]) for values in finals.values()]

@@ -22,8 +22,6 @@ from ringwear_par.identification.definition.problem import FittedParameter, Prob
 from ringwear_par.identification.definition.scatter import read_scatter
 from ringwear_par.identification.definition.schema import PARAMETER
 from ringwear_par.studies.definition.variations import split_key
-from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.parameters import parameters_of
 
 
 def unnested(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -103,27 +101,6 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
     if len(faults) > before or start is None or bounds is None:
         return None
     return FittedParameter(key, start, bounds, log, prior, scatter)
-
-
-def ordered_keys(parameters: Sequence[FittedParameter]) -> list[tuple[int, int]]:
-    """Return the pairs (i, j) of fitted keys of one scale of which i is never less than j.
-
-    That is as their wear law declares them, see ``Parameter.at_least``.
-    """
-    least = {
-        name: parameter.at_least
-        for law in LAWS.values()
-        for name, parameter in parameters_of(law).items()
-    }
-    places = {parameter.key: i for i, parameter in enumerate(parameters)}
-    pairs = []
-    for i, parameter in enumerate(parameters):
-        table, _, name = parameter.key.rpartition(".")
-        j = places.get(f"{table}.{least.get(name, '')}")
-        of_law = key_of(parameter.key) is not None  # not a parameter of a user's law
-        if of_law and j is not None and parameter.log == parameters[j].log:
-            pairs.append((i, j))
-    return pairs
 
 
 def units_of(problem: Problem) -> dict[str, str]:

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from ringwear_par.arrays import BoolArray, FloatArray, short_repr
-from ringwear_par.identification.definition.fitted_parameters import ordered_keys
 from ringwear_par.identification.definition.problem import Experiment, Prior, Problem, Series
 from ringwear_par.identification.model.histories import ROUGH_STEPS, STEPS, Histories, HistoryError
 from ringwear_par.identification.model.noise import (
@@ -123,7 +122,6 @@ class Misfit:
                 self.names.append((experiment.name, series.name, nuisance.kind))
                 limits.append(list(nuisance.bounds))
         self.lower, self.upper = np.array(limits).T
-        self.ordered = ordered_keys(self.problem.parameters)
         self.nuisance_columns = np.stack(columns, axis=1) if columns else np.zeros((self.n, 0))
         self.priors = priors
 
