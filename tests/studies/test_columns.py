@@ -20,7 +20,6 @@ from ringwear_par.studies.definition.checking import LOOKED_AT, case_faults
 from ringwear_par.studies.definition.designs import read_draft
 from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.definition.study import read_study
-from ringwear_par.studies.definition.texts import Texts
 from ringwear_par.studies.definition.variations import Column, split_key, varied_keys
 from ringwear_par.studies.storage.blocks import BY_CASE, BY_STATE, CASE, Kind, PackedBlock
 from ringwear_par.studies.storage.case_index import CaseIndex
@@ -135,14 +134,10 @@ def test_a_study_is_what_its_cases_are_one_by_one(tmp_path, seed):
         return
     assert faults == ()
     assert found.ids == tuple(wanted)
-    cases, texts = found.cases_and_texts(range(len(wanted)))
-    written = texts.of_cases(range(len(wanted)))
-    restored = Texts.unpacked(texts.packed(), len(wanted))
-    assert texts.longest == max(len(text.encode()) for text in written)
+    cases = found.cases_of(range(len(wanted)))
     for i, (row, case, keys) in enumerate(wanted.values()):
         assert cases[i] == case
-        assert cases[i].text == case.text == toml_text(keys) == written[i]
-        assert restored.of_cases([i]) == [case.text]
+        assert cases[i].text == case.text == toml_text(keys)
         assert found.case(i) == case
         assert cases[i].breakpoints == case.breakpoints
         assert repr(found.rows[i]) == repr(row)
@@ -169,7 +164,7 @@ def test_rows_of_the_same_case_without_any_number(tmp_path):
     assert faults == ()
     assert len(found.ids) == 3
     assert found.ids == tuple(wanted)
-    assert found.cases_and_texts(range(3))[0] == [case for _, case, _ in wanted.values()]
+    assert found.cases_of(range(3)) == [case for _, case, _ in wanted.values()]
 
 
 def test_few_cases_are_made_where_only_numbers_differ(tmp_path, comm, monkeypatch):
@@ -223,7 +218,7 @@ def test_it_is_so_where_a_stretch_of_the_study_has_but_numbers(tmp_path):
     stretches = [checking.check_cases(draft, first, first + 2, 1) for first in (0, 2, 4)]
     study = studies._complete(draft, stretches, 1)
     (tmp_path / "user_law.py").unlink()
-    cases = study.cases_and_texts(range(6))[0]
+    cases = study.cases_of(range(6))
     assert [dict(case.wear_lower.parameters)["p1"] for case in cases] == [30, 90] * 3
     assert [case.load.omega for case in cases[::4]] == [3.5, 4.0]
     assert [study.ids[n] for n in range(6)] == [
