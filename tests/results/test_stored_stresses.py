@@ -10,7 +10,7 @@ from vtkhdf import last_state
 
 import ringwear_par as rw
 from ringwear_par.cases.stress import Stress
-from ringwear_par.elasticity.stress.measures import COMPONENTS, max_shear, mises, principal
+from ringwear_par.elasticity.stress.fields import COMPONENTS, max_shear, mises, principal
 from ringwear_par.elasticity.stress.recovery import StressRecovery
 from ringwear_par.history.validity.case_limits import stress_numbers
 from ringwear_par.results.storage.export import export
