@@ -313,7 +313,8 @@ def _pair(outcome: Mapping[str, Any], first: FittedKey, second: FittedKey, i: in
     at = [key.scaled(key.entry["estimate"]) for key in pair]
     if unknown:
         verdicts = "\n".join(f"{key.name}: {key.entry['verdict']}" for key in unknown)
-        labels.append(Label(float(at[0]), float(at[1]), verdicts, centred=True))
+        (left, right), (_, top) = (key.axis.ends or (v, v) for key, v in zip(pair, at, strict=True))
+        labels.append(Label(0.5 * float(left + right), float(top), verdicts, True, centred=True))
     else:
         table = np.array(outcome["covariance"], dtype=float)[np.ix_([i, j], [i, j])]
         slopes = np.array([key.entry["estimate"] if key.log else 1.0 for key in pair])
