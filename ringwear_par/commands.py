@@ -165,6 +165,21 @@ COMMANDS = {
                   help="criterion, instead of design.criterion of the fit file"),
         _NO_CACHE,
     ), solves=True, stopped=UNWRITTEN),
+    "predict": Command(
+        "predict a case that was not tested, with an interval, from the folder of a fit",
+        "prediction.predict:run_predict", (
+        _argument("fit", type=_path, metavar="FITDIR", help="folder of a fit"),
+        _argument("case", type=_path, metavar="CASE.toml", help="case file"),
+        _FOLDER,
+        _CASE[1],
+        _argument("--of", default="next specimen", metavar="WHOM",
+                  help="'next specimen' (the default), 'material' or a specimen of the fit"),
+        _argument("--draws", type=int, default=1000, metavar="N",
+                  help="number of histories (default: %(default)s)"),
+        _argument("--seed", type=int, default=0, metavar="N",
+                  help="seed of the draws (default: %(default)s)"),
+        _NO_CACHE,
+    ), solves=True, stopped=UNWRITTEN),
     "measure": Command(
         "compute steady wear rates and friction from a rig's files, without a contact model",
         "measuring.measure:run_measure", (
@@ -210,7 +225,7 @@ COMMANDS = {
               "write the stresses along the interfaces between layers to .vtkhdf or .csv"),
     ), serial=True, stopped=UNWRITTEN),
     "report": Command(
-        "write one HTML page of a run, a sweep, a fit, a design or a measurement",
+        "write one HTML page of a run, a sweep, a fit, a design, a prediction or a measurement",
         "reports.report:report", (
         _argument("source", type=_path, metavar="RUN.h5 or DIR"),
         _output("REPORT.html"),

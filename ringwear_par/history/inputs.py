@@ -27,6 +27,7 @@ class HistoryInputs:
     omega : rad/s.
     force, displacement : N and mm; one of them is None.
     laws : of lower and upper, None where a body does not wear.
+    pace : (2, B) factors on the rates of wear of lower and upper in the present step; None: 1.
     """
 
     cases: tuple[Case, ...]
@@ -37,6 +38,7 @@ class HistoryInputs:
     force: Quantity | None
     displacement: Quantity | None
     laws: tuple[Law | None, ...]
+    pace: FloatArray | None = None
 
     @classmethod
     def of(cls, cases: Sequence[Case]) -> Self:
@@ -73,6 +75,7 @@ class HistoryInputs:
             force=take(self.force, histories),
             displacement=take(self.displacement, histories),
             laws=tuple(None if law is None else law.take(histories) for law in self.laws),
+            pace=None if self.pace is None else self.pace[:, histories],
         )
 
     def with_laws(self, change: Callable[[int, LayeredLaw], LayeredLaw]) -> Self:
@@ -125,7 +128,7 @@ class HistoryInputs:
         """
         return tuple(
             None
-            if law is None
+            if law is None or self.pace is not None
             else law.layer_ratios(self.friction)
             if isinstance(law, LayeredLaw)
             else law.per_energy(self.friction)

@@ -25,6 +25,7 @@ from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import BASE, Problem
 from ringwear_par.identification.estimation.starts import PROGRESS
 from ringwear_par.identification.fit_result import FitResult
+from ringwear_par.identification.fitted_values import fitted_values, write_values
 from ringwear_par.pictures.style import picture
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, Variable
@@ -88,6 +89,7 @@ def _write(file: h5py.File, fit: FitResult) -> None:
     file.attrs.update(
         {"software": SOFTWARE, "fit": misfit.problem.text, "keys": keys, **fit.versions}
     )
+    write_values(file, fitted_values(fit))
     if fit.posterior is not None:
         group = file.create_group("posterior")
         samples = fit.posterior.samples

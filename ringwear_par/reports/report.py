@@ -1,4 +1,4 @@
-"""``ringwear report``: a page of a run, a sweep, a fit or a measurement, in one file."""
+"""``ringwear report``: a page of a run, a sweep, a fit and so on, in one file."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -24,7 +24,8 @@ def report(source: Result | str | Path, output: str | Path) -> str:
 
     Parameters
     ----------
-    source : a result, its file, or the folder of a sweep, a fit, a design or a measurement.
+    source : a result, its file, or the folder of a sweep, a fit, a design, a prediction or a
+        measurement.
     output : the page's file, .html.
 
     Raises
@@ -72,14 +73,18 @@ def _page(source: Result | str | Path) -> Page:
         from ringwear_par.reports.measure_page import measure_page
 
         return measure_page(folder)
+    if (folder / folders.PREDICTION).exists():
+        from ringwear_par.reports.prediction_page import prediction_page
+
+        return prediction_page(folder)
     if (folder / RESULTS).exists():
         from ringwear_par.reports.sweep_page import sweep_page
 
         return sweep_page(folder)
     raise InputError(
-        f"{folder}: holds none of {folders.FIT}, {folders.DESIGN}, {folders.MEASURE} and "
-        f"{RESULTS}; must be a result file, or a folder that ringwear sweep (without --slice), "
-        "fit, design or measure has completed"
+        f"{folder}: holds none of {folders.FIT}, {folders.DESIGN}, {folders.MEASURE}, "
+        f"{folders.PREDICTION} and {RESULTS}; must be a result file, or a folder that ringwear "
+        "sweep (without --slice), fit, design, predict or measure has completed"
     )
 
 

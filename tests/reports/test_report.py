@@ -17,7 +17,7 @@ from laboratory import fit_tables, write_tests
 from paths import PAPER
 
 import ringwear_par as rw
-from ringwear_par.cases.units import with_signs
+from ringwear_par.cases.units import factor, with_signs
 from ringwear_par.pictures.runs import HISTORY_PANELS
 from ringwear_par.results.key_numbers import key_numbers
 
@@ -293,24 +293,28 @@ def test_a_fit_is_told_as_its_file_has_it(folder, pages):
     laws = page.rows("AIC above the smallest")
     assert laws["this law"][0] == "+0.0"
     assert laws["archard"][-1] == "does not fit"
-    assert len(page.charts) == 8  # two tests, penetration and profile, with residuals
+    assert len(page.charts) == 12  # penetrations and profiles with residuals, masses, keys
     with h5py.File(folder / "fit/results.h5") as file:
-        stored = {name: file[next(n for n in file if n.startswith("1_"))][name][()]
-                  for name in ("time", "data", "model", "band", "sd")}  # fmt: skip
+        group = file[next(name for name in file if name.startswith("1_"))]
+        stored = {n: group[n][()] for n in ("time", "data", "model", "band", "sd")}
+        unit = 1.0 / factor(group.attrs["data_unit"], "mm")
     chart = page.charts["series-1"]
     order = np.argsort(stored["time"], kind="stable")
     for name, sign, sd in (
         ("model", 0.0, 0.0), ("95 % of the model, from", -1.0, stored["band"]),
         ("95 % of readings, from", -1.0, np.hypot(stored["band"], stored["sd"])),
     ):  # fmt: skip
-        end = 1e3 * (stored["model"] + sign * 1.959964 * sd)[order]
+        end = unit * (stored["model"] + sign * 1.959964 * sd)[order]
         assert np.allclose(chart.curves()[name][1], end, rtol=1e-5), name
     assert chart.columns["ribbons"]["label"] == ["95 % of readings", "95 % of the model"]
     ribbon, low = chart.columns["ribbons"]["y"][1], chart.curves()["95 % of the model, from"][1]
     assert np.array_equal(ribbon[: len(low)], low)
     assert len(ribbon) == 2 * len(low)
     assert "from the covariance of the fitted keys" in page.text
-    assert any(row[1].startswith("mass.lower") for table in page.tables for row in table)
+    strip = page.charts["single"].columns
+    assert strip["points"]["label"] == ["data", "data"]
+    assert strip["bars"]["label"][:2] == ["95 % of readings"] * 2
+    assert page.charts["keys-1-0"].curves().keys() >= {"68 % ellipse", "95 % ellipse"}
 
 
 def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
@@ -327,7 +331,8 @@ def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
     design = {
         "parameters": {"wear.lower.k": 1e-7, "wear.lower.p0": 3.0}, "candidates": 12,
         "criterion": "D", "measured_as": "test 1", "fit_file": sd,
-        "designs": [{"experiments": tests, "seconds": 150.0, **sd}],
+        "designs": [{"name": "30 then 90 MPa", "experiments": tests, "seconds": 150.0, **sd}],
+        "map": None, "sd_scales": {"wear.lower.k": {"factor": 1e9, "unit": "%"}},
     }  # fmt: skip
     (tmp_path / "fit/design.json").write_text(json.dumps(design))
     rw.report(tmp_path / "fit", tmp_path / "page.html")
@@ -339,8 +344,7 @@ def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
     assert f"Not determined by the readings {dash} wear.lower.p0: as k" in page.text
     assert ("p", {"class": "warning"}) in page.elements
     assert page.rows("AIC above the smallest")["power"][-1] == "failed: no history"
-    words = "load.pressure = 30, time.end = 100 + load.pressure = 90"
-    assert page.rows("tests")["1"] == [words, "150", "1e-09", dash]
+    assert page.rows("tests")["1"] == ["30 then 90 MPa", "150", "1e-09", dash]
 
 
 def test_a_long_table_of_cases_is_cut(folder, tmp_path, monkeypatch):

@@ -108,6 +108,29 @@ class HistoryError(ComputationError):
     """There is no history at some values of the fitted keys: no case, or its computation fails."""
 
 
+def cases_at(case: Case, keys: Sequence[str], points: FloatArray) -> list[Case | HistoryError]:
+    """Return a case at some values (p, m) of keys, or why there is none: each is good, not all."""
+
+    def read(point: FloatArray) -> Case | HistoryError:
+        try:
+            return case.replace(dict(zip(keys, point.tolist(), strict=True)))
+        except InputError as error:
+            return HistoryError(reason_of(error))
+
+    if is_elastic(case, keys):
+        return [read(point) for point in points]
+    numbers: dict[Number, FloatArray] = {}
+    for key, column in zip(keys, points.T, strict=True):
+        path, entry = split_key(key)
+        assert not isinstance(entry, int)
+        numbers[path, entry] = column
+    lists = {number: values.tolist() for number, values in numbers.items()}
+    cases: list[Case | HistoryError] = [*with_numbers(case, lists, [case.text] * len(points))]
+    for i in np.flatnonzero(needs_reading(case, numbers)):
+        cases[i] = read(points[i])
+    return cases
+
+
 class Histories:
     """Model readings of the experiments of a problem, at any values of the fitted keys.
 
@@ -182,32 +205,9 @@ class Histories:
         """Return at which points (p, m) every experiment is a case, (p,). Not collective."""
         good = np.ones(len(points), dtype=bool)
         for experiment in range(len(self._experiments)):
-            good &= [isinstance(case, Case) for case in self._cases(experiment, points)]
+            case = self._experiments[experiment].case
+            good &= [isinstance(at, Case) for at in cases_at(case, self._keys, points)]
         return good
-
-    def _cases(self, experiment: int, points: FloatArray) -> list[Case | HistoryError]:
-        """Return the cases of an experiment at some values (p, m), or why there are none."""
-        case = self._experiments[experiment].case
-        numbers: dict[Number, FloatArray] = {}
-        for key, column in zip(self._keys, points.T, strict=True):
-            path, entry = split_key(key)
-            assert not isinstance(entry, int)
-            numbers[path, entry] = column
-        if experiment in self._elastic:
-            return [self._case(case, point) for point in points]
-        doubts = needs_reading(case, numbers)
-        lists = {number: values.tolist() for number, values in numbers.items()}
-        cases: list[Case | HistoryError] = [*with_numbers(case, lists, [case.text] * len(points))]
-        for i in np.flatnonzero(doubts):
-            cases[i] = self._case(case, points[i])
-        return cases
-
-    def _case(self, case: Case, point: FloatArray) -> Case | HistoryError:
-        """Return a case at values (m,), or why there is none: each is good, not all together."""
-        try:
-            return case.replace(dict(zip(self._keys, point.tolist(), strict=True)))
-        except InputError as error:
-            return HistoryError(reason_of(error))
 
     def read(
         self,
@@ -226,7 +226,8 @@ class Histories:
         operators: dict[int, ContactPair] = {}
         for experiment, numbers in by_experiment.items():
             at = points[[pairs[number][0] for number in numbers]]
-            for number, case in zip(numbers, self._cases(experiment, at), strict=True):
+            at_values = cases_at(self._experiments[experiment].case, self._keys, at)
+            for number, case in zip(numbers, at_values, strict=True):
                 try:
                     if isinstance(case, HistoryError):
                         raise case

@@ -129,6 +129,12 @@ class ScatterPosterior:
         spread = (self.solutions.tau[:, levels] ** 2).sum(axis=1)
         return Mixture(self.weights, material.means, material.variances + spread)
 
+    def unknowns_of(self, test: int | None) -> tuple[FloatArray, FloatArray]:
+        """Return means (G, m) and covariances (G, m, m) of a test's unknowns; None: material's."""
+        s, rows = self.solutions, self._material_rows if test is None else self._rows(test)
+        means = np.einsum("gki,gi->gk", rows, s.effects)
+        return means, np.einsum("gki,gij,glj->gkl", rows, s.covariance, rows, optimize=True)
+
     def of_test(self, test: int, key: int) -> Mixture:
         """Return the distribution of a key's value in one test, in the light of the others."""
         s, row = self.solutions, self._rows(test)[:, key]
