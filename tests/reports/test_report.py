@@ -17,7 +17,8 @@ from laboratory import fit_tables, write_tests
 from paths import PAPER
 
 import ringwear_par as rw
-from ringwear_par.cases.units import factor, with_signs
+from ringwear_par.cases.units import factor as unit_factor
+from ringwear_par.cases.units import with_signs
 from ringwear_par.pictures.runs import HISTORY_PANELS
 from ringwear_par.results.key_numbers import key_numbers
 
@@ -297,7 +298,7 @@ def test_a_fit_is_told_as_its_file_has_it(folder, pages):
     with h5py.File(folder / "fit/results.h5") as file:
         group = file[next(name for name in file if name.startswith("1_"))]
         stored = {n: group[n][()] for n in ("time", "data", "model", "band", "sd")}
-        unit = 1.0 / factor(group.attrs["data_unit"], "mm")
+        unit = 1.0 / unit_factor(group.attrs["data_unit"], "mm")
     chart = page.charts["series-1"]
     order = np.argsort(stored["time"], kind="stable")
     for name, sign, sd in (
@@ -312,8 +313,8 @@ def test_a_fit_is_told_as_its_file_has_it(folder, pages):
     assert len(ribbon) == 2 * len(low)
     assert "from the covariance of the fitted keys" in page.text
     strip = page.charts["single"].columns
-    assert strip["points"]["label"] == ["data", "data"]
-    assert strip["bars"]["label"][:2] == ["95 % of readings"] * 2
+    assert strip["points"]["label"] == ["data"]
+    assert strip["bars"]["label"] == ["95 % of readings", "95 % of the model"]
     assert page.charts["keys-1-0"].curves().keys() >= {"68 % ellipse", "95 % ellipse"}
 
 

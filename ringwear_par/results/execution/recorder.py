@@ -3,14 +3,12 @@
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par import batched
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import reason_of
@@ -18,7 +16,6 @@ from ringwear_par.history.observers.balances import Balances, WorstBalances
 from ringwear_par.history.observers.boundaries import BoundaryObserver
 from ringwear_par.history.observers.stresses import CaseStresses, StressObserver
 from ringwear_par.history.observers.worst_states import WorstStates
-from ringwear_par.history.physics import Physics
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.history.state import Start
 from ringwear_par.results.execution.attributes import (
@@ -27,88 +24,11 @@ from ringwear_par.results.execution.attributes import (
     times_through,
     wall_times,
 )
+from ringwear_par.results.execution.last_states import LastStates
 from ringwear_par.results.execution.stored_rows import StoredRows
 from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
 from ringwear_par.results.stress_variables import point_columns, stress_rows
 from ringwear_par.results.warnings import Warnings
-
-
-@dataclass(frozen=True)
-class LastState:
-    """The present or last states of B histories.
-
-    Parameters
-    ----------
-    start : to continue from, without derivatives.
-    symmetry_defect : (B,) of the compliances.
-    finished : (B,) whether the histories have come to their ends.
-    """
-
-    start: Start
-    symmetry_defect: FloatArray
-    finished: BoolArray
-
-    @classmethod
-    def of(cls, snapshot: Snapshot, places: IntArray) -> "LastState":
-        """Return the states of some histories of a snapshot."""
-        physics, state = snapshot.physics, replace(snapshot.state, tangent=None)
-        start = Start(state, snapshot.progress, snapshot.contacts.warm, physics.updates)
-        defect = physics.compliances.symmetry_defect
-        return batched.take(cls(start, defect, snapshot.finished), places)
-
-
-class LastStates:
-    """The state from which each of B histories can go on: an observer. Not collective.
-
-    Parameters
-    ----------
-    count : B.
-    results : whether the states at the ends of the histories are wanted.
-    """
-
-    def __init__(self, count: int, results: bool = True) -> None:
-        self._results = results
-        #: the last snapshot that histories went on from; None before the first
-        self.snapshot: Snapshot | None = None
-        #: (2, B) s, when wear got through all layers of lower and upper, by the end of a history
-        self.through = np.full((2, count), np.inf)
-        self._ended: dict[int, tuple[LastState, int]] = {}
-
-    def __call__(self, snapshot: Snapshot) -> bool:
-        """Take new states."""
-        if snapshot.passing:
-            return False
-        self.snapshot = snapshot
-        places = np.flatnonzero(snapshot.finished)
-        if not len(places):
-            return False
-        numbers = snapshot.numbers[places]
-        if snapshot.state.through is not None:
-            self.through[:, numbers] = snapshot.state.through[:, places]
-        if self._results:
-            states = LastState.of(snapshot, places)
-            self._ended |= {number: (states, i) for i, number in enumerate(numbers.tolist())}
-        return False
-
-    def state(self, number: int) -> LastState:
-        """Return the state of a history at its end, or its present one, as of one of B = 1."""
-        if number in self._ended:
-            states, place = self._ended[number]
-            return batched.take(states, np.array([place]))
-        assert self.snapshot is not None
-        return LastState.of(self.snapshot, np.flatnonzero(self.snapshot.numbers == number))
-
-    @property
-    def physics(self) -> Physics:
-        """The physics of the last snapshot."""
-        assert self.snapshot is not None
-        return self.snapshot.physics
-
-    @property
-    def finished(self) -> bool:
-        """Whether a single history has come to its end."""
-        return self.snapshot is not None and bool(self.snapshot.finished.all())
-
 
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
 
