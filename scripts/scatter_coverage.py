@@ -26,12 +26,10 @@ from mpi4py import MPI
 
 import ringwear_par as rw
 from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.definition.problem import Series
+from ringwear_par.identification.scatter.clocks import TestClocks
 from ringwear_par.identification.scatter.likelihood import Level, MixedModel
-from ringwear_par.identification.scatter.posterior import (
-    Size,
-    axis,
-    integrate,
-)
+from ringwear_par.identification.scatter.posterior import Size, integrate
 from ringwear_par.identification.scatter.reduction import LinearisedTest, ReducedTest, reduce_test
 
 LEVEL = 0.95
@@ -66,8 +64,8 @@ def specimens_row(tau: float, count: int, trials: int, rng: np.random.Generator)
             ReducedTest(information, np.array([v / OWN_SD**2]), (v / OWN_SD) ** 2, 0.0)
             for v in values
         ]
-        model = MixedModel(tests, [level], np.zeros(1), np.zeros(1))
-        posterior = integrate([model], np.ones(1), [Size(None, 0.3)])
+        models = [MixedModel(tests, [level], np.zeros(1), np.zeros(1))]
+        posterior = integrate(lambda _, models=models: models, [Size(None, 0.3)])
         low, high = posterior.material(0).interval(LEVEL)
         size_low, size_high = posterior.size(0, LEVEL).interval
         next_low, next_high = posterior.next_specimen(0).interval(LEVEL)
@@ -95,29 +93,30 @@ def record(k: float, share: float, rng: np.random.Generator) -> FloatArray:
 def wear_row(share: float, count: int, trials: int, rng: np.random.Generator) -> str:
     """Return the row of records whose wear is random by a share of its depth."""
     depth = DEPTH * np.arange(1, READINGS + 1) / READINGS
-    shares = axis(Size(None, 0.1), 60)
-    kernel = np.minimum.outer(depth, depth) / SENSOR**2
+    noise = np.full(READINGS, SENSOR)
+    series = Series("record", "penetration", depth, depth, noise)
+    # a reading answers to what is worn too much by as much
+    clock = TestClocks([series], noise, np.ones(READINGS), np.ones((READINGS, 1)), depth[:, None])
     hits, widths = np.zeros(3), []
     slope = depth - depth.mean()
     common = TWO_SIDED * SENSOR / np.sqrt(count * slope @ slope)
     for _ in range(trials):
         readings = [record(1.0, share, rng) for _ in range(count)]
-        reduced = [
-            reduce_test(
-                LinearisedTest(
-                    y / SENSOR, depth[:, None] / SENSOR, np.ones((READINGS, 1)) / SENSOR,
-                    np.zeros((0, 1)), np.zeros(0), 0.0, kernel,
-                ),
-                shares.points**2 * DEPTH,
+        tests = [
+            LinearisedTest(
+                y / SENSOR, depth[:, None] / SENSOR, np.ones((READINGS, 1)) / SENSOR,
+                np.zeros((0, 1)), np.zeros(0), 0.0, clock.kernels,
             )
             for y in readings
         ]  # fmt: skip
-        models = [
-            MixedModel(tests, [], np.zeros(1), np.zeros(1)) for tests in zip(*reduced, strict=True)
-        ]
-        posterior = integrate(models, shares.weights, [])
+
+        def models_at(shares: FloatArray) -> list[MixedModel]:
+            reduced = [reduce_test(test, shares**2 * DEPTH) for test in tests]  # noqa: B023
+            return [MixedModel(r, [], np.zeros(1), np.zeros(1)) for r in zip(*reduced, strict=True)]
+
+        posterior = integrate(models_at, [], [Size(None, 0.1)])
         low, high = posterior.material(0).interval(LEVEL)
-        size_low, size_high = _central(shares.points, posterior.weights)
+        size_low, size_high = posterior.share(0, LEVEL).interval
         best = np.mean([slope @ y for y in readings]) / (slope @ slope)
         widths.append(0.5 * (high - low))
         hits += [abs(best - 1.0) < common, low < 1.0 < high, size_low <= share <= size_high]
@@ -183,13 +182,6 @@ def _fit_of(results: list[rw.Result], folder: Path, rng: np.random.Generator) ->
         "fit": {"parameters": parameters, "starts": 1},
         "experiment": experiments,
     }
-
-
-def _central(points: FloatArray, weights: FloatArray) -> tuple[float, float]:
-    """Return the central interval of a number on a grid."""
-    centred = np.cumsum(weights) - 0.5 * weights
-    low, high = np.interp([0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL], centred, points)
-    return float(low), float(high)
 
 
 TABLES: dict[str, tuple[str, tuple[float, ...], tuple[int, ...], Callable[..., str], int]] = {

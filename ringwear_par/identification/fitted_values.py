@@ -10,7 +10,7 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.results.storage.hdf5 import write_variable
-from ringwear_par.results.variables import Variable
+from ringwear_par.results.variables import PARAMETER, Variable
 from ringwear_par.schedules import mean, mean_of_product
 
 #: group of results.h5
@@ -143,6 +143,8 @@ def write_values(file: h5py.File, values: FittedValues) -> None:
     sizes: dict[str, int] = {}
     for name, (dimensions, _) in _ARRAYS.items():
         sizes |= dict(zip(dimensions, getattr(values, name).shape, strict=True))
+    del sizes[PARAMETER.name]
+    write_variable(group, PARAMETER, list(values.keys))
     for axis, size in sizes.items():
         write_variable(
             group, Variable(axis, (axis,), "1", f"number of the {axis}"), np.arange(size)

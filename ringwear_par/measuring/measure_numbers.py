@@ -81,20 +81,22 @@ QUANTITIES = (
 
 
 def estimate_text(value: float, u: float, unit: str = "") -> str:
-    """Return a value with its expanded uncertainty, U = 2 u, which has two digits, and its unit."""
+    """Return a value, its unit and its interval of 95 %, value -+ 2 u.
+
+    Two digits of 2 u are shown (JCGM 100, 7.2.6).
+    """
     power = math.floor(math.log10(abs(value))) if value else 0
-    scale = 1.0 if _SMALL < power < _LARGE else 10.0**power
+    power = 0 if _SMALL < power < _LARGE else power
+    scale, exponent = 10.0**power, f"e{power:+03d}" if power else ""
     expanded, suffix = COVERAGE * u / scale, f" {unit}" if unit not in ("", "1") else ""
-    digits = max(_DIGITS - 1 - math.floor(math.log10(expanded)), 0) if expanded > 0.0 else 0
-    if expanded > 0.0 and digits > _MOST_DIGITS:
-        text = f"{value / scale:.{_MOST_DIGITS}g} +- {expanded:.1g}"
-    elif expanded > 0.0:
-        text = f"{value / scale:.{digits}f} +- {expanded:.{digits}f}"
-    else:
-        text = f"{value / scale:.{_ALONE}g}"
-    if scale == 1.0:
-        return f"{text}{suffix}"
-    return f"{f'({text})' if expanded > 0.0 else text}e{power:+03d}{suffix}"
+    if not expanded > 0.0:
+        return f"{value / scale:.{_ALONE}g}{exponent}{suffix}"
+    digits = max(_DIGITS - 1 - math.floor(math.log10(expanded)), 0)
+    digits = min(digits, _MOST_DIGITS)
+    middle, low, high = (
+        f"{value / scale + change:.{digits}f}{exponent}" for change in (0.0, -expanded, expanded)
+    )
+    return f"{middle}{suffix} from {low} to {high} (95 %)"
 
 
 def entry_text(entry: Mapping[str, Any], factor: float = 1.0, unit: str | None = None) -> str:
@@ -134,7 +136,7 @@ def skipped_text(entry: Mapping[str, Any]) -> str:
 
 
 def summary(result: MeasureResult) -> str:
-    """Return the outcome as the command prints it; +- is 2 u."""
+    """Return the outcome as the command prints it."""
     outcome = result.to_dict()
     tests: Mapping[str, Any] = outcome["tests"]
     lines = [f"specific wear rate {repeats_text(one)}" for one in outcome["repeats"]]
@@ -160,7 +162,7 @@ def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
     )
     steady, whole = steady_text(entry), entry["whole"]
     if specific is not None:
-        yield f"{entry_text(specific)} = {specific[_CUSTOMARY]:.3g} {_CUSTOMARY}, {steady}"
+        yield f"{entry_text(specific)}, {specific[_CUSTOMARY]:.3g} {_CUSTOMARY}; {steady}"
     numbers = []
     if rate is not None:
         numbers.append(f"wear rate {entry_text(rate, 3.6e6, 'um/h')}")

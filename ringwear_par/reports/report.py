@@ -1,5 +1,6 @@
 """``ringwear report``: a page of a run, a sweep, a fit and so on, in one file."""
 
+import re
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from ringwear_par.studies.storage.results_file import RESULTS
 from ringwear_par.version import __version__
 
 _ENDINGS = (".html", ".htm")
+#: cells of tables that stand right
+_NUMERIC = re.compile(r"[-+\N{MINUS SIGN}]?\d[\d.]*(?:e[-+]?\d+)?(?: %)?")
 
 
 def report(source: Result | str | Path, output: str | Path) -> str:
@@ -101,6 +104,7 @@ def _html(page: Page) -> str:
         return (parts / name).read_text(encoding="utf-8")
 
     surroundings = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    surroundings.tests["numeric"] = lambda cell: _NUMERIC.fullmatch(str(cell)) is not None
     # bokeh reads a model before what refers to it
     surroundings.policies["json.dumps_kwargs"] = {"sort_keys": False}
     values: dict[str, Any] = {

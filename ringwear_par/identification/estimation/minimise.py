@@ -1,22 +1,19 @@
 """Minimisers of least squares within bounds: TAO's ``brgn``, and SciPy's as the second opinion."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.cases.schema import key_of
 from ringwear_par.contact.tao import Guard
-from ringwear_par.identification.definition.problem import FittedParameter
+from ringwear_par.identification.definition.key_order import ordered_keys
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.model.histories import HistoryError, bends_within
 from ringwear_par.identification.model.noise import NuisanceProjection
 from ringwear_par.identification.model.rounds import WaitFor
 from ringwear_par.options import FIT_PREFIX, set_from_options
 from ringwear_par.petsc import PETSc
-from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.parameters import parameters_of
 
 Residuals = Callable[[FloatArray], Evaluation]
 
@@ -144,27 +141,6 @@ class _Box:
             elif free[j]:
                 high[j] = min(high[j], x[i])
         return cls(forward, np.linalg.inv(forward), low, high)
-
-
-def ordered_keys(parameters: Sequence[FittedParameter]) -> list[tuple[int, int]]:
-    """Return the pairs (i, j) of fitted keys of one scale of which i is never less than j.
-
-    That is as their wear law declares them, see ``Parameter.at_least``.
-    """
-    least = {
-        name: parameter.at_least
-        for law in LAWS.values()
-        for name, parameter in parameters_of(law).items()
-    }
-    places = {parameter.key: i for i, parameter in enumerate(parameters)}
-    pairs = []
-    for i, parameter in enumerate(parameters):
-        table, _, name = parameter.key.rpartition(".")
-        j = places.get(f"{table}.{least.get(name, '')}")
-        of_law = key_of(parameter.key) is not None  # not a parameter of a user's law
-        if of_law and j is not None and parameter.log == parameters[j].log:
-            pairs.append((i, j))
-    return pairs
 
 
 def _gradient(evaluation: Evaluation, x: FloatArray, box: _Box, free: BoolArray) -> float:
