@@ -9,7 +9,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.units import in_signs
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import legible
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -26,8 +26,7 @@ from ringwear_par.reports.blocks import (
 )
 from ringwear_par.results.instants import number_words
 from ringwear_par.studies.analysis.responses import done_cases
-from ringwear_par.studies.analysis.sensitivity import Indices, sensitivity_indices
-from ringwear_par.studies.analysis.surrogate import surrogate
+from ringwear_par.studies.analysis.sensitivity import Indices, surrogate_and_indices
 from ringwear_par.studies.definition.variations import own_key
 from ringwear_par.studies.pictures.choice import Choice, choose, raw_words
 from ringwear_par.studies.pictures.effects import effects, index_panels, pointed_cases
@@ -58,11 +57,7 @@ def sweep_page(folder: Path) -> Page:
     ensemble = read_ensemble(folder)
     sections = [Section("Summary", _summary(ensemble))]
     if done_cases(ensemble).any():
-        try:
-            regressions, absence = surrogate(ensemble), ""
-        except InputError as error:
-            regressions, absence = None, f"No surrogate: {error}"
-        indices = sensitivity_indices(ensemble, regressions)
+        regressions, indices, absence = surrogate_and_indices(ensemble)
         choice = choose(ensemble, regressions, indices)
         sections.append(Section("Histories", [_histories(ensemble, choice)]))
         sections.append(Section("Final values", _effects(ensemble, choice, absence)))
@@ -197,7 +192,7 @@ def _effects(ensemble: Ensemble, choice: Choice, absence: str) -> list[Block]:
     if choice.responses is not None:
         lines.append("; ".join(choice.responses.remarks))
     elif absence:
-        lines.append(absence)
+        lines.append(f"No surrogate: {absence}")
     return [Lines(lines), Charts(charts, points=case_words(ensemble, choice, cases))]
 
 

@@ -82,7 +82,6 @@ class Misfit:
     censored : (n,) -1 where the true value is at most the reading, 1 where at least, else 0.
     nuisance_columns : (n, u - m) what nuisances add to the readings, by their units.
     lower, upper : (u,) bounds.
-    ordered : pairs (i, j) of unknowns of which i is never less than j.
     priors : of unknowns, by their numbers.
     noise_scale : of each series, by which its sd is multiplied.
     steps : about how many a history makes.
