@@ -18,7 +18,7 @@ _COLUMNS = 3
 #: inches of readings with their residuals, and of a legend above all
 _WIDTH, _HEIGHT, _LEGEND = 4.3, 3.9, 0.4
 #: of the strip of single readings: a line of it, what is around them, and how narrow it may be
-_ROW, _MARGIN, _NARROWEST = 0.38, 0.65, 6.5
+_ROW, _MARGIN, _NARROWEST = 0.5, 0.65, 6.5
 
 
 def plot(fit: FitResult) -> Figure:

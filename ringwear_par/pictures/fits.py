@@ -158,7 +158,7 @@ def single_readings(every: Sequence[Series]) -> Panel:
             f"{value[0]:.4g} {unit} from {(value - reach)[0]:.4g} to {(value + reach)[0]:.4g}"
             for value, reach in ((series.data, sd), (series.model, band))
         )
-        words.append(f"{legible(series.title)}\n{', model '.join(intervals)} ({level})")
+        words.append("\n".join([legible(series.title), "\nmodel ".join(intervals)]))
     reach = max(_REACH, 1.1 * float(np.abs(residuals).max()), 1.1 * float(model.max()))
     ends = np.array([-0.6, len(every) - 0.4])
     return Panel(

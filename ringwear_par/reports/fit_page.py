@@ -267,7 +267,7 @@ def _series_charts(every: Sequence[fits.Series]) -> list[Chart]:
                 Chart(f"{name}-residuals", fits.residuals(series), f"Residuals of {title}"),
             ]
     if single := [series for series in every if len(series.x) == 1]:
-        panel, height = fits.single_readings(single), 160 + 45 * len(single)
+        panel, height = fits.single_readings(single), 160 + 60 * len(single)
         charts.append(Chart("single", panel, "Series of one reading", height, wide=True))
     return charts
 

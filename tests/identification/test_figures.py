@@ -86,7 +86,7 @@ def test_single_readings_share_a_strip(found):
     chart.draw_without_rendering()
     *curves, strip = chart.axes
     (words,) = (tick.get_text() for tick in strip.get_yticklabels())
-    assert words.startswith("test 1: mass.lower\n5 \N{PLUS-MINUS SIGN} 0.2 mg, model ")
+    assert words.startswith("test 1: mass.lower\n5 mg from 4.804 to 5.196\nmodel ")
     assert strip.get_xlabel() == "(data - model) / sd"
     (data,) = (line for line in strip.lines if line.get_label() == "data")
     assert data.get_xdata() == pytest.approx([-found.evaluation.noise[-1]])

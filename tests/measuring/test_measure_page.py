@@ -40,7 +40,8 @@ def test_the_tables_of_both_standards(page):
                   "not in the files; to be added by hand"):  # fmt: skip
         assert words in text
     friction = result.tests[0].friction
-    assert f"{friction.value:.4f} ± {2 * friction.u:.4f}" in text
+    middle, low, high = (friction.value + change * friction.u for change in (0.0, -2.0, 2.0))
+    assert f"{middle:.4f} from {low:.4f} to {high:.4f} (95 %)" in text
 
 
 def test_every_test_has_its_budgets(page):

@@ -233,7 +233,7 @@ def test_a_sweep_is_told_with_its_failures(folder, pages):
     assert list(rows) == list(ids)
     for case, state, depth in zip(ids, status, final, strict=True):
         assert rows[case][0] == state
-        assert rows[case][4] == (f"{depth:.6g}" if np.isfinite(depth) else "")
+        assert rows[case][4] == (f"{depth:.4g}" if np.isfinite(depth) else "")
     assert page.rows("values")["load.pressure"][2:] == ["50", "1e+09", "3"]
     assert page.rows("values")["upper.grip"][2:] == ["clamped", "platen", "2"]
     assert {row[3] for row in rows.values()} == {"clamped", "platen"}
