@@ -92,7 +92,7 @@ def test_single_readings_share_a_strip(found):
     assert data.get_xdata() == pytest.approx([-found.evaluation.noise[-1]])
     boxes = [axes.get_window_extent() for axes in (*curves, strip)]
     assert all(boxes[-1].y1 < box.y0 for box in boxes[:-1])
-    assert boxes[-1].height < 0.1 * chart.bbox.height
+    assert boxes[-1].height < 0.15 * chart.bbox.height
 
 
 def test_single_readings_alone_are_a_figure(found):

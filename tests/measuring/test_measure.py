@@ -196,7 +196,7 @@ def test_the_summary_begins_with_the_answer(laboratory):
     assert lines[0].startswith("specific wear rate 1.")
     assert "mm3/(N m) from" in lines[0]
     assert "repeatability r =" in lines[0]
-    assert lines[1].startswith("W1  (1.")
+    assert lines[1].startswith("W1  1.")
     assert any(line.startswith("warning: W4: not steady") for line in lines)
     assert rw.summary(laboratory[2]) == laboratory[2].summary()
 
