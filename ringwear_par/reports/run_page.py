@@ -99,7 +99,7 @@ def _tiles(numbers: Iterable[KeyNumber], doubts: int, errors: str) -> Tiles:
     for body in bodies:
         of = f" of {body}" if len(bodies) > 1 else ""
         labels += [(f"{body}_worn_volume", f"worn volume{of}"), (f"{body}_mass", f"mass lost{of}"),
-                  (f"{body}_last_rate", f"wear rate at the end{of}"),
+                  (f"{body}_last_rate", f"wear rate{of}, at the end"),
                   (f"{body}_specific_rate", f"specific wear rate{of}")]  # fmt: skip
     labels += [("mean_pressure", "mean pressure"), ("largest_pressure", "largest pressure"),
               ("torque", "torque")]  # fmt: skip
@@ -297,9 +297,10 @@ def _test(case: Case) -> list[tuple[str, str]]:
         speed += f" ({30.0 * load.omega / math.pi:.4g} rpm), "
         speed += f"{0.5 * load.omega * (inner + outer):.4g} mm/s at the mean radius"
     time = case.time
-    steps = f"{time.steps} {time.scheme} steps of {time.step:g} s, {time.end:g} s in all"
+    end = time_words(time.end, time.end)
+    steps = f"{time.steps} {time.scheme} steps of {time.step:g} s, {end} in all"
     if time.adaptive:
-        steps = f"{time.end:g} s in adaptive steps of a tolerance of {1e3 * time.tolerance:g} "
+        steps = f"{end} in adaptive steps of a tolerance of {1e3 * time.tolerance:g} "
         steps += "\N{MICRO SIGN}m of wear"
     return [
         ("friction coefficient", f"{case.friction:g}"), ("load", pressed), ("speed", speed),

@@ -88,23 +88,6 @@ def test_tables_are_read_as_fits_read_them(drawn):
     assert len(found[-1].x) == 1
 
 
-def test_units_of_quotients_and_none_are_told(drawn):
-    case, result = drawn[0].case, drawn[0].result
-    depth, mass = read_table(b"t / min,z / um,m_lower / mg\n2,3,19\n", "a.csv", case)
-    assert (depth.quantity, depth.unit, mass.quantity) == ("penetration", "um", "mass.lower")
-    assert depth.x == pytest.approx([120.0])
-    assert depth.values(case, result) == pytest.approx([3e-3])
-    assert mass.values(case, result) == pytest.approx([10.0])
-    assert depth.assumptions == mass.assumptions == []
-    (depth,) = read_table(b"t,z\n2,3\n", "a.csv", case)
-    assert depth.assumptions == [
-        "a.csv: the column t names no unit; s is taken",
-        "a.csv: the column z names no unit; mm is taken",
-    ]
-    (depth,) = read_table(b"t,z_um\n0:02:00,3\n", "a.csv", case)
-    assert depth.assumptions == []
-
-
 def test_how_far_readings_are_from_the_curve(drawn):
     now = drawn[1]
     time, depth = (now.result.histories[name] for name in ("time", "penetration"))

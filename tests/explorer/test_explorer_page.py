@@ -152,16 +152,6 @@ def test_faults_stay_until_numbers_can_be_computed(comm):
     assert "Infinity" not in visited.talk.answer
 
 
-def test_units_that_are_taken_are_told_as_long_as_a_table_is_there(comm):
-    visited = Visited(comm)
-    visited.work()
-    visited.give("a.csv", b"t,penetration_um,torque_Nm\n1,2,3\n")
-    assert visited.told["laid_fault"] == "a.csv: the column t names no unit; s is taken"
-    for column in visited.told["laid"]:
-        visited.talk.table = json.dumps({"number": column["number"], "remove": True})
-    assert visited.told["laid_fault"] == ""
-
-
 def test_only_answers_have_the_number_of_a_wish(comm):
     visited = Visited(comm)
     visited.work()
