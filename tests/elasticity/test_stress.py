@@ -10,8 +10,8 @@ from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Material, Section
 from ringwear_par.elasticity.stress import rows
+from ringwear_par.elasticity.stress.fields import max_shear, mises, principal
 from ringwear_par.elasticity.stress.largest import Search, edges
-from ringwear_par.elasticity.stress.measures import max_shear, mises, principal
 from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery
 from ringwear_par.elasticity.stress.surface import faces
 from ringwear_par.elasticity.stress.zone import ZoneStress, locate

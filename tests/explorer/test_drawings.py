@@ -9,9 +9,10 @@ import pytest
 from paths import CASES, FIT
 
 import ringwear_par as rw
-from ringwear_par.explorer.exploring import Exploration, raw_keys
+from ringwear_par.explorer.exploring import Exploration
 from ringwear_par.explorer.figures import MENU, Drawing
 from ringwear_par.explorer.measured import read_table
+from ringwear_par.explorer.moved_keys import raw_keys
 from ringwear_par.explorer.page import _variables
 from ringwear_par.pictures.runs import HISTORY_PANELS
 

@@ -6,7 +6,8 @@ from paths import CASES, PAPER
 
 import ringwear_par as rw
 from ringwear_par.explorer.controls import controls_of
-from ringwear_par.explorer.exploring import Exploration, raw_keys
+from ringwear_par.explorer.exploring import Exploration
+from ringwear_par.explorer.moved_keys import raw_keys
 
 pytestmark = pytest.mark.serial
 

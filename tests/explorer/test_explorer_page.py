@@ -10,7 +10,8 @@ from bokeh.server.session import ServerSession
 from paths import PAPER
 from tornado.ioloop import IOLoop
 
-from ringwear_par.explorer.exploring import Exploration, raw_keys
+from ringwear_par.explorer.exploring import Exploration
+from ringwear_par.explorer.moved_keys import raw_keys
 from ringwear_par.explorer.page import Page
 from ringwear_par.explorer.server import _if_there
 

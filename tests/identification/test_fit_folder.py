@@ -21,12 +21,12 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.folders import FIT
 from ringwear_par.identification import fit as fit_room
-from ringwear_par.identification import fit_folder
+from ringwear_par.identification import fit_command, fit_folder
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation import solution as solution_room
 from ringwear_par.identification.estimation import starts as starts_room
 from ringwear_par.identification.fit import fit, fit_problem
-from ringwear_par.identification.fit_folder import run_fit
+from ringwear_par.identification.fit_command import run_fit
 from ringwear_par.identification.model.rounds import StoppedError
 from ringwear_par.results.execution.stopping import StopSignals
 
@@ -128,7 +128,7 @@ def test_a_complete_fit_is_left_as_it_is(written, comm, monkeypatch, caplog):
     def never(*args, **kwargs):
         raise AssertionError("fitted again")
 
-    monkeypatch.setattr(fit_folder, "fit_problem", never)
+    monkeypatch.setattr(fit_command, "fit_problem", never)
     run_fit(path, folder, comm, restart=True)
     assert (folder / "fit.json").read_text() == whole
     path.write_text(path.read_text() + "\n# another\n")

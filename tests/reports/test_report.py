@@ -17,6 +17,7 @@ from laboratory import fit_tables, write_tests
 from paths import PAPER
 
 import ringwear_par as rw
+from ringwear_par.cases.units import factor as unit_factor
 from ringwear_par.cases.units import with_signs
 from ringwear_par.pictures.runs import HISTORY_PANELS
 from ringwear_par.results.key_numbers import key_numbers
@@ -232,7 +233,7 @@ def test_a_sweep_is_told_with_its_failures(folder, pages):
     assert list(rows) == list(ids)
     for case, state, depth in zip(ids, status, final, strict=True):
         assert rows[case][0] == state
-        assert rows[case][4] == (f"{depth:.6g}" if np.isfinite(depth) else "")
+        assert rows[case][4] == (f"{depth:.4g}" if np.isfinite(depth) else "")
     assert page.rows("values")["load.pressure"][2:] == ["50", "1e+09", "3"]
     assert page.rows("values")["upper.grip"][2:] == ["clamped", "platen", "2"]
     assert {row[3] for row in rows.values()} == {"clamped", "platen"}
@@ -277,25 +278,28 @@ def test_a_fit_is_told_as_its_file_has_it(folder, pages):
     laws = page.rows("AIC above the smallest")
     assert laws["this law"][0] == "+0.0"
     assert laws["archard"][-1] == "does not fit"
-    series = [name for name in page.charts if name.startswith("series-")]
-    assert len(series) == 8  # two tests, penetration and profile, with residuals
+    assert len(page.charts) == 12  # penetrations and profiles with residuals, masses, keys
     with h5py.File(folder / "fit/results.h5") as file:
-        stored = {name: file[next(n for n in file if n.startswith("1_"))][name][()]
-                  for name in ("time", "data", "model", "band", "sd")}  # fmt: skip
+        group = file[next(name for name in file if name.startswith("1_"))]
+        stored = {n: group[n][()] for n in ("time", "data", "model", "band", "sd")}
+        unit = 1.0 / unit_factor(group.attrs["data_unit"], "mm")
     chart = page.charts["series-1"]
     order = np.argsort(stored["time"], kind="stable")
     for name, sign, sd in (
         ("model", 0.0, 0.0), ("95 % of the model, from", -1.0, stored["band"]),
         ("95 % of readings, from", -1.0, np.hypot(stored["band"], stored["sd"])),
     ):  # fmt: skip
-        end = 1e3 * (stored["model"] + sign * 1.959964 * sd)[order]
+        end = unit * (stored["model"] + sign * 1.959964 * sd)[order]
         assert np.allclose(chart.curves()[name][1], end, rtol=1e-5), name
     assert chart.columns["ribbons"]["label"] == ["95 % of readings", "95 % of the model"]
     ribbon, low = chart.columns["ribbons"]["y"][1], chart.curves()["95 % of the model, from"][1]
     assert np.array_equal(ribbon[: len(low)], low)
     assert len(ribbon) == 2 * len(low)
     assert "from the covariance of the fitted keys" in page.text
-    assert "single" in page.charts  # the weighings
+    strip = page.charts["single"].columns
+    assert strip["points"]["label"] == ["data"]
+    assert strip["bars"]["label"] == ["95 % of readings", "95 % of the model"]
+    assert page.charts["keys-1-0"].curves().keys() >= {"68 % ellipse", "95 % ellipse"}
 
 
 def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
@@ -312,7 +316,9 @@ def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
     design = {
         "parameters": {"wear.lower.k": 1e-7, "wear.lower.p0": 3.0}, "candidates": 12,
         "criterion": "D", "measured_as": "test 1", "fit_file": sd,
-        "designs": [{"experiments": tests, "name": "two", "seconds": 36000.0, **sd}],
+        "designs": [
+            {"name": "30 then 90 MPa", "experiments": tests, "seconds": 36000.0, **sd}
+        ],
         "map": None, "sd_scales": {
             "wear.lower.k": {"factor": 1e9, "unit": "%"}, "wear.lower.p0": {"factor": 1, "unit": ""}
         },
@@ -327,7 +333,7 @@ def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
     assert f"Not determined by the readings {dash} wear.lower.p0: as k" in page.text
     assert ("p", {"class": "warning"}) in page.elements
     assert page.rows("AIC above the smallest")["power"][-1] == "failed: no history"
-    assert page.rows("tests")["1"] == ["two", "10 h", "1", dash]
+    assert page.rows("tests")["1"] == ["30 then 90 MPa", "10 h", "1", dash]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -13,7 +13,7 @@ HEAVY = ("mpi4py.MPI", "petsc4py.PETSc", "numba", "ringwear_par.elasticity.bem.a
 
 #: most modules of ours that one may know, and rooms where some still know more
 MOST_IMPORTS = 15
-IMPORTS_TO_DO = {"explorer", "history", "identification", "pictures", "reports", "studies"}
+IMPORTS_TO_DO = {"history", "identification"}
 
 pytestmark = pytest.mark.serial
 

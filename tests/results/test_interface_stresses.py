@@ -7,7 +7,7 @@ import pytest
 from vtkhdf import last_state
 
 import ringwear_par as rw
-from ringwear_par.elasticity.stress.measures import SIDES, mises
+from ringwear_par.elasticity.stress.fields import SIDES, mises
 from ringwear_par.results.storage.export import export
 
 pytestmark = pytest.mark.serial

@@ -8,7 +8,7 @@ from last_states import with_last_pressure
 from vtkhdf import last_state
 
 import ringwear_par as rw
-from ringwear_par.elasticity.stress.measures import COMPONENTS, max_shear, mises, principal
+from ringwear_par.elasticity.stress.fields import COMPONENTS, max_shear, mises, principal
 from ringwear_par.elasticity.stress.recovery import StressRecovery
 from ringwear_par.results.storage.export import export
 

@@ -19,7 +19,6 @@ from ringwear_par.studies.definition.checking import LOOKED_AT, case_faults
 from ringwear_par.studies.definition.designs import read_draft
 from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.definition.study import read_study
-from ringwear_par.studies.definition.texts import Texts
 from ringwear_par.studies.definition.variations import Column, split_key, varied_keys
 from ringwear_par.studies.storage.blocks import BY_CASE, BY_STATE, CASE, Kind, PackedBlock
 from ringwear_par.studies.storage.case_index import CaseIndex
@@ -134,14 +133,10 @@ def test_a_study_is_what_its_cases_are_one_by_one(tmp_path, seed):
         return
     assert faults == ()
     assert found.ids == tuple(wanted)
-    cases, texts = found.cases_and_texts(range(len(wanted)))
-    written = texts.of_cases(range(len(wanted)))
-    restored = Texts.unpacked(texts.packed(), len(wanted))
-    assert texts.longest == max(len(text.encode()) for text in written)
+    cases = found.cases_of(range(len(wanted)))
     for i, (row, case, keys) in enumerate(wanted.values()):
         assert cases[i] == case
-        assert cases[i].text == case.text == toml_text(keys) == written[i]
-        assert restored.of_cases([i]) == [case.text]
+        assert cases[i].text == case.text == toml_text(keys)
         assert found.case(i) == case
         assert cases[i].breakpoints == case.breakpoints
         assert repr(found.rows[i]) == repr(row)

@@ -1,17 +1,13 @@
 """Surrogates: closed forms met, errors told that fresh cases confirm, nothing extrapolated."""
 
 import itertools
-import logging
-import shutil
 from dataclasses import replace
 
-import h5py
 import numpy as np
 import pytest
 from known_sweeps import sample, write
 
 import ringwear_par as rw
-from ringwear_par.studies.analysis import surrogate as module
 from ringwear_par.studies.analysis.sensitivity import surrogate_indices
 from ringwear_par.studies.pictures.figures import draw_sweep_and_surrogate
 
@@ -211,60 +207,18 @@ def test_the_design_tells_scales_and_ends(tmp_path):
     assert made.ranges["wear.lower.k"] == (1e-7, 1e-6)
     # no case is above 100
     assert made.ranges["load.pressure"] == (50.0, x[:, 1].max())
-    unknown = rw.surrogate(tmp_path)  # another study, so not the one kept
+    unknown = rw.surrogate(tmp_path)
     assert list(unknown.parts[0].logarithmic) == [False, False]
     assert unknown.ranges["wear.lower.k"] == (x[:, 0].min(), x[:, 0].max())
 
 
-def test_it_is_kept_and_taken_again(tmp_path, monkeypatch):
-    written(tmp_path / "a", threshold, 64, 3)
-    made = rw.surrogate(tmp_path / "a")
-    path = tmp_path / "a" / "surrogate.h5"
-    written_at = path.stat().st_mtime_ns
-    with monkeypatch.context() as patch:
-        patch.setattr(module, "_fit", None)
-        again = rw.surrogate(tmp_path / "a")
-    assert path.stat().st_mtime_ns == written_at
-    at = {"wear.lower.k": 3e-7, "load.pressure": np.linspace(33, 95, 40), "wear.lower.p0": 35.0}
-    for name, found in made.predict(at).items():
-        assert (again.predict(at)[name] == found).all()
-    assert repr(again) == repr(made)
-    assert (again.error, again.ranges) == (made.error, made.ranges)
-
-
-def test_that_of_other_results_or_times_is_made_again(tmp_path):
-    written(tmp_path / "a", power)
-    written(tmp_path / "b", lambda x: 2.0 * power(x))
-    rw.surrogate(tmp_path / "a")
-    shutil.copy(tmp_path / "a/surrogate.h5", tmp_path / "b")
+def test_responses_at_times(tmp_path):
+    written(tmp_path, lambda x: 2.0 * power(x))
     at = {"wear.lower.k": 1e-7, "load.pressure": 10.0}
     expected = 2e3 * 1e-7 * 10.0**0.8
-    assert rw.surrogate(tmp_path / "b").predict(at)["penetration"] == pytest.approx(expected)
-    early = rw.surrogate(tmp_path / "b", times=[5.0, 10.0]).predict(at)["penetration"]
+    early = rw.surrogate(tmp_path, times=[5.0, 10.0]).predict(at)["penetration"]
     assert early == pytest.approx(expected * np.array([0.25, 0.5]))
-    assert rw.surrogate(tmp_path / "b").predict(at)["penetration"] == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("how", ["damaged", "of another kind", "without what it needs"])
-def test_files_that_are_no_surrogates_are_made_again(tmp_path, caplog, how):
-    written(tmp_path, power)
-    expected = repr(rw.surrogate(tmp_path))
-    path = tmp_path / "surrogate.h5"
-    if how == "damaged":
-        content = bytearray(path.read_bytes())
-        content[len(content) // 2] ^= 1
-        path.write_bytes(content)
-    elif how == "of another kind":
-        shutil.copy(tmp_path / "results.h5", path)
-    else:
-        with h5py.File(path, "a") as file:
-            del file["part_0/penetration"]
-    with caplog.at_level(logging.WARNING):
-        assert repr(rw.surrogate(tmp_path)) == expected
-    assert "it is made again" in caplog.text
-    caplog.clear()
-    assert repr(rw.surrogate(tmp_path)) == expected
-    assert not caplog.records
+    assert rw.surrogate(tmp_path).predict(at)["penetration"] == pytest.approx(expected)
 
 
 def test_texts_have_a_surrogate_each(tmp_path):
@@ -310,8 +264,6 @@ def test_too_few_cases_or_keys_that_do_not_vary_by_themselves(tmp_path):
     write(tmp_path / "d", KEYS[:1], [(1e-7,)], [1.0], "list", status=["failed"])
     with pytest.raises(rw.InputError, match="no case is done"):
         rw.surrogate(tmp_path / "d")
-    for folder in tmp_path.iterdir():
-        assert not (folder / "surrogate.h5").exists()
 
 
 def test_sobol_indices_of_a_product(tmp_path, monkeypatch):
@@ -357,7 +309,6 @@ def test_it_is_drawn(tmp_path, monkeypatch):
     low, high = part.low[1], part.high[1]
     over_p = (high**0.8 - low**0.8) / (0.8 * np.log(high / low))
     assert depth == pytest.approx(1e6 * k * over_p, rel=0.02)  # of 256 points over p
-    assert (tmp_path / "surrogate.h5").exists()
 
 
 @pytest.fixture(scope="module")
