@@ -2,7 +2,8 @@
 
 Rooms follow the paper (Serre, Bonnet and Pradeilles-Duval 2001): ``elasticity`` eq. (5),
 ``contact`` (3), ``wear`` (4), ``history`` section 3; around them ``cases``, ``results``,
-``studies``, ``identification``, ``measuring``, ``reports``, ``explorer`` and ``verification``.
+``studies``, ``identification``, ``prediction``, ``measuring``, ``reports``, ``explorer`` and
+``verification``.
 Units: mm, N, MPa, s, rad; energies N mm.
 
     import ringwear_par as rw
@@ -31,6 +32,7 @@ _PUBLIC = {
     "InputError": "errors",
     "LocalState": "wear.local_state",
     "MeasureResult": "measuring.measure_result",
+    "Prediction": "prediction.prediction",
     "Result": "results.result",
     "Study": "studies.definition.study",
     "WearLaw": "wear.law",
@@ -41,6 +43,7 @@ _PUBLIC = {
     "open_ensemble": "studies.storage.ensemble",
     "open_result": "results.storage.result_files",
     "plot": "studies.pictures.plot",
+    "predict": "prediction.predict",
     "read_case": "cases.files.reading",
     "read_study": "studies.definition.study",
     "report": "reports.report",

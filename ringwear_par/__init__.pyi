@@ -12,6 +12,8 @@ from ringwear_par.identification.test_design.design import DesignResult as Desig
 from ringwear_par.identification.test_design.design import design as design
 from ringwear_par.measuring.measure import measure as measure
 from ringwear_par.measuring.measure_result import MeasureResult as MeasureResult
+from ringwear_par.prediction.predict import predict as predict
+from ringwear_par.prediction.prediction import Prediction as Prediction
 from ringwear_par.reports.report import report as report
 from ringwear_par.results.execution.simulate import simulate as simulate
 from ringwear_par.results.outcomes import save as save

@@ -14,16 +14,20 @@ from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from typing import Any
 
-from ringwear_par.commands import COMMANDS, UNWRITTEN, parser
+from ringwear_par.commands import COMMANDS, UNWRITTEN, check_command, overview, parser
 from ringwear_par.errors import LONGEST_SENTENCE, InputError, RingwearError, legible
-from ringwear_par.results.execution.stopping import StopAtOnce, Stopped, ignore_at_end, remark
+from ringwear_par.results.execution.stopping import (
+    StopAtOnce,
+    Stopped,
+    ignore_at_end,
+    is_launched,
+    remark,
+)
 
 #: how long a rank that fails waits for the others to fail alike, and one that is stopped: mpirun
 #: kills a second after its signal
 GRACE_SECONDS = 10.0
 STOP_SECONDS = 0.5
-#: variables that launchers set: mpirun of Open MPI and MPICH, and srun
-_LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID")
 #: settings of Open MPI for a process without others
 _ISOLATED = {
     "OMPI_MCA_ess_singleton_isolated": "1",
@@ -158,7 +162,7 @@ def _without_other_processes() -> Iterator[None]:
 
     That takes a quarter of a second less. What is set here is gone before anything else is started.
     """
-    settings = {} if any(name in os.environ for name in _LAUNCHED) else _ISOLATED
+    settings = {} if is_launched() else _ISOLATED
     mine = {name: value for name, value in settings.items() if name not in os.environ}
     os.environ.update(mine)
     try:
@@ -191,8 +195,9 @@ def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         if not words:
-            parser().print_help()
+            print(overview())
             return 0
+        check_command(words[0])
         arguments = vars(parser().parse_args(words[:cut]))
         name = arguments.pop("command")
         command = COMMANDS[name]

@@ -5,6 +5,7 @@ arguments.
 """
 
 import argparse
+import difflib
 import os
 import re
 from collections.abc import Callable
@@ -19,11 +20,14 @@ from ringwear_par.version import __version__
 #: end of the message of a command that is stopped before it has results
 UNWRITTEN = "; nothing written"
 
-_EPILOG = """\
-Everything after -- goes to PETSc's options: -bem_... for the boundary element systems,
--contact_... for the contact solver (-contact_tao_type python|tron|bnls, -contact_tao_monitor).
-Exit status: 0 done, 1 the computation failed or was stopped, 2 bad input.
-"""
+#: what one can do, and how: printed where no command is typed
+_TASKS = (
+    ("simulate", "ringwear run CASE.toml -o RUN.h5", "one wear history"),
+    ("sweep", "ringwear sweep STUDY.toml -o DIR", "many, over any keys of a case"),
+    ("fit", "ringwear fit FIT.toml -o DIR", "a wear law from measurements, with intervals"),
+    ("plan", "ringwear design FIT.toml -o DIR", "the most informative next tests"),
+    ("measure", "ringwear measure W.csv --case RIG.toml -o DIR", "wear rates without a model"),
+)
 #: flags and options of ``add_argument``
 Argument = tuple[tuple[str, ...], dict[str, Any]]
 
@@ -41,6 +45,7 @@ class Command:
         if any; others are collective, and take the communicator ``comm``.
     solves : whether it needs PETSc.
     stopped : end of the message where it is stopped before it has results.
+    example : command lines, for its help.
     """
 
     summary: str
@@ -49,6 +54,7 @@ class Command:
     serial: bool = False
     solves: bool = False
     stopped: str = ""
+    example: str = ""
 
     def load(self) -> Callable[..., Any]:
         """Return the function."""
@@ -121,10 +127,13 @@ COMMANDS = {
         _flag("--restart",
               "continue RUN.h5 where it was interrupted, or to a larger time.steps or time.end"),
         _flag("--overwrite", "replace RUN.h5, even if it holds an interrupted run"),
+        _flag("--verbose", "print all key numbers, checks and seconds"),
         _NO_CACHE,
         _argument("--plot", type=_figure, dest="figure", metavar="FIG.png",
                   help="draw the history at the end"),
-    ), solves=True, stopped=f" before the first step{UNWRITTEN}"),
+    ), solves=True, stopped=f" before the first step{UNWRITTEN}",
+        example="ringwear run case.toml -o run.h5\n"
+          "ringwear run case.toml -o soft.h5 --set load.pressure=50 wear.lower.k='1e-5 mm3/(N m)'"),
     "sweep": Command(
         "compute every case of a study, or continue an interrupted sweep",
         "studies.execution.sweep:run_sweep", (
@@ -142,7 +151,8 @@ COMMANDS = {
         _flag("--dry-run",
               "count cases and assemblies, estimate memory and time; write nothing"),
         _NO_CACHE,
-    ), solves=True, stopped="; the same command goes on"),
+    ), solves=True, stopped="; the same command goes on",
+        example="mpirun -n 4 ringwear sweep study.toml -o out/study"),
     "fit": Command(
         "fit parameters of the wear law to measurements, with confidence intervals",
         "identification.fit_folder:run_fit", (
@@ -153,7 +163,9 @@ COMMANDS = {
         _flag("--overwrite", "start anew, even if DIR holds an interrupted fit"),
         _flag("--compare", "fit the laws of [compare] as well"),
         _NO_CACHE,
-    ), solves=True, stopped=f" before the first start{UNWRITTEN}"),
+    ), solves=True, stopped=f" before the first start{UNWRITTEN}",
+        example="ringwear fit fit.toml -o out/fit\n"
+          "ringwear fit fit.toml -o out/fit --dry-run"),
     "design": Command(
         "choose the most informative next tests, from [design] of a fit file",
         "identification.test_design.design:run_design", (
@@ -164,7 +176,24 @@ COMMANDS = {
         _argument("--criterion", choices=("D", "A", "eig"),
                   help="criterion, instead of design.criterion of the fit file"),
         _NO_CACHE,
-    ), solves=True, stopped=UNWRITTEN),
+    ), solves=True, stopped=UNWRITTEN,
+        example="ringwear design fit.toml -o out/plan --after out/fit"),
+    "predict": Command(
+        "predict a case that was not tested, with an interval, from the folder of a fit",
+        "prediction.predict:run_predict", (
+        _argument("fit", type=_path, metavar="FITDIR", help="folder of a fit"),
+        _argument("case", type=_path, metavar="CASE.toml", help="case file"),
+        _FOLDER,
+        _CASE[1],
+        _argument("--of", default="next specimen", metavar="WHOM",
+                  help="'next specimen' (the default), 'material' or a specimen of the fit"),
+        _argument("--draws", type=int, default=1000, metavar="N",
+                  help="number of histories (default: %(default)s)"),
+        _argument("--seed", type=int, default=0, metavar="N",
+                  help="seed of the draws (default: %(default)s)"),
+        _NO_CACHE,
+    ), solves=True, stopped=UNWRITTEN,
+        example="ringwear predict out/fit case.toml -o out/prediction --set load.pressure=60"),
     "measure": Command(
         "compute steady wear rates and friction from a rig's files, without a contact model",
         "measuring.measure:run_measure", (
@@ -175,7 +204,8 @@ COMMANDS = {
                   help="case file of the rig (rings, load, speed, densities), with record files"),
         _argument("--masses", type=_path, metavar="M.csv",
                   help="table of weighings, with record files"),
-    ), serial=True, stopped=UNWRITTEN),
+    ), serial=True, stopped=UNWRITTEN,
+        example="ringwear measure W1.csv W2.csv --case rig.toml --masses masses.csv -o out/rates"),
     "plot": Command(
         "draw figures from result files of runs, the folder of a sweep, or the rig of a case file",
         "studies.pictures.plot:plot_stored", (
@@ -193,7 +223,9 @@ COMMANDS = {
                   "profiles are drawn"),
         _argument("--profiles-of", type=_path, nargs="+", metavar="RUN.h5",
                   help="draw the profiles of these files only (default: of all)"),
-    ), serial=True, stopped=UNWRITTEN),
+    ), serial=True, stopped=UNWRITTEN,
+        example="ringwear plot run.h5 soft.h5 -o runs.png --panels wear,penetration,pressure\n"
+          "ringwear plot out/study -o study.png"),
     "export": Command(
         "write a result file for ParaView or a spreadsheet", "results.storage.export:export", (
         _argument("run", type=_path, metavar="RUN.h5"),
@@ -208,13 +240,15 @@ COMMANDS = {
               "write the stresses of [stress]: its grid to .vtkhdf, its points to .csv"),
         _flag("--interfaces",
               "write the stresses along the interfaces between layers to .vtkhdf or .csv"),
-    ), serial=True, stopped=UNWRITTEN),
+    ), serial=True, stopped=UNWRITTEN,
+        example="ringwear export run.h5 -o run.csv"),
     "report": Command(
-        "write one HTML page of a run, a sweep, a fit, a design or a measurement",
+        "write one HTML page of a run, a sweep, a fit, a design, a prediction or a measurement",
         "reports.report:report", (
         _argument("source", type=_path, metavar="RUN.h5 or DIR"),
         _output("REPORT.html"),
-    ), serial=True, stopped=UNWRITTEN),
+    ), serial=True, stopped=UNWRITTEN,
+        example="ringwear report run.h5 -o run.html"),
     "explore": Command(
         "open a page in the browser with sliders for the numbers of a case",
         "explorer.server:explore", (
@@ -224,20 +258,24 @@ COMMANDS = {
         _argument("--no-browser", action="store_false", dest="browser",
                   help="print the address, but open no browser"),
         _NO_CACHE,
-    ), solves=True),
+    ), solves=True,
+        example="ringwear explore case.toml"),
     "laws": Command(
         "print the rates of a case's wear laws, and test their derivatives",
-        "cases.files.law_trials:check_laws", _CASE, serial=True),
+        "cases.files.law_trials:check_laws", _CASE, serial=True,
+        example="ringwear laws case.toml --set wear.lower.p0=0"),
     "verify": Command(
         "compare with reference solutions; print error and observed order of each",
-        "verification.verify:verify", (), solves=True),
+        "verification.verify:verify", (), solves=True,
+        example="ringwear verify"),
     "info": Command(
         "print versions, MPI and PETSc builds, ranks and threads, or all keys of files",
         "info:print_info", (
         _argument("--schema", nargs="*", metavar="WORD",
                   help="print the keys of all files, or of case, study, measure or fit files; a "
                   "further word, such as wear.lower, prints only the rows that contain it"),
-    )),
+    ),
+        example="ringwear info --schema case wear.lower"),
 }  # fmt: skip
 
 
@@ -250,12 +288,38 @@ class _Parser(argparse.ArgumentParser):
         )
 
 
+def overview() -> str:
+    """Return the tasks of the program, a line each."""
+    lines = [f"  {task:10}{line:47}{meaning}" for task, line, meaning in _TASKS]
+    return "\n".join([
+        "Wear histories of ring-on-ring and ring-on-disc tests, and what tests tell of wear.", "",
+        *lines, "",
+        "ringwear --help names all commands; ringwear COMMAND --help its options, with an example.",
+    ])  # fmt: skip
+
+
+def check_command(word: str) -> None:
+    """Refuse the first word of a command line if it is no command, and name the nearest one.
+
+    Raises
+    ------
+    InputError : it is none.
+    """
+    if word in COMMANDS or word.startswith("-"):
+        return
+    near = difflib.get_close_matches(word.lower(), COMMANDS, n=1)
+    hint = f" (did you mean {near[0]}?)" if near else ""
+    raise InputError(
+        f"{legible(word)}: unknown command{hint}; must be one of {', '.join(COMMANDS)}"
+    )
+
+
 def parser() -> argparse.ArgumentParser:
     """Return the parser of a command line."""
     whole = _Parser(
         prog="ringwear",
         description="Wear histories of ring-on-ring and ring-on-disc tests by boundary elements.",
-        epilog=_EPILOG,
+        epilog="Exit status: 0 done, 1 the computation failed or was stopped, 2 bad input.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     whole.add_argument("--version", action="version", version=f"ringwear {__version__}")
@@ -266,7 +330,7 @@ def parser() -> argparse.ArgumentParser:
             name,
             help=summary,
             description=f"{summary[0].upper()}{summary[1:]}.",
-            epilog=_EPILOG,
+            epilog=f"example:\n  {command.example.replace(chr(10), chr(10) + '  ')}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         for flags, options in command.arguments:

@@ -3,27 +3,33 @@
 
     python scripts/scatter_coverage.py specimens [--trials 1000]    # some 3 minutes
     python scripts/scatter_coverage.py wear [--trials 400]          # some 10 minutes
+    python scripts/scatter_coverage.py predict [--trials 200]       # some 20 minutes
 
 ``specimens``: repeats whose k scatter (normal in its logarithm), each known to 2 % from its own
 readings. ``wear``: records of 150 readings of 15 um of wear, which grows at random (a gamma
 process), by a sensor of 0.2 um whose zero is not known. Intervals are those of the program, at
-95 %; beside them those of one k for all, as of a fit without scatter. Seeds are fixed; under mpirun
-ranks share the rows out.
+95 %; beside them those of one k for all, as of a fit without scatter. ``predict``: fits of k and p0
+to records of specimens at 40 and 60 MPa, and how often the band of the next specimen's penetration
+at 80 MPa and another speed holds that of a new one. Seeds are fixed; under mpirun ranks share the
+rows out.
 """
 
 import argparse
+import logging
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
+import ringwear_par as rw
 from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.definition.problem import Series
+from ringwear_par.identification.scatter.clocks import TestClocks
 from ringwear_par.identification.scatter.likelihood import Level, MixedModel
-from ringwear_par.identification.scatter.posterior import (
-    Size,
-    axis,
-    integrate,
-)
+from ringwear_par.identification.scatter.posterior import Size, integrate
 from ringwear_par.identification.scatter.reduction import LinearisedTest, ReducedTest, reduce_test
 
 LEVEL = 0.95
@@ -35,6 +41,16 @@ OWN_SD = 0.02
 READINGS, DEPTH, SENSOR = 150, 15.0, 0.2
 SCATTERS, SPECIMENS = (0.05, 0.12, 0.30), (2, 3, 5, 10)
 SHARES, RECORDS = (0.01, 0.03, 0.10), (1, 2, 3, 5, 10)
+#: loads of tests (MPa), the material's k (1/MPa) and p0 (MPa), and where the next specimen runs
+LOADS, K, P0 = (40.0, 60.0), 1e-7, 25.0
+ELSEWHERE = {"load.pressure": 80.0, "load.omega": 5.0}
+#: of a prediction
+DRAWS = 300
+PAPER = Path(__file__).parent / "cases" / "paper.toml"
+TIMED = {
+    "mesh.contact_elements": 12, "time.scheme": "adaptive", "time.step": None, "time.steps": None,
+    "time.end": 150.0,
+}  # fmt: skip
 
 
 def specimens_row(tau: float, count: int, trials: int, rng: np.random.Generator) -> str:
@@ -48,8 +64,8 @@ def specimens_row(tau: float, count: int, trials: int, rng: np.random.Generator)
             ReducedTest(information, np.array([v / OWN_SD**2]), (v / OWN_SD) ** 2, 0.0)
             for v in values
         ]
-        model = MixedModel(tests, [level], np.zeros(1), np.zeros(1))
-        posterior = integrate([model], np.ones(1), [Size(None, 0.3)])
+        models = [MixedModel(tests, [level], np.zeros(1), np.zeros(1))]
+        posterior = integrate(lambda _, models=models: models, [Size(None, 0.3)])
         low, high = posterior.material(0).interval(LEVEL)
         size_low, size_high = posterior.size(0, LEVEL).interval
         next_low, next_high = posterior.next_specimen(0).interval(LEVEL)
@@ -77,29 +93,30 @@ def record(k: float, share: float, rng: np.random.Generator) -> FloatArray:
 def wear_row(share: float, count: int, trials: int, rng: np.random.Generator) -> str:
     """Return the row of records whose wear is random by a share of its depth."""
     depth = DEPTH * np.arange(1, READINGS + 1) / READINGS
-    shares = axis(Size(None, 0.1), 60)
-    kernel = np.minimum.outer(depth, depth) / SENSOR**2
+    noise = np.full(READINGS, SENSOR)
+    series = Series("record", "penetration", depth, depth, noise)
+    # a reading answers to what is worn too much by as much
+    clock = TestClocks([series], noise, np.ones(READINGS), np.ones((READINGS, 1)), depth[:, None])
     hits, widths = np.zeros(3), []
     slope = depth - depth.mean()
     common = TWO_SIDED * SENSOR / np.sqrt(count * slope @ slope)
     for _ in range(trials):
         readings = [record(1.0, share, rng) for _ in range(count)]
-        reduced = [
-            reduce_test(
-                LinearisedTest(
-                    y / SENSOR, depth[:, None] / SENSOR, np.ones((READINGS, 1)) / SENSOR,
-                    np.zeros((0, 1)), np.zeros(0), 0.0, kernel,
-                ),
-                shares.points**2 * DEPTH,
+        tests = [
+            LinearisedTest(
+                y / SENSOR, depth[:, None] / SENSOR, np.ones((READINGS, 1)) / SENSOR,
+                np.zeros((0, 1)), np.zeros(0), 0.0, clock.kernels,
             )
             for y in readings
         ]  # fmt: skip
-        models = [
-            MixedModel(tests, [], np.zeros(1), np.zeros(1)) for tests in zip(*reduced, strict=True)
-        ]
-        posterior = integrate(models, shares.weights, [])
+
+        def models_at(shares: FloatArray) -> list[MixedModel]:
+            reduced = [reduce_test(test, shares**2 * DEPTH) for test in tests]  # noqa: B023
+            return [MixedModel(r, [], np.zeros(1), np.zeros(1)) for r in zip(*reduced, strict=True)]
+
+        posterior = integrate(models_at, [], [Size(None, 0.1)])
         low, high = posterior.material(0).interval(LEVEL)
-        size_low, size_high = _central(shares.points, posterior.weights)
+        size_low, size_high = posterior.share(0, LEVEL).interval
         best = np.mean([slope @ y for y in readings]) / (slope @ slope)
         widths.append(0.5 * (high - low))
         hits += [abs(best - 1.0) < common, low < 1.0 < high, size_low <= share <= size_high]
@@ -110,11 +127,61 @@ def wear_row(share: float, count: int, trials: int, rng: np.random.Generator) ->
     )
 
 
-def _central(points: FloatArray, weights: FloatArray) -> tuple[float, float]:
-    """Return the central interval of a number on a grid."""
-    centred = np.cumsum(weights) - 0.5 * weights
-    low, high = np.interp([0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL], centred, points)
-    return float(low), float(high)
+def predict_row(tau: float, count: int, trials: int, rng: np.random.Generator) -> str:
+    """Return the row of predictions from specimens that scatter by tau (relative)."""
+    logging.disable(logging.WARNING)  # of predictions that extrapolate
+    case = rw.read_case(PAPER, {**TIMED, "wear.lower.p0": P0})
+    elsewhere = case.replace(ELSEWHERE)
+    hits, widths = np.zeros(2), []
+    for _ in range(trials):
+        *values, following = K * np.exp(tau * rng.standard_normal(count + 1))
+        tests = [
+            case.replace({"load.pressure": LOADS[i % 2], "wear.lower.k": float(k)})
+            for i, k in enumerate(values)
+        ]
+        new = elsewhere.replace({"wear.lower.k": float(following)})
+        *results, truth = rw.simulate_all([*tests, new], MPI.COMM_SELF)
+        with tempfile.TemporaryDirectory() as folder:
+            found = rw.fit(_fit_of(results, Path(folder), rng), MPI.COMM_SELF)
+        predicted = rw.predict(found, elsewhere, draws=DRAWS, comm=MPI.COMM_SELF)
+        low, lower, median, upper, high = predicted.quantiles()[:, -1]
+        depth = truth.histories["penetration"][-1]
+        hits += [low < depth < high, lower < depth < upper]
+        widths.append(0.5 * (high - low) / median)
+    wide, half = hits / trials
+    return (
+        f"| {100 * tau:g} % | {count} | {wide:.2f} | {half:.2f} | {100 * np.median(widths):.2g} % |"
+    )
+
+
+def _fit_of(results: list[rw.Result], folder: Path, rng: np.random.Generator) -> dict[str, Any]:
+    """Return the fit of records of tests, written to a folder."""
+    time = np.linspace(3.0, 150.0, 50)
+    experiments = []
+    for i, result in enumerate(results):
+        depth = np.interp(time, result.histories["time"], result.histories["penetration"])
+        read = 1e3 * depth + SENSOR * rng.standard_normal(len(time)) + rng.normal(0.0, 1.0)
+        file = folder / f"{i}.csv"
+        np.savetxt(file, np.column_stack([time, read]), "%.6g", ",", header="t_s,z_um", comments="")
+        data = {
+            "quantity": "penetration",
+            "file": str(file),
+            "sd": SENSOR,
+            "nuisance": {"offset": {}},
+            "columns": {"time": "t_s", "value": "z_um"},
+        }
+        experiments.append({"name": f"{i}", "set": {"load.pressure": LOADS[i % 2]}, "data": [data]})
+    parameters = {
+        "wear.lower.k": {"start": K, "bounds": [1e-9, 1e-5], "scale": "log", "scatter": "fit"},
+        "wear.lower.p0": {"start": P0, "bounds": [0.0, 200.0]},
+    }
+    case = folder / "case.toml"
+    case.write_text(rw.read_case(PAPER, TIMED).text)
+    return {
+        "case": str(case),
+        "fit": {"parameters": parameters, "starts": 1},
+        "experiment": experiments,
+    }
 
 
 TABLES: dict[str, tuple[str, tuple[float, ...], tuple[int, ...], Callable[..., str], int]] = {
@@ -126,6 +193,11 @@ TABLES: dict[str, tuple[str, tuple[float, ...], tuple[int, ...], Callable[..., s
     "wear": (
         "| share at the end | records | one sensor's noise | k | share |\n|---|---|---|---|---|",
         SHARES, RECORDS, wear_row, 400,
+    ),
+    "predict": (
+        "| scatter | specimens | in the band of 95 % | of 50 % | half width of 95 % |\n"
+        "|---|---|---|---|---|",
+        (0.12,), (5, 10), predict_row, 200,
     ),
 }  # fmt: skip
 

@@ -13,6 +13,8 @@ from paths import PAPER
 from waiting import Waiting
 
 from ringwear_par import cli
+from ringwear_par.commands import COMMANDS
+from ringwear_par.results.execution import stopping
 from ringwear_par.results.storage.result_files import read_status
 
 pytestmark = pytest.mark.serial
@@ -27,8 +29,11 @@ def test_run_plot_and_status_0(tmp_path, ranks):
     done = ringwear("run", PAPER, "-o", "a.h5", "--plot", "a.png", "--set", *SMALL,
                     ranks=ranks, cwd=tmp_path)  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("contact conditions (KKT)") == 1
-    assert "our reading" in done.stdout
+    labels = ["penetration", "worn", "wear", "pressure", "torque", "checks", "written", "next"]
+    assert [line.split()[0] for line in done.stdout.splitlines()] == labels
+    assert "checks       ok (balances to " in done.stdout
+    assert "next         ringwear report a.h5 -o a.html" in done.stdout
+    assert "\x1b" not in done.stdout
     assert {p.name for p in tmp_path.iterdir()} == {"a.h5", "a.png"}
     assert ringwear("plot", "a.h5", "-o", "b.pdf", ranks=ranks, cwd=tmp_path).returncode == 0
 
@@ -121,11 +126,24 @@ def test_info_schema_help_and_version():
     assert "ranks: 2" in info.stdout
     assert "lower.young" in ringwear("info", "--schema").stdout
     assert ringwear("--version", ranks=2).stdout.count("ringwear") == 1
-    for words in ((), ("--help",), ("run", "--help")):
-        printed = ringwear(*words)
-        assert printed.returncode == 0
-        assert "1 the computation failed or was stopped" in printed.stdout
-        assert ("compute every case of a study" in printed.stdout) == (words != ("run", "--help"))
+    printed = ringwear("--help")
+    assert printed.returncode == 0
+    assert "1 the computation failed or was stopped" in printed.stdout
+    assert "compute every case of a study" in printed.stdout
+    assert "example:\n  ringwear run case.toml -o run.h5\n" in ringwear("run", "--help").stdout
+    assert all(
+        command.example.startswith(("ringwear ", "mpirun ")) for command in COMMANDS.values()
+    )
+
+
+def test_what_one_can_do_is_a_line_each():
+    alone = ringwear()
+    assert alone.returncode == 0
+    tasks = [line.split()[0] for line in alone.stdout.splitlines() if line.startswith("  ")]
+    assert tasks == ["simulate", "sweep", "fit", "plan", "measure"]
+    wrong = ringwear("rnu")
+    assert wrong.returncode == 2
+    assert "rnu: unknown command (did you mean run?); must be one of run, " in sentences(wrong)[0]
 
 
 def test_petsc_options_reach_the_solvers(tmp_path):
@@ -191,7 +209,7 @@ def test_mpi_starts_alone_and_leaves_no_settings(monkeypatch):
     """A program that this one starts may be a launcher of many ranks; one's own settings stay."""
     isolated, transport = "OMPI_MCA_ess_singleton_isolated", "OMPI_MCA_btl"
     monkeypatch.setenv(transport, "self,vader")
-    for name in cli._LAUNCHED:
+    for name in stopping._LAUNCHED:
         monkeypatch.delenv(name, raising=False)
     before = dict(os.environ)
     with cli._without_other_processes():

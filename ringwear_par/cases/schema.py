@@ -295,6 +295,14 @@ def key_of(name: str) -> Key | None:
     return BY_PATH.get(name) if entry is None else _LAYER_ENTRIES.get(entry[2])
 
 
+def base_unit(name: str) -> str | None:
+    """Return the unit to which numbers of a key are converted, see ``units.factor``.
+
+    None of a parameter of a user's law, whose unit is not declared.
+    """
+    return None if BY_PATH.get(name) is None and ".parameters." in name else unit_of(name)
+
+
 def unit_of(name: str) -> str:
     """Return the unit of a key, or of an entry of one, as studies name them; "" for none."""
     if layer_entry(name) is not None:

@@ -68,6 +68,10 @@ class Key:
                 return {axis: _pairs(profile, "mm", unit) for axis, profile in value.items()}
             case "schedule" | "quantity" if isinstance(value, list):
                 return _pairs(value, "s", unit)
+            case "parameters" if entry is not None:
+                return _in_case_units(value)
+            case "parameters" if isinstance(value, Mapping):  # of a user's law
+                return {name: _in_case_units(entry) for name, entry in value.items()}
             case "whole" | "counts" | "choice" | "names" | "text" | "parameters" | "layers":
                 return value
         if entry is not None or (self.kind == "times" and isinstance(value, str)):
@@ -92,7 +96,14 @@ def _shape(name: str, size: Any) -> Any:
     return in_unit(size, SHAPE_UNITS.get(name, ""))
 
 
-def _pairs(value: Any, first: str, second: str) -> Any:
+def _in_case_units(value: Any) -> Any:
+    """Return a number, table in time or profile whose unit is not declared, see ``in_unit``."""
+    if isinstance(value, Mapping):
+        return {axis: _pairs(profile, "mm", None) for axis, profile in value.items()}
+    return _pairs(value, "s", None) if isinstance(value, list) else in_unit(value, None)
+
+
+def _pairs(value: Any, first: str, second: str | None) -> Any:
     if not isinstance(value, list):
         return value
     return [

@@ -24,6 +24,8 @@ _WITH_UNIT = re.compile(rf"\s*({_NUMBER})\s*((?:[^\W\d_]|[%°µμ(]|1\s*/).*)", 
 _MICROMETRES = re.compile(r"(?<![^\W\d_])[uµμ]m(?![^\W\d_])")
 _POWERS = re.compile(r"(?<=[^\W\d_])\^?([23])(?![\w.])")
 _RAISED = {"2": "\N{SUPERSCRIPT TWO}", "3": "\N{SUPERSCRIPT THREE}"}
+#: units of mass that are typed for forces
+_FORCES = {"kg": "kgf", "lb": "lbf", "lbs": "lbf", "g": "gf", "t": "tf", "oz": "ozf"}
 #: a unit in a text, behind its number, with what it is divided by
 _AMID = re.compile(r"(?<=\d )(?:[uµμ]m|mm\^?[23])(?:/\(?[^\W\d_]+)?(?![\w^]|\.\w)")
 
@@ -36,8 +38,13 @@ def _registry() -> Any:
 
 
 @cache
-def factor(unit: str, base: str) -> float:
+def factor(unit: str, base: str | None) -> float:
     """Return how much a unit is in another.
+
+    Parameters
+    ----------
+    base : None: the unit of a case for whatever it is, of mm, N, s and rad, and g where no time is
+        in it, as in densities.
 
     Raises
     ------
@@ -49,12 +56,25 @@ def factor(unit: str, base: str) -> float:
         raise RejectedError
     registry = _registry()
     try:
+        if base is None:
+            return _in_case_units(registry.Quantity(1.0, registry.Unit(text)))
         one, other = (registry.Quantity(1.0, registry.Unit(name)) for name in (text, base))
         if one.to_root_units().units != other.to_root_units().units:
             raise RejectedError
         return float(one.to(other.units).magnitude)
     except Exception as error:  # a syntax, a name, a dimension: pint has an exception for each
         raise RejectedError from error
+
+
+def _in_case_units(quantity: Any) -> float:
+    """Return a quantity of pint's in the unit that a case has for it."""
+    if type(quantity)(0.0, quantity.units).to_base_units().magnitude:
+        raise RejectedError  # degrees that count from elsewhere
+    powers = quantity.dimensionality
+    length, mass, time = (powers.get(f"[{name}]", 0) for name in ("length", "mass", "time"))
+    # N is kg m/s2: with lengths in mm and times in s it goes with masses of 1000 kg
+    of_mass = -3.0 if time else 3.0
+    return float(quantity.to_base_units().magnitude * 10.0 ** (3.0 * length + of_mass * mass))
 
 
 def _as_pint_has_it(unit: str) -> str:
@@ -177,8 +197,8 @@ def number_and_unit(value: str) -> tuple[float, str]:
     return float(match[1]), match[2].strip()
 
 
-def number_in(value: str, base: str) -> float:
-    """Return a number with its unit in another one.
+def number_in(value: str, base: str | None) -> float:
+    """Return a number with its unit in another one, see ``factor``.
 
     Raises
     ------
@@ -188,12 +208,25 @@ def number_in(value: str, base: str) -> float:
     try:
         return float(f"{number * factor(unit, base):.15g}")  # "0.1 mm" is 0.1
     except RejectedError as error:
-        hint = "; turns are rpm or turn/s" if base == "rad/s" else ""
-        raise RejectedError(f"{legible(unit)} is no unit of {base}{hint}") from error
+        raise RejectedError(f"{legible(unit)} is no unit{_instead(unit, base)}") from error
 
 
-def in_unit(value: Any, unit: str) -> Any:
+def _instead(unit: str, base: str | None) -> str:
+    """Return the rule for a unit that is wrong, and the unit that is likely meant."""
+    if base is None:
+        return " that is known"
+    hint = "; turns are rpm or turn/s" if base == "rad/s" else ""
+    if base == "N" and unit in _FORCES:
+        hint = f", but of a mass: did you mean {_FORCES[unit]}?"
+    return f" of {base}{hint}"
+
+
+def in_unit(value: Any, unit: str | None) -> Any:
     """Return a raw value, or lists and tables of some, with numbers in a unit that had their own.
+
+    Parameters
+    ----------
+    unit : see ``factor``; none is converted where it is "", "-" or "1".
 
     Raises
     ------

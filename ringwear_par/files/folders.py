@@ -17,11 +17,14 @@ SPECIMENS = "specimens.png"
 DESIGN, NEXT, MAP = "design.json", "next.toml", "design.png"
 #: of measured tests: their numbers, which are written the last, a row a test, the records
 MEASURE, MEASURED_ROWS, RECORDS = "measure.json", "measure.csv", "measure.png"
+#: of a prediction: its numbers, which are written the last, all draws and the band over time
+PREDICTION, DRAWS, BAND = "prediction.json", "prediction.h5", "prediction.png"
 
 
 #: by what commands leave in their folders; a fit and the design after it may share one
 _COMMANDS = {
     FIT: "fit", DESIGN: "fit", "cases.csv": "sweep", "shards": "sweep", MEASURE: "measure",
+    PREDICTION: "predict",
 }  # fmt: skip
 
 
@@ -30,7 +33,7 @@ def refuse_others(folder: Path, command: str) -> None:
 
     Parameters
     ----------
-    command : "fit" (or of a design), "sweep" or "measure".
+    command : "fit" (or of a design), "sweep", "measure" or "predict".
 
     Raises
     ------
@@ -134,6 +137,7 @@ def refuse_drawn(folder: Path) -> None:
         (FIT, "fit", f"pictures {CURVES} and {ESTIMATES} are"),
         (DESIGN, "design", f"picture {MAP} is"),
         (MEASURE, "measurement", f"picture {RECORDS} is"),
+        (PREDICTION, "prediction", f"picture {BAND} is"),
     ):
         if (folder / outcome).exists():
             raise InputError(

@@ -52,7 +52,7 @@ class Ensemble:
 
     Parameters
     ----------
-    cases, comm, pair, start, observers, derivatives, step_times : see ``loop.simulate``.
+    cases, comm, pair, start, observers, derivatives, step_times, paces : see ``loop.simulate``.
     method : of all cases.
     failures : why, of the histories that failed, by number.
     stopped : whether an observer stopped all.
@@ -65,6 +65,7 @@ class Ensemble:
     observers: Sequence[Observer]
     derivatives: tuple[str, ...]
     step_times: Sequence[Sequence[float]] | None
+    paces: Sequence[FloatArray] | None
     method: Method
     failures: dict[int, Exception] = field(default_factory=dict)
     stopped: bool = False
@@ -75,6 +76,13 @@ class Ensemble:
         if self.step_times is None:
             return self.method.control.of(cases, None)
         return FixedSteps.of(cases, [self.step_times[i] for i in numbers.tolist()])
+
+    def pace(self, numbers: IntArray, steps: IntArray) -> FloatArray | None:
+        """Return factors (2, B) on the rates of histories that have made so many steps."""
+        if self.paces is None:
+            return None
+        present = zip(numbers.tolist(), steps.tolist(), strict=True)
+        return np.stack([self.paces[i][:, step] for i, step in present], axis=1)
 
     def pairs(self, numbers: IntArray) -> ContactPair | Sequence[ContactPair] | None:
         """Return the contact pair of some histories, or one of each; None: none is assembled."""
@@ -250,6 +258,11 @@ class Batch:
             before = self._present = replace(
                 before, physics=physics, contacts=contacts, state=state
             )
+        pace = ensemble.pace(self.numbers, before.progress.steps)
+        if pace is not None:
+            physics, state = before.physics.at_pace(pace), before.state
+            rates = physics.rates_at(state.time, state.wear, state.contact.pressure)
+            before = replace(before, physics=physics, state=replace(state, rates=rates))
         control, physics, contacts = before.control, before.physics, before.contacts
         self._warm = contacts.warm
         end, progress = as_on_first_rank(

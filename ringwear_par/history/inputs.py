@@ -30,6 +30,7 @@ class HistoryInputs:
     per_energy : worn volume of lower and upper per dissipated energy, (B,) 1/MPa, 0 where it is not
         fixed; None where it is for none. Of bodies with layers those of all of them and of the body
         itself, (layers + 1, B).
+    pace : (2, B) factors on the rates of wear of lower and upper in the present step; None: 1.
     """
 
     cases: tuple[Case, ...]
@@ -41,6 +42,7 @@ class HistoryInputs:
     displacement: Quantity | None
     laws: tuple[Law | None, ...]
     per_energy: tuple[FloatArray | None, ...]
+    pace: FloatArray | None = None
 
     @classmethod
     def of(cls, cases: Sequence[Case]) -> Self:
@@ -80,6 +82,7 @@ class HistoryInputs:
             displacement=take(self.displacement, histories),
             laws=tuple(None if law is None else law.take(histories) for law in self.laws),
             per_energy=tuple(None if r is None else r[..., histories] for r in self.per_energy),
+            pace=None if self.pace is None else self.pace[:, histories],
         )
 
     def with_laws(self, change: Callable[[int, LayeredLaw], LayeredLaw]) -> Self:

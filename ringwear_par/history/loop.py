@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from mpi4py import MPI
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.batch import Batch, Ensemble, Method
@@ -54,6 +55,7 @@ def simulate(
     most: int | None = None,
     derivatives: Sequence[str] = (),
     step_times: Sequence[Sequence[float]] | None = None,
+    paces: Sequence[FloatArray] | None = None,
 ) -> Outcome:
     """Step wear histories from their starts to their ends, or until an observer says stop.
 
@@ -71,6 +73,8 @@ def simulate(
     derivatives : keys that states have derivatives with respect to; not of one that continues.
     step_times : s, ends of the steps of each history, its last one that of its case; None: each
         steps as its case says.
+    paces : (2, steps) each, with ``step_times``, factors on the rates of wear of lower and upper
+        in each of these steps: wear that is random; None: 1. Not with derivatives.
 
     Raises
     ------
@@ -82,7 +86,7 @@ def simulate(
     for times, case in () if step_times is None else zip(step_times, cases, strict=True):
         step_times_of(times, case)
     ensemble = Ensemble(
-        cases, comm, pair, start, observers, tuple(derivatives), step_times,
+        cases, comm, pair, start, observers, tuple(derivatives), step_times, paces,
         METHODS[cases[0].time.scheme],
     )  # fmt: skip
     batches: list[Batch] = []

@@ -212,8 +212,9 @@ class Physics:
         lower = self.local_state(time, omega, wear[0])
         upper = self.local_state(time, omega, wear[1]) if self.inputs.laws[1] is not None else lower
         return WearIncrement(
-            self.inputs.laws, (lower, upper), step, self.averages, self.obliquity, closing
-        )
+            self.inputs.laws, (lower, upper), step, self.averages, self.obliquity, closing,
+            self.inputs.pace,
+        )  # fmt: skip
 
     def rates(
         self, time: FloatArray, omega: FloatArray, wear: FloatArray, p: FloatArray
@@ -226,6 +227,8 @@ class Physics:
                 rate[:] = averaged_rate(law, self.local_state(time, omega, worn), average, p)
         if self.obliquity is not None:
             rates *= self.obliquity
+        if self.inputs.pace is not None:
+            rates *= self.inputs.pace[..., None]
         return rates
 
     def rates_at(self, time: FloatArray, wear: FloatArray, p: FloatArray) -> FloatArray:
@@ -317,6 +320,11 @@ class Physics:
         return np.stack(volumes, axis=-1)
 
     # -- some of the histories ---------------------------------------------------------------------
+
+    def at_pace(self, pace: FloatArray) -> Self:
+        """Return the physics of a step in which rates are multiplied, by (2, B)."""
+        inputs = replace(self.inputs, pace=pace, per_energy=(None, None))
+        return replace(self, inputs=inputs)
 
     def take(self, histories: IntArray) -> Self:
         """Return the physics of some of the histories."""

@@ -111,8 +111,8 @@ def _fit_law(
     def lead() -> tuple[Any, ...]:
         solution = expected_solution(misfit) if expected else solve(misfit, rounds, law, stored)
         material = None
-        if problem.scatters:
-            rounds.tell("specimens")
+        if problem.mixed:
+            rounds.tell("specimens" if problem.scatters else "random wear")
             sizes = expected_sizes(problem) if expected else None
             material = estimate_material(misfit, solution.x, sizes)
             solution = replace(

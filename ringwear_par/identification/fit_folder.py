@@ -30,10 +30,11 @@ from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.files.writing import announce_replacement
 from ringwear_par.identification.definition.fit_file import read_complete, read_fit
 from ringwear_par.identification.definition.fitted_parameters import units_of
-from ringwear_par.identification.definition.problem import BASE, Problem
+from ringwear_par.identification.definition.problem import BASE, Problem, body_of_wear
 from ringwear_par.identification.estimation.starts import PROGRESS, StoredStarts
 from ringwear_par.identification.fit import expected_result, fit_problem
 from ringwear_par.identification.fit_result import FitResult
+from ringwear_par.identification.fitted_values import fitted_values, write_values
 from ringwear_par.identification.model.rounds import StoppedError
 from ringwear_par.identification.summary import prediction
 from ringwear_par.options import reject_unused_options
@@ -151,7 +152,7 @@ def save(fit: FitResult, folder: Path) -> None:
         with atomic_hdf5(folder / READINGS) as (file, _):
             _write(file, fit)
         figures = {CURVES: fit.plot, ESTIMATES: fit.plot_parameters, SPECIMENS: fit.plot_specimens}
-        if fit.material is None:
+        if not fit.misfit.problem.scatters:
             del figures[SPECIMENS]
             (folder / SPECIMENS).unlink(missing_ok=True)
         pictures = {
@@ -167,6 +168,7 @@ def _write(file: h5py.File, fit: FitResult) -> None:
     file.attrs.update(
         {"software": SOFTWARE, "fit": misfit.problem.text, "keys": keys, **fit.versions}
     )
+    write_values(file, fitted_values(fit))
     if fit.posterior is not None:
         group = file.create_group("posterior")
         samples = fit.posterior.samples
@@ -198,8 +200,20 @@ def _write(file: h5py.File, fit: FitResult) -> None:
             put("time", series.x, "s", "time")
         put("data", series.value, base, "what was read")
         put("sd", sd[part], base, "noise of the data")
-        put("model", fit.evaluation.model[part], base, "the model's reading, with nuisances")
+        put(
+            "model",
+            fit.evaluation.model[part],
+            base,
+            "the model's reading, with nuisances and random wear",
+        )
         put("band", band[part], base, "sd of the model's reading")
+        if fit.material is not None:
+            for body, key in enumerate(fit.material.process):
+                name = f"excess_{body_of_wear(key)}"
+                excess, excess_sd = fit.material.excess[part], fit.material.excess_sd[part]
+                meaning = "mean depth worn beyond what the law says, as the readings tell it"
+                put(name, excess[:, body], "mm", meaning)
+                put(f"{name}_sd", excess_sd[:, body], "mm", f"sd of {name}")
         put("residual", -fit.evaluation.noise[part], "1", "data less model over its noise, white")
         put(
             "sensitivity", fit.evaluation.sensitivity[part], f"{base}/{PARAMETER_UNIT.name}",

@@ -12,6 +12,8 @@ from scipy.stats import chi2
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.identification.definition.fitted_parameters import units_of
+from ringwear_par.identification.definition.user_units import in_users_unit, specific_wear_rate
+from ringwear_par.identification.estimation.conditions import conditional_verdicts
 from ringwear_par.identification.estimation.intervals import (
     ParameterEstimate,
     information,
@@ -76,8 +78,9 @@ class FitResult(Outcome, Solution):
 
     @property
     def chi2(self) -> float:
-        """Sum of the squares of the readings' residuals over their noise."""
-        return float(self.evaluation.noise @ self.evaluation.noise)
+        """Sum of the squares of the readings' residuals over their noise, but for mere limits."""
+        noise = self.evaluation.noise[self.misfit.censored == 0]
+        return float(noise @ noise)
 
     @property
     def noise_fitted(self) -> bool:
@@ -97,7 +100,8 @@ class FitResult(Outcome, Solution):
 
         Values of specimens count by how much their readings, not the others', determine them.
         """
-        freedom = self.n + len(self.misfit.priors) - self.n_fitted
+        values = self.n - np.count_nonzero(self.misfit.censored)
+        freedom = values + len(self.misfit.priors) - self.n_fitted
         if self.material is None:
             return freedom
         m = len(self.parameters)
@@ -133,6 +137,11 @@ class FitResult(Outcome, Solution):
         rows = np.ones(len(self.evaluation.residuals), dtype=bool)
         for _, series, part in misfit.records:
             rows[part] = not series.sd_fitted
+        rows[: self.n] &= misfit.censored == 0
+        if misfit.problem.settings.process and self.material is not None:
+            readings = rows[: self.n]
+            free = (1.0 - self.material.leverage)[readings].sum() + len(misfit.priors)
+            return float((self.evaluation.residuals[rows] ** 2).sum()), float(free)
         size = np.linalg.norm(self.evaluation.jacobian, axis=0)
         columns = self.evaluation.jacobian / np.where(size > 0.0, size, 1.0)
         basis, values, _ = np.linalg.svd(columns, full_matrices=False)
@@ -227,15 +236,31 @@ class FitResult(Outcome, Solution):
     def doubts(self) -> tuple[ValidityWarning, ...]:
         """What records say against the model or the intervals; ``warnings`` has their texts."""
         misfit, x, evaluation = self.misfit, self.x, self.evaluation
+        sizes = None
         if self.material is None:
             test_unknowns = np.tile(x[: len(self.parameters)], (len(misfit.problem.experiments), 1))
         else:
             test_unknowns = self.material.test_unknowns
+            if misfit.problem.settings.process:
+                evaluation = misfit.evaluate(x, test_unknowns)
+                sizes = self.material.sizes_of_process
         return (
-            *record_warnings(misfit, x, evaluation),
-            *disagreements(misfit, x, evaluation, test_unknowns),
+            *record_warnings(misfit, x, self.evaluation),
+            *disagreements(misfit, x, evaluation, test_unknowns, sizes),
             *(() if self.material is None else self.material.warnings),
+            *self._conditions,
         )
+
+    @cached_property
+    def _conditions(self) -> tuple[ValidityWarning, ...]:
+        """Warnings about keys that are identified only while others are at their bounds."""
+        m = len(self.parameters)
+        if self.material is None:  # linear intervals are those with all keys free
+            covariance, narrowed = self.covariance[:m, :m], [*self.profiles]
+        else:
+            covariance = self.material.unbounded.covariance
+            narrowed = [one.key for one in self.parameters]
+        return tuple(conditional_verdicts(self.parameters, covariance, narrowed))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -260,6 +285,7 @@ class FitResult(Outcome, Solution):
             "aic": self.aic,
             "bic": self.bic,
             "specimens": len({e.groups[0] for e in problem.experiments}),
+            "process": {} if self.material is None else self.material.process,
             "experiments": self.experiments,
             "nuisance": self.nuisances,
             "histories": self.histories,
@@ -302,6 +328,8 @@ class FitResult(Outcome, Solution):
         if self.material is not None:
             for j, entry in enumerate(entries.values()):
                 entry.update(self.material.entry(j))
+        for key, bound in (warning.keys for warning in self._conditions):
+            entries[key].setdefault("conditional_on", []).append(bound)
         if self.posterior is not None:
             samples = self.posterior.samples
             ends = self.posterior.interval(problem.settings.level)
@@ -312,7 +340,19 @@ class FitResult(Outcome, Solution):
                     "interval": ends[:, j].tolist(),
                     "effective_samples": self.posterior.effective,
                 }
+        self._add_users_units(entries)
         return entries
+
+    def _add_users_units(self, entries: dict[str, Any]) -> None:
+        problem = self.misfit.problem
+        covariance = self.natural_covariance.tolist()
+        for parameter in problem.parameters:
+            entry = entries[parameter.key]
+            if (numbers := in_users_unit(parameter, entry)) is not None:
+                entry["told"] = numbers
+            rate = specific_wear_rate(problem, parameter.key, entries, covariance)
+            if rate is not None:
+                entry["specific_wear_rate"] = rate
 
     @property
     def experiments(self) -> dict[str, dict[str, Any]]:
@@ -320,8 +360,10 @@ class FitResult(Outcome, Solution):
         experiments: dict[str, dict[str, Any]] = {}
         scales = self.misfit.noise_scale.tolist()
         for (experiment, series, part), scale in zip(self.misfit.records, scales, strict=True):
-            noise = self.evaluation.noise[part]
+            noise = self.evaluation.noise[part][self.misfit.censored[part] == 0]
             entry = {"chi2": float(noise @ noise), "n": series.n, "unit": series.unit}
+            if len(noise) < series.n:
+                entry["censored"] = series.n - len(noise)
             if series.sd_fitted:
                 entry["sd"] = scale * float(series.sd[0]) / series.factor
             experiments.setdefault(experiment.name, {})[series.name] = entry

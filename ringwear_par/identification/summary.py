@@ -3,7 +3,7 @@
 Functions of an ``outcome`` take the contents of fit.json (``FitResult.to_dict``).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from ringwear_par.errors import warning_lines
 from ringwear_par.identification.definition.scatter import PLURALS
+from ringwear_par.identification.definition.user_units import CUSTOMARY
 
 if TYPE_CHECKING:
     from ringwear_par.identification.estimation.posterior import Posterior
@@ -65,9 +66,9 @@ def unit_suffix(unit: str) -> str:
 
 
 def value_text(estimate: Mapping[str, Any]) -> str:
-    """Return an estimate with its standard deviation, where it is identified, and its unit."""
+    """Return an estimate with its unit, and with its standard uncertainty where it has one."""
     sd = estimate["sd"] if estimate["verdict"] == "identified" else None
-    return f"{_with_sd(estimate['estimate'], sd, 5)}{unit_suffix(estimate['unit'])}"
+    return _with_sd(estimate["estimate"], sd, 5, unit_suffix(estimate["unit"]))
 
 
 def goodness(outcome: Outcome) -> str:
@@ -96,8 +97,9 @@ def series_rows(outcome: Outcome) -> Iterator[SeriesRow]:
             nuisances = ", ".join(
                 f"{kind} not identified"
                 if nuisance["sd"] is None
-                else f"{kind} {_with_sd(nuisance['estimate'], nuisance['sd'], 3)} {unit}"
-                f"{_PER.get(kind, '')}"
+                else kind
+                + " "
+                + _with_sd(nuisance["estimate"], nuisance["sd"], 3, f" {unit}{_PER.get(kind, '')}")
                 for kind, nuisance in fitted.get(name, {}).items()
             )
             yield SeriesRow(
@@ -125,8 +127,8 @@ def law_rows(outcome: Outcome) -> list[LawRow]:
     return rows
 
 
-def _with_sd(value: float, sd: float | None, digits: int) -> str:
-    return f"{value:.{digits}g}" + ("" if sd is None else f" +- {sd:.2g}")
+def _with_sd(value: float, sd: float | None, digits: int, unit: str) -> str:
+    return f"{value:.{digits}g}{unit}" + ("" if sd is None else f" (u = {sd:.2g})")
 
 
 def warnings(fit: "FitResult") -> tuple[str, ...]:
@@ -136,6 +138,8 @@ def warnings(fit: "FitResult") -> tuple[str, ...]:
         if one.verdict == "not identified":
             bound = "; the estimate is at its bound" if one.key in fit.keys_at_bound else ""
             sentences.append(f"{one.key} is not identified: {one.direction}{bound}")
+        elif one.verdict == "at bound" and one.key not in fit.keys_at_bound:
+            sentences.append(f"the readings give {one.key} only a limit on one side")
         elif one.verdict == "at bound":
             sentences.append(
                 f"{one.key} = {one.estimate:g} is at its bound; its interval has one limit only"
@@ -229,8 +233,9 @@ def summary(fit: "FitResult") -> str:
         f"{counted(len(fit.parameters), 'parameter')}, {fit.histories} histories"
         + (f" ({fit.histories_of_profiles} for profiles)" if fit.profiles else ""),
         *_parameter_lines(outcome),
+        *(f"  {line}" for line in process_lines(outcome)),
     ]
-    if fit.material is None:
+    if not problem.scatters:
         lines.append(f"  intervals {of_specimens(outcome)}")
     if fit.posterior is not None:
         lines += _posterior_lines(fit, fit.posterior, outcome)
@@ -274,7 +279,9 @@ def prediction(fit: "FitResult") -> str:
         "their start values (nothing written):"
     ]
     lines += warning_lines(_assumptions(fit))
-    lines += _parameter_lines(fit.to_dict())
+    outcome = fit.to_dict()
+    lines += _parameter_lines(outcome)
+    lines += [f"  {line}" for line in process_lines(outcome)]
     for one in fit.parameters:
         if one.direction:
             lines.append(f"  {one.key} would not be identified: {one.direction}")
@@ -296,20 +303,48 @@ def _parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
     level, parameters = outcome["level"], outcome["parameters"]
     width, lines = max(map(len, parameters)), []
     for key, estimate in parameters.items():
-        text, (low, high) = value_text(estimate), estimate["interval"]
+        text = f"{estimate['estimate']:.5g}{unit_suffix(estimate['unit'])}"
         if estimate["of"] == "material":
             text += " of the material"
-        if low is not None and high is not None:
-            limits = f"from {low:.5g} to {high:.5g}"
-        elif low is None and high is None:
-            limits = "no limit within its bounds"
-        else:
-            limits = f"less than {high:.5g}" if high is not None else f"more than {low:.5g}"
         by = ", likelihood profile" * (estimate["interval_of"] == "likelihood profile")
         if estimate["verdict"] != "not identified":
-            text += f"  {limits} ({100 * level:g} %{by})"
+            text += f"  {_limits(estimate['interval'])} ({100 * level:g} %{by})"
         lines.append(f"  {key.ljust(width)}  {text}  {estimate['verdict']}")
+        lines += [f"  {' ' * width}  {line}" for line in unit_lines(estimate)]
         lines += [f"    {line}" for line in scatter_lines(estimate, level)]
+    return lines
+
+
+def _limits(interval: Sequence[float | None]) -> str:
+    """Return an interval in words."""
+    low, high = interval
+    if low is not None and high is not None:
+        return f"from {low:.5g} to {high:.5g}"
+    if low is None and high is None:
+        return "no limit within its bounds"
+    return f"less than {high:.5g}" if high is not None else f"more than {low:.5g}"
+
+
+def unit_lines(estimate: Mapping[str, Any]) -> list[str]:
+    """Return a key in the unit that the user writes, and as a specific wear rate; none without.
+
+    Parameters
+    ----------
+    estimate : as in fit.json.
+    """
+    lines, identified = [], estimate["verdict"] != "not identified"
+    if (converted := estimate.get("told")) is not None:
+        lines.append(f"= {converted['estimate']:.5g} {converted['unit']}")
+        if identified:
+            lines[-1] += f"  {_limits(converted['interval'])}"
+        if converted["next"] is not None:
+            lines[-1] += f"; the next specimen: {_limits(converted['next'])}"
+    if identified and (rate := estimate.get("specific_wear_rate")) is not None:
+        product = f"k mu at mu = {rate['mu']:.4g}" if "mu" in rate else "k"
+        lines.append(
+            f"specific wear rate {rate['estimate']:.4g} {rate['unit']}  "
+            f"{_limits(rate['interval'])}; {rate[CUSTOMARY]:.4g} {CUSTOMARY} ({product})"
+        )
     return lines
 
 
@@ -346,7 +381,41 @@ def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
     if limits:
         lines[-1] += f" ({100.0 * level:g} %); {', '.join(limits)}"
     if (needed := estimate.get("specimens_for_10_percent")) is not None:
-        lines.append(f"an interval of +-10 % for the material needs some {needed} specimens")
+        lines.append(f"10 % on either side of the material's value need some {needed} specimens")
+    return lines
+
+
+def process_lines(outcome: Outcome) -> list[str]:
+    """Return a sentence about each body whose wear is itself random, and what follows of it."""
+    lines = []
+    for key, entry in outcome.get("process", {}).items():
+        depth = f"of the {1e3 * entry['depth']:.3g} um that are worn at the end"
+        size, share = entry["size"], entry["share"]
+        if "known" in share:
+            lines.append(
+                f"{key} is random: {100.0 * share['known']:.2g} % {depth}, size "
+                f"{1e6 * size['known']:.3g} nm (taken as known)"
+            )
+            continue
+        text = f"{key} is random: {100.0 * share['estimate']:.2g} % {depth}"
+        if share["interval"] is not None:
+            low, high = share["interval"]
+            text += f" ({100.0 * low:.2g} to {100.0 * high:.2g} %)"
+        text += f", size {1e6 * size['estimate']:.3g} nm"
+        if size["interval"] is not None:
+            low, high = size["interval"]
+            text += f" ({1e6 * low:.3g} to {1e6 * high:.3g} nm)"
+        lines.append(f"{text}  {entry['verdict']}")
+    scatters = [
+        scatter
+        for estimate in outcome["parameters"].values()
+        for scatter in estimate.get("scatter", {}).values()
+    ]
+    if lines and any(scatter.get("verdict") == "at bound" for scatter in scatters):
+        lines.append(
+            "scatter between specimens is not excluded to be none beside it: with 3 specimens or "
+            "more, scatter alone is enough for values of the material"
+        )
     return lines
 
 

@@ -90,7 +90,6 @@ def _panel(
         line = np.full(2, estimate.value)
     name = "last third, not steady" if not part.steady else "steady part"
     shade = COLOURS[1] if not part.steady else COLOURS[2]
-    words = words.replace("+-", "\N{PLUS-MINUS SIGN}")
     return Panel(
         Axis(f"time ({unit})", ends=(0.0, record.end / seconds)), Axis(label, ends=(low, high)),
         f"{test.name}: {words}",

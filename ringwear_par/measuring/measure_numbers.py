@@ -58,20 +58,22 @@ def number_at(entry: Mapping[str, Any], path: tuple[str, ...]) -> float | None:
 
 
 def estimate_text(value: float, u: float, unit: str = "") -> str:
-    """Return a value with its expanded uncertainty, U = 2 u, which has two digits, and its unit."""
+    """Return a value, its unit and its interval of 95 %, value -+ 2 u.
+
+    Two digits of 2 u are shown (JCGM 100, 7.2.6).
+    """
     power = math.floor(math.log10(abs(value))) if value else 0
-    scale = 1.0 if _SMALL < power < _LARGE else 10.0**power
+    power = 0 if _SMALL < power < _LARGE else power
+    scale, exponent = 10.0**power, f"e{power:+03d}" if power else ""
     expanded, suffix = COVERAGE * u / scale, f" {unit}" if unit not in ("", "1") else ""
-    digits = max(_DIGITS - 1 - math.floor(math.log10(expanded)), 0) if expanded > 0.0 else 0
-    if expanded > 0.0 and digits > _MOST_DIGITS:
-        text = f"{value / scale:.{_MOST_DIGITS}g} +- {expanded:.1g}"
-    elif expanded > 0.0:
-        text = f"{value / scale:.{digits}f} +- {expanded:.{digits}f}"
-    else:
-        text = f"{value / scale:.{_ALONE}g}"
-    if scale == 1.0:
-        return f"{text}{suffix}"
-    return f"{f'({text})' if expanded > 0.0 else text}e{power:+03d}{suffix}"
+    if not expanded > 0.0:
+        return f"{value / scale:.{_ALONE}g}{exponent}{suffix}"
+    digits = max(_DIGITS - 1 - math.floor(math.log10(expanded)), 0)
+    digits = min(digits, _MOST_DIGITS)
+    middle, low, high = (
+        f"{value / scale + change:.{digits}f}{exponent}" for change in (0.0, -expanded, expanded)
+    )
+    return f"{middle}{suffix} from {low} to {high} (95 %)"
 
 
 def entry_text(entry: Mapping[str, Any], factor: float = 1.0, unit: str | None = None) -> str:

@@ -16,7 +16,7 @@ _SPECIFIC, _CUSTOMARY = "mm3/(N m)", "in3 min/(ft lbf h)"
 
 
 def summary(result: MeasureResult) -> str:
-    """Return the outcome as the command prints it; +- is 2 u."""
+    """Return the outcome as the command prints it."""
     outcome = result.to_dict()
     tests: Mapping[str, Any] = outcome["tests"]
     lines = [f"specific wear rate {repeats_text(one)}" for one in outcome["repeats"]]
@@ -42,7 +42,7 @@ def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
     )
     steady, whole = steady_text(entry), entry["whole"]
     if specific is not None:
-        yield f"{entry_text(specific)} = {specific[_CUSTOMARY]:.3g} {_CUSTOMARY}, {steady}"
+        yield f"{entry_text(specific)}, {specific[_CUSTOMARY]:.3g} {_CUSTOMARY}; {steady}"
     numbers = []
     if rate is not None:
         numbers.append(f"wear rate {entry_text(rate, 3.6e6, 'um/h')}")

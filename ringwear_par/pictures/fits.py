@@ -125,7 +125,7 @@ def readings(series: Series) -> Panel:
         name = f"{percent} of {name}"
         ends = f"{name}, from", f"{name}, to"
         bands.append(Band(broken(x), low, high, name, ends, colour, opacity, edge))
-    noise = series.sd if len(x) <= _FEW else None
+    noise = series.quantile * series.sd if len(x) <= _FEW else None
     return Panel(
         below, Axis(series.label, reversed=series.profile), series.title,
         curves=[Curve(broken(x), broken(series.model), "model", COLOURS[1])],
@@ -154,10 +154,11 @@ def single_readings(every: Sequence[Series]) -> Panel:
     words = []
     for series in every:
         unit, (sd, band) = in_signs(series.unit), (quantile * series.sd, quantile * series.band)
-        words.append(
-            f"{legible(series.title)}\n{series.data[0]:.4g} \u00b1 {sd[0]:.2g} {unit}, model "
-            f"{series.model[0]:.4g} \u00b1 {band[0]:.2g}"
+        intervals = (
+            f"{value[0]:.4g} {unit} from {(value - reach)[0]:.4g} to {(value + reach)[0]:.4g}"
+            for value, reach in ((series.data, sd), (series.model, band))
         )
+        words.append(f"{legible(series.title)}\n{', model '.join(intervals)} ({level})")
     reach = max(_REACH, 1.1 * float(np.abs(residuals).max()), 1.1 * float(model.max()))
     ends = np.array([-0.6, len(every) - 0.4])
     return Panel(
@@ -170,6 +171,18 @@ def single_readings(every: Sequence[Series]) -> Panel:
         curves=[Curve(np.zeros(2), ends, "model", COLOURS[1])],
         points=[Points(residuals, places, "data", GREY, 6.0)],
     )  # fmt: skip
+
+
+def users_unit(entry: Mapping[str, Any]) -> tuple[str, float]:
+    """Return the unit in which a key is drawn, "" for none, and how much it is in the case's.
+
+    Parameters
+    ----------
+    entry : of the key, as in fit.json.
+    """
+    if (converted := entry.get("told")) is not None:
+        return str(converted["unit"]), float(converted["scale"])
+    return "" if entry["unit"] in ("1", "-") else str(entry["unit"]), 1.0
 
 
 @dataclass(frozen=True)
@@ -216,18 +229,19 @@ class FittedKey:
     def power(self) -> int:
         """The power of ten that numbers beside its axis leave out."""
         largest = max(map(abs, self.ends or (float(self.entry["estimate"]),)))
+        largest /= users_unit(self.entry)[1]
         power = math.floor(math.log10(largest)) if largest else 0
         return 0 if -3 <= power < 4 else power
 
     def scaled(self, values: Any) -> FloatArray:
-        """Return values without that power of ten."""
-        return np.asarray(values, dtype=float) / 10.0**self.power
+        """Return values in the unit of the axis, without that power of ten."""
+        return np.asarray(values, dtype=float) / (users_unit(self.entry)[1] * 10.0**self.power)
 
     @property
     def axis(self) -> Axis:
         """The axis of its values."""
         power = f"10{str(self.power).translate(_DIGITS)}" if self.power else ""
-        unit = "" if self.entry["unit"] in ("1", "-") else in_signs(self.entry["unit"])
+        unit = in_signs(users_unit(self.entry)[0])
         unit = " ".join(filter(None, (power, unit)))
         ends = None if self.ends is None else tuple(self.scaled(self.ends).tolist())
         return Axis(f"{self.name} ({unit})" if unit else self.name, ends=ends)
@@ -337,7 +351,7 @@ def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
     estimate : of a key that scatters, as in fit.json.
     level : of its intervals.
     """
-    entries, unit = estimate["each"], in_signs(estimate["unit"])
+    entries, (unit, scale) = estimate["each"], users_unit(estimate)
     quantile = float(norm.ppf(0.5 + 0.5 * level))
     places = np.arange(len(entries), dtype=float)
     ends = np.array([-0.6, len(entries) - 0.4])
@@ -348,7 +362,7 @@ def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
     ):
         if low is not None and high is not None:
             name = f"{100 * level:g} % of {name}"
-            low, high = np.full(2, low), np.full(2, high)
+            low, high = np.full(2, low / scale), np.full(2, high / scale)
             bands.append(
                 Band(ends, low, high, name, (f"{name}, from", f"{name}, to"), opacity=opacity)
             )
@@ -358,7 +372,7 @@ def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
         ("in the light of the others", list(entries.values()), COLOURS[1], _ASIDE),
     ):
         values, sds = (
-            np.array([np.nan if one is None else one[n] for one in values_of], dtype=float)
+            np.array([np.nan if one is None else one[n] / scale for one in values_of], dtype=float)
             for n in ("estimate", "sd")
         )
         drawn.append(
@@ -368,9 +382,9 @@ def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
     names = (
         tuple(entries) if len(entries) <= _NAMED else tuple(map(str, range(1, len(entries) + 1)))
     )
-    material = Curve(ends, np.full(2, estimate["estimate"]), "the material", COLOURS[0])
+    material = Curve(ends, np.full(2, estimate["estimate"] / scale), "the material", COLOURS[0])
     return Panel(
         Axis("specimen", ends=(ends[0], ends[1]), categories=names),
-        Axis(f"{key} ({unit})" if unit not in ("1", "-") else key),
+        Axis(f"{key} ({in_signs(unit)})" if unit else key),
         f"{key} of specimens", curves=[material], bands=bands, points=drawn,
     )  # fmt: skip

@@ -51,8 +51,9 @@ def draw_rig(case: Case, laws: tuple[str, str] | None = None) -> NotebookFigure:
     low, high = case.lower.z[0], case.upper.z[1]
     ratio = min(max(ratio, _FLATTEST), _TALLEST)
     inches = _DRAWN * _WIDTH * ratio * (1.0 + _ARROW + 2.0 * _GRIP)
-    with matplotlib.rc_context(STYLE):
-        figure = NotebookFigure(figsize=(_WIDTH, inches + 0.55), layout="none")
+    # axes have their place, whatever layout a user prefers
+    with matplotlib.rc_context({**STYLE, "figure.constrained_layout.use": False}):
+        figure = NotebookFigure(figsize=(_WIDTH, inches + 0.55))
         axes = figure.add_axes(
             (0.09, 0.5 / (inches + 0.55), _DRAWN, (inches - 0.02) / (inches + 0.55))
         )

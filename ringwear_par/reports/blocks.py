@@ -14,11 +14,45 @@ class Lines:
     Parameters
     ----------
     warning : whether they speak against the results.
+    folded : caption under which they are shown only when they are asked for; "": they are shown.
     """
 
     lines: Sequence[str]
     warning: bool = False
+    folded: str = ""
     kind = "lines"
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A key number, large, with what it is above it.
+
+    Parameters
+    ----------
+    note : in small letters below it.
+    good : whether it is a check that was passed; None: it is no check.
+    """
+
+    label: str
+    value: str
+    unit: str = ""
+    note: str = ""
+    good: bool | None = None
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """The answers of a page, beside each other."""
+
+    tiles: Sequence[Tile]
+    kind = "tiles"
+
+
+def checks_tile(doubts: int, note: str = "") -> Tile:
+    """Return the tile about what speaks against the results."""
+    if doubts:
+        return Tile("checks", f"{doubts} warning{'s' * (doubts > 1)}", note=note, good=False)
+    return Tile("checks", "passed", note=note, good=True)
 
 
 @dataclass(frozen=True)
@@ -115,7 +149,7 @@ class Charts:
     kind = "charts"
 
 
-Block = Lines | Table | Source | Picture | Charts
+Block = Lines | Tiles | Table | Source | Picture | Charts
 
 
 @dataclass(frozen=True)

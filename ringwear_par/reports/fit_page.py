@@ -20,6 +20,7 @@ from ringwear_par.identification.summary import (
     goodness,
     law_rows,
     of_specimens,
+    process_lines,
     scatter_lines,
     series_rows,
 )
@@ -36,6 +37,9 @@ from ringwear_par.reports.blocks import (
     Section,
     Source,
     Table,
+    Tile,
+    Tiles,
+    checks_tile,
     software,
 )
 from ringwear_par.results.storage.hdf5 import read_text, reading
@@ -120,8 +124,12 @@ def _summary(outcome: Mapping[str, Any]) -> list[Block]:
         f"{outcome['histories']} histories by {outcome['method']}, loss {outcome['loss']}",
         goodness(outcome),
     ]
-    blocks: list[Block] = [Lines([*map(with_signs, warnings)], warning=True)] if warnings else []
+    blocks: list[Block] = [_tiles(outcome)]
+    if warnings:
+        blocks.append(Lines([*map(with_signs, warnings)], warning=True))
     blocks += [Lines(lines), _estimates("Estimates", parameters, level), *_scatter(outcome)]
+    if random_wear := process_lines(outcome):
+        blocks.append(Lines([*map(with_signs, random_wear)]))
     unidentified = [
         f"{key}: {one['direction']}" for key, one in parameters.items() if one.get("direction")
     ]
@@ -135,6 +143,19 @@ def _summary(outcome: Mapping[str, Any]) -> list[Block]:
     if len(parameters) > 1:
         blocks.append(_correlations(outcome))
     return blocks
+
+
+def _tiles(outcome: Mapping[str, Any]) -> Tiles:
+    """Return the answers of a fit."""
+    percent, tiles = f"{100 * outcome['level']:g} %", []
+    for key, one in outcome["parameters"].items():
+        entry = one.get("told") or one
+        known = one["verdict"] != "not identified" and None not in entry["interval"]
+        low, high = entry["interval"]
+        note = f"{low:.4g} to {high:.4g} ({percent})" if known else ""
+        unit = in_signs(str(entry["unit"])) if entry["unit"] not in ("1", "-") else ""
+        tiles.append(Tile(key, f"{entry['estimate']:.4g}", unit, note or str(one["verdict"])))
+    return Tiles([*tiles, checks_tile(len(outcome["warnings"]))])
 
 
 def _estimates(caption: str, parameters: Mapping[str, Any], level: float) -> Table:
@@ -154,7 +175,21 @@ def _estimates(caption: str, parameters: Mapping[str, Any], level: float) -> Tab
             posterior = one["posterior"]
             row += [_number(v, 5) for v in (posterior["median"], *posterior["interval"])]
         rows.append(row)
+        rows += _other_units(one, len(header))
     return Table(caption, header, rows)
+
+
+def _other_units(one: Mapping[str, Any], columns: int) -> list[list[str]]:
+    """Return rows of a key in the unit that the user writes, and as a specific wear rate."""
+    rows = []
+    for name, label in (("told", ""), ("specific_wear_rate", "specific wear rate")):
+        if (entry := one.get(name)) is not None:
+            row = [
+                label, _number(entry["estimate"], 5), _number(entry["sd"], 2),
+                in_signs(str(entry["unit"])), *(_number(end, 5) for end in entry["interval"]),
+            ]  # fmt: skip
+            rows.append([*row, *[""] * (columns - len(row))])
+    return rows
 
 
 def _scatter(outcome: Mapping[str, Any]) -> list[Block]:
@@ -193,15 +228,11 @@ def _correlations(outcome: Mapping[str, Any]) -> Table:
 def _series_table(outcome: Mapping[str, Any]) -> Table:
     rows = [
         (f"{row.experiment}, {row.name}", str(row.n), f"{row.chi2:.4g}", in_signs(row.unit),
-         _number(row.noise, 3), _in_signs(row.nuisances))
+         _number(row.noise, 3), with_signs(row.nuisances))
         for row in series_rows(outcome)
     ]  # fmt: skip
     header = ("series", "readings", "chi2", "unit", "fitted noise", "nuisances")
     return Table("Series", header, rows)
-
-
-def _in_signs(text: str) -> str:
-    return with_signs(text.replace("+-", "\N{PLUS-MINUS SIGN}"))
 
 
 def _readings(path: Path, level: float) -> tuple[list[fits.Series], dict[str, FloatArray], str]:
@@ -248,7 +279,7 @@ def _bands(level: float) -> list[str]:
         f"Inner band: the model, {percent} confidence, from the covariance of the fitted keys and "
         "nuisances, linear about the estimates; keys that are not identified count as known",
         f"Outer band: {percent} of readings, noise included; bars, where there are few readings: "
-        "one standard deviation of the noise",
+        f"the noise, {percent}",
     ]
 
 
@@ -263,7 +294,7 @@ def _alternatives(outcome: Mapping[str, Any]) -> Table:
     for row in law_rows(outcome):
         difference = _DASH if row.aic_difference is None else f"{row.aic_difference:+.1f}"
         numbers = [difference, _number(row.bic, 5), _number(row.chi2, 5)]
-        rows.append([row.name, *numbers, _in_signs(row.parameters), row.verdict])
+        rows.append([row.name, *numbers, with_signs(row.parameters), row.verdict])
     header = ("law", "AIC above the smallest", "BIC", "chi2", "parameters", "verdict")
     return Table("Laws compared", header, rows)
 

@@ -16,12 +16,25 @@ from ringwear_par.measuring.measure_numbers import (
     skipped_text,
     steady_text,
 )
-from ringwear_par.reports.blocks import Block, Lines, Page, Section, Source, Table, software
+from ringwear_par.reports.blocks import (
+    Block,
+    Lines,
+    Page,
+    Section,
+    Source,
+    Table,
+    Tile,
+    Tiles,
+    checks_tile,
+    software,
+)
 from ringwear_par.reports.fit_page import stored_outcome, stored_picture
 
 _DASH = "\N{EN DASH}"
 #: what the forms of standards have and no file of a rig tells
 _OPEN = "not in the files; to be added by hand"
+#: more of a page are no answer
+_MOST_TILES = 6
 #: units behind numbers with a power of ten
 _UNIT = re.compile(r"\bmm3\b|\bum/h\b")
 _BUDGETS = {
@@ -56,6 +69,7 @@ def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
     sentences = [f"Specific wear rate {repeats_text(one)}" for one in outcome["repeats"]]
     if not sentences:
         sentences = ["Numbers of these specimens only: repeats of a material scatter more"]
+    yield _tiles(outcome)
     yield Lines([_signs(sentence) for sentence in sentences])
     rows = [
         [name, _bare(entry["specific_wear_rate"]), _customary(entry),
@@ -64,7 +78,7 @@ def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
     ]  # fmt: skip
     header = ("test", "specific wear rate (mm\u00b3/(N m))", "in in\u00b3 min/(ft lbf h)",
               "wear rate (\u00b5m/h)", "friction", "part of the test")  # fmt: skip
-    yield Table("Tests, \u00b1 expanded uncertainties U = 2 u", header, rows)
+    yield Table("Tests, with intervals of 95 %: the value less and plus 2 u", header, rows)
     doubts = [
         with_signs(f"{name}: {doubt['text']}")
         for name, entry in tests.items()
@@ -80,6 +94,27 @@ def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
     ]  # fmt: skip
     if notes:
         yield Lines([with_signs(note) for note in notes])
+
+
+def _tiles(outcome: Mapping[str, Any]) -> Tiles:
+    """Return the specific wear rates: means of repeats, and tests that are none."""
+    rates = {
+        f"of {len(one['tests'])} specimens": (one["specific_wear_rate"]["mean"], one)
+        for one in outcome["repeats"]
+    }
+    repeated = {name for one in outcome["repeats"] for name in one["tests"]}
+    for name, entry in outcome["tests"].items():
+        if name not in repeated and (rate := entry["specific_wear_rate"]) is not None:
+            rates[f"of {name}"] = rate["value"], {"specific_wear_rate": rate}
+    tiles = [
+        Tile(
+            f"specific wear rate {name}", f"{value:.3g}", "mm\u00b3/(N m)",
+            "{:.3g} to {:.3g} (95 %)".format(*one["specific_wear_rate"]["interval"]),
+        )
+        for name, (value, one) in rates.items()
+    ]  # fmt: skip
+    doubts = sum(len(entry["doubts"]) for entry in outcome["tests"].values())
+    return Tiles([*tiles[:_MOST_TILES], checks_tile(doubts)])
 
 
 def _records(folder: Path) -> list[Section]:
@@ -223,7 +258,6 @@ def _reproduced(outcome: Mapping[str, Any]) -> Section:
 
 
 def _signs(text: str) -> str:
-    text = text.replace("+-", "\N{PLUS-MINUS SIGN}")
     return _UNIT.sub(lambda unit: in_signs(unit[0]), text)
 
 

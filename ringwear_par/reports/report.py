@@ -1,5 +1,6 @@
-"""``ringwear report``: a page of a run, a sweep, a fit or a measurement, in one file."""
+"""``ringwear report``: a page of a run, a sweep, a fit and so on, in one file."""
 
+import re
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from ringwear_par.studies.storage.results_file import RESULTS
 from ringwear_par.version import __version__
 
 _ENDINGS = (".html", ".htm")
+#: cells of tables that stand right
+_NUMERIC = re.compile(r"[-+\N{MINUS SIGN}]?\d[\d.]*(?:e[-+]?\d+)?(?: %)?")
 
 
 def report(source: Result | str | Path, output: str | Path) -> str:
@@ -24,7 +27,8 @@ def report(source: Result | str | Path, output: str | Path) -> str:
 
     Parameters
     ----------
-    source : a result, its file, or the folder of a sweep, a fit, a design or a measurement.
+    source : a result, its file, or the folder of a sweep, a fit, a design, a prediction or a
+        measurement.
     output : the page's file, .html.
 
     Raises
@@ -72,14 +76,18 @@ def _page(source: Result | str | Path) -> Page:
         from ringwear_par.reports.measure_page import measure_page
 
         return measure_page(folder)
+    if (folder / folders.PREDICTION).exists():
+        from ringwear_par.reports.prediction_page import prediction_page
+
+        return prediction_page(folder)
     if (folder / RESULTS).exists():
         from ringwear_par.reports.sweep_page import sweep_page
 
         return sweep_page(folder)
     raise InputError(
-        f"{folder}: holds none of {folders.FIT}, {folders.DESIGN}, {folders.MEASURE} and "
-        f"{RESULTS}; must be a result file, or a folder that ringwear sweep (without --slice), "
-        "fit, design or measure has completed"
+        f"{folder}: holds none of {folders.FIT}, {folders.DESIGN}, {folders.MEASURE}, "
+        f"{folders.PREDICTION} and {RESULTS}; must be a result file, or a folder that ringwear "
+        "sweep (without --slice), fit, design, predict or measure has completed"
     )
 
 
@@ -96,6 +104,7 @@ def _html(page: Page) -> str:
         return (parts / name).read_text(encoding="utf-8")
 
     surroundings = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    surroundings.tests["numeric"] = lambda cell: _NUMERIC.fullmatch(str(cell)) is not None
     # bokeh reads a model before what refers to it
     surroundings.policies["json.dumps_kwargs"] = {"sort_keys": False}
     values: dict[str, Any] = {

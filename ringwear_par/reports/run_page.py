@@ -27,6 +27,9 @@ from ringwear_par.reports.blocks import (
     Section,
     Source,
     Table,
+    Tile,
+    Tiles,
+    checks_tile,
     software,
 )
 from ringwear_par.results.instants import time_words
@@ -38,6 +41,7 @@ from ringwear_par.results.key_numbers import (
 )
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.stored_stresses import nearest_states
+from ringwear_par.results.summary import checks
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES
 from ringwear_par.schedules import quantity_text
 
@@ -60,13 +64,15 @@ def run_page(result: Result) -> Page:
     InputError : the result was stored without its last state.
     """
     numbers = key_numbers(result)
-    lines = with_signs(result.summary()).splitlines()
+    lines = with_signs(result.summary(verbose=True)).splitlines()
     title = str(result.attributes.get("title", ""))
     if title:
         del lines[0]
     doubts = [line for line in lines if line.startswith("warning")]
-    blocks: list[Block] = [Lines(doubts, warning=True)] if doubts else []
-    blocks.append(Lines([line for line in lines if line not in doubts]))
+    blocks: list[Block] = [_tiles(numbers, len(doubts), checks(result))]
+    if doubts:
+        blocks.append(Lines(doubts, warning=True))
+    blocks.append(Lines([line for line in lines if line not in doubts], folded="Summary in full"))
     header = ("quantity", "value", "unit")
     blocks.append(Table("Key numbers, at the end", header, key_rows(numbers)))
     if (worn := worn_table(numbers)) is not None:
@@ -83,6 +89,25 @@ def run_page(result: Result) -> Page:
     sections.append(Section("Balances", [_errors(result)]))
     sections.append(_reproduced(result))
     return Page("Wear history of a test", title or "Run without a title", sections)
+
+
+def _tiles(numbers: Iterable[KeyNumber], doubts: int, errors: str) -> Tiles:
+    """Return the answers of a run."""
+    known, tiles = {number.name: number for number in numbers}, []
+    bodies = [body for body in BODIES if f"{body}_worn_volume" in known]
+    labels = [("penetration", "penetration")]
+    for body in bodies:
+        of = f" of {body}" if len(bodies) > 1 else ""
+        labels += [(f"{body}_worn_volume", f"worn volume{of}"), (f"{body}_mass", f"mass lost{of}"),
+                  (f"{body}_last_rate", f"wear rate at the end{of}"),
+                  (f"{body}_specific_rate", f"specific wear rate{of}")]  # fmt: skip
+    labels += [("mean_pressure", "mean pressure"), ("largest_pressure", "largest pressure"),
+              ("torque", "torque")]  # fmt: skip
+    for name, label in labels:
+        number = known.get(name)
+        if number is not None and not math.isnan(number.value):
+            tiles.append(Tile(label, number.short, in_signs(number.unit)))
+    return Tiles([*tiles, checks_tile(doubts, with_signs(errors.partition("(")[2].rstrip(")")))])
 
 
 def histories(result: Result) -> Charts:
@@ -122,7 +147,7 @@ def key_rows(numbers: Iterable[KeyNumber]) -> list[tuple[str, str, str]]:
     return [
         (
             f"{number.group}, {number.label}" + f" ({number.note})" * bool(number.note),
-            number.text, in_signs(number.unit),
+            number.short, in_signs(number.unit),
         )
         for number in numbers
         if number.group not in BODIES
@@ -136,7 +161,7 @@ def worn_table(numbers: Iterable[KeyNumber]) -> Table | None:
     if not bodies:
         return None
     header = ("body", *(f"{label} ({in_signs(unit)})" for label, unit in columns.items()))
-    cells = {body: {row.label: row.note or row.text for row in bodies[body]} for body in bodies}
+    cells = {body: {row.label: row.note or row.short for row in bodies[body]} for body in bodies}
     rows = [
         (body, *(cells[body].get(label, "\N{EN DASH}") for label in columns)) for body in bodies
     ]
@@ -160,7 +185,7 @@ def _history_table(result: Result) -> Table:
 def _errors(result: Result) -> Table:
     caption = "Errors, the worst of all steps"
     rows = key_rows(check_numbers(result))
-    return Table(caption, ("check", "error", "unit"), rows)
+    return Table(caption, ("check", "error", "unit"), rows, folded=True)
 
 
 def _stresses(result: Result) -> list[Section]:
@@ -305,5 +330,6 @@ def _reproduced(result: Result) -> Section:
     blocks: list[Block] = [Lines([f"{first}, then type:"]), Source("Commands", commands)]
     blocks.append(software(used))
     rows = [("MPI ranks", str(ranks)), *((f"{k}, s", v) for k, v in seconds.items())]
-    blocks.append(Table("Ranks, and seconds that it took", ("what", "value"), rows))
+    caption = "Ranks, and seconds that it took"
+    blocks.append(Table(caption, ("what", "value"), rows, folded=True))
     return Section("How to reproduce", blocks)

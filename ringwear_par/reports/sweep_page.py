@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.schema import unit_of
+from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import parse_value
@@ -21,8 +21,12 @@ from ringwear_par.reports.blocks import (
     Section,
     Source,
     Table,
+    Tile,
+    Tiles,
+    checks_tile,
     software,
 )
+from ringwear_par.results.instants import number_words
 from ringwear_par.studies.analysis.responses import done_cases
 from ringwear_par.studies.analysis.sensitivity import Indices, sensitivity_indices
 from ringwear_par.studies.analysis.surrogate import surrogate
@@ -30,7 +34,12 @@ from ringwear_par.studies.definition.variations import own_key
 from ringwear_par.studies.pictures.choice import Choice, choose
 from ringwear_par.studies.pictures.effects import effects, index_panels, pointed_cases
 from ringwear_par.studies.pictures.histories import case_words, histories
-from ringwear_par.studies.storage.end_values import end_value_of, final_name
+from ringwear_par.studies.storage.end_values import (
+    display_of,
+    end_value_of,
+    figure_columns,
+    final_name,
+)
 from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.storage.results_file import count_flags
 from ringwear_par.studies.storage.stored_variables import entry_label
@@ -38,7 +47,7 @@ from ringwear_par.studies.storage.stored_variables import entry_label
 #: cases of the table
 _MOST = 1000
 #: digits of a number in a table
-_DIGITS = 6
+_DIGITS = 4
 
 
 def sweep_page(folder: Path) -> Page:
@@ -82,15 +91,21 @@ def _summary(ensemble: Ensemble) -> list[Block]:
     method = ensemble.attributes["method"]
     lines = [f"{len(cases)} cases ({counts}); design: {method}; the sweep is "
              f"{ensemble.attributes['status']}"]  # fmt: skip
-    blocks: list[Block] = [Lines(doubts, warning=True)] if doubts else []
+    done = done_cases(ensemble)
+    blocks: list[Block] = [_tiles(ensemble, done, len(cases), len(doubts))]
+    if doubts:
+        blocks.append(Lines(doubts, warning=True))
     ranges, fixed = _ranges(ensemble, cases)
     if fixed:
         lines.append(f"the same in all cases: {', '.join(fixed)}")
     blocks += [Lines(lines), ranges]
-    done = done_cases(ensemble)
     if done.any():
         rows = [
-            (_meaning(name), in_signs(end_value_of(name)[0].stored.unit), *_quantiles(values[done]))
+            (
+                _meaning(name),
+                in_signs(display_of(name).unit),
+                *map(_number, display_of(name).factor * _quantiles(values[done])),
+            )
             for name, values in ensemble.final.items()
             if np.isfinite(values[done]).any()
         ]
@@ -105,26 +120,42 @@ def _meaning(name: str) -> str:
     return f"{final.stored.meaning.removesuffix(', at the last stored step')}{which}"
 
 
-def _quantiles(values: Any) -> list[str]:
-    return [_number(v) for v in np.nanquantile(values, [0.0, 0.5, 1.0])]
+def _quantiles(values: FloatArray) -> FloatArray:
+    """Return the least, median and largest value, of those that there are."""
+    quantiles: FloatArray = np.nanquantile(values, [0.0, 0.5, 1.0])
+    return quantiles
+
+
+def _tiles(ensemble: Ensemble, done: BoolArray, total: int, doubts: int) -> Tiles:
+    """Return the answers of a sweep: medians and ranges of what its figure draws."""
+    tiles = [Tile("cases done", str(int(done.sum())), f"of {total}")]
+    names = figure_columns(ensemble.final, np.flatnonzero(done)) if done.any() else []
+    for name in names:
+        display = display_of(name)
+        low, middle, high = map(
+            number_words, display.factor * _quantiles(ensemble.final[name][done])
+        )
+        note = f"median; {low} to {high}"
+        tiles.append(Tile(f"final {display.name}", middle, in_signs(display.unit), note))
+    return Tiles([*tiles, checks_tile(doubts)])
 
 
 def _ranges(ensemble: Ensemble, cases: Any) -> tuple[Table, list[str]]:
     """Return the keys that differ between cases, and those of the study that do not."""
     rows, fixed = [], []
     for name, column in ensemble.varied.items():
-        values, meaning = column[cases], own_key(name).meaning
+        values, meaning, (unit, scale) = column[cases], own_key(name).meaning, ensemble.unit(name)
         if column.dtype.kind == "f":
-            known = values[np.isfinite(values)]
+            known = values[np.isfinite(values)] / scale
             ends = [_number(v) for v in (known.min(), known.max())] if len(known) else ["", ""]
             count = len(np.unique(known))
         else:
             words = list(dict.fromkeys(values))
             ends, count = [in_words(parse_value(w)) for w in (words[0], words[-1])], len(words)
         if count > 1:
-            rows.append((name, in_signs(unit_of(name)), meaning, *ends, str(count)))
+            rows.append((name, in_signs(unit), meaning, *ends, str(count)))
         else:
-            fixed.append(f"{name} = {ends[0]} {in_signs(unit_of(name))}".rstrip())
+            fixed.append(f"{name} = {ends[0]} {in_signs(unit)}".rstrip())
     header = ("key", "unit", "meaning", "least, or first", "largest, or last", "values")
     return Table("Varied keys", header, rows), fixed
 

@@ -11,21 +11,22 @@ from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
 from ringwear_par.history.state import State
+from ringwear_par.results.instants import number_words
 from ringwear_par.results.layer_ends import worn_through
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
 
-_ERRORS = "largest relative errors of all steps"
-_MESH_ERRORS = "relative errors of the boundary elements, smaller on a finer mesh"
+BALANCES = "largest relative errors of all steps"
+MESH_BALANCES = "relative errors of the boundary elements, smaller on a finer mesh"
 TIME_STEPS = "estimated error of wear depth from time steps"
 #: of results, with the group in which they are printed
-_BALANCES = {
-    "residual": (_ERRORS, "contact conditions (KKT)"),
-    "force": (_ERRORS, "contact force against the applied force"),
-    "volume": (_ERRORS, "worn profiles against integrated rates"),
-    "energy": (_ERRORS, "worn volume against friction energy"),
-    "reaction": (_MESH_ERRORS, "force on the held faces"),
-    "torque": (_MESH_ERRORS, "torque on the held faces"),
+_CHECKED = {
+    "residual": (BALANCES, "contact conditions (KKT)"),
+    "force": (BALANCES, "contact force against the applied force"),
+    "volume": (BALANCES, "worn profiles against integrated rates"),
+    "energy": (BALANCES, "worn volume against friction energy"),
+    "reaction": (MESH_BALANCES, "force on the held faces"),
+    "torque": (MESH_BALANCES, "torque on the held faces"),
 }
 
 
@@ -55,6 +56,12 @@ class KeyNumber:
     def text(self) -> str:
         """The number as it is printed, without its unit."""
         return "none" if math.isnan(self.value) else format(self.value, self.spec)
+
+    @property
+    def short(self) -> str:
+        """The number in four digits, without its unit."""
+        rounded = self.spec.endswith("g") and not math.isnan(self.value)
+        return number_words(self.value) if rounded else self.text
 
     def __str__(self) -> str:
         unit = "" if math.isnan(self.value) else f" {self.unit}".rstrip()
@@ -260,12 +267,12 @@ def check_numbers(result: Result) -> list[KeyNumber]:
             label.replace("volume", "volume by layer") if result.layers else label,
             off[name], spec=".1e",
         )
-        for name, (group, label) in _BALANCES.items()
+        for name, (group, label) in _CHECKED.items()
         if name in off and (name != "energy" or about["energy_identity"])
     ]  # fmt: skip
     defect, label = float(about["symmetry_defect"]), "asymmetry of the compliance matrix"
     numbers.append(
-        KeyNumber("symmetry_defect", _MESH_ERRORS, label, defect, "", ".1e", "corrected for")
+        KeyNumber("symmetry_defect", MESH_BALANCES, label, defect, "", ".1e", "corrected for")
     )
     if "step_error" in off:
         adaptive = about["scheme"] == "adaptive"

@@ -136,6 +136,10 @@ class Result(Outcome):
         """Texts of the users' own laws by body."""
         return dict(json.loads(self.attributes["user_laws"]))
 
+    def summary(self, *, verbose: bool = False) -> str:
+        """Return it in a few lines, or all its key numbers and checks, see ``rw.summary``."""
+        return str(self.apply("summary", verbose))
+
     def variables(self) -> list[tuple[Variable, Any]]:
         """Return every variable on the contact line and in time, with its values."""
         numbered = not np.array_equal(self.step, self.steps_made)

@@ -1,6 +1,7 @@
-"""A run in a few lines, or as a dict: warnings, key numbers, checks of the computation."""
+"""A run in a few lines, in all its numbers, or as a dict."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,17 +12,35 @@ from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.values import is_number
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import LONGEST_SENTENCE, legible, warning_lines
+from ringwear_par.results.instants import number_words
 from ringwear_par.results.key_numbers import (
+    BALANCES,
+    MESH_BALANCES,
     TIME_STEPS,
+    KeyNumber,
     check_numbers,
     in_groups,
     key_numbers,
 )
 from ringwear_par.results.result import Checkpoint, Result
 
+#: errors of balances from which on a computation is not what its equations say
+_MOST_ERROR = 1e-6
+#: of the first words of lines
+_LABEL = 13
 
-def summary(result: Result) -> str:
+
+def labelled(lines: Iterable[tuple[str, str]]) -> list[str]:
+    """Return lines of a summary: what it is, and the answer behind it."""
+    return [f"{label.ljust(_LABEL)}{text}" for label, text in lines]
+
+
+def summary(result: Result, verbose: bool = False) -> str:
     """Return a result in a few lines, as ``ringwear run`` prints it. Not collective.
+
+    Parameters
+    ----------
+    verbose : all key numbers and checks instead.
 
     Raises
     ------
@@ -29,7 +48,80 @@ def summary(result: Result) -> str:
     """
     numbers = key_numbers(result)
     assert result.checkpoint is not None
-    about, last = result.attributes, result.checkpoint
+    if verbose:
+        return _in_full(result, numbers, result.checkpoint)
+    warnings = [*_unfinished(result.attributes, result.checkpoint), *result.doubts]
+    lines = [
+        *warning_lines(warnings),
+        *labelled(_answers(result, {number.name: number for number in numbers})),
+        *labelled([("checks", checks(result, len(warnings)))]),
+    ]
+    return "\n".join(legible(line, LONGEST_SENTENCE) for line in lines)
+
+
+def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple[str, str]]:
+    """Give the answers of a run, one a line, with four digits."""
+
+    def text(name: str) -> str:
+        number = numbers[name]
+        if math.isnan(number.value):
+            return f"{number.label} unknown ({number.note})"
+        return f"{number_words(number.value)} {number.unit}"
+
+    parts = ""
+    if "worn_off" in numbers:
+        parts = f" (worn off {text('worn_off')}, elastic {text('elastic')})"
+    yield "penetration", f"{text('penetration')}{parts}"
+    bodies = [body for body in BODIES if f"{body}_worn_volume" in numbers]
+    worn, rates = [], []
+    for body in bodies:
+        names = (f"{body}_{name}" for name in ("worn_volume", "mass"))
+        amounts = ", ".join(text(name) for name in names if name in numbers)
+        worn.append(f"{body} {amounts}, {text(f'{body}_deepest_wear')} at most")
+        if f"{body}_share_through" in numbers:
+            worn[-1] += f", {text(f'{body}_share_through')} of its area without layers"
+        if f"{body}_last_rate" in numbers:
+            rates.append(f"{body} {text(f'{body}_last_rate')} at the end")
+        if f"{body}_specific_rate" in numbers:
+            rates[-1] += f", {text(f'{body}_specific_rate')} over the test"
+    yield "worn", "; ".join(worn) or "nothing wears"
+    yield "wear rate", "; ".join(rates) or "none"
+    touching, largest = numbers["touching"], ""
+    if touching.value:
+        largest = f", {text('largest_pressure')} at most (r = {text('r_largest_pressure')})"
+    apart = "" if touching.value else ": the faces do not touch"
+    elements = f"{touching.text} of {result.line.n} elements touch{apart}"
+    yield "pressure", f"{text('mean_pressure')} mean{largest}, {elements}"
+    yield (
+        "torque",
+        (f"{text('torque')}, force {text('force')}, friction energy {text('dissipated_energy')}"),
+    )
+
+
+def checks(result: Result, warnings: int = 0) -> str:
+    """Return whether the computation is what its equations say, and its largest errors."""
+    groups = in_groups(check_numbers(result))
+    wrong = [str(number) for number in groups.get(BALANCES, ()) if number.value > _MOST_ERROR]
+    words = []
+    if warnings:
+        words.append(f"{warnings} warning{'s' * (warnings > 1)}, above")
+    words += [f"wrong: {', '.join(wrong)}"] if wrong else []
+    words += ["ok"] if not words else []
+    errors = {
+        "balances to": max((n.value for n in groups.get(BALANCES, ())), default=0.0),
+        "mesh to": max((n.value for n in groups[MESH_BALANCES]), default=0.0),
+    }
+    details = [f"{name} {value:.0e}" for name, value in errors.items()]
+    if TIME_STEPS in groups:
+        error, adaptive = groups[TIME_STEPS][0], result.attributes["scheme"] == "adaptive"
+        extent = "in all" if adaptive else "each"
+        details.append(f"time steps to {error.text} {error.unit} {extent}")
+    return f"{'; '.join(words)} ({', '.join(details)})"
+
+
+def _in_full(result: Result, numbers: list[KeyNumber], last: Checkpoint) -> str:
+    """Return all key numbers and checks of a result, a group a line."""
+    about = result.attributes
     title = str(about.get("title", ""))
     steps, iterations = int(last.progress.steps), last.progress.iterations
     checks = in_groups(check_numbers(result))

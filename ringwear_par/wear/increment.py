@@ -15,7 +15,7 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.schedules import history, take
 from ringwear_par.wear.averaging import averaged, averaged_rate
 from ringwear_par.wear.checked_law import complete
-from ringwear_par.wear.law import Law, WearLaw
+from ringwear_par.wear.law import Law, PacedLaw, WearLaw
 from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
 
@@ -76,6 +76,7 @@ class WearIncrement:
         of what is lost along the normal, and all results here of what is lost along the axis.
     closing : of local laws, elements that come into contact in the step; its steps are those of
         the elements.
+    pace : (2,) or (2, B) factors on the rates of lower and upper; None: 1.
     """
 
     laws: tuple[WearLaw | Law | None, ...]
@@ -84,6 +85,7 @@ class WearIncrement:
     averages: tuple[FloatArray | None, ...] = (None, None)
     obliquity: FloatArray | None = None
     closing: Closing | None = None
+    pace: FloatArray | None = None
 
     #: those that wear
     bodies: list[WearingBody] = field(init=False, repr=False, compare=False)
@@ -107,6 +109,9 @@ class WearIncrement:
         object.__setattr__(self, "local", all(a is None for a in self.averages))
         layered = any(isinstance(body.law, LayeredLaw) for body in bodies)
         object.__setattr__(self, "layered", layered)
+        if self.pace is not None:
+            paced = [b._replace(law=PacedLaw(b.law, columns(self.pace[b.side]))) for b in bodies]
+            object.__setattr__(self, "bodies", paced)
         if self.closing is not None:
             object.__setattr__(self, "step", self.closing.step)
         elif isinstance(self.step, np.ndarray):
@@ -121,6 +126,7 @@ class WearIncrement:
             self.averages,
             self.obliquity,
             None if self.closing is None else Closing(self.closing.gap[i], self.closing.step[i]),
+            None if self.pace is None else self.pace[:, i],
         )
 
     def take(self, histories: IntArray) -> "WearIncrement":
@@ -135,6 +141,7 @@ class WearIncrement:
             None
             if closing is None
             else Closing(take(closing.gap, histories), take(closing.step, histories)),
+            None if self.pace is None else self.pace[:, histories],
         )
 
     def along_axis(self, normal: FloatArray) -> FloatArray:

@@ -47,6 +47,26 @@ def test_units_of_something_else_are_refused(text, unit):
         number_in(text, unit)
 
 
+@pytest.mark.parametrize(("text", "meant"), [("6 kg", "kgf"), ("3 lb", "lbf")])
+def test_a_mass_is_no_force(text, meant):
+    with pytest.raises(RejectedError, match=f"no unit of N, but of a mass: did you mean {meant}"):
+        number_in(text, "N")
+
+
+def test_parameters_of_a_users_law_are_in_the_units_of_a_case():
+    keys = {"k": "2e-4 mm3/(N m)", "p1": [["0 min", "60 N/mm2"], ["1 h", 70]], "speed": "60 rpm",
+            "energy": "3 J", "density": "1.9 g/cm3", "plain": 5}  # fmt: skip
+    changes = {f"wear.lower.parameters.{name}": value for name, value in keys.items()}
+    law = rw.read_case(CASES / "user_law.toml", changes).wear_lower
+    values = {name: law.quantity(f"parameters.{name}") for name in keys}
+    assert values.pop("p1").x == (0.0, 3600.0)
+    assert values == pytest.approx({
+        "k": 2e-7, "speed": 2.0 * np.pi, "energy": 3000.0, "density": 1.9e-3, "plain": 5.0,
+    })  # fmt: skip
+    with pytest.raises(rw.InputError, match=r"furlongs/x is no unit that is known"):
+        rw.read_case(CASES / "user_law.toml", {"wear.lower.parameters.k": "3 furlongs/x"})
+
+
 def test_units_serve_wherever_a_case_has_numbers():
     changes = {
         "lower.r": ["2 cm", "40 mm"],

@@ -166,7 +166,7 @@ def pages(folder):
 
 def test_a_run_is_told_in_the_numbers_of_its_summary(folder, pages):
     result, page = rw.open_result(folder / "run.h5"), pages["run"]
-    summary = result.summary()
+    summary = result.summary(verbose=True)
     for line in summary.splitlines():
         assert with_signs(" ".join(line.split())) in page.text
     assert not re.search(r"\d um\b|\(um\)|\d mm3\b|\(mm3\)", page.text.partition("The case")[0])
@@ -176,9 +176,9 @@ def test_a_run_is_told_in_the_numbers_of_its_summary(folder, pages):
         if number.group not in ("lower", "upper"):
             note = f" ({number.note})" * bool(number.note)
             name = f"{number.group}, {number.label}{note}"
-            assert rows[name][0] == number.text
+            assert rows[name][0] == number.short
     lower, upper = page.rows("body")["lower"], page.rows("body")["upper"]
-    assert lower == [number.text for number in numbers if number.group == "lower"]
+    assert lower == [number.short for number in numbers if number.group == "lower"]
     assert upper[2] == "\N{EN DASH}"  # its density is not given
     (stored,) = (table for table in page.tables if "time (s)" in table[0])
     told = (("torque", "N m", 1e-3), ("dissipated_energy", "J", 1e-3))

@@ -76,7 +76,7 @@ def test_a_body_with_layers_that_has_no_others_beside(tmp_path):
 
 
 def test_the_summary_says_what_has_become_of_layers(result):
-    told = result.summary()
+    told = result.summary(verbose=True)
     assert "through a layer of 0.5 um, then" in told
     assert "layers of lower: 0.5 um of E = 10000 MPa, nu = 0.3, then 3 um of E" in told
     share = 100.0 * result.layers["share_through_lower"][-1]
@@ -142,12 +142,12 @@ def test_densities_of_layers_are_stored(tmp_path):
     layers = [{**LAYER, "thickness": 5e-4, "density": "1.2 g/cm3"}, LAYER]
     case = rw.read_case(CASE, {"lower.layers": layers, "lower.density": 7.85e-3, **SMALL})
     run = rw.simulate(case, MPI.COMM_SELF)
-    told = run.summary()
+    told = run.summary(verbose=True)
     assert "0.5 um of E = 10000 MPa, nu = 0.3, 0.0012 g/mm3, then 3 um of E" in told
     assert "mm3, mass lost none (lower.layers[1].density not given), mean rate" in told
     run.save(tmp_path / "run.h5")
     again = rw.open_result(tmp_path / "run.h5")
-    assert again.summary() == told
+    assert again.summary(verbose=True) == told
     stored = again.attributes["density_lower_layers"]
     np.testing.assert_array_equal(stored, [1.2e-3, np.nan])
     assert worn_table(key_numbers(again)).rows[0][3] == "lower.layers[1].density not given"

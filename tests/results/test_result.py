@@ -250,19 +250,19 @@ def test_results_travel_to_other_processes(shared_path, comm):
     result = rw.simulate(rw.read_case(PAPER, {"mesh.contact_elements": 8, "time.steps": 2}), comm)
     again = pickle.loads(pickle.dumps(result))
     assert np.array_equal(again.histories["approach"], result.histories["approach"])
-    assert again.summary() == result.summary()
+    assert again.summary(verbose=True) == result.summary(verbose=True)
 
 
 def test_summary_tells_the_run_and_not_the_text(comm):
     case = rw.read_case(PAPER, {"mesh.contact_elements": 8, "time.steps": 2})
     changed = rw.simulate(replace(case, time=Stepping("implicit", 1.0, 5)), comm)
-    assert "5 of 5 implicit steps" in changed.summary()
+    assert "5 of 5 implicit steps" in changed.summary(verbose=True)
     assert changed.case.startswith("# changed in Python after it was read")
     constructed = rw.Case(
         case.lower, case.upper, case.friction, case.wear_lower, None, case.load, case.time,
         case.mesh, case.output,
     )  # fmt: skip
-    assert "2 of 2 implicit steps" in rw.simulate(constructed, comm).summary()
+    assert "2 of 2 implicit steps" in rw.simulate(constructed, comm).summary(verbose=True)
 
 
 def test_the_summary_tells_wear_in_a_tribologists_words():
@@ -273,7 +273,7 @@ def test_the_summary_tells_wear_in_a_tribologists_words():
         "upper.profile": {"crown": 2000.0}, "mesh.contact_elements": 16, "time.steps": 20,
     }  # fmt: skip
     result = rw.simulate(rw.read_case(PAPER, changes), MPI.COMM_SELF)
-    told = result.summary()
+    told = result.summary(verbose=True)
     speed = 2.0 * np.pi * 30.0
     for words in (
         "face of upper: spline through 101 points",
@@ -319,15 +319,17 @@ def test_the_largest_pressure_says_when_it_is_of_an_edge_element(computed, comm)
         pressure[[4, 5]] = 50.0, 90.0
         changed = with_last_pressure(result, pressure)
         words = "(at the edge of contact, where it may be off by 28 %)"
-        assert words in changed.summary()
-        assert words not in result.summary()
+        assert words in changed.summary(verbose=True)
+        assert words not in result.summary(verbose=True)
 
 
 def test_faces_apart_have_no_largest_pressure(computed, comm):
     _, result = computed("paper.toml", SMALL)
     if comm.rank == 0:
         apart = with_last_pressure(result, np.zeros(16))
-        assert "elements in contact 0 (of 16: the faces do not touch)" in apart.summary()
+        assert "elements in contact 0 (of 16: the faces do not touch)" in apart.summary(
+            verbose=True
+        )
         assert not {"largest_pressure", "worn_off", "elastic"} & by_name(key_numbers(apart)).keys()
 
 
@@ -345,7 +347,9 @@ def test_the_numbers_of_a_run_are_data(computed, comm):
             assert len(told["numbers"]) == len(numbers)
             for number in numbers:
                 assert told["numbers"][number.name]["value"] == number.value
-                assert f"{number.label} {number.text} {number.unit}".rstrip() in run.summary()
+                assert f"{number.label} {number.text} {number.unit}".rstrip() in run.summary(
+                    verbose=True
+                )
         assert (told["status"], told["error"]) == ("incomplete", "a step failed")
 
 

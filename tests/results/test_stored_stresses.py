@@ -183,7 +183,9 @@ def test_points_that_wear_takes_away_have_no_stress():
 
 def test_summary_and_doubt():
     unworn = rw.simulate(case_of(stress__times="last", time__steps=1, time__step=1e-6))
-    (line,) = [line for line in unworn.summary().splitlines() if line.startswith("largest von")]
+    (line,) = [
+        line for line in unworn.summary(verbose=True).splitlines() if line.startswith("largest von")
+    ]
     state = unworn.stress.states[-1]
     assert f"lower {state.largest[0].mises:.5g} MPa (at r = " in line
     assert "0.1 mm and more from edges" in line
@@ -192,7 +194,7 @@ def test_summary_and_doubt():
     assert "edge of contact" not in line
     p = unworn.checkpoint.state.contact.pressure.copy()
     p[unworn.line.element_at(np.array([state.largest[0].r]))[0] + 1 :] = 0.0
-    (line,) = (text for text in with_last_pressure(unworn, p).summary().splitlines()
+    (line,) = (text for text in with_last_pressure(unworn, p).summary(verbose=True).splitlines()
                if text.startswith("largest von"))  # fmt: skip
     assert "at the radius of an element at the edge of contact" in line.split("upper")[0]
     worn = rw.simulate(case_of(wear__lower__p0=0.0, wear__upper__law="archard", wear__upper__k=1e-7,
@@ -425,7 +427,9 @@ def test_the_largest_of_each_layer(tmp_path):
     assert data.max_mises_upper_layers.dims == ("stress_step", "layer_upper")
     names = ("layer 0 of lower", "layer 1 of lower", "lower itself")
     values = zip(names, result.stress.states[-1].layers[0], strict=True)
-    assert ", ".join(f"{name} {value:.5g} MPa" for name, value in values) in result.summary()
+    assert ", ".join(f"{name} {value:.5g} MPa" for name, value in values) in result.summary(
+        verbose=True
+    )
 
 
 @pytest.mark.parametrize("geometry", ["fixed", "updated"])
@@ -438,8 +442,8 @@ def test_layers_that_are_gone_have_no_largest_stress(geometry, tmp_path):
     ((gone, left),) = (state.layers[1] for state in result.stress.states)
     assert np.isnan(gone)
     said = "layer 0 of upper none (nothing of it is left there)"
-    assert f"{said}, upper itself {left:.5g} MPa" in result.summary()
-    assert "stress, 0.05 mm and more from edges: " in result.summary()
-    assert "nan" not in result.summary()
+    assert f"{said}, upper itself {left:.5g} MPa" in result.summary(verbose=True)
+    assert "stress, 0.05 mm and more from edges: " in result.summary(verbose=True)
+    assert "nan" not in result.summary(verbose=True)
     result.save(tmp_path / "run.h5")
-    assert rw.open_result(tmp_path / "run.h5").summary() == result.summary()
+    assert rw.open_result(tmp_path / "run.h5").summary(verbose=True) == result.summary(verbose=True)

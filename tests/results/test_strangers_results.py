@@ -78,7 +78,7 @@ def test_a_law_that_only_a_result_file_names_is_not_run(
     assert status == (2 if words[0] == "run" and "--overwrite" not in words else 0), errors
     assert not marker.exists()
     result = rw.open_result("run.h5")
-    assert result.summary()
+    assert result.summary(verbose=True)
     assert result.to_xarray()
     assert not marker.exists()
 
@@ -200,7 +200,7 @@ def test_any_title_is_drawn_and_printed(run, title, tmp_path):
     with h5py.File(run, "r+") as file:
         file.attrs["title"] = title
     result = rw.open_result(run)
-    assert all(line.isprintable() for line in result.summary().splitlines())
+    assert all(line.isprintable() for line in result.summary(verbose=True).splitlines())
     other = tmp_path / "$a_$.h5"
     other.write_bytes(run.read_bytes())
     rw.plot([result, other], "penetration").savefig(tmp_path / "a.png")

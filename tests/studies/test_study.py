@@ -21,6 +21,7 @@ from ringwear_par.studies.definition import checking
 from ringwear_par.studies.definition.designs import SAMPLED
 from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.definition.study import read_study, read_study_together
+from ringwear_par.studies.definition.variations import read_variations
 from ringwear_par.studies.execution import plan
 from ringwear_par.wear.laws.power import PowerLaw
 
@@ -52,6 +53,16 @@ def write(shared_path, comm):
 def sampled(write, method, count, seed=1):
     text = f'{DRAWN}[design]\nmethod = "{method}"\ncount = {count}\nseed = {seed}\n'
     return read_study(write(text))
+
+
+def test_the_unit_of_a_varied_key_is_that_of_its_values():
+    vary = {"wear.lower.k": {"log": ["1e-5 mm3/(N m)", 1e-6], "count": 2},
+            "load": {"omega": {"values": ["20 rpm", 3.0]}, "pressure": {"values": ["5 MPa"]}},
+            "wear.lower.p0": {"values": [0, 20]}}  # fmt: skip
+    faults = []
+    variations = read_variations("study", vary, "grid", faults)
+    assert not faults
+    assert [v.unit for v in variations] == ["mm3/(N m)", "rpm", "", ""]
 
 
 def test_grid_is_the_product_in_order(write):

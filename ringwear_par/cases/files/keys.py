@@ -14,6 +14,7 @@ from ringwear_par.cases.laws import law_keys
 from ringwear_par.cases.layers import LAYERS, changed_layers, layers_in_full
 from ringwear_par.cases.schema import BY_PATH, TABLES, key_of
 from ringwear_par.cases.text import shortened
+from ringwear_par.cases.units import has_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import parse_toml, parse_value, read_text, refuse_depth
@@ -26,6 +27,7 @@ _ALTERNATIVES = (
 )
 _FILES = frozenset({"wear.lower.file", "wear.upper.file"})
 _PROFILES = frozenset({"lower.profile", "upper.profile"})
+_PARAMETERS = frozenset({"wear.lower.parameters", "wear.upper.parameters"})
 #: tables that say something by being there
 _NEVER_EMPTY = {"stress", "stress.grid"}
 _FIXED_STEPS = frozenset({"time.step", "time.steps"})
@@ -88,6 +90,27 @@ def base_keys(
     state = "is missing" if base is None else f"= {shortened(base)}"
     faults.append(f"{name}: case {state}: must be the name of a case file, relative to this one")
     return None
+
+
+def written_units(case: Any, folder: Path) -> dict[str, str]:
+    """Return the units in which numbers of a case are written, by key; {} where it has faults.
+
+    Parameters
+    ----------
+    case : the name of its file, or its tables.
+    folder : from which names of files count.
+    """
+    try:
+        if isinstance(case, Mapping):
+            keys = flatten(case, "case")
+        else:
+            keys = read_keys(read_text(folder / str(case)), str(case))
+    except InputError:
+        return {}
+    for table in _PARAMETERS & keys.keys():
+        if isinstance(entries := keys[table], dict):
+            keys |= {f"{table}.{name}": value for name, value in entries.items()}
+    return {key: number_and_unit(value)[1] for key, value in keys.items() if has_unit(value)}
 
 
 def kinds(tables: Mapping[str, Any]) -> set[str]:
@@ -202,6 +225,8 @@ def _in_full(path: str, value: Any, folder: Path) -> tuple[str, Any]:
         shape = _face_in_full(table, {entry: value}, folder)
         (name,) = shape
         return f"{table}.{name}", shape[name]
+    if table in _PARAMETERS:
+        return path, _value_in_full(table, {entry: value}, folder)[entry]
     return path, _value_in_full(path, value, folder)
 
 
@@ -281,7 +306,7 @@ def _with_parameters(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
     So is the size of a face's shape, ``upper.profile.crown``; it takes the place of another shape.
     """
     changes = dict(changes)
-    for table in ("wear.lower.parameters", "wear.upper.parameters", *_PROFILES):
+    for table in (*_PARAMETERS, *_PROFILES):
         named = {path: v for path, v in changes.items() if path.startswith(f"{table}.")}
         if named:
             before = None if table in _PROFILES else changes.get(table, keys.get(table))

@@ -24,6 +24,9 @@ from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
 from ringwear_par.wear.parameters import parameters_of
 
+#: names of a factor on all rates of a body, about 1, in the place of a case's key
+RATES = tuple(f"wear.{body}" for body in BODIES)
+
 
 def differentiable(case: Case) -> dict[str, str]:
     """Return the keys of a case that histories have derivatives with respect to, and their units.
@@ -74,7 +77,7 @@ def _is_number(quantity: Any) -> bool:
 
 def units_of(case: Case, keys: Sequence[str]) -> dict[str, str]:
     """Return the units of some of these keys."""
-    units = differentiable(case) if keys else {}
+    units = differentiable(case) | dict.fromkeys(RATES, "1") if keys else {}
     return {key: units[key] for key in keys}
 
 
@@ -207,6 +210,8 @@ class Sensitivity:
         for row, name in self._laws[i]:
             if name in law.numeric:
                 out[row] = law.d_rate_dparameter(name, p, at)
+        if RATES[i] in self.keys:
+            out[self.keys.index(RATES[i])] = law.rate(p, at)
         if self.friction is not None:
             size, still = columns(self._sizes[self.friction]), np.zeros(p.shape[-1])
             along = LocalState(0.0, at.r, still, size, still, still)

@@ -78,7 +78,7 @@ def read_readings(
         reader.wrong(
             where, f"must be absent beside {single_key}; it is for readings that are planned"
         )
-    if "file" in reader:
+    if "file" in reader and kind != "through":
         return _from_file(reader, kind, files)
     if "value" in reader and kind != "profile":
         return _single(reader, kind, end if at is None else at)
@@ -108,7 +108,7 @@ def _planned(
     """Return readings that are to be taken, or why there are none in words."""
     where = "r" if kind == "profile" else "times"
     file_keys = {"columns", "units"} & reader.keys()
-    once = kind in ("mass", "volume") or (at is not None and kind != "profile")
+    once = kind in ("mass", "volume", "through") or (at is not None and kind != "profile")
     usual = "value" if once else "file"
     must = {
         "mass": "must be a finite number", "volume": "must be a finite number",

@@ -18,18 +18,23 @@ from ringwear_par.cases.files.keys import (
     override,
     plain,
     read_keys,
+    written_units,
 )
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.text import shortened, toml_value
+from ringwear_par.cases.units import has_unit, number_and_unit
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.files.text import parse_toml, read_text, refuse_depth
 from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.identification.definition import schema
+from ringwear_par.identification.definition.censoring import check_censored
 from ringwear_par.identification.definition.fitted_parameters import (
     read_parameters,
+    read_units,
     refuse_both,
     refuse_fixed,
+    refuse_order,
 )
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
@@ -39,6 +44,7 @@ from ringwear_par.identification.definition.problem import (
     Series,
     Settings,
 )
+from ringwear_par.identification.definition.process import check_process, read_process
 from ringwear_par.identification.definition.scatter import check_scatter, read_groups
 from ringwear_par.identification.definition.series import read_series
 
@@ -92,16 +98,19 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     faults: list[str] = []
     name_unknown_keys(name, tables, _TABLES, faults)
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
-    settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), faults)
+    case_units = written_units(tables.get("case"), folder)
+    settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), case_units, faults)
     files = FileStore(folder)
     reader = _Experiments(name, folder, base, files, plans)
     experiments = reader.all(tables.get("experiment"), parameters, faults)
-    design = _read_design_space(f"{name}: design", tables.get("design", {}), faults)
-    laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), faults)
+    design = _read_design_space(f"{name}: design", tables.get("design", {}), case_units, faults)
+    laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), case_units, faults)
     if faults:
         raise InputError(*faults)
     _check_counts(name, parameters, experiments, faults)
-    check_scatter(name, parameters, experiments, settings.intervals, faults)
+    check_scatter(name, parameters, experiments, settings, faults)
+    check_censored(name, settings, experiments, faults)
+    check_process(name, settings.process, experiments, settings.intervals, faults)
     alternatives = {}
     for law, (changes, law_parameters) in laws.items():
         alternatives[law] = Problem(
@@ -110,7 +119,10 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
             design,
         )  # fmt: skip
         _check_counts(f"{name}: compare.{law}", law_parameters, experiments, faults)
-        check_scatter(f"{name}: compare.{law}", law_parameters, experiments, (), faults)
+        linear = replace(settings, intervals=("linear",))
+        check_scatter(f"{name}: compare.{law}", law_parameters, experiments, linear, faults)
+        changed = alternatives[law].experiments
+        check_process(alternatives[law].name, settings.process, changed, ("linear",), faults)
     if faults:
         raise InputError(*faults)
     return Problem(
@@ -129,23 +141,32 @@ def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _read_settings(
-    said: str, table: Any, faults: list[str]
+    said: str, table: Any, case_units: Mapping[str, str], faults: list[str]
 ) -> tuple[Settings, tuple[FittedParameter, ...]]:
     reader = TableReader(said, table, faults, schema.FIT)
-    parameters = read_parameters(f"{said}.parameters", reader.raw("parameters"), faults)
+    fitted = reader.raw("parameters")
+    units = read_units(f"{said}.units", reader.raw("units", {}), fitted, faults)
+    parameters = read_parameters(f"{said}.parameters", fitted, faults, units, case_units)
     names = ("starts", "method", "intervals", "samples", "level", "loss")
     settings = {name: reader.read(name) for name in names}
+    process = read_process(f"{said}.process", reader.raw("process", {}), faults)
     reader.finish()
     intervals = dict.fromkeys(("linear", *settings.pop("intervals")))
-    return Settings(intervals=tuple(intervals), **settings), parameters
+    return Settings(intervals=tuple(intervals), process=process, **settings), parameters
 
 
-def _read_design_space(said: str, table: Any, faults: list[str]) -> DesignSpace:
+def _read_design_space(
+    said: str, table: Any, case_units: Mapping[str, str], faults: list[str]
+) -> DesignSpace:
     """Return the space of ``[design]``; add what is wrong with it to the faults."""
     reader = TableReader(said, table, faults, schema.DESIGN)
     criterion = reader.read("criterion")
     vary, budget = (reader.raw(key, {}) for key in ("vary", "budget"))
     reader.finish()
+    units = {key: unit for key, unit in case_units.items() if key in schema.VARY}
+    for key, entry in vary.items() if isinstance(vary, Mapping) else ():
+        if isinstance(entry, list) and entry and has_unit(entry[0]):
+            units[key] = number_and_unit(entry[0])[1]
     vary = TableReader(f"{said}.vary", vary, faults, schema.VARY)
     values = {key: vary.read(key) for key in schema.VARY}
     ranges = {key: value for key, value in values.items() if value is not None}
@@ -159,7 +180,7 @@ def _read_design_space(said: str, table: Any, faults: list[str]) -> DesignSpace:
     limits = TableReader(f"{said}.budget", budget, faults, schema.BUDGET)
     seconds, count = limits.read("time.end"), limits.read("experiments")
     limits.finish()
-    return DesignSpace(criterion, ranges, seconds, count)
+    return DesignSpace(criterion, ranges, seconds, count, units)
 
 
 class _Experiments:
@@ -270,6 +291,7 @@ class _Experiments:
             faults.append(f'{said}: mesh.geometry = "updated": must be "fixed" in a fit')
             return None
         refuse_fixed(said, parameters, case, faults)
+        refuse_order(said, parameters, case, faults)
         return case
 
     def _refuse_twin(self, one: Experiment, other: Experiment, faults: list[str]) -> None:
@@ -330,7 +352,7 @@ def _named(series: list[Series]) -> tuple[Series, ...]:
 
 
 def _read_alternatives(
-    said: str, table: Any, faults: list[str]
+    said: str, table: Any, case_units: Mapping[str, str], faults: list[str]
 ) -> dict[str, tuple[dict[str, Any], tuple[FittedParameter, ...]]]:
     laws = {}
     if not isinstance(table, Mapping):
@@ -339,7 +361,8 @@ def _read_alternatives(
     for name, entry in table.items():
         reader = TableReader(f"{said}.{legible(name)}", entry, faults)
         changed = reader.raw("set", {})
-        parameters = read_parameters(f"{reader.place}.parameters", reader.raw("parameters"), faults)
+        fitted = reader.raw("parameters")
+        parameters = read_parameters(f"{reader.place}.parameters", fitted, faults, {}, case_units)
         reader.finish()
         try:
             changes = flatten(

@@ -3,6 +3,7 @@
 import difflib
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,12 @@ import numpy as np
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.suggestions import nearest_key
 from ringwear_par.cases.numbers import interval_of
-from ringwear_par.cases.schema import BY_PATH, key_of, layer_entry, unit_of
-from ringwear_par.cases.tables import TableReader
+from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
+from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.text import shortened
-from ringwear_par.cases.units import in_unit
+from ringwear_par.cases.units import factor, has_unit, in_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.history.derivatives.elastic_numbers import elastic_numbers
 from ringwear_par.history.derivatives.numbers import differentiable
@@ -37,23 +39,78 @@ def unnested(table: Mapping[str, Any]) -> dict[str, Any]:
     return flat
 
 
-def read_parameters(said: str, table: Any, faults: list[str]) -> tuple[FittedParameter, ...]:
+def read_parameters(
+    said: str,
+    table: Any,
+    faults: list[str],
+    units: Mapping[str, str],
+    case_units: Mapping[str, str],
+) -> tuple[FittedParameter, ...]:
     """Return the fitted keys, and add what is wrong with them to the faults.
 
     Parameters
     ----------
     said : how sentences about the table begin.
+    units : in which keys are told, instead of those in which their starts are written.
+    case_units : in which the case writes numbers, for keys whose start has no unit.
     """
     if not isinstance(table, Mapping) or not table:
         faults.append(f"{said}: is missing or empty; must name one case key at least")
         return ()
-    parameters = (
-        _parameter(f'{said}."{legible(k)}"', k, v, faults) for k, v in unnested(table).items()
-    )
-    return tuple(parameter for parameter in parameters if parameter is not None)
+    parameters = []
+    for key, entry in unnested(table).items():
+        parameter = _parameter(f'{said}."{legible(key)}"', key, entry, faults, units.get(key, ""))
+        if parameter is not None:
+            unit = parameter.unit or case_units.get(key, "")
+            parameters.append(replace(parameter, unit=unit if _is_other(unit, key) else ""))
+    return tuple(parameters)
 
 
-def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedParameter | None:
+def _is_other(unit: str, key: str) -> bool:
+    """Tell whether a unit is one of a key, and another than the case's."""
+    try:
+        return bool(unit) and not math.isclose(factor(unit, base_unit(key)), 1.0)
+    except RejectedError:  # of another law of the case
+        return False
+
+
+def read_units(said: str, table: Any, parameters: Any, faults: list[str]) -> dict[str, str]:
+    """Return the units in which fitted keys are told, as ``fit.units`` names them.
+
+    Parameters
+    ----------
+    said : how sentences about the table begin.
+    parameters : the table of fitted keys.
+    """
+    if not isinstance(table, Mapping):
+        faults.append(f"{said} = {shortened(table)}: must be a table of units by fitted key")
+        return {}
+    fitted = unnested(parameters) if isinstance(parameters, Mapping) else {}
+    units = flat_texts(table)
+    name_unknown_keys(said, units, list(fitted), faults)
+    for key, unit in units.items():
+        if key not in fitted:
+            continue
+        try:
+            factor(str(unit), base_unit(key))
+        except RejectedError:
+            base = base_unit(key) or "a parameter"
+            faults.append(f'{said}."{legible(key)}" = {shortened(unit)}: must be a unit of {base}')
+    return units
+
+
+def flat_texts(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return entries by dotted key, whether written quoted or not."""
+    flat: dict[str, Any] = {}
+    for key, entry in table.items():
+        inner = flat_texts(entry) if isinstance(entry, Mapping) else {"": entry}
+        flat |= {f"{key}.{name}".rstrip("."): value for name, value in inner.items()}
+    return flat
+
+
+def _parameter(
+    said: str, key: str, table: Any, faults: list[str], told_unit: str
+) -> FittedParameter | None:
     path, entry = split_key(key)
     allowed = None if isinstance(entry, int) else interval_of((path, entry))
     if layer_entry(key) is not None and (of_layer := key_of(key)) is not None:
@@ -71,9 +128,9 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
     before = len(faults)
     scatter = None
     if isinstance(table, Mapping):
-        unit, converted = unit_of(key), dict[str, Any]()
+        unit, converted = base_unit(key), dict[str, Any]()
         scatter = read_scatter(
-            said, key, table.get("scatter"), table.get("scale") == "log", unit, faults
+            said, key, table.get("scatter"), table.get("scale") == "log", unit or "", faults
         )
         for name, value in table.items():
             if name == "scatter":
@@ -81,9 +138,12 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
             try:
                 converted[name] = in_unit(value, unit)
             except RejectedError as reason:
-                faults.append(f"{said}: {name} = {shortened(value)}: must be in {unit} ({reason})")
+                allowed_unit = f"must be in {unit} ({reason})" if unit else f"{reason}"
+                faults.append(f"{said}: {name} = {shortened(value)}: {allowed_unit}")
         if len(converted) < len(table.keys() - {"scatter"}):
             return None
+        if not told_unit and has_unit(table.get("start")):
+            told_unit = number_and_unit(table["start"])[1]
         table = converted
     reader = TableReader(said, table, faults, PARAMETER)
     reader.raw("scatter")  # read above
@@ -102,7 +162,7 @@ def _parameter(said: str, key: str, table: Any, faults: list[str]) -> FittedPara
             reader.wrong("start", f"must be within its bounds, {bounds[0]:g} to {bounds[1]:g}")
     if len(faults) > before or start is None or bounds is None:
         return None
-    return FittedParameter(key, start, bounds, log, prior, scatter)
+    return FittedParameter(key, start, bounds, log, prior, scatter, told_unit)
 
 
 def ordered_keys(parameters: Sequence[FittedParameter]) -> list[tuple[int, int]]:
@@ -124,6 +184,48 @@ def ordered_keys(parameters: Sequence[FittedParameter]) -> list[tuple[int, int]]
         if of_law and j is not None and parameter.log == parameters[j].log:
             pairs.append((i, j))
     return pairs
+
+
+def refuse_order(
+    said: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
+) -> None:
+    """Add a fault where bounds, or a value that is not fitted, break a rule of a law's numbers.
+
+    As k_start of at least k. Of two fitted keys of one scale the rule is a bound, see
+    ``ordered_keys``.
+
+    Parameters
+    ----------
+    said : how sentences about the experiment begin.
+    """
+    fitted = {parameter.key: parameter for parameter in parameters}
+    ordered = {(parameters[i].key, parameters[j].key) for i, j in ordered_keys(parameters)}
+    for body, law in zip(BODIES, case.laws, strict=True):
+        if law is None:
+            continue
+        for name, rule in parameters_of(type(law)).items():
+            keys = f"wear.{body}.{name}", f"wear.{body}.{rule.at_least}"
+            if not rule.at_least or not fitted.keys() & set(keys) or keys in ordered:
+                continue
+            ranges = []
+            for key, number in zip(keys, (name, rule.at_least), strict=True):
+                value = law.quantity(number)
+                if key in fitted:
+                    ranges.append((fitted[key].bounds, "bounds "))
+                elif isinstance(value, float | int):
+                    ranges.append(((float(value), float(value)), "value "))
+            if len(ranges) == 2 and ranges[0][0][0] < ranges[1][0][1]:
+                (upper, of_upper), (lower, of_lower) = ranges
+                faults.append(
+                    f"{said}: {keys[0]}: {of_upper}{_range(upper)} lets it be less than {keys[1]}, "
+                    f"{of_lower}{_range(lower)}; must be at least {lower[1]:g}, or both be fitted "
+                    "with the same scale"
+                )
+
+
+def _range(ends: tuple[float, float]) -> str:
+    low, high = ends
+    return f"{low:g}" if low == high else f"[{low:g}, {high:g}]"
 
 
 def units_of(problem: Problem) -> dict[str, str]:

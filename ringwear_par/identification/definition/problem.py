@@ -16,12 +16,12 @@ from ringwear_par.version import __version__
 
 Quantity = Literal[
     "penetration", "approach", "torque", "profile.lower", "profile.upper", "mass.lower",
-    "mass.upper", "volume.lower", "volume.upper",
+    "mass.upper", "volume.lower", "volume.upper", "through.lower", "through.upper",
 ]  # fmt: skip
 #: what readings are in here; forces of a compliance are in kN
 BASE = {
     "time": "s", "r": "mm", "penetration": "mm", "approach": "mm", "torque": "N mm",
-    "profile": "mm", "mass": "g", "volume": "mm^3", "density": "g/mm^3",
+    "profile": "mm", "mass": "g", "volume": "mm^3", "density": "g/mm^3", "through": "s",
 }  # fmt: skip
 Method = Literal["brgn", "lm"]
 Loss = Literal["gaussian", "student"]
@@ -55,6 +55,31 @@ class Scatter:
 
 
 @dataclass(frozen=True)
+class ProcessNoise:
+    """How the wear of a body is itself random.
+
+    Its worn depth is a gamma process: its variance is a size times its mean. The share is the
+    standard deviation over the depth, at the end of the test that wears most.
+    """
+
+    #: mm, and of 1; both None where the size is fitted
+    size: float | None = None
+    share: float | None = None
+    #: of the half-t prior of the share where it is fitted
+    scale: float = 0.1
+
+    @property
+    def fitted(self) -> bool:
+        """Whether its size is fitted."""
+        return self.size is None and self.share is None
+
+
+def body_of_wear(key: str) -> str:
+    """Return the body ("lower", "upper") of a key such as "wear.lower" or "wear.lower.k"."""
+    return key.split(".")[1]
+
+
+@dataclass(frozen=True)
 class FittedParameter:
     """A case key whose value is sought.
 
@@ -70,6 +95,8 @@ class FittedParameter:
     prior: Prior | None = None
     #: None: all tests have the same value
     scatter: Scatter | None = None
+    #: as the user writes it, "" for the case's
+    unit: str = ""
 
     def unknown(self, value: float) -> float:
         """Return the unknown of a value."""
@@ -144,6 +171,10 @@ class Series:
     assumptions: tuple[str, ...] = ()
     #: whether nothing has been read yet; values are 0 then
     planned: bool = False
+    #: (low, high) of what was left out, s or mm
+    excluded: tuple[tuple[float, float], ...] = ()
+    #: (n,) -1 where the true value is at most the reading, 1 where it is at least; None: nowhere
+    censored: IntArray | None = None
 
     @property
     def n(self) -> int:
@@ -157,8 +188,13 @@ class Series:
 
     @property
     def body(self) -> Literal["lower", "upper"]:
-        """The body that a profile, mass or volume is of."""
+        """The body that a profile, mass, volume or layer is of."""
         return "upper" if self.quantity.endswith(".upper") else "lower"
+
+    def tells_wear(self, body: str) -> bool:
+        """Tell whether it is of what is worn off a body."""
+        of_both = self.quantity in ("penetration", "approach")
+        return of_both or (self.quantity != "torque" and self.body == body)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,6 +229,8 @@ class Settings:
     level: float = 0.95
     #: "gaussian", or "student" (with 4 degrees of freedom) where there are outliers
     loss: Loss = "gaussian"
+    #: of bodies whose wear is itself random, by "wear.lower", "wear.upper"
+    process: Mapping[str, ProcessNoise] = field(default_factory=dict)
 
     @property
     def missing_package(self) -> str:
@@ -215,6 +253,8 @@ class DesignSpace:
     seconds: float | None = None
     #: how many
     experiments: int = 1
+    #: in which ranges are written, by key, or the case; of others the case's own
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def time_limit(self) -> float:
@@ -261,6 +301,11 @@ class Problem:
     def scatters(self) -> bool:
         """Whether the values of some key differ between tests."""
         return any(parameter.scatter is not None for parameter in self.parameters)
+
+    @property
+    def mixed(self) -> bool:
+        """Whether sizes of scatters or of wear's own noise are to be integrated."""
+        return self.scatters or bool(self.settings.process)
 
     @property
     def start(self) -> dict[str, float]:

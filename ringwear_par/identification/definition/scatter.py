@@ -14,6 +14,7 @@ from ringwear_par.identification.definition.problem import (
     FittedParameter,
     Problem,
     Scatter,
+    Settings,
 )
 from ringwear_par.identification.definition.schema import SCATTER
 
@@ -99,7 +100,7 @@ def check_scatter(
     name: str,
     parameters: Sequence[FittedParameter],
     experiments: Sequence[Experiment],
-    intervals: Sequence[str],
+    settings: Settings,
     faults: list[str],
 ) -> None:
     """Add what readings cannot tell of the scatters to the faults.
@@ -107,9 +108,16 @@ def check_scatter(
     Parameters
     ----------
     name : of the file.
-    intervals : that are asked for.
+    settings : with the intervals that are asked for.
     """
     scatters = [(p.key, p.scatter) for p in parameters if p.scatter is not None]
+    fitted = [(key, group) for key, s in scatters for group, v in s.sizes.items() if v is None]
+    count = len(fitted) + sum(noise.fitted for noise in settings.process.values())
+    if count > _MOST_FITTED:
+        faults.append(
+            f'{name}: {count} sizes of scatter and process are "fit"; must be at most '
+            f"{_MOST_FITTED}"
+        )
     if not scatters or not experiments:
         return
     for group, place in (("batch", 1), ("lab", 2)):
@@ -121,9 +129,6 @@ def check_scatter(
                     f'{name}: specimen "{legible(specimen)}" is of {group} "{legible(of)}" and of '
                     f'"{legible(seen[specimen])}"; must be of one {group}'
                 )
-    fitted = [(key, group) for key, s in scatters for group, v in s.sizes.items() if v is None]
-    if len(fitted) > _MOST_FITTED:
-        faults.append(f'{name}: {len(fitted)} scatters are "fit"; must be at most {_MOST_FITTED}')
     for key, group in fitted:
         if group_numbers(experiments, group).max() == 0:
             plural = PLURALS[group]
@@ -140,10 +145,10 @@ def check_scatter(
                         f"{name}: scatter of {key}: {large} and {small} are the same groups; "
                         'only one of the two can be "fit"'
                     )
-    if set(intervals) - {"linear"}:
+    if set(settings.intervals) - {"linear"}:
         faults.append(
-            f"{name}: fit.intervals = {list(intervals)}: are not possible with scatter; must be "
-            '["linear"]'
+            f"{name}: fit.intervals = {list(settings.intervals)}: are not possible with "
+            'scatter; must be ["linear"]'
         )
 
 

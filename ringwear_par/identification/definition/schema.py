@@ -41,6 +41,7 @@ NUISANCES = {
     "profile": ("level", "tilt"),
     "mass": ("offset",),
     "volume": ("offset",),
+    "through": (),
 }
 #: g/mm3: foams have more, osmium has less
 DENSITIES = (1e-5, 0.03)
@@ -190,6 +191,20 @@ KEYS: tuple[Key, ...] = (
     Key("fit.parameters.KEY.scatter.start", *number(0.0), "KEY's; 1 where scale = \"log\"",
         "size of a fitted scatter that --dry-run and design take as true; default: half the scale "
         "of the prior", None),
+    Key("fit.process.KEY", *anything('"fit", or a table'), "-",
+        "noise of the wear itself, KEY is wear.lower or wear.upper: worn depth grows at random "
+        "(gamma process), with a variance of size times mean depth", None),
+    Key("fit.process.KEY.size", *_scatter_size(), "mm",
+        "size of the noise of wear: variance of the worn depth over its mean, or \"fit\"", None),
+    Key("fit.process.KEY.share", *number(0.0, 1.0), "1",
+        "instead of size: standard deviation of the worn depth over its mean, at the end of the "
+        "test that wears most", None),
+    Key("fit.process.KEY.prior", *_half_t(), "1",
+        "scale of the half-t prior (4 degrees of freedom) of the share where size = \"fit\"; "
+        "default 0.1", None),
+    Key("fit.units.KEY", *anything("a unit that pint knows, of the key"), "-",
+        "unit in which the key is told beside the case's; default: the one in which its start is "
+        "written, or else its number in the case", None),
     Key("fit.starts", *whole(1, _MOST_STARTS), "-",
         "number of searches: one from fit.parameters.KEY.start, the others from Sobol' points "
         "within the bounds", _USUAL.starts),
@@ -218,7 +233,8 @@ KEYS: tuple[Key, ...] = (
         "case keys that differ in this test; no fitted ones", None),
     Key("experiment.data.quantity", *one_of(*QUANTITIES), "-",
         "measured quantity. Depths, penetrations, masses and volumes are positive where material "
-        "is lost; profile points outside the contact count as unworn"),
+        "is lost; profile points outside the contact count as unworn; through is the time at which "
+        "the first layer of a body is worn through anywhere (value)"),
     Key("experiment.data.file",
         *text("the name of a table: a text file with commas, semicolons or tabs"), "-",
         "table of readings, relative to this file: a line of column names, perhaps a row of "
@@ -257,6 +273,9 @@ KEYS: tuple[Key, ...] = (
         "correlation time of the noise (AR(1)), at most 100 times the duration of the test; not "
         "for profiles",
         0.0),
+    Key("experiment.data.censored", *text("below, above, or the name of a column of file"), "-",
+        "readings of which only a limit is known: below, the true value is at most the reading; "
+        "above, at least; or a column with these words, empty where the reading is a value", None),
     Key("experiment.data.exclude", *anything("a list of increasing pairs"), "s or mm",
         "pairs of times (of radii for a profile) between which readings are left out", None),
     *(Key(f"experiment.data.nuisance.{kind}",
@@ -281,10 +300,11 @@ KEYS: tuple[Key, ...] = (
     Key("design.budget.experiments", *whole(1, _MOST_EXPERIMENTS), "-", "number of next tests",
         _SPACE.experiments),
 )  # fmt: skip
-FIT, PARAMETER, SCATTER, EXPERIMENT, DATA, SD, NUISANCE, DESIGN, VARY, BUDGET = (
+FIT, PARAMETER, SCATTER, PROCESS, EXPERIMENT, DATA, SD, NUISANCE, DESIGN, VARY, BUDGET = (
     keys_of_table(KEYS, table)
     for table in (
-        "fit", "fit.parameters.KEY", "fit.parameters.KEY.scatter", "experiment",
+        "fit", "fit.parameters.KEY", "fit.parameters.KEY.scatter", "fit.process.KEY",
+        "experiment",
         "experiment.data",
         "experiment.data.sd",
         "experiment.data.nuisance.KIND", "design", "design.vary", "design.budget",

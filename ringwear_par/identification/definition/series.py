@@ -12,6 +12,7 @@ from ringwear_par.cases.files.columns import FileStore, read_intervals
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import legible
 from ringwear_par.files.measurements import and_more
+from ringwear_par.identification.definition.censoring import read_censored
 from ringwear_par.identification.definition.data_sources import read_noise, read_readings
 from ringwear_par.identification.definition.problem import Nuisance, Quantity, Series
 from ringwear_par.identification.definition.schema import DATA, DENSITIES, NUISANCE, NUISANCES
@@ -56,6 +57,11 @@ def read_series(
     if at is not None and at > end:
         reader.wrong("at", f"must be within the test, which ends at {end:g} s")
     timed = next((key for key in ("file", "times") if key in reader), "")
+    if kind == "through":
+        if at is not None:
+            reader.wrong("at", "must be absent: value is the time at which the layer is through")
+        if case is not None and not getattr(case, quantity.partition(".")[2]).layers:
+            reader.fault(f"{quantity.partition('.')[2]} has no layers; must have one at least")
     if at is not None and timed and kind != "profile":
         reader.wrong("at", f"must be absent beside {timed}, whose readings have their times")
     readings = read_readings(reader, kind, at, end, files, plans)
@@ -63,13 +69,17 @@ def read_series(
         return None
     x, value, unit, scale = readings.x, readings.value, readings.unit, readings.factor
     lines = readings.lines
+    if kind == "through":  # and may be after the end
+        x = np.minimum(value, end)
     # the last time may be rounded, and the last one alone
     if kind != "profile" and len(x) and end < x[-1] <= end * (1.0 + _ROUNDED):
         x = np.append(x[:-1], end)
     keep = np.ones(len(x), dtype=bool)
-    for low, high in read_intervals(reader, "exclude", "mm" if kind == "profile" else "s"):
+    excluded = read_intervals(reader, "exclude", "mm" if kind == "profile" else "s")
+    for low, high in excluded:
         keep &= (x < low) | (x > high)
     sd, fitted = read_noise(reader, readings, keep)
+    censored = read_censored(reader, readings)
     nuisances = _nuisances(reader, kind, case)
     correlation = reader.read("correlation_time")
     if correlation > 0 and kind == "profile":
@@ -94,7 +104,7 @@ def read_series(
         quantity, cast(Quantity, quantity), x[keep], value[keep], sd[keep], fitted, unit, scale,
         (end if at is None else at) if kind == "profile" else None, density, nuisances,
         correlation, readings.where, None if lines is None else lines[keep], assumptions,
-        readings.planned,
+        readings.planned, tuple(excluded), None if censored is None else censored[keep],
     )  # fmt: skip
     free = [nuisance.kind for nuisance in nuisances if nuisance.free]
     if not series.n:
@@ -228,7 +238,7 @@ def check_profile(reader: TableReader, series: Series, case: Case) -> None:
 
 def _check_depths(reader: TableReader, series: Series, case: Case) -> None:
     """Refuse depths that no body has."""
-    if series.quantity.startswith(("mass", "volume")):
+    if series.quantity.startswith(("mass", "volume", "through")):
         return
     highest = min(ring.z[1] - ring.z[0] for ring in case.rings)
     i = int(np.argmax(np.abs(series.value)))

@@ -19,6 +19,7 @@ from ringwear_par.identification.definition.fitted_parameters import ordered_key
 from ringwear_par.identification.definition.problem import Experiment, Prior, Problem, Series
 from ringwear_par.identification.model.histories import ROUGH_STEPS, STEPS, Histories, HistoryError
 from ringwear_par.identification.model.noise import (
+    censored_rows,
     log_constant,
     log_volume,
     loss_roots,
@@ -55,6 +56,8 @@ class Evaluation:
     jacobian: FloatArray
     #: (n, m) derivatives of the readings with respect to the fitted keys' values
     sensitivity: FloatArray
+    #: (n,) factor of the derivatives ``noise_jacobian``, of readings that are but limits; else 1
+    roots: FloatArray
 
     __repr__ = short_repr
 
@@ -77,6 +80,7 @@ class Misfit:
     records : of all series.
     names : (u,) of the unknowns: keys, then (experiment, series, kind) of nuisances.
     data : (n,) the readings.
+    censored : (n,) -1 where the true value is at most the reading, 1 where at least, else 0.
     nuisance_columns : (n, u - m) what nuisances add to the readings, by their units.
     lower, upper : (u,) bounds.
     ordered : pairs (i, j) of unknowns of which i is never less than j.
@@ -99,6 +103,9 @@ class Misfit:
                 self.records.append(Record(experiment, series, rows))
                 self.n = rows.stop
         self.data = np.concatenate([record.series.value for record in self.records])
+        sides = [np.zeros(r.series.n, int) if r.series.censored is None else r.series.censored
+                 for r in self.records]  # fmt: skip
+        self.censored = np.concatenate(sides)
         self.noise_scale = np.ones(len(self.records))
         self.steps, self.exact = STEPS, True
         self.response_cache: dict[tuple[int, bytes], FloatArray | HistoryError] = {}
@@ -225,6 +232,24 @@ class Misfit:
         """
         return self._response(x)[:, 0]
 
+    def clocks(
+        self, x: FloatArray, test_unknowns: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return how readings follow the wear of bodies that is random. Not collective.
+
+        Parameters
+        ----------
+        test_unknowns : (tests, m) unknowns of the keys in each test, see ``evaluate``.
+
+        Returns
+        -------
+        (n, bodies) of each reading: its change for each mm of mean depth that is worn faster all
+        along, and that mean depth, mm.
+        """
+        of_clocks = self._response(x, test_unknowns)[:, 1 + self._m :]
+        by_factor, depth = np.split(of_clocks, 2, axis=1)
+        return np.divide(by_factor, depth, out=np.zeros_like(depth), where=depth > 0.0), depth
+
     # from readings to residuals
 
     def columns(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> FloatArray:
@@ -240,38 +265,53 @@ class Misfit:
         """
         counts = [experiment.n for experiment in self.problem.experiments]
         slopes = [self.problem.slopes(v) for v in self.values_of_tests(x, test_unknowns)]
-        key_columns = self._response(x, test_unknowns)[:, 1:] * np.repeat(slopes, counts, axis=0)
+        derivatives = self._response(x, test_unknowns)[:, 1 : 1 + self._m]
+        key_columns = derivatives * np.repeat(slopes, counts, axis=0)
         return np.concatenate([key_columns, self.nuisance_columns], axis=1)
 
-    def evaluate(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> Evaluation:
+    def evaluate(
+        self,
+        x: FloatArray,
+        test_unknowns: FloatArray | None = None,
+        random_part: FloatArray | float = 0.0,
+    ) -> Evaluation:
         """Return the residuals at unknowns (u,). Not collective.
 
         Parameters
         ----------
         test_unknowns : (tests, m) unknowns of the keys in each test, where their values scatter;
             priors are of those of x.
+        random_part : (n,) of the readings, that is due to the random part of wear.
 
         Raises
         ------
         HistoryError : there is no history.
         """
         values, response = self.values(x), self._response(x, test_unknowns)
-        model = response[:, 0] + self.nuisance_columns @ x[self._m :]
+        model = response[:, 0] + self.nuisance_columns @ x[self._m :] + random_part
         rows = np.concatenate(
             [(model - self.data)[:, None], self.columns(x, test_unknowns)], axis=1
         )
         rows = self.whitened(rows)
         noise, noise_jacobian = rows[:, 0], rows[:, 1:]
         loss, slope = loss_roots(self.problem.settings.loss, noise)
+        limits, roots = np.flatnonzero(self.censored), np.ones(self.n)
+        if len(limits):
+            noise, loss = noise.copy(), loss.copy()
+            noise[limits], roots[limits], loss[limits], slope[limits] = censored_rows(
+                self.censored[limits], noise[limits]
+            )
         residuals = np.append(loss, np.zeros(len(self.priors)))
         jacobian = np.concatenate(
             [slope[:, None] * noise_jacobian, np.zeros((len(self.priors), len(x)))]
         )
+        noise_jacobian = roots[:, None] * noise_jacobian
         slopes = self.problem.slopes(values)
         for row, (j, prior) in enumerate(self.priors, start=self.n):
             at, by = (values[j], slopes[j]) if j < self._m else (x[j], 1.0)
             residuals[row], jacobian[row, j] = (at - prior.mean) / prior.sd, by / prior.sd
-        return Evaluation(model, noise, noise_jacobian, residuals, jacobian, response[:, 1:])
+        sensitivity = response[:, 1 : 1 + self._m]
+        return Evaluation(model, noise, noise_jacobian, residuals, jacobian, sensitivity, roots)
 
     def whitened(self, rows: FloatArray) -> FloatArray:
         """Return rows (n, ...) of all readings in units of their noise, uncorrelated."""
@@ -299,6 +339,7 @@ class Misfit:
             loss_roots(self.problem.settings.loss, evaluation.noise + change)[0]
             - evaluation.residuals[: self.n]
         )
+        growth[self.censored != 0] = 0.0  # a limit
         finite = np.where(np.isfinite(covariance), covariance, 0.0)[: self._m]
         sd = np.sqrt(np.diag(finite))
         shift = finite @ (evaluation.jacobian[: self.n].T @ growth)
@@ -315,9 +356,10 @@ class Misfit:
             value of each key for all tests.
         """
         by_loss = weights(self.problem.settings.loss, evaluation.noise)
-        weighted = by_loss * evaluation.noise**2
+        weighted = by_loss * evaluation.noise**2 * (self.censored == 0)
         if leverage is None:
             leverage = (np.linalg.qr(evaluation.jacobian)[0] ** 2).sum(axis=1)
+        leverage = np.where(self.censored == 0, leverage[: self.n], 1.0)
         parts = [record.rows for record in self.records]
         return np.array(
             [
@@ -328,10 +370,12 @@ class Misfit:
 
     def log_likelihood(self, evaluation: Evaluation) -> float:
         """Return the logarithm of the likelihood of the readings."""
-        scatter = float(np.log(self.sd).sum()) + sum(log_volume(r.series) for r in self.records)
+        values = self.censored == 0
+        scatter = float(np.log(self.sd[values]).sum())
+        scatter += sum(log_volume(r.series) for r in self.records)
         loss = evaluation.residuals[: self.n]
         constant = log_constant(self.problem.settings.loss)
-        return float(-0.5 * loss @ loss - scatter - self.n * constant)
+        return float(-0.5 * loss @ loss - scatter - values.sum() * constant)
 
     def with_best_nuisances(
         self, values: Sequence[float] | FloatArray, test_unknowns: FloatArray | None = None
@@ -356,7 +400,8 @@ class Misfit:
             np.array([True] * self.n + [j >= self._m for j, _ in self.priors]),
         )
         # a start needs no more than one step; where tests have their values, all weights count
-        reweighted = 1 if loss == "gaussian" or test_unknowns is None else _REWEIGHTED
+        linear = loss == "gaussian" and not self.censored.any()
+        reweighted = 1 if linear or test_unknowns is None else _REWEIGHTED
         for _ in range(reweighted):
             evaluation = self.evaluate(x, test_unknowns)
             columns, residuals = evaluation.jacobian[rows, self._m :], evaluation.residuals[rows]
@@ -378,6 +423,7 @@ class Misfit:
         """(u,) bool, unknowns on which residuals depend linearly, and which have no bounds."""
         free = np.isinf(self.lower) & np.isinf(self.upper)
         free[: self._m] = False
+        free[self._m :] &= ~self.nuisance_columns[self.censored != 0].any(axis=0)
         return free & (self.problem.settings.loss == "gaussian")
 
     @property

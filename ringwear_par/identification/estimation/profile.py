@@ -27,6 +27,12 @@ _MOST_POINTS = 8
 _BETTER = 1e-2
 
 
+#: of the wanted root: less is no response, as of readings that are but limits
+_FLAT = 0.05
+#: of the width of the bounds: first step of a key of which readings give but limits
+_FIRST_STEP = 0.05
+
+
 @dataclass(frozen=True, eq=False)
 class Profiles:
     """Likelihood profiles and their limits."""
@@ -65,21 +71,30 @@ def likelihood_profiles(
     estimates : with linear limits.
     covariance : (u, u) of the unknowns.
     """
-    if "profile" not in misfit.problem.settings.intervals:
-        return Profiles(tuple(estimates), {})
     level = misfit.problem.settings.level
+    limited, covariance = list(estimates), covariance.copy()
+    keys: list[int] = []
+    for j, estimate in enumerate(estimates):
+        if estimate.verdict != "identified" and misfit.censored.any():
+            # limits alone may bound it on one side, far from where it is
+            keys.append(j)
+            covariance[j] = covariance[:, j] = 0.0
+            covariance[j, j] = (_FIRST_STEP * (misfit.upper[j] - misfit.lower[j])) ** 2
+        elif estimate.verdict != "not identified":
+            keys += [j] * ("profile" in misfit.problem.settings.intervals)
+    if not keys:
+        return Profiles(tuple(estimates), {})
     tables: dict[int, dict[float, float]] = {}
     searched = []
-    for j, estimate in enumerate(estimates):
-        if estimate.verdict == "not identified":
-            continue
+    for j in keys:
+        estimate = estimates[j]
         tables[j] = {float(optimum.x[j]): 0.0}
-        one_sided = estimate.verdict == "at bound"
+        one_sided = estimate.verdict != "identified"
         root = math.sqrt(float(chi2.ppf(2.0 * level - 1.0 if one_sided else level, 1)))
         searched += [
             (j, side, root)
             for side in (0, 1)
-            if not one_sided or estimate.interval[side] is not None
+            if estimate.verdict != "at bound" or estimate.interval[side] is not None
         ]
     searches = [
         partial(_limit, misfit, optimum, covariance, j, (-1.0, 1.0)[side], root, tables[j])
@@ -92,17 +107,21 @@ def likelihood_profiles(
         return Profiles(tuple(estimates), {}, better=best.x)
     ends_by_key = {(j, side): one.at for (j, side, _), one in zip(searched, limits, strict=True)}
     inexact_limits = {j for (j, _, _), one in zip(searched, limits, strict=True) if not one.close}
-    limited, profiles = list(estimates), {}
+    profiles = {}
     for j, points in tables.items():
         parameter = misfit.problem.parameters[j]
         ends = (ends_by_key.get((j, side)) for side in (0, 1))
         low, high = (None if end is None else parameter.value(end) for end in ends)
-        limited[j] = replace(estimates[j], interval=(low, high))
+        if limited[j].verdict == "not identified":
+            if (low is None) == (high is None):
+                continue
+            limited[j] = replace(limited[j], verdict="at bound", direction="")
+        limited[j] = replace(limited[j], interval=(low, high))
         table = np.array(sorted(points.items())).T
         table[0] = [parameter.value(u) for u in table[0]]
         profiles[parameter.key] = table
-    keys = misfit.problem.keys
-    return Profiles(tuple(limited), profiles, tuple(keys[j] for j in sorted(inexact_limits)))
+    inexact = tuple(misfit.problem.keys[j] for j in sorted(inexact_limits))
+    return Profiles(tuple(limited), profiles, inexact)
 
 
 def _limit(
@@ -152,7 +171,7 @@ def _limit(
             outer = step, root
         if math.isinf(outer[0]):
             step = step * min(wanted / max(root, 0.1 * wanted), 4.0)
-        elif math.isinf(outer[1]):
+        elif math.isinf(outer[1]) or (inner[0] > 0.0 and inner[1] < _FLAT * wanted):
             step = 0.5 * (inner[0] + outer[0])
         else:
             share = (wanted - inner[1]) / (outer[1] - inner[1])

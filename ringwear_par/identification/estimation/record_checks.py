@@ -71,7 +71,8 @@ def _trends(misfit: Misfit, evaluation: Evaluation) -> list[ValidityWarning]:
     """Return warnings about records whose residuals are no noise."""
     warnings = []
     for experiment, series, rows in misfit.records:
-        probability = trend(series, -evaluation.noise[rows])
+        values = misfit.censored[rows] == 0
+        probability = trend(series, -evaluation.noise[rows][values])
         if probability >= _NO_NOISE:
             continue
         differences = "the differences are not noise with the given sd"
@@ -128,7 +129,7 @@ def refuse_idle(misfit: Misfit, start: FloatArray) -> None:
         f"least "
         "one"
         for experiment, series, part in misfit.records
-        if np.linalg.norm(columns[part]) < _NO_RESPONSE
+        if np.linalg.norm(columns[part]) < _NO_RESPONSE and not misfit.censored[part].all()
     ]
     faults += [
         f"{misfit.problem.name}: no readings respond to {parameter.key}, at the start "

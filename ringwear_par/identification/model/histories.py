@@ -21,8 +21,8 @@ from ringwear_par.history.derivatives.elastic_numbers import is_elastic
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.interpolated_pairs import InterpolatedPairs, interpolate
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.identification.definition.problem import Experiment, Problem
-from ringwear_par.identification.model.readings import Reader, Trajectory, lost_mass
+from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
+from ringwear_par.identification.model.readings import Reader, Trajectory, lost_mass, time_through
 from ringwear_par.results.result import Result
 from ringwear_par.studies.definition.variations import split_key
 from ringwear_par.studies.execution.batches import computed
@@ -108,6 +108,29 @@ class HistoryError(ComputationError):
     """There is no history at some values of the fitted keys: no case, or its computation fails."""
 
 
+def cases_at(case: Case, keys: Sequence[str], points: FloatArray) -> list[Case | HistoryError]:
+    """Return a case at some values (p, m) of keys, or why there is none: each is good, not all."""
+
+    def read(point: FloatArray) -> Case | HistoryError:
+        try:
+            return case.replace(dict(zip(keys, point.tolist(), strict=True)))
+        except InputError as error:
+            return HistoryError(reason_of(error))
+
+    if is_elastic(case, keys):
+        return [read(point) for point in points]
+    numbers: dict[Number, FloatArray] = {}
+    for key, column in zip(keys, points.T, strict=True):
+        path, entry = split_key(key)
+        assert not isinstance(entry, int)
+        numbers[path, entry] = column
+    lists = {number: values.tolist() for number, values in numbers.items()}
+    cases: list[Case | HistoryError] = [*with_numbers(case, lists, [case.text] * len(points))]
+    for i in np.flatnonzero(needs_reading(case, numbers)):
+        cases[i] = read(points[i])
+    return cases
+
+
 class Histories:
     """Model readings of the experiments of a problem, at any values of the fitted keys.
 
@@ -126,7 +149,10 @@ class Histories:
     def __init__(self, problem: Problem, comm: MPI.Comm) -> None:
         self._experiments = problem.experiments
         self._keys = problem.keys
-        self._readers = [Reader(experiment) for experiment in problem.experiments]
+        #: of derivatives: also of factors on all rates of bodies whose wear is random
+        self._numbers = (*problem.keys, *problem.settings.process)
+        clocks = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
+        self._readers = [Reader(experiment, clocks) for experiment in problem.experiments]
         self._owners: list[Hashable] = [operator_key(e.case) for e in problem.experiments]
         #: experiments of which each value of a fitted key has an operator of its own
         self._elastic = {
@@ -167,7 +193,7 @@ class Histories:
         For each point (n, 1 + m), the readings of all experiments, one after another, and their
         derivatives with respect to the values, or (n, 1) without; or why there are none.
         """
-        every = range(len(self._experiments))
+        every, m = range(len(self._experiments)), len(self._keys)
         pairs = [(i, e) for i in range(len(points)) for e in every]
         parts = dict(zip(pairs, self.read(points, pairs, steps, derivatives, exact), strict=True))
         responses: list[FloatArray | HistoryError] = []
@@ -175,39 +201,16 @@ class Histories:
             parts_of_point = [parts[i, e] for e in every]
             failed = [part for part in parts_of_point if isinstance(part, HistoryError)]
             arrays = [part for part in parts_of_point if not isinstance(part, HistoryError)]
-            responses.append(failed[0] if failed else np.concatenate(arrays))
+            responses.append(failed[0] if failed else np.concatenate(arrays)[:, : 1 + m])
         return responses
 
     def allowed(self, points: FloatArray) -> BoolArray:
         """Return at which points (p, m) every experiment is a case, (p,). Not collective."""
         good = np.ones(len(points), dtype=bool)
         for experiment in range(len(self._experiments)):
-            good &= [isinstance(case, Case) for case in self._cases(experiment, points)]
+            case = self._experiments[experiment].case
+            good &= [isinstance(at, Case) for at in cases_at(case, self._keys, points)]
         return good
-
-    def _cases(self, experiment: int, points: FloatArray) -> list[Case | HistoryError]:
-        """Return the cases of an experiment at some values (p, m), or why there are none."""
-        case = self._experiments[experiment].case
-        numbers: dict[Number, FloatArray] = {}
-        for key, column in zip(self._keys, points.T, strict=True):
-            path, entry = split_key(key)
-            assert not isinstance(entry, int)
-            numbers[path, entry] = column
-        if experiment in self._elastic:
-            return [self._case(case, point) for point in points]
-        doubts = needs_reading(case, numbers)
-        lists = {number: values.tolist() for number, values in numbers.items()}
-        cases: list[Case | HistoryError] = [*with_numbers(case, lists, [case.text] * len(points))]
-        for i in np.flatnonzero(doubts):
-            cases[i] = self._case(case, points[i])
-        return cases
-
-    def _case(self, case: Case, point: FloatArray) -> Case | HistoryError:
-        """Return a case at values (m,), or why there is none: each is good, not all together."""
-        try:
-            return case.replace(dict(zip(self._keys, point.tolist(), strict=True)))
-        except InputError as error:
-            return HistoryError(reason_of(error))
 
     def read(
         self,
@@ -217,7 +220,11 @@ class Histories:
         derivatives: bool = True,
         exact: bool = True,
     ) -> list[FloatArray | HistoryError]:
-        """Return the readings at some of the points, of an experiment each, or why not."""
+        """Return the readings at some of the points, of an experiment each, or why not.
+
+        See ``responses``. After its derivatives by the values follow, for each body whose wear is
+        random, that by a factor on its rates, and then for each its mean worn depth, mm.
+        """
         by_experiment: dict[int, list[int]] = defaultdict(list)
         for number, (_, experiment) in enumerate(pairs):
             by_experiment[experiment].append(number)
@@ -226,7 +233,8 @@ class Histories:
         operators: dict[int, ContactPair] = {}
         for experiment, numbers in by_experiment.items():
             at = points[[pairs[number][0] for number in numbers]]
-            for number, case in zip(numbers, self._cases(experiment, at), strict=True):
+            at_values = cases_at(self._experiments[experiment].case, self._keys, at)
+            for number, case in zip(numbers, at_values, strict=True):
                 try:
                     if isinstance(case, HistoryError):
                         raise case
@@ -237,7 +245,7 @@ class Histories:
         groups: dict[Hashable, list[int]] = defaultdict(list)
         for number in sorted(operators):
             groups[self._owners[pairs[number][1]]].append(number)
-        keys = self._keys if derivatives else ()
+        keys = self._numbers if derivatives else ()
         grids = {e: step_times(self._experiments[e], steps).tolist() for e in by_experiment}
         for numbers in groups.values():
             parts = computed(
@@ -315,4 +323,5 @@ def _trajectory(result: Result, case: Case, keys: Sequence[str]) -> Trajectory:
         np.stack([both(f"worn_volume_{b}", histories[f"worn_volume_{b}"]) for b in BODIES]),
         wear,
         np.stack([lost_mass(case, i, of_body, keys) for i, of_body in enumerate(wear)]),
+        np.stack([time_through(case, i, histories["time"], w, keys) for i, w in enumerate(wear)]),
     )

@@ -7,9 +7,9 @@ distributions of noise belong here.
 """
 
 import numpy as np
-from scipy.special import gammaln
+from scipy.special import gammaln, log_ndtr
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.identification.definition.problem import Loss, Series
 
 #: degrees of freedom of the loss "student"
@@ -57,6 +57,33 @@ def loss_roots(loss: Loss, residuals: FloatArray) -> tuple[FloatArray, FloatArra
     small = np.abs(residuals) < 1e-6
     slope = (_NU + 1.0) * residuals / ((_NU + square) * np.where(small, 1.0, roots))
     return roots, np.where(small, np.sqrt((_NU + 1.0) / _NU), slope)
+
+
+def censored_rows(
+    side: IntArray, residuals: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return rows in the place of readings (n,) that are limits of normal distributions.
+
+    Parameters
+    ----------
+    side : -1 where the true value is at most the reading, 1 where it is at least.
+    residuals : of the model less the limit, over the noise.
+
+    Returns
+    -------
+    Residual of the reading with the same gradient and curvature, and the factor of its
+    derivatives; the square root of twice the negative log likelihood, and its derivative.
+    """
+    t = side * residuals
+    log_probability = log_ndtr(t)
+    ratio = np.exp(-0.5 * t * t - 0.5 * np.log(2.0 * np.pi) - log_probability)
+    curvature = np.sqrt(np.maximum(ratio * (ratio + t), 0.0))
+    root = np.sqrt(np.maximum(-2.0 * log_probability, 0.0))
+    # both vanish where the model is far on the right side
+    over_curvature, over_root = (
+        np.divide(ratio, of, out=np.zeros_like(ratio), where=of > 0.0) for of in (curvature, root)
+    )
+    return -side * over_curvature, curvature, -side * root, over_root
 
 
 def weights(loss: Loss, residuals: FloatArray) -> FloatArray:

@@ -23,6 +23,8 @@ _EARLY = 5e-4
 _GRIDS = 4
 #: relative, for times that are one
 _CLOSE = 1e-9
+#: of the test: a layer that lasts longer is not worn through
+_NEVER = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +47,8 @@ class Trajectory:
     #: (2, s, q) g, lost by lower and upper by the densities of their layers; NaN where these are
     #: not known.
     mass: FloatArray
+    #: (2, q) s, at which the first layers of lower and upper are worn through; NaN without layers
+    through: FloatArray
 
 
 class TimeInterpolation:
@@ -93,10 +97,12 @@ class Reader:
     Parameters
     ----------
     experiment : its case may have other values of the fitted keys than the histories.
+    clocks : 0 for lower and 1 for upper, of which mean worn depths are read along.
     """
 
-    def __init__(self, experiment: Experiment) -> None:
+    def __init__(self, experiment: Experiment, clocks: Sequence[int] = ()) -> None:
         case = experiment.case
+        self._clocks, self._area = list(clocks), case.area
         self._series = experiment.series
         self._breaks = (0.0, *case.breakpoints, case.time.end)
         self._radial = {s.name: _radial(s, case) for s in self._series if s.profile}
@@ -104,7 +110,10 @@ class Reader:
         self._steps: dict[bytes, dict[str, TimeInterpolation]] = {}
 
     def read(self, trajectory: Trajectory) -> FloatArray:
-        """Return the readings of all series, one after another, (n, q), without nuisances."""
+        """Return the readings of all series, one after another, (n, q), without nuisances.
+
+        With derivatives follow the mean worn depths of ``clocks``, mm.
+        """
         time = trajectory.time
         key = time.tobytes()
         if key not in self._steps:
@@ -115,9 +124,17 @@ class Reader:
                 name: TimeInterpolation(time, t, self._breaks) for name, t in at.items()
             }
         interpolations = self._steps[key]
-        return np.concatenate(
-            [self._of(s, trajectory, interpolations[s.name]) for s in self._series]
-        )
+        readings = [self._of(s, trajectory, interpolations[s.name]) for s in self._series]
+        if self._clocks and trajectory.approach.shape[-1] > 1:
+            depths = trajectory.volume[self._clocks, :, 0].T / self._area
+            readings = [
+                np.concatenate(
+                    [of, np.broadcast_to(interpolations[s.name](depths), (s.n, depths.shape[1]))],
+                    axis=1,
+                )
+                for s, of in zip(self._series, readings, strict=True)
+            ]
+        return np.concatenate(readings)
 
     def _of(
         self, series: Series, trajectory: Trajectory, in_steps: TimeInterpolation
@@ -126,6 +143,8 @@ class Reader:
         if series.profile:
             profile: FloatArray = self._radial[series.name] @ in_steps(trajectory.wear[body])[0]
             return profile
+        if series.quantity.startswith("through"):
+            return trajectory.through[[body]]
         if series.quantity in ("penetration", "approach"):
             values = trajectory.approach
             if series.quantity == "penetration":
@@ -176,6 +195,40 @@ def nuisance_columns(series: Series, case: Case) -> FloatArray:
             column = np.ones(series.n)
         columns.append(series.factor * column)
     return np.stack(columns, axis=1) if columns else np.zeros((series.n, 0))
+
+
+def time_through(
+    case: Case, body: int, time: FloatArray, wear: FloatArray, keys: Sequence[str] = ()
+) -> FloatArray:
+    """Return when (s) the first layer of lower (0) or upper (1) is worn through anywhere, (q,).
+
+    From the rate of the last step before it, or of the last one of all; with derivatives; NaN of a
+    body without layers.
+
+    Parameters
+    ----------
+    time : (s,) s.
+    wear : (s, n, q) mm, along the axis, and its derivatives.
+    keys : of the q - 1 derivatives, of which the layer's thickness moves its end.
+    """
+    if not case.rings[body].layers:
+        return np.full(wear.shape[-1], np.nan)
+    end = np.zeros(wear.shape[1:])
+    end[:, 0] = case.layer_ends(body)[0]
+    end[:, 1:] = [float(key == f"{BODIES[body]}.layers[0].thickness") for key in keys]
+    places = np.arange(len(end))
+    steps = np.maximum((wear[..., 0] < end[:, 0]).sum(axis=0) - 1, 1)
+    last, before = wear[steps, places], wear[steps - 1, places]
+    rate = (last - before) / (time[steps] - time[steps - 1])[:, None]
+    wearing = np.flatnonzero(rate[:, 0] > 0.0)
+    if not len(wearing):
+        return np.array([_NEVER * time[-1], *[0.0] * len(keys)])
+    lasts = (end - last)[:, 0] / np.where(rate[:, 0] > 0.0, rate[:, 0], 1.0)
+    first = wearing[np.argmin((time[steps] + lasts)[wearing])]
+    through = (end - last)[first] / rate[first, 0]
+    through[1:] -= lasts[first] * rate[first, 1:] / rate[first, 0]
+    through[0] += time[steps[first]]
+    return through
 
 
 def lost_mass(case: Case, body: int, wear: FloatArray, keys: Sequence[str] = ()) -> FloatArray:

@@ -35,7 +35,11 @@ class _Heterogeneity(NamedTuple):
 
 
 def disagreements(
-    misfit: Misfit, x: FloatArray, evaluation: Evaluation, test_unknowns: FloatArray
+    misfit: Misfit,
+    x: FloatArray,
+    evaluation: Evaluation,
+    test_unknowns: FloatArray,
+    sizes: FloatArray | None = None,
 ) -> list[ValidityWarning]:
     """Return a warning about the key of a rate whose values differ most between tests.
 
@@ -44,11 +48,13 @@ def disagreements(
     Parameters
     ----------
     x, evaluation, test_unknowns : unknowns (u,), residuals, and (tests, m) of the keys.
+    sizes : (bodies,) mm, of the process noise; None: there is none.
     """
     problem = misfit.problem
     if len(problem.experiments) < 2:
         return []
-    reduced = Linearisation(misfit, evaluation, x, test_unknowns).reduced()
+    linear = Linearisation(misfit, evaluation, x, test_unknowns)
+    (reduced,) = linear.reduced(None if sizes is None else sizes[None])
     score = np.array(
         [r.score - r.information @ o for r, o in zip(reduced, test_unknowns, strict=True)]
     )

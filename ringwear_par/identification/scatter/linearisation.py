@@ -7,7 +7,11 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.model.noise import log_volume, weights
+from ringwear_par.identification.scatter.clocks import TestClocks
 from ringwear_par.identification.scatter.reduction import LinearisedTest, ReducedTest, reduce_test
+
+#: of a reading without weight, instead of 0
+_NO_WEIGHT = 1e-12
 
 
 class Linearisation:
@@ -21,14 +25,21 @@ class Linearisation:
     evaluation : of it.
     x : (u,) unknowns at which it was evaluated.
     test_unknowns : (tests, m) unknowns of the keys in each test.
+    weighed : (n,) residuals by which the loss weighs readings; None: those of the evaluation.
 
     Attributes
     ----------
     rows : of each test among the readings.
+    clocks : of each test, where wear is random.
     """
 
     def __init__(
-        self, misfit: Misfit, evaluation: Evaluation, x: FloatArray, test_unknowns: FloatArray
+        self,
+        misfit: Misfit,
+        evaluation: Evaluation,
+        x: FloatArray,
+        test_unknowns: FloatArray,
+        weighed: FloatArray | None = None,
     ) -> None:
         self.misfit, self._evaluation, self._x = misfit, evaluation, x
         self._test_unknowns, self._m = test_unknowns, len(misfit.problem.parameters)
@@ -38,12 +49,35 @@ class Linearisation:
             slice(int(end) - experiment.n, int(end))
             for end, experiment in zip(ends, misfit.problem.experiments, strict=True)
         ]
+        residuals = evaluation.noise if weighed is None else weighed
+        self._roots = np.sqrt(weights(misfit.problem.settings.loss, residuals))
+        self.clocks: list[TestClocks] = []
+        if misfit.problem.settings.process:
+            answers, depths = misfit.clocks(x, test_unknowns)
+            self.clocks = [
+                TestClocks(
+                    experiment.series, misfit.sd[rows],
+                    self._roots[rows] * evaluation.roots[rows] + _NO_WEIGHT, answers[rows],
+                    depths[rows],
+                )
+                for experiment, rows in zip(misfit.problem.experiments, self.rows, strict=True)
+            ]  # fmt: skip
         #: of each test
         self.tests = [self._linearised(number) for number in range(len(self.rows))]
+        self._reduced: dict[bytes, list[list[ReducedTest]]] = {}
 
-    def reduced(self) -> list[ReducedTest]:
-        """Return the normal equations of all tests."""
-        return [reduce_test(test)[0] for test in self.tests]
+    def reduced(self, sizes: FloatArray | None = None) -> list[list[ReducedTest]]:
+        """Return the normal equations of all tests, for each size of the process noise.
+
+        Parameters
+        ----------
+        sizes : (G, bodies) mm; None: there is none.
+        """
+        key = b"" if sizes is None else sizes.tobytes()
+        if key not in self._reduced:
+            by_test = [reduce_test(test, sizes) for test in self.tests]
+            self._reduced[key] = [list(tests) for tests in zip(*by_test, strict=True)]
+        return self._reduced[key]
 
     def nuisances_of(self, test: int) -> list[int]:
         """Return the numbers of a test's unknown nuisances that no bound holds."""
@@ -64,14 +98,20 @@ class Linearisation:
 
     def _linearised(self, number: int) -> LinearisedTest:
         misfit, rows, nuisances = self.misfit, self.rows[number], self.nuisances_of(number)
-        noise = self._evaluation.noise[rows]
-        roots = np.sqrt(weights(misfit.problem.settings.loss, noise))[:, None]
+        roots = self._roots[rows, None]
+        noise = roots[:, 0] * self._evaluation.noise[rows]
         jacobian = roots * self._evaluation.noise_jacobian[rows]
-        keys, columns = jacobian[:, : self._m], jacobian[:, nuisances]
-        readings = keys @ self._test_unknowns[number] + columns @ self._x[nuisances]
         records = [r for r in misfit.records if r.experiment is misfit.problem.experiments[number]]
         volume = 2.0 * float(np.log(misfit.sd[rows]).sum())
         volume += 2.0 * sum(log_volume(record.series) for record in records)
+        kernels: tuple[FloatArray, ...] = ()
+        if self.clocks:
+            clocks, square = self.clocks[number], float(noise @ noise)
+            noise, jacobian = clocks.combine(noise), clocks.combine(jacobian)
+            volume += square - float(noise @ noise)  # of readings about the means of blocks
+            kernels = clocks.kernels
+        keys, columns = jacobian[:, : self._m], jacobian[:, nuisances]
+        readings = keys @ self._test_unknowns[number] + columns @ self._x[nuisances]
         return LinearisedTest(
-            readings - roots[:, 0] * noise, keys, columns, *self.priors_of(nuisances), volume
+            readings - noise, keys, columns, *self.priors_of(nuisances), volume, kernels
         )

@@ -1,6 +1,6 @@
 """The material behind specimens that differ: its values, how they scatter, and each specimen's."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +20,7 @@ from ringwear_par.identification.estimation.intervals import (
 from ringwear_par.identification.estimation.misfit import Evaluation
 from ringwear_par.identification.scatter.mixture import Mixture
 from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size, SizePosterior
+from ringwear_par.identification.scatter.random_wear import RandomWear
 
 #: ISO 5725: limit of the difference of two results that is exceeded once in twenty times
 _LIMIT = 2.8
@@ -61,18 +62,32 @@ class Material:
     deviance: float
     #: whether the values of tests have come to stay
     converged: bool
+    #: number of keys, and by how much readings determine deviations of specimens and of wear
+    effective_number: float
+    #: bodies whose wear is random
+    wear: RandomWear
+    #: (n,) share of each reading that is fitted
+    leverage: FloatArray
+    #: (n, bodies) mm, by which bodies have worn more than their mean, and its sd
+    excess: FloatArray
+    excess_sd: FloatArray
+    #: keys that readings do not tell from drifts, and which these are
+    lost: Mapping[str, str]
 
     @property
     def n_fitted_sizes(self) -> int:
         """Number of the sizes that were fitted."""
-        return sum(size.known is None for size in self.sizes)
+        return sum(size.known is None for size in self.sizes) + self.wear.n_fitted
 
     @property
-    def effective_number(self) -> float:
-        """Number of keys, and by how much readings determine the deviations of specimens."""
-        model, s = self.posterior.model, self.posterior.solutions
-        variances = np.diagonal(s.covariance, axis1=1, axis2=2)[:, model.m :]
-        return len(self.parameters) + float(self.posterior.weights @ (1.0 - variances).sum(axis=1))
+    def process(self) -> dict[str, dict[str, Any]]:
+        """Entries of fit.json of each body whose wear is random."""
+        return self.wear.entries(self.posterior, self.level)
+
+    @property
+    def sizes_of_process(self) -> FloatArray:
+        """(bodies,) mm, the median where it was fitted."""
+        return self.wear.sizes(self.wear.estimated_shares(self.posterior))
 
     def material(self, key: int) -> Mixture:
         """Return the distribution of the material's unknown of a key.
@@ -105,6 +120,11 @@ class Material:
         parameter, mixture, unknown = self.parameters[key], self.material(key), self.x[key]
         value, sd, (low, high) = parameter.value(unknown), mixture.sd, mixture.interval(self.level)
         natural = sd * parameter.slope(value)
+        if parameter.key in self.lost:
+            direction = f"{parameter.key} against {self.lost[parameter.key]}"
+            return ParameterEstimate(
+                parameter.key, value, natural, (None, None), "not identified", direction
+            )
         if is_vague(parameter, 0.5 * (high - low)) or is_mere_prior(parameter, natural):
             direction = f"these tests hardly determine {parameter.key} of the material"
             return ParameterEstimate(
@@ -160,14 +180,16 @@ class Material:
         if key not in self.free:
             return {}
         levels = self.levels_of(key)
+        parts = ["scatter"] * bool(self.sizes) + ["process"] * bool(self.wear.shares)
+        interval_of = f"{' and '.join(parts)} integrated"
         if not levels:
-            return {"interval_of": "scatter integrated"}
+            return {"interval_of": interval_of}
         parameter, place = self.parameters[key], self.free.index(key)
         following = self.posterior.next_specimen(place)
         sizes = {self._name(i): self._median_size(i) for i in levels}
         entry: dict[str, Any] = {
             "of": "material",
-            "interval_of": "scatter integrated",
+            "interval_of": interval_of,
             "scatter": {self._name(i): self._size_entry(i) for i in levels},
             "next": list(self.interval(key, following)),
             "each": self._groups_entry(key, levels),
@@ -207,7 +229,7 @@ class Material:
                     warnings.append(
                         ValidityWarning("few-specimens", text, (parameter.key,), (), values)
                     )
-        return tuple(warnings)
+        return (*warnings, *self.wear.warnings(self.process))
 
     def _size_entry(self, level: int) -> dict[str, Any]:
         groups = len(self.names[level])

@@ -5,7 +5,7 @@ hardly bounds it, and intervals at its best value hold the truth too rarely.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,13 +16,15 @@ from ringwear_par.identification.scatter.likelihood import MixedModel, Solutions
 from ringwear_par.identification.scatter.mixture import Mixture
 
 #: degrees of freedom of the priors of sizes
-_DEGREES = 4.0
+DEGREES = 4.0
 #: points of the grid along each axis, by the number of axes
 _POINTS = {1: 120, 2: 60, 3: 20}
 #: ends of the grid over the scale of the prior
 _GRID = (0.007, 17.0)
 #: of -2 log likelihood: a finer grid covers what is as near as this to the best
 _NEAR = 8.0
+#: points of an axis there, fewer of which are too coarse
+_FEW = 10
 #: points whose solutions are made at once, and -2 log likelihood over the best from which on they
 #: are not kept: their weights are round-off
 _CHUNK, _IMPROBABLE = 256, 75.0
@@ -60,7 +62,7 @@ class Axis:
 
 def prior_density(size: FloatArray, scale: float) -> FloatArray:
     """Return the half-t density of sizes, but for a constant."""
-    return (1.0 + (size / scale) ** 2 / _DEGREES) ** (-0.5 * (_DEGREES + 1.0))
+    return (1.0 + (size / scale) ** 2 / DEGREES) ** (-0.5 * (DEGREES + 1.0))
 
 
 def axis(size: Size, points: int, ends: tuple[float, float] | None = None) -> Axis:
@@ -106,11 +108,16 @@ class ScatterPosterior:
     models : one for each point of the process noise, one at least; of the same levels.
     solutions : at the points of the grid, those of each model after another.
     weights : (G,) float, posterior probability of each point.
+    shares : (G, bodies) float, shares of the process noise at each point.
+    without : (bodies,) float, smallest restricted -2 log likelihood without that of a body; NaN
+        where its size is known.
     """
 
     models: tuple[MixedModel, ...]
     solutions: Solutions
     weights: FloatArray
+    shares: FloatArray
+    without: FloatArray
 
     @property
     def model(self) -> MixedModel:
@@ -128,6 +135,12 @@ class ScatterPosterior:
         levels = [i for i, level in enumerate(self.model.levels) if level.key == key]
         spread = (self.solutions.tau[:, levels] ** 2).sum(axis=1)
         return Mixture(self.weights, material.means, material.variances + spread)
+
+    def unknowns_of(self, test: int | None) -> tuple[FloatArray, FloatArray]:
+        """Return means (G, m) and covariances (G, m, m) of a test's unknowns; None: material's."""
+        s, rows = self.solutions, self._material_rows if test is None else self._rows(test)
+        means = np.einsum("gki,gi->gk", rows, s.effects)
+        return means, np.einsum("gki,gij,glj->gkl", rows, s.covariance, rows, optimize=True)
 
     def of_test(self, test: int, key: int) -> Mixture:
         """Return the distribution of a key's value in one test, in the light of the others."""
@@ -183,56 +196,71 @@ class ScatterPosterior:
         level : number of the level.
         probability : of its interval.
         """
-        tau = self.solutions.tau[:, level]
-        points = np.unique(tau)
-        mass = np.array([self.weights[tau == point].sum() for point in points])
-        centred = np.cumsum(mass) - 0.5 * mass
-        tail = 0.5 * (1.0 - probability)
-        low, median, high = np.interp([tail, 0.5, 1.0 - tail], centred, points)
-        best = int(np.argmin(self.solutions.restricted))
         without = self.solutions.tau.copy()
         without[:, level] = 0.0
         combinations = np.unique(without, axis=0)
         at_zero = min(model.solve(combinations).restricted.min() for model in self.models)
+        return self._size(self.solutions.tau[:, level], at_zero, probability)
+
+    def share(self, body: int, probability: float) -> SizePosterior:
+        """Return the posterior of the share of the process noise of a body, see ``size``."""
+        return self._size(self.shares[:, body], float(self.without[body]), probability)
+
+    def _size(self, values: FloatArray, at_zero: float, probability: float) -> SizePosterior:
+        """Return the posterior of a size by its values (G,), and by the likelihood at 0."""
+        points = np.unique(values)
+        mass = np.array([self.weights[values == point].sum() for point in points])
+        centred = np.cumsum(mass) - 0.5 * mass
+        tail = 0.5 * (1.0 - probability)
+        low, median, high = np.interp([tail, 0.5, 1.0 - tail], centred, points)
+        best = int(np.argmin(self.solutions.restricted))
         at_bound = bool(at_zero - self.solutions.restricted[best] < _AT_BOUND)
         return SizePosterior(
             float(median),
             (0.0 if at_bound else float(low), float(high)),
-            0.0 if at_zero <= self.solutions.restricted[best] else float(tau[best]),
+            0.0 if at_zero <= self.solutions.restricted[best] else float(values[best]),
             at_bound,
         )
 
 
 def integrate(
-    models: Sequence[MixedModel], prior: FloatArray, sizes: Sequence[Size]
+    models_at: Callable[[FloatArray], Sequence[MixedModel]],
+    sizes: Sequence[Size],
+    shares: Sequence[Size] = (),
 ) -> ScatterPosterior:
-    """Return the posterior of mixed models over the sizes of their levels.
+    """Return the posterior of mixed models over the sizes of their levels and of process noise.
 
-    With three sizes to be fitted, a coarse grid finds where the likelihood is, and a second one
-    covers that.
+    With three sizes to be fitted, or one that is known well, a coarse grid finds where the
+    likelihood is, and a second one covers that.
 
     Parameters
     ----------
-    models : one for each point of the process noise; one where there is none.
-    prior : (models,) float, prior weights of these points.
+    models_at : returns a model for each of (k, bodies) shares of the process noise.
     sizes : of the levels.
+    shares : of the process noise of bodies.
 
     Raises
     ------
     numpy.linalg.LinAlgError : the tests and priors together do not determine the material.
     """
-    unknown = sum(size.known is None for size in sizes) + (len(models) > 1)
-    present = [axis(size, _POINTS.get(unknown, 1)) for size in sizes]
-    posterior = _posterior(models, prior, present)
-    if unknown < 3:
-        return posterior
-    restricted, tau = posterior.solutions.restricted, posterior.solutions.tau
-    near = tau[restricted < restricted.min() + _NEAR]
-    finer = [
-        axis(size, _POINTS[3], _widened(before, near[:, i]))
-        for i, (size, before) in enumerate(zip(sizes, present, strict=True))
+    every = [*sizes, *shares]
+    unknown = sum(size.known is None for size in every)
+    axes = [axis(size, _POINTS.get(unknown, 1)) for size in every]
+    posterior = _posterior(models_at, axes, len(sizes), shares)
+    restricted = posterior.solutions.restricted
+    values = np.concatenate([posterior.solutions.tau, posterior.shares], axis=1)
+    near = values[restricted < restricted.min() + _NEAR]
+    coarse = [
+        size.known is None and (unknown > 2 or len(np.unique(v)) < _FEW)
+        for v, size in zip(near.T, every, strict=True)
     ]
-    return _posterior(models, prior, finer)
+    if not any(coarse):
+        return posterior
+    finer = [
+        axis(size, _POINTS[unknown], _widened(before, near[:, i])) if coarse[i] else before
+        for i, (size, before) in enumerate(zip(every, axes, strict=True))
+    ]
+    return _posterior(models_at, finer, len(sizes), shares)
 
 
 def _widened(before: Axis, near: FloatArray) -> tuple[float, float]:
@@ -243,19 +271,39 @@ def _widened(before: Axis, near: FloatArray) -> tuple[float, float]:
 
 
 def _posterior(
-    models: Sequence[MixedModel], prior: FloatArray, present: Sequence[Axis]
+    models_at: Callable[[FloatArray], Sequence[MixedModel]],
+    axes: Sequence[Axis],
+    n_levels: int,
+    shares: Sequence[Size],
 ) -> ScatterPosterior:
-    tau, weights = grid(present)
-    probable, weighted = [], []
+    """Return the posterior over a grid: axes of the levels, then of the process noise."""
+    tau, weights = grid(axes[:n_levels])
+    points, prior = grid(axes[n_levels:])
+    nulls = []
+    for body, size in enumerate(shares):
+        null = points.copy()
+        null[:, body] = 0.0
+        nulls.append(np.unique(null, axis=0) if size.known is None else null[:0])
+    models = models_at(np.concatenate([points, *nulls]))
+    probable, weighted, of_model = [], [], []
     least = np.inf
-    for model, of_model in zip(models, prior, strict=True):
+    for number, model in enumerate(models[: len(points)]):
         for first in range(0, len(tau), _CHUNK):
             part = slice(first, first + _CHUNK)
             solutions = model.solve(tau[part])
             least = min(least, float(solutions.restricted.min()))
             near = np.flatnonzero(solutions.restricted < least + _IMPROBABLE)
             probable.append(take(solutions, near))
-            weighted.append(of_model * weights[part][near])
+            weighted.append(prior[number] * weights[part][near])
+            of_model.append(np.full(len(near), number))
+    ends = len(points) + np.cumsum([0, *map(len, nulls)])
+    without = [
+        min((model.solve(tau).restricted.min() for model in models[low:high]), default=np.nan)
+        for low, high in itertools.pairwise(ends)
+    ]
     solutions = concat(probable)
     posterior = np.exp(-0.5 * (solutions.restricted - least)) * np.concatenate(weighted)
-    return ScatterPosterior(tuple(models), solutions, posterior / posterior.sum())
+    return ScatterPosterior(
+        tuple(models[: len(points)]), solutions, posterior / posterior.sum(),
+        points[np.concatenate(of_model)], np.array(without),
+    )  # fmt: skip

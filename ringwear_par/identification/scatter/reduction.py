@@ -4,10 +4,11 @@ Noise, nuisances and the random part of wear are integrated here; what is left o
 its fitted keys alone.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.model.noise import NuisanceProjection
@@ -58,42 +59,77 @@ class LinearisedTest:
     prior_values: FloatArray
     #: log determinant of the noise's covariance
     log_volume: float
-    #: (n, n) float, covariance that the random part of wear adds, for a size of 1 mm
-    process: FloatArray | None = None
+    #: (n, n) float of each body whose wear is random: the covariance that this adds, for a size of
+    #: 1 mm
+    process: tuple[FloatArray, ...] = ()
+
+    @property
+    def nuisance_projection(self) -> NuisanceProjection:
+        """Least squares over the nuisances, of the readings and then the priors."""
+        return NuisanceProjection(np.concatenate([self.nuisances, self.prior_rows]))
 
 
-def reduce_test(test: LinearisedTest, sizes: Sequence[float] = (0.0,)) -> tuple[ReducedTest, ...]:
+def uncorrelated(test: LinearisedTest, sizes: FloatArray) -> tuple[LinearisedTest, FloatArray]:
+    """Return a test in units of all its noise, the random part of its wear included.
+
+    Parameters
+    ----------
+    sizes : mm, of each body's.
+
+    Returns
+    -------
+    The test without process, and the matrix (n, n) that its rows were multiplied by.
+    """
+    covariance = np.eye(len(test.readings))
+    for size, kernel in zip(sizes, test.process, strict=True):
+        covariance += size * kernel
+    factor = np.linalg.cholesky(covariance)
+    inverse = solve_triangular(factor, np.eye(len(factor)), lower=True)
+    volume = test.log_volume + 2.0 * float(np.log(np.diag(factor)).sum())
+    return replace(
+        test, readings=inverse @ test.readings, jacobian=inverse @ test.jacobian,
+        nuisances=inverse @ test.nuisances, log_volume=volume,
+        process=tuple(inverse @ kernel @ inverse.T for kernel in test.process),
+    ), inverse  # fmt: skip
+
+
+def reduce_test(test: LinearisedTest, sizes: FloatArray | None = None) -> list[ReducedTest]:
     """Return the normal equations of a test at each size of the random part of its wear.
 
     Nuisances are integrated: those without a prior as if it were infinitely wide.
 
     Parameters
     ----------
-    sizes : mm, of the process noise; of no meaning to a test that has none.
+    sizes : (G, bodies) mm; None: wear is not random.
     """
-    rows = np.column_stack([test.readings, test.jacobian, test.nuisances])
-    variances = np.zeros(len(rows))
-    if test.process is not None:
-        # one decomposition makes the covariances of all sizes diagonal
-        variances, vectors = np.linalg.eigh(test.process)
-        variances, rows = np.maximum(variances, 0.0), vectors.T @ rows
-    m = test.jacobian.shape[1]
+    if sizes is None or not test.process:
+        return [_reduce(test, np.zeros(len(test.readings)))]
+    reduced: list[ReducedTest | None] = [None] * len(sizes)
+    # one decomposition makes the covariances of all sizes of the first body diagonal
+    for other_sizes in np.unique(sizes[:, 1:], axis=0):
+        alone = uncorrelated(test, np.append(0.0, other_sizes))[0] if other_sizes.any() else test
+        variances, vectors = np.linalg.eigh(alone.process[0])
+        variances = np.maximum(variances, 0.0)
+        turned = replace(
+            alone, readings=vectors.T @ alone.readings, jacobian=vectors.T @ alone.jacobian,
+            nuisances=vectors.T @ alone.nuisances,
+        )  # fmt: skip
+        for i in np.flatnonzero((sizes[:, 1:] == other_sizes).all(axis=1)):
+            reduced[i] = _reduce(turned, sizes[i, 0] * variances)
+    return [one for one in reduced if one is not None]
+
+
+def _reduce(test: LinearisedTest, variances: FloatArray) -> ReducedTest:
+    """Return the normal equations of a test whose readings have more, uncorrelated variances."""
+    m, root = test.jacobian.shape[1], np.sqrt(1.0 + variances)[:, None]
+    rows = np.column_stack([test.readings, test.jacobian, test.nuisances]) / root
     no_keys = np.zeros((len(test.prior_values), m))
     priors = np.column_stack([test.prior_values, no_keys, test.prior_rows])
-    return tuple(
-        _reduce(rows, priors, 1.0 + size * variances, m, test.log_volume) for size in sizes
-    )
-
-
-def _reduce(
-    rows: FloatArray, priors: FloatArray, variances: FloatArray, m: int, log_volume: float
-) -> ReducedTest:
-    """Return the normal equations of uncorrelated rows: readings, m keys, then the nuisances."""
-    scaled = np.concatenate([rows / np.sqrt(variances)[:, None], priors])
+    scaled = np.concatenate([rows, priors])
     projection = NuisanceProjection(scaled[:, 1 + m :])
     rest = projection.rest(scaled[:, : 1 + m])
     products = rest.T @ rest
     return ReducedTest(
         products[1:, 1:], products[1:, 0], float(products[0, 0]),
-        log_volume + float(np.log(variances).sum()), projection.log_volume,
+        test.log_volume + float(np.log1p(variances).sum()), projection.log_volume,
     )  # fmt: skip

@@ -3,8 +3,9 @@
 Lindstrom and Bates (1990), Biometrics 46, 673-687.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -21,20 +22,19 @@ from ringwear_par.identification.definition.scatter import group_numbers
 from ringwear_par.identification.estimation.intervals import is_vague
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.model.histories import HistoryError
-from ringwear_par.identification.model.noise import (
-    NuisanceProjection,
-    log_constant,
-    student_loss,
-    weights,
-)
+from ringwear_par.identification.model.noise import log_constant, student_loss, weights
+from ringwear_par.identification.scatter.clocks import projected_precision
 from ringwear_par.identification.scatter.likelihood import Level, MixedModel
 from ringwear_par.identification.scatter.linearisation import Linearisation
 from ringwear_par.identification.scatter.material import Material
 from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size, integrate
-from ringwear_par.identification.scatter.reduction import ReducedTest, with_fixed
+from ringwear_par.identification.scatter.random_wear import RandomWear, lost_in_drift
+from ringwear_par.identification.scatter.reduction import ReducedTest, uncorrelated, with_fixed
 
 #: sd by which no test's unknowns move any more, and most rounds until then
 _STILL, _MOST_ROUNDS = 1e-3, 60
+#: rounds after which the depth stays that shares are of
+_SETTLING = 3
 #: in a round, most of a logarithm, and of the width of the bounds; least share of a move
 _LOG_MOVE, _MOVE, _LEAST_SHARE = 1.0, 0.25, 0.05
 #: how often tests go half as far, where there is no history
@@ -64,21 +64,28 @@ def estimate_material(
     longest = np.array([_LOG_MOVE if p.log else np.inf for p in problem.parameters])
     longest = np.minimum(longest, _MOVE * (high - low))
     test_unknowns = before = np.tile(x[:m], (len(problem.experiments), 1))
+    fitted_noise = np.array([record.series.sd_fitted for record in misfit.records])
     share, farthest = 1.0, np.inf
-    for _ in range(_MOST_ROUNDS):
+    wear, weighed = RandomWear.of(misfit, x, test_unknowns, plan=sizes is not None), None
+    for number in range(_MOST_ROUNDS):
         x, evaluation, test_unknowns = _evaluated(misfit, x, before, test_unknowns)
+        if number < _SETTLING:  # without the noise of wear, x may have been far off
+            wear = RandomWear.of(misfit, x, test_unknowns, plan=sizes is not None)
         prior = _prior_of_keys(problem.parameters, x)
         if sizes is not None:
             x[m:] = _expected_nuisances(misfit)
             evaluation = replace(evaluation, noise=np.zeros(misfit.n))
             prior = prior[0], x[:m].copy()
-        linear = Linearisation(misfit, evaluation, x, test_unknowns)
-        mixed = _solve(problem, linear.reduced(), levels, prior, scatters)
+        linear = Linearisation(misfit, evaluation, x, test_unknowns, weighed)
+        mixed = _solve(problem, linear, levels, prior, scatters, wear)
+        smoothed = _smoothed(misfit, x, evaluation, test_unknowns, linear, mixed)
         growth = np.ones(len(misfit.records))
         if sizes is None:
-            growth = _noise_growth(misfit, evaluation, linear, mixed)
+            growth = misfit.noise_growth(smoothed.evaluation, smoothed.leverage)
+            growth = np.where(fitted_noise, growth, 1.0)
             misfit.noise_scale = growth * misfit.noise_scale
-        x = x.copy()
+            weighed = smoothed.evaluation.noise if wear.shares else None
+        x = smoothed.x.copy()
         x[:m] = np.clip(mixed.material, low, high)
         move = np.clip(mixed.of_tests, low, high) - test_unknowns
         distance = float((np.abs(move) / mixed.sds).max())
@@ -88,17 +95,20 @@ def estimate_material(
         # linearised tests may be far off: where rounds do not come nearer, they go less far
         share = min(1.0, 1.5 * share) if distance < farthest else max(_LEAST_SHARE, 0.5 * share)
         farthest, before = distance, test_unknowns
-        test_unknowns = test_unknowns + np.clip(share * move, -longest, longest)
+        if distance > _STILL:
+            test_unknowns = test_unknowns + np.clip(share * move, -longest, longest)
     alone, alone_sd = _alone(problem.parameters, mixed)
-    covariance, band = _covariance(misfit, linear, mixed, x)
     constant = 2.0 * misfit.n * log_constant(problem.settings.loss) + _loss_of_weights(
-        problem.settings.loss, evaluation.noise
+        problem.settings.loss, smoothed.evaluation.noise
     )
     return Material(
         problem.parameters, mixed.free, mixed.posterior, mixed.unbounded, tuple(scatters),
         tuple(names), alone, alone_sd, problem.settings.level,
-        before if not converged else test_unknowns, x, evaluation, covariance, band,
+        before if not converged else test_unknowns, x, smoothed.evaluation,
+        _covariance(linear, mixed, x), misfit.sd * np.sqrt(smoothed.leverage),
         float(mixed.posterior.solutions.marginal.min()) + constant, converged,
+        smoothed.effective_number, wear, smoothed.leverage, smoothed.excess, smoothed.excess_sd,
+        lost_in_drift(problem),
     )  # fmt: skip
 
 
@@ -111,7 +121,8 @@ class _Mixed:
     #: of these, and of all keys as if there were no bounds
     posterior: ScatterPosterior
     unbounded: ScatterPosterior
-    #: normal equations of the free keys
+    #: mm, of the process noise of bodies; normal equations of the free keys there
+    sizes: FloatArray
     reduced: Sequence[ReducedTest]
     #: (m,) means of the material's unknowns, (tests, m) of each test's, and their sd
     material: FloatArray
@@ -142,10 +153,11 @@ def _evaluated(
 
 def _solve(
     problem: Problem,
-    reduced: Sequence[ReducedTest],
+    linear: Linearisation,
     levels: Sequence[Level],
     prior: tuple[FloatArray, FloatArray],
     sizes: Sequence[Size],
+    wear: RandomWear,
 ) -> _Mixed:
     """Return the mixed model, in which keys that would leave their bounds stay at them.
 
@@ -157,9 +169,11 @@ def _solve(
     unbounded = None
     while True:
         free = [j for j in range(len(low)) if j not in at_bounds]
-        tests = [with_fixed(test, at_bounds) for test in reduced]
         present = [replace(level, key=free.index(level.key)) for level in levels]
-        posterior = _integrated(problem.name, tests, present, (precision[free], mean[free]), sizes)
+        models_at = partial(
+            _models, linear, wear, at_bounds.copy(), present, (precision[free], mean[free])
+        )
+        posterior = _integrated(problem.name, models_at, sizes, wear.shares)
         unbounded = posterior if unbounded is None else unbounded
         material = {j: posterior.material(place).mean for place, j in enumerate(free)}
         beyond = {
@@ -170,6 +184,8 @@ def _solve(
         if not beyond:
             break
         at_bounds |= beyond
+    of_process = wear.sizes(wear.estimated_shares(posterior)[None])
+    reduced = [with_fixed(test, at_bounds) for test in linear.reduced(of_process)[0]]
     count = len(reduced)
     of_tests, sds = np.empty((count, len(low))), np.ones((count, len(low)))
     for j, value in at_bounds.items():
@@ -178,7 +194,22 @@ def _solve(
         of_tests[i, free] = posterior.unknowns(i)
         sds[i, free] = [posterior.of_test(i, place).sd for place in range(len(free))]
     means = np.array([{**material, **at_bounds}[j] for j in range(len(low))])
-    return _Mixed(tuple(free), posterior, unbounded, tests, means, of_tests, sds)
+    return _Mixed(tuple(free), posterior, unbounded, of_process[0], reduced, means, of_tests, sds)
+
+
+def _models(
+    linear: Linearisation,
+    wear: RandomWear,
+    at_bounds: Mapping[int, float],
+    levels: Sequence[Level],
+    prior: tuple[FloatArray, FloatArray],
+    shares: FloatArray,
+) -> list[MixedModel]:
+    """Return the model of the free keys for each of (G, bodies) shares of the process noise."""
+    return [
+        MixedModel([with_fixed(test, at_bounds) for test in tests], levels, *prior)
+        for tests in linear.reduced(wear.sizes(shares))
+    ]
 
 
 def _loss_of_weights(loss: Loss, noise: FloatArray) -> float:
@@ -213,37 +244,76 @@ def _expected_nuisances(misfit: Misfit) -> FloatArray:
 
 def _integrated(
     name: str,
-    reduced: Sequence[ReducedTest],
-    levels: Sequence[Level],
-    prior: tuple[FloatArray, FloatArray],
+    models_at: Callable[[FloatArray], list[MixedModel]],
     sizes: Sequence[Size],
+    shares: Sequence[Size],
 ) -> ScatterPosterior:
     try:
-        model = MixedModel(reduced, levels, *prior)
-        return integrate([model], np.ones(1), sizes)
+        return integrate(models_at, sizes, shares)
     except np.linalg.LinAlgError as error:
         raise ComputationError(
-            f"{name}: readings do not determine all keys of the material; leave out scatter to see "
-            "which are not identified"
+            f"{name}: readings do not determine all keys of the material; leave out scatter and "
+            "process to see which are not identified"
         ) from error
 
 
-def _noise_growth(
-    misfit: Misfit, evaluation: Evaluation, linear: Linearisation, mixed: _Mixed
-) -> FloatArray:
-    """Return by how much the noise of each series (series,) is larger; 1 where it is given."""
-    leverages = []
-    for number, test in enumerate(linear.tests):
-        keys = test.jacobian[:, list(mixed.free)]
-        padding = np.zeros((len(test.prior_rows), keys.shape[1]))
-        projection = NuisanceProjection(np.concatenate([test.nuisances, test.prior_rows]))
-        rest = projection.rest(np.concatenate([keys, padding]))[: len(test.readings)]
-        covariance = mixed.posterior.covariance_of_test(number)
-        by_keys = np.einsum("ij,jk,ik->i", rest, covariance, rest)
-        leverages.append(projection.leverage[: len(test.readings)] + by_keys)
-    growth = misfit.noise_growth(evaluation, np.concatenate(leverages))
-    fitted = np.array([record.series.sd_fitted for record in misfit.records])
-    return np.where(fitted, growth, 1.0)
+@dataclass(frozen=True, eq=False)
+class _Smoothed:
+    """The best fit of all tests, the random part of their wear included."""
+
+    #: (u,) unknowns, with the best nuisances
+    x: FloatArray
+    evaluation: Evaluation
+    #: (n,) share of each reading that is fitted, and the number of keys and random parts that are
+    leverage: FloatArray
+    effective_number: float
+    #: (n, bodies) mm, by which bodies have worn more than their mean, and its sd
+    excess: FloatArray
+    excess_sd: FloatArray
+
+
+def _smoothed(
+    misfit: Misfit,
+    x: FloatArray,
+    evaluation: Evaluation,
+    test_unknowns: FloatArray,
+    linear: Linearisation,
+    mixed: _Mixed,
+) -> _Smoothed:
+    m, posterior = len(misfit.problem.parameters), mixed.posterior
+    leverage, free = np.zeros(misfit.n), list(mixed.free)
+    if not linear.clocks:
+        for number, test in enumerate(linear.tests):
+            keys, projection = test.jacobian[:, free], test.nuisance_projection
+            padding = np.zeros((len(test.prior_rows), keys.shape[1]))
+            rest = projection.rest(np.concatenate([keys, padding]))[: len(test.readings)]
+            by_keys = np.einsum("ij,jk,ik->i", rest, posterior.covariance_of_test(number), rest)
+            leverage[linear.rows[number]] = projection.leverage[: len(test.readings)] + by_keys
+        variances = np.diagonal(posterior.solutions.covariance, axis1=1, axis2=2)
+        of_groups = posterior.weights @ (1.0 - variances[:, posterior.model.m :]).sum(axis=1)
+        none = np.zeros((misfit.n, 0))
+        return _Smoothed(x, evaluation, leverage, m + float(of_groups), none, none)
+    x, fitted = x.copy(), posterior.model.precision[: len(free)] @ np.diag(posterior.covariance)
+    fitted -= len(x) - m - int(misfit.idle.sum())
+    excess, excess_sd = np.zeros((2, misfit.n, len(mixed.sizes)))
+    for number, (test, clocks) in enumerate(zip(linear.tests, linear.clocks, strict=True)):
+        b, rows, nuisances = len(test.readings), linear.rows[number], linear.nuisances_of(number)
+        test_free = replace(test, jacobian=test.jacobian[:, free])
+        precision = projected_precision(
+            test_free, mixed.sizes, posterior.covariance_of_test(number)
+        )
+        leverages = 1.0 - np.diag(precision)
+        leverage[rows], fitted = clocks.spread(leverages[:b]), fitted + leverages.sum()
+        alone, whitening = uncorrelated(test, mixed.sizes)
+        readings = alone.readings - alone.jacobian @ test_unknowns[number]
+        right = np.concatenate([readings, test.prior_values])
+        best = alone.nuisance_projection.solution(right)
+        x[nuisances] = np.clip(best, misfit.lower[nuisances], misfit.upper[nuisances])
+        rest = whitening.T @ (readings - alone.nuisances @ x[nuisances])
+        excess[rows], excess_sd[rows] = clocks.smoothed(mixed.sizes, rest, precision[:b, :b])
+    random_part = (misfit.clocks(x, test_unknowns)[0] * excess).sum(axis=1)
+    evaluation = misfit.evaluate(x, test_unknowns, random_part)
+    return _Smoothed(x, evaluation, leverage, float(fitted), excess, excess_sd)
 
 
 def _alone(parameters: Sequence[FittedParameter], mixed: _Mixed) -> tuple[FloatArray, FloatArray]:
@@ -266,19 +336,18 @@ def _alone(parameters: Sequence[FittedParameter], mixed: _Mixed) -> tuple[FloatA
     return estimate, sd
 
 
-def _covariance(
-    misfit: Misfit, linear: Linearisation, mixed: _Mixed, x: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance (u, u) of the unknowns, and the sd (n,) of the model's readings.
+def _covariance(linear: Linearisation, mixed: _Mixed, x: FloatArray) -> FloatArray:
+    """Return the covariance (u, u) of the unknowns.
 
     Nuisances follow the keys of their test; those of different tests are given as independent.
     Keys at their bounds are known.
     """
     posterior, free = mixed.posterior, list(mixed.free)
-    covariance, band = np.zeros((len(x), len(x))), np.zeros(misfit.n)
+    covariance = np.zeros((len(x), len(x)))
     covariance[np.ix_(free, free)] = posterior.covariance
-    for number, test in enumerate(linear.tests):
-        nuisances, c = linear.nuisances_of(number), test.nuisances.shape[1]
+    for number, correlated in enumerate(linear.tests):
+        test = uncorrelated(correlated, mixed.sizes)[0] if linear.clocks else correlated
+        nuisances = linear.nuisances_of(number)
         jacobian = test.jacobian[:, free]
         stacked = np.concatenate([test.nuisances, test.prior_rows])
         normal = np.linalg.pinv(stacked.T @ stacked, hermitian=True)
@@ -288,12 +357,7 @@ def _covariance(
         across = follow @ posterior.covariance_of_test_and_material(number)
         covariance[np.ix_(nuisances, free)] = across
         covariance[np.ix_(free, nuisances)] = across.T
-        rows = np.concatenate([jacobian + test.nuisances @ follow, test.nuisances], axis=1)
-        whole = np.zeros((len(free) + c, len(free) + c))
-        whole[: len(free), : len(free)], whole[len(free) :, len(free) :] = keys, normal
-        sd = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, whole, rows), 0.0))
-        band[linear.rows[number]] = sd * misfit.sd[linear.rows[number]]
-    return covariance, band
+    return covariance
 
 
 def _levels(

@@ -1,6 +1,7 @@
 """The numbers of a test design: design.json, the summary, and the names and units of both."""
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -8,7 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.units import factor
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
+from ringwear_par.identification.definition.user_units import unit_scale
 from ringwear_par.identification.test_design.candidates import Candidate
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.search import Design
@@ -37,7 +40,9 @@ def sd_scales(design: DesignResult) -> list[SdScale]:
     """Return the scales of the predicted standard deviations, by key."""
     return [
         SdScale(p.key, 100.0 / value, "%") if p.log
-        else SdScale(p.key, 1.0, unit_of_key(design.problem, p.key).strip())
+        else SdScale(
+            p.key, 1.0 / unit_scale(p), p.unit or unit_of_key(design.problem, p.key).strip()
+        )
         for p, value in zip(design.problem.parameters, design.nominal.tolist(), strict=True)
     ]  # fmt: skip
 
@@ -164,6 +169,7 @@ def summary(design: DesignResult) -> str:
     ]
     about = ", ".join(
         f"{p.key} = {v:.4g}{unit_of_key(problem, p.key)}"
+        + f" ({v / unit_scale(p):.4g} {p.unit})" * bool(p.unit)
         for p, v in zip(problem.parameters, design.nominal.tolist(), strict=True)
     )
     where = f"after {design.after}" if design.after else "at the start"
@@ -177,6 +183,10 @@ def summary(design: DesignResult) -> str:
             f"each test is of a new specimen, between which {', '.join(scattering)} scatters; "
             "what follows is of the material"
         )
+    if problem.settings.process:
+        lines.append(
+            "noise of the wear itself (fit.process) is not counted: tests tell less than this"
+        )
     names = [name_of_tests(design, one) for one in design.designs[:_LISTED]]
     width = max(map(len, names))
     for name, one in zip(names, design.designs, strict=False):
@@ -187,26 +197,42 @@ def summary(design: DesignResult) -> str:
     if design.failed:
         test, why = next(iter(design.failed.items()))
         lines.append(
-            f"{len(design.failed)} tests cannot be computed and are left out: {name_of(test)}: "
-            f"{why}"
+            f"{len(design.failed)} tests cannot be computed and are left out: "
+            f"{name_of(test, problem.design.units)}: {why}"
         )
     return "\n".join(lines)
 
 
 def name_of_tests(design: DesignResult, one: Design, separator: str = " + ") -> str:
     """Return the tests of a design in a few words."""
-    return separator.join(name_of(design.candidates[i]) for i in one.tests)
+    units = design.problem.design.units
+    return separator.join(name_of(design.candidates[i], units) for i in one.tests)
 
 
-def name_of(test: Candidate) -> str:
-    """Return a test in a few words."""
+def name_of(test: Candidate, units: Mapping[str, str]) -> str:
+    """Return a test in a few words.
+
+    Parameters
+    ----------
+    units : that keys are told in, where another than the case's.
+    """
+
+    def words_of(key: str, base: str, *values: Any) -> str:
+        unit = units.get(key, base)
+        return f"{' then '.join(f'{value / factor(unit, base):.4g}' for value in values)} {unit}"
+
     words = []
     if test.loads:
-        unit = "MPa" if "load.pressure" in test.keys else "N"
-        words.append(f"{' then '.join(f'{load:.4g}' for load in test.loads)} {unit}")
+        key, base = ("load.force", "N")
+        if "load.pressure" in test.keys:
+            key, base = "load.pressure", "MPa"
+        words.append(words_of(key, base, *test.loads))
     if "load.omega" in test.keys:
-        words.append(f"{test.keys['load.omega']:.4g} rad/s")
-    words.append(time_words(test.seconds, test.seconds))
+        words.append(words_of("load.omega", "rad/s", test.keys["load.omega"]))
+    if "time.end" in units:
+        words.append(words_of("time.end", "s", test.seconds))
+    else:
+        words.append(time_words(test.seconds, test.seconds))
     if test.instants_vary:
         at = ", ".join(time_words(at, test.seconds) for at in test.profiles)
         words.append(f"profile{'s' if test.profiles[1:] else ''} at {at}")
@@ -221,7 +247,7 @@ def spreads(design: DesignResult, one: Design) -> str:
             texts.append(f"{scale.key} not identified")
             continue
         unit = f" {scale.unit}" if scale.unit else ""
-        texts.append(f"{scale.key} +- {scale.factor * sd:.2g}{unit}")
+        texts.append(f"{scale.key} sd {scale.factor * sd:.2g}{unit}")
         if high > 1.5 * low:
             worst = f"{high / sd:.2g} times" if np.isfinite(high) else "not identified"
             texts[-1] += f" (at worst {worst})"

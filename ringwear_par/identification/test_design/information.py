@@ -218,7 +218,8 @@ def information_of_tests(
         groups.setdefault(id(test.case), []).append(number)
     numbers = list(groups.values())
     whole = [_with_all_series([tests[number] for number in group]) for group in numbers]
-    union_problem = replace(problem, experiments=tuple(whole), alternatives={})
+    settings = replace(problem.settings, process={})  # not counted: series share a clock
+    union_problem = replace(problem, experiments=tuple(whole), alternatives={}, settings=settings)
     # signals are not waited for: there is nothing to keep
     rounds = Rounds(union_problem, comm, StopSignals())
 

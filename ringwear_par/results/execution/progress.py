@@ -2,14 +2,21 @@
 
 import logging
 import math
+import os
+import re
+import shlex
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
 from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.results.execution.stopping import is_launched
+from ringwear_par.results.result import Result
+from ringwear_par.results.summary import labelled
 
 log = logging.getLogger(__name__)
 
@@ -142,3 +149,34 @@ def duration(seconds: float) -> str:
         return f"{seconds:.3g} s"
     minutes = round(seconds / 60.0)
     return f"{minutes} min" if minutes < 120 else f"{minutes / 60:.1f} h"
+
+
+#: of texts that are printed on a terminal: their first words, and what they say of checks
+_COLOURS = (
+    (re.compile(r"^warning(?=:)", re.MULTILINE), "1;33"),
+    (re.compile(r"(?<=^checks       )ok", re.MULTILINE), "32"),
+    (re.compile(r"^[a-z][a-z ]{0,11}(?=  )", re.MULTILINE), "1"),
+)
+
+
+def for_terminal(text: str) -> str:
+    """Return a text with colours where standard output is a terminal that shows some.
+
+    mpirun has one of its own for each rank, wherever it writes to.
+    """
+    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    if plain or is_launched() or not sys.stdout.isatty():
+        return text
+    for words, colour in _COLOURS:
+        text = words.sub(f"\x1b[{colour}m\\g<0>\x1b[0m", text)
+    return text
+
+
+def closing_lines(output: Path, result: Result, finished: bool) -> list[str]:
+    """Return the lines about the file of a run, and about the command to type next."""
+    file, page = (shlex.quote(str(path)) for path in (output, output.with_suffix(".html")))
+    after = f"ringwear report {file} -o {page}" if finished else "the same command with --restart"
+    states = len(result.step)
+    return labelled(
+        [("written", f"{output} ({states} state{'s' * (states > 1)})"), ("next", after)]
+    )

@@ -16,7 +16,7 @@ from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.execution.preparation import Figure, prepare, reached_end
-from ringwear_par.results.execution.progress import RunProgress
+from ringwear_par.results.execution.progress import RunProgress, closing_lines, for_terminal
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.stopping import StopSignals, remark
 from ringwear_par.results.execution.watch import Watch
@@ -37,6 +37,7 @@ def run_case(
     restart: bool = False,
     overwrite: bool = False,
     figure: Figure | None = None,
+    verbose: bool = False,
 ) -> None:
     """Compute a wear history, write it, and print what came of it. Collective on comm.
 
@@ -48,6 +49,7 @@ def run_case(
     restart : go on with the interrupted or shorter run that ``output`` holds.
     overwrite : replace what ``output`` holds, an interrupted run or one of another case too.
     figure : picture to be drawn at the end.
+    verbose : print all key numbers, checks and seconds.
 
     Raises
     ------
@@ -81,9 +83,13 @@ def run_case(
         _step(case, path, file, [recorder, note_signals, _check_options, watch])
         result = file.save_at_end()
         if comm.rank == 0:
-            print(result.summary())
-            start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
-            print(_times(recorder.seconds(), start_up, recorder.kernel_evaluations()))
+            lines = [result.summary(verbose=verbose)]
+            if verbose:
+                start_up = max(seconds_since_start() - (time.perf_counter() - started), 0.0)
+                lines.append(_times(recorder.seconds(), start_up, recorder.kernel_evaluations()))
+            print(
+                for_terminal("\n".join([*lines, *closing_lines(output, result, recorder.finished)]))
+            )
         last = recorder.last
         if last is not None and not recorder.finished:
             raise ComputationError(

@@ -13,6 +13,13 @@ SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT, signal.SIGHUP)
 _AGAIN_SECONDS = 1.0
 #: how long to wait until what cannot be stopped is over
 _LATER_SECONDS = 0.05
+#: variables that launchers set: mpirun of Open MPI and MPICH, and srun
+_LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID")
+
+
+def is_launched() -> bool:
+    """Tell whether mpirun or srun has started this process."""
+    return any(name in os.environ for name in _LAUNCHED)
 
 
 def name_of(number: int) -> str:

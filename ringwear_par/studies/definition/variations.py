@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -13,9 +13,10 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.files.keys import override
 from ringwear_par.cases.files.suggestions import unknown_key
 from ringwear_par.cases.layers import LAYERS, entries_of
-from ringwear_par.cases.schema import BY_PATH, key_of, layer_entry
+from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
 from ringwear_par.cases.tables import Key
 from ringwear_par.cases.text import shortened, toml_value
+from ringwear_par.cases.units import factor, has_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError, is_finite, is_number
 from ringwear_par.errors import MOST_FAULTS, legible
 from ringwear_par.studies.definition.schema import MOST_CASES
@@ -113,6 +114,7 @@ class Variation:
     spacing : how values follow from ``values`` (the values, or both ends of a range).
     values : raw values.
     count : number of values of a range in a grid.
+    unit : in which the study writes the values, "" for the case's.
     """
 
     name: str
@@ -121,6 +123,7 @@ class Variation:
     spacing: Literal["values", "linear", "log"]
     values: tuple[Any, ...]
     count: int = 0
+    unit: str = ""
 
     @property
     def whole(self) -> bool:
@@ -262,8 +265,18 @@ def read_variations(
         else:
             variation = _variation(place, key, entry, method, faults)
             if variation is not None:
-                variations.append(variation)
+                variations.append(replace(variation, unit=_written_unit(entry, key)))
     return variations
+
+
+def _written_unit(entry: Mapping[str, Any], key: str) -> str:
+    """Return the unit in which the values of a varied key are written, "" for the case's."""
+    values = next(entry[name] for name in ("values", "linear", "log") if name in entry)
+    unit = next((number_and_unit(value)[1] for value in values if has_unit(value)), "")
+    try:
+        return "" if not unit or factor(unit, base_unit(key)) == 1.0 else unit
+    except RejectedError:  # which is told where values are read
+        return ""
 
 
 def _unnested(vary: Mapping[str, Any]) -> dict[str, Any]:

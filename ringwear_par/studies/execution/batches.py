@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from mpi4py import MPI
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.elastic.bodies import young
@@ -111,6 +112,7 @@ def computed(
     results: bool = False,
     derivatives: Sequence[str] = (),
     step_times: Sequence[Sequence[float]] | None = None,
+    paces: Sequence[FloatArray] | None = None,
 ) -> Iterator[Computed]:
     """Yield blocks of cases as they are computed, on this rank alone, until ``stop`` says so.
 
@@ -126,7 +128,7 @@ def computed(
     stop : called between two steps, and may answer other ranks meanwhile.
     results : whether there are to be results.
     derivatives : keys that the histories are to have derivatives with respect to.
-    step_times : s, ends of the steps of each case, its own end the last; None: as cases say.
+    step_times, paces : of each case, see ``history.loop.simulate``; None: as cases say.
     """
     pairs = [pair] * len(cases) if isinstance(pair, ContactPair) else pair
     resources = resources or PairResources(pairs[0], MPI.COMM_SELF)
@@ -146,6 +148,7 @@ def computed(
                 block, MPI.COMM_SELF, pair=[pairs[n] for n in part],
                 observers=[recorder, lambda _: stop()], most=most, derivatives=derivatives,
                 step_times=None if step_times is None else [step_times[n] for n in part],
+                paces=None if paces is None else [paces[n] for n in part],
             )  # fmt: skip
             if outcome.stopped:
                 return

@@ -4,9 +4,11 @@ import logging
 from collections import defaultdict
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from mpi4py import MPI
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.stress.recovery import load_stress_kernels
@@ -21,6 +23,13 @@ from ringwear_par.studies.definition.variations import is_whole
 from ringwear_par.studies.execution.batches import computed
 
 log = logging.getLogger(__name__)
+
+
+class _Steps(NamedTuple):
+    """Ends of the steps of all cases, s, and the paces of each; None: as cases say."""
+
+    times: Sequence[float] | None
+    paces: Sequence[FloatArray] | None
 
 
 def simulate_all(
@@ -58,6 +67,26 @@ def simulate_all(
     for number, case in enumerate(cases):
         need_case(case, f"simulate_all: cases[{number}]")
     comm = MPI.COMM_WORLD if comm is None else comm
+    return results_of(cases, comm, batch=batch, derivatives=derivatives)
+
+
+def results_of(
+    cases: Sequence[Case],
+    comm: MPI.Comm,
+    *,
+    batch: int | None = None,
+    derivatives: Sequence[str] = (),
+    step_times: Sequence[float] | None = None,
+    paces: Sequence[FloatArray] | None = None,
+) -> list[Result | FailedResult]:
+    """Return the histories of cases on all ranks, see ``simulate_all``. Collective on comm.
+
+    Parameters
+    ----------
+    step_times : s, ends of the steps of all cases, which end alike; None: as cases say.
+    paces : (2, steps) factors on the rates of each, see ``history.loop.simulate``.
+    """
+    steps = _Steps(step_times, paces)
     results: dict[int, Result | FailedResult] = {}
     groups: dict[Hashable, list[int]] = defaultdict(list)
     for number, checked in enumerate(_checked(cases, comm, derivatives)):
@@ -83,10 +112,10 @@ def simulate_all(
             waiting.append((pair, mine))
         if len(dealt) // comm.size > rounds:  # every rank has something to do
             with together(comm):
-                results.update(_simulated(cases, waiting, batch, derivatives))
+                results.update(_simulated(cases, waiting, batch, derivatives, steps))
             waiting = []
     with together(comm):  # or the others would wait for its results
-        results.update(_simulated(cases, waiting, batch, derivatives))
+        results.update(_simulated(cases, waiting, batch, derivatives, steps))
     if comm.size > 1:
         for place, number in enumerate(dealt):  # one by one: all might be too much for a message
             results[number] = comm.bcast(results.get(number), place % comm.size)
@@ -120,11 +149,17 @@ def _simulated(
     work: Sequence[tuple[ContactPair, Sequence[int]]],
     batch: int | None,
     derivatives: Sequence[str],
+    steps: _Steps,
 ) -> Iterator[tuple[int, Result | FailedResult]]:
     """Yield numbers and results of cases, by the pair that they share, on this rank alone."""
     for pair, numbers in work:
         chosen = [cases[number] for number in numbers]
-        for block in computed(chosen, pair, batch=batch, results=True, derivatives=derivatives):
+        blocks = computed(
+            chosen, pair, batch=batch, results=True, derivatives=derivatives,
+            step_times=None if steps.times is None else [steps.times] * len(chosen),
+            paces=None if steps.paces is None else [steps.paces[n] for n in numbers],
+        )  # fmt: skip
+        for block in blocks:
             for place, result in zip(block.numbers, block.results(), strict=True):
                 if isinstance(result, Exception):
                     yield numbers[place], _failed(chosen[place], result)

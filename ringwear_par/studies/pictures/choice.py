@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import InputError
@@ -50,18 +49,28 @@ class Key:
     values : (cases,) numbers, or codes of categories; NaN where there is none.
     categories : in words.
     by_log : whether the design spaces it by logarithms; None: it has no spacing.
+    unit, scale : of the values, "" for none, and how much it is in the case's unit.
     """
 
     name: str
     values: FloatArray
     categories: tuple[str, ...]
     by_log: bool | None = None
+    unit: str = ""
+    scale: float = 1.0
 
     @classmethod
-    def of(cls, name: str, column: Any, by_log: bool | None = None) -> "Key":
-        """Return a varied key, the column of whose values is of numbers or of texts."""
+    def of(
+        cls, name: str, column: Any, by_log: bool | None = None, unit: tuple[str, float] = ("", 1.0)
+    ) -> "Key":
+        """Return a varied key, the column of whose values is of numbers or of texts.
+
+        Parameters
+        ----------
+        unit : of its values, and how much it is in that of the column.
+        """
         if column.dtype.kind == "f":
-            return cls(name, column, (), by_log)
+            return cls(name, column / unit[1], (), by_log, *unit)
         texts = list(dict.fromkeys(column))
         codes = {text: float(i) for i, text in enumerate(texts)}
         values = np.array([codes[text] for text in column])
@@ -70,8 +79,7 @@ class Key:
     @property
     def label(self) -> str:
         """Its name with its unit."""
-        unit = unit_of(self.name)
-        return f"{self.name} ({in_signs(unit)})" if unit else self.name
+        return f"{self.name} ({in_signs(self.unit)})" if self.unit else self.name
 
     @property
     def differs(self) -> bool:
@@ -264,7 +272,7 @@ def choose(ensemble: Ensemble, surrogate: Surrogate | None, indices: Sequence[In
         )
     outputs = figure_columns(ensemble.final, cases)
     varied = [
-        Key.of(name, values[cases], ensemble.spacings.get(name, (None,))[0])
+        Key.of(name, values[cases], ensemble.spacings.get(name, (None,))[0], ensemble.unit(name))
         for name, values in ensemble.varied.items()
     ]
     varied = [key for key in varied if key.differs] or varied

@@ -61,7 +61,7 @@ def _effect(
     key, display = arrangement.key, display_of(output)
     label = f"final {display.label}" if output == "penetration" else display.label
     values = display.factor * ensemble.final[output][choice.cases]
-    response, errors = _response(choice, key.name, output)
+    response, errors = _response(choice, key, output)
     curves, bands, points = [*response], [*errors], []
     if arrangement.kind == "curves":
         curves = [*_curves(arrangement, values, rows), *response]
@@ -148,12 +148,13 @@ def _medians(arrangement: Arrangement, values: FloatArray) -> list[Curve | Band 
     return [Band(levels, low, high, name, ends_names, COLOURS[0], 0.2), *summary]
 
 
-def _response(choice: Choice, key: str, output: str) -> tuple[list[Curve], list[Band]]:
+def _response(choice: Choice, key: Key, output: str) -> tuple[list[Curve], list[Band]]:
     """Return the surrogate's mean over the other keys, with its error."""
     responses, factor = choice.responses, display_of(output).factor
-    if responses is None or output not in responses.names or key not in responses.keys:
+    if responses is None or output not in responses.names or key.name not in responses.keys:
         return [], []
-    along, mean, low, high = responses.part.mean_along(responses.keys[key], output)
+    along, mean, low, high = responses.part.mean_along(responses.keys[key.name], output)
+    along = along / key.scale
     name, short = "surrogate", "surrogate"
     if len(responses.part.keys) > 1:
         name, short = f"{name}, mean over the other keys", f"{short}, mean over others"

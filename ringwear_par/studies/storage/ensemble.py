@@ -9,7 +9,8 @@ import h5py
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.schema import BY_PATH, base_unit, unit_of
+from ringwear_par.cases.units import factor
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import parse_toml
 from ringwear_par.results.storage.hdf5 import (
@@ -21,7 +22,7 @@ from ringwear_par.results.storage.hdf5 import (
     reading,
 )
 from ringwear_par.results.variables import HISTORIES, LINE, Variable
-from ringwear_par.studies.definition.variations import path_of, read_variations
+from ringwear_par.studies.definition.variations import Variation, path_of, read_variations
 from ringwear_par.studies.storage.end_values import END_VALUES, MAIN_END_VALUES, entries
 from ringwear_par.studies.storage.results_file import FILE_KIND, RESULTS, SOFTWARE, split_flags
 from ringwear_par.studies.storage.stored_variables import (
@@ -67,19 +68,31 @@ class Ensemble:
     @cached_property
     def spacings(self) -> dict[str, tuple[bool, tuple[float, float]]]:
         """Of the keys that the design varies by ranges: whether by logarithms, and the ends."""
+        return {
+            variation.name: (variation.spacing == "log", (variation.values[0], variation.values[1]))
+            for variation in self._variations
+            if variation.spacing != "values"
+        }
+
+    def unit(self, name: str) -> tuple[str, float]:
+        """Return the unit in which the study writes a varied key, and how much it is in the case's.
+
+        That is the case's where it writes none.
+        """
+        written = next((v.unit for v in self._variations if v.name == name), "")
+        return (written, factor(written, base_unit(name))) if written else (unit_of(name), 1.0)
+
+    @cached_property
+    def _variations(self) -> list[Variation]:
+        """The varied keys of the study, none where it cannot be read."""
         try:
             tables = parse_toml(read_text(self.attributes["study"]), "study")
         except (InputError, KeyError, ValueError):
-            return {}
+            return []
         vary, design = tables.get("vary"), tables.get("design", {})
         if not isinstance(vary, dict) or not isinstance(design, dict):
-            return {}
-        varied = read_variations("study", vary, str(design.get("method", "grid")), [])
-        return {
-            variation.name: (variation.spacing == "log", (variation.values[0], variation.values[1]))
-            for variation in varied
-            if variation.spacing != "values"
-        }
+            return []
+        return read_variations("study", vary, str(design.get("method", "grid")), [])
 
     def histories(self, name: str, cases: IntArray) -> FloatArray:
         """Read the histories of some cases (increasing numbers), (len(cases), steps, ...).

@@ -1,13 +1,16 @@
 """Fit files before any readings are there: times and radii, densities, numbers with units."""
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from laboratory import PEN, PROF, changed, fit_tables, write_tests
+from mpi4py import MPI
 
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.user_units import specific_wear_rate
 from ringwear_par.identification.fit import expected_result
 
 
@@ -230,3 +233,60 @@ def test_fewer_readings_than_parameters(plan):
     tables["experiment"][0]["data"][0]["times"] = [50.0]
     with pytest.raises(InputError, match="1 readings: must be at least as many as are sought, 2 "):
         read_fit(tables, plans=True)
+
+
+def expected(tables, key="wear.lower.k"):
+    """Return the entry of a key in fit.json, at its start."""
+    fit = expected_result(read_fit(tables, plans=True), MPI.COMM_SELF)
+    return fit.to_dict()["parameters"][key]
+
+
+def test_keys_are_told_in_the_users_unit(plan):
+    tables = copy.deepcopy(plan)
+    tables["fit"]["parameters"]["wear.lower.k"]["start"] = "1.3e-4 mm3/(N m)"
+    tables["fit"]["parameters"]["wear.lower.p0"]["start"] = 20.0
+    entry = expected(tables)
+    assert entry["told"]["unit"] == "mm3/(N m)"
+    assert entry["told"]["next"] is None
+    assert entry["told"]["estimate"] == pytest.approx(1.3e-4)
+    for name in ("estimate", "sd", "interval"):
+        assert entry["told"][name] == pytest.approx(1e3 * np.array(entry[name]))
+    assert "specific_wear_rate" not in entry  # there is a threshold
+    tables["fit"]["units"] = {"wear.lower.k": "um2/N", "wear.lower.p0": "bar"}
+    assert expected(tables)["told"]["unit"] == "um2/N"
+    assert expected(tables, "wear.lower.p0")["told"]["estimate"] == pytest.approx(200.0)
+    tables["fit"]["units"] = {"wear.lower.k": "mm", "wear.lower.q": "MPa"}
+    with pytest.raises(InputError) as caught:
+        read_fit(tables, plans=True)
+    unknown, wrong = caught.value.faults
+    assert "fit.units: wear.lower.q: unknown key (did you mean wear.lower.k?)" in unknown
+    assert 'fit.units."wear.lower.k" = "mm": must be a unit of 1/MPa' in wrong
+
+
+def test_a_wear_coefficient_of_friction_energy_is_told_as_a_specific_wear_rate(plan):
+    tables = copy.deepcopy(plan)
+    del tables["fit"]["parameters"]["wear.lower.p0"]
+    for experiment in tables["experiment"]:
+        experiment["set"] |= {"wear.lower.p0": 0.0, "contact.friction": 0.1}
+    entry = expected(tables)
+    rate = entry["specific_wear_rate"]
+    assert (rate["unit"], rate["mu"]) == ("mm3/(N m)", 0.1)
+    for name in ("estimate", "sd", "interval"):
+        assert rate[name] == pytest.approx(100.0 * np.array(entry[name]))
+    assert rate["in3 min/(ft lbf h)"] == pytest.approx(rate["estimate"] / 201.44, rel=1e-4)
+    # mu fitted too: standard deviations of logarithms, which depend on each other
+    problem = read_fit(tables, plans=True)
+    friction = replace(problem.parameters[0], key="contact.friction")
+    problem = replace(problem, parameters=(problem.parameters[0], friction))
+    k, mu, rk, rm, rho = 1e-7, 0.2, 0.1, 0.05, -0.6
+    entries = {
+        "wear.lower.k": {"estimate": k, "sd": rk * k, "interval": [k / 1.2, 1.2 * k]},
+        "contact.friction": {"estimate": mu},
+    }
+    both = rho * rk * k * rm * mu
+    covariance = [[(rk * k) ** 2, both], [both, (rm * mu) ** 2]]
+    rate = specific_wear_rate(problem, "wear.lower.k", entries, covariance)
+    assert rate["estimate"] == pytest.approx(1e3 * k * mu)
+    sd = np.sqrt(rk**2 + rm**2 + 2.0 * rho * rk * rm)
+    assert rate["sd"] == pytest.approx(sd * rate["estimate"])
+    assert np.log(rate["interval"][1] / rate["estimate"]) == pytest.approx(1.959964 * sd)

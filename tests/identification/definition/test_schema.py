@@ -51,7 +51,8 @@ def in_schema(table):
     """Return the keys of a table that the schema has."""
     paths = [key.path.removeprefix(table) for key in KEYS if key.path.startswith(table)]
     return {
-        re.sub(r"^(parameters|scatter|data|vary|budget|nuisance|sd)\..*", r"\1", p) for p in paths
+        re.sub(r"^(parameters|process|units|scatter|data|vary|budget|nuisance|sd)\..*", r"\1", p)
+        for p in paths
     }
 
 

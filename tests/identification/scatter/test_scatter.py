@@ -54,15 +54,15 @@ def test_likelihoods_are_those_of_the_dense_covariance():
         assert solved.restricted[i] == pytest.approx(restricted, rel=1e-12)
 
 
-@pytest.mark.parametrize("process", [False, True])
-def test_reduced_tests_are_those_of_the_dense_covariance(process):
+@pytest.mark.parametrize("bodies", [0, 1, 2])
+def test_reduced_tests_are_those_of_the_dense_covariance(bodies):
     """Noise, one free nuisance, one with a prior, and wear's own noise at three sizes."""
     rng = np.random.default_rng(8)
     n, sd, prior_mean, prior_sd = 12, 0.3, 0.4, 2.0
     jacobian, z = rng.standard_normal((n, 2)), rng.standard_normal(n)
     free, known = np.ones(n), np.linspace(0.0, 1.0, n)
-    depth, answer = np.linspace(0.1, 1.0, n), rng.uniform(0.5, 1.5, n)
-    kernel = np.outer(answer, answer) * np.minimum.outer(depth, depth)
+    depth, answers = np.linspace(0.1, 1.0, n), rng.uniform(0.5, 1.5, (bodies, n))
+    kernels = [np.outer(g, g) * np.minimum.outer(depth, depth) for g in answers]
     test = LinearisedTest(
         z / sd,
         jacobian / sd,
@@ -70,11 +70,12 @@ def test_reduced_tests_are_those_of_the_dense_covariance(process):
         np.array([[0.0, 1.0 / prior_sd]]),
         np.array([prior_mean / prior_sd]),
         2.0 * n * np.log(sd),
-        kernel / sd**2 if process else None,
+        tuple(one / sd**2 for one in kernels),
     )
-    sizes = (0.0, 0.04, 0.5) if process else (0.0,)
+    sizes = np.array([[0.04, 0.3], [0.0, 0.3], [0.5, 0.0]])[: 3 if bodies else 1, :bodies]
     for size, found in zip(sizes, reduce_test(test, sizes), strict=True):
-        covariance = sd**2 * np.eye(n) + prior_sd**2 * np.outer(known, known) + size * kernel
+        covariance = sd**2 * np.eye(n) + prior_sd**2 * np.outer(known, known)
+        covariance += sum((s * one for s, one in zip(size, kernels, strict=True)), np.zeros((n, n)))
         inverse = np.linalg.inv(covariance)
         across = free @ inverse @ free
         projected = inverse - np.outer(inverse @ free, free @ inverse) / across
@@ -108,7 +109,7 @@ def test_without_scatter_it_is_the_common_fit():
     jacobians, z = laboratory()
     tests = [reduced(j, y) for j, y in zip(jacobians, z, strict=True)]
     model = MixedModel(tests, [Level(0, "specimen", np.arange(5))], np.zeros(2), np.zeros(2))
-    posterior = integrate([model], np.ones(1), [Size(0.0, 0.3)])
+    posterior = integrate(lambda _: [model], [Size(0.0, 0.3)])
     common = np.linalg.lstsq(jacobians.reshape(-1, 2), z.ravel(), rcond=None)[0]
     assert posterior.material(0).mean == pytest.approx(common[0], rel=1e-10)
     assert posterior.of_test(2, 0).mean == pytest.approx(common[0], rel=1e-10)
@@ -118,7 +119,7 @@ def test_large_scatter_leaves_each_test_its_own_value():
     jacobians, z = laboratory(unknowns=1)
     tests = [reduced(j, y) for j, y in zip(jacobians, z, strict=True)]
     model = MixedModel(tests, [Level(0, "specimen", np.arange(5))], np.zeros(1), np.zeros(1))
-    posterior = integrate([model], np.ones(1), [Size(1e3, 0.3)])
+    posterior = integrate(lambda _: [model], [Size(1e3, 0.3)])
     alone = [np.linalg.lstsq(j, y, rcond=None)[0][0] for j, y in zip(jacobians, z, strict=True)]
     each = [posterior.of_test(i, 0).mean for i in range(5)]
     assert each == pytest.approx(alone, rel=1e-6)
@@ -146,8 +147,8 @@ def test_intervals_hold_the_material_the_size_and_the_next_specimen(tau, count, 
         tests = [
             ReducedTest(information, v / sd**2 * np.ones(1), (v / sd) ** 2, 0.0) for v in values
         ]
-        model = MixedModel(tests, [level], np.zeros(1), np.zeros(1))
-        posterior = integrate([model], np.ones(1), [Size(None, 0.3)])
+        models = [MixedModel(tests, [level], np.zeros(1), np.zeros(1))]
+        posterior = integrate(lambda _, models=models: models, [Size(None, 0.3)])
         low, high = posterior.material(0).interval(0.95)
         widths.append(50.0 * (high - low))
         size = posterior.size(0, 0.95).interval

@@ -1,0 +1,107 @@
+"""Fitted keys as who reads them knows them: in the unit that he writes, as specific wear rates."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from scipy.stats import norm
+
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.schema import base_unit
+from ringwear_par.cases.units import factor
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.identification.definition.problem import FittedParameter, Problem
+
+#: unit of specific wear rates, and how many of it a 1/MPa is
+SPECIFIC, _PER_MPA = "mm3/(N m)", 1e3
+#: another one, of bearings
+CUSTOMARY = "in3 min/(ft lbf h)"
+_FRICTION = "contact.friction"
+
+Entry = Mapping[str, Any]
+
+
+def unit_scale(parameter: FittedParameter) -> float:
+    """Return how much the user's unit of a fitted key is in the case's; 1 where it is that."""
+    return factor(parameter.unit, base_unit(parameter.key)) if parameter.unit else 1.0
+
+
+def in_users_unit(parameter: FittedParameter, entry: Entry) -> dict[str, Any] | None:
+    """Return the numbers of a key in the user's unit; None where that is the case's.
+
+    Its ``scale`` is how much the unit is in the case's.
+
+    Parameters
+    ----------
+    entry : of the key, as in fit.json.
+    """
+    if not parameter.unit:
+        return None
+    scale = unit_scale(parameter)
+
+    def converted(number: Any) -> Any:
+        if isinstance(number, list | tuple):
+            return [converted(one) for one in number]
+        return None if number is None else number / scale
+
+    names = ("estimate", "sd", "interval", "next")
+    unit = {"unit": parameter.unit, "scale": scale}
+    return {**unit, **{name: converted(entry.get(name)) for name in names}}
+
+
+def specific_wear_rate(
+    problem: Problem, key: str, entries: Mapping[str, Entry], covariance: Sequence[Sequence[float]]
+) -> dict[str, Any] | None:
+    """Return the specific wear rate of a fitted wear coefficient; None where there is no one.
+
+    That is where wear goes with friction energy or load, without a threshold: k mu, or k itself.
+
+    Parameters
+    ----------
+    entries : of all fitted keys, as in fit.json.
+    covariance : (m, m) of their values.
+    """
+    body, entry = key.removeprefix("wear.").removesuffix(".k"), entries[key]
+    share = _share_of_friction(problem, body, entries) if body in BODIES else None
+    if share is None or entry["sd"] is None:
+        return None
+    scale, i = _PER_MPA * share, problem.keys.index(key)
+    estimate = scale * entry["estimate"]
+    rate: dict[str, Any] = {"unit": SPECIFIC, "estimate": estimate}
+    relative = entry["sd"] / entry["estimate"]
+    rate["interval"] = [None if end is None else scale * end for end in entry["interval"]]
+    if share != 1.0:
+        rate["mu"] = share
+        if _FRICTION in problem.keys:
+            j, mu = problem.keys.index(_FRICTION), share
+            variance = relative**2 + covariance[j][j] / mu**2
+            relative = math.sqrt(variance + 2.0 * covariance[i][j] / (mu * entry["estimate"]))
+            reach = math.exp(relative * norm.ppf(0.5 + 0.5 * problem.settings.level))
+            rate["interval"] = [estimate / reach, estimate * reach]
+    rate["sd"] = relative * estimate
+    rate[CUSTOMARY] = estimate / (_PER_MPA * factor(CUSTOMARY, "1/MPa"))
+    return rate
+
+
+def _share_of_friction(problem: Problem, body: str, entries: Mapping[str, Entry]) -> float | None:
+    """Return the factor of a body's k, mu or 1; None where k is no such coefficient."""
+    cases = [experiment.case for experiment in problem.experiments]
+    threshold = entries.get(f"wear.{body}.p0")
+    shares = {_share(case, body, None if threshold is None else threshold["estimate"])
+              for case in cases}  # fmt: skip
+    if len(shares) != 1:
+        return None
+    (share,) = shares
+    if share not in (None, 1.0) and _FRICTION in entries:
+        return float(entries[_FRICTION]["estimate"])
+    return share
+
+
+def _share(case: Case, body: str, threshold: float | None) -> float | None:
+    law, mu = getattr(case, f"wear_{body}"), case.friction
+    if not isinstance(mu, float) or not isinstance(getattr(law, "k", None), float):
+        return None
+    if threshold is not None:
+        law = law.with_parameter("p0", threshold)
+    ratio = getattr(law, "per_energy", lambda mu: None)(mu)
+    return None if ratio is None else round(float(ratio * mu / law.k), 12)

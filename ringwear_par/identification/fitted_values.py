@@ -1,0 +1,174 @@
+"""What a fit knows of its keys, as predictions draw it: kept in the fit's folder, whole."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import h5py
+import numpy as np
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.case import Case
+from ringwear_par.identification.fit_result import FitResult
+from ringwear_par.results.storage.hdf5 import write_variable
+from ringwear_par.results.variables import PARAMETER, Variable
+from ringwear_par.schedules import mean, mean_of_product
+
+#: group of results.h5
+GROUP = "values"
+#: conditions of a test and their units, and what keys each depends on
+CONDITIONS = {"p": "MPa", "V": "mm/s", "pV": "MPa mm/s", "distance": "mm", "mu": "1"}
+_SET_BY = {
+    "p": ("load.force", "load.pressure"), "V": ("load.omega",), "mu": ("contact.friction",),
+    "pV": ("load.force", "load.pressure", "load.omega"), "distance": ("load.omega", "time.end"),
+}  # fmt: skip
+#: probability of all parts of a mixture that are left out together
+_IMPROBABLE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class FittedValues:
+    """Distributions of the fitted keys' unknowns: mixtures of normal ones over sizes of scatter.
+
+    Parameters
+    ----------
+    keys : the m fitted keys; logarithmic : (m,) whether an unknown is a value's logarithm.
+    bounds : (m, 2) of the values.
+    weights : (g,) of the parts of the mixtures; one without scatter.
+    means, covariances : (g, 1 + tests, m) and (g, 1 + tests, m, m) of the unknowns of the material
+        and of each test; NaN where nothing is known.
+    scatters : (g, levels) sizes of the scatters; scattering : (levels,) number of the key of each.
+    specimens : of the tests, by name.
+    laws : names of the laws of lower and upper, "" of a body that does not wear.
+    conditions : (tests, 5), see ``conditions_of``.
+    samples : (s, m) values, of an ensemble's posterior; None: there are none.
+    """
+
+    keys: tuple[str, ...]
+    logarithmic: BoolArray
+    bounds: FloatArray
+    weights: FloatArray
+    means: FloatArray
+    covariances: FloatArray
+    scatters: FloatArray
+    scattering: IntArray
+    specimens: tuple[str, ...]
+    laws: tuple[str, str]
+    conditions: FloatArray
+    samples: FloatArray | None = None
+
+
+def conditions_of(case: Case, keys: Sequence[str] = ()) -> FloatArray:
+    """Return means over a test of pressure, speed and their product, distance and friction, (5,).
+
+    At the mean radius; NaN of what a displacement or one of the keys sets.
+    """
+    end, radius = case.time.end, float(case.line.area @ case.line.r / case.line.area.sum())
+    force, omega = case.load.force, case.load.omega
+    speed = radius * mean(omega, 0.0, end)
+    numbers = {"p": np.nan, "V": speed, "pV": np.nan, "distance": speed * end, "mu": case.friction}
+    if force is not None:
+        numbers["p"] = mean(force, 0.0, end) / case.area
+        numbers["pV"] = radius * mean_of_product(force, omega, 0.0, end) / case.area
+    unknown = [not {*keys}.isdisjoint(_SET_BY[name]) for name in CONDITIONS]
+    return np.where(unknown, np.nan, [numbers[name] for name in CONDITIONS])
+
+
+def law_names(case: Case) -> tuple[str, str]:
+    """Return the names of the laws of lower and upper, "" of a body that does not wear."""
+    lower, upper = (
+        "" if law is None else getattr(law, "name", "") or type(law).__name__
+        for law in (case.wear_lower, case.wear_upper)
+    )
+    return lower, upper
+
+
+def fitted_values(fit: FitResult) -> FittedValues:
+    """Return the distributions of a fit's keys."""
+    problem, m, material = fit.misfit.problem, len(fit.parameters), fit.material
+    tests = len(problem.experiments)
+    if material is None:
+        weights = np.ones(1)
+        means = np.tile(fit.x[:m], (1, 1 + tests, 1))
+        covariance = np.where(np.isfinite(fit.covariance), fit.covariance, np.nan)[:m, :m]
+        covariances = np.tile(covariance, (1, 1 + tests, 1, 1))
+        scatters, scattering = np.zeros((1, 0)), np.zeros(0, dtype=np.int64)
+    else:
+        posterior, free = material.posterior, np.array(material.free, dtype=np.int64)
+        order = np.argsort(-posterior.weights)
+        likely = np.cumsum(posterior.weights[order]) < 1.0 - _IMPROBABLE
+        parts = order[: int(likely.sum()) + 1]
+        weights = posterior.weights[parts] / posterior.weights[parts].sum()
+        rows = np.vstack([fit.x[:m], material.test_unknowns])  # those at bounds stay there
+        means = np.tile(rows, (len(parts), 1, 1))
+        covariances = np.zeros((len(parts), 1 + tests, m, m))
+        for place, test in enumerate([None, *range(tests)]):
+            of_free, between = posterior.unknowns_of(test)
+            means[:, place, free] = of_free[parts]
+            covariances[:, place, free[:, None], free] = between[parts]
+        scatters = posterior.solutions.tau[parts]
+        levels = np.array([level.key for level in posterior.model.levels], dtype=np.int64)
+        scattering = free[levels]
+    return FittedValues(
+        problem.keys, np.array([p.log for p in problem.parameters]),
+        np.array([p.bounds for p in problem.parameters]), weights, means, covariances, scatters,
+        scattering, tuple(e.groups[0] or e.name for e in problem.experiments),
+        law_names(problem.experiments[0].case),
+        np.array([conditions_of(e.case, problem.keys) for e in problem.experiments]),
+        None if fit.posterior is None else fit.posterior.samples,
+    )  # fmt: skip
+
+
+#: arrays of the group: what they run over, their unit and meaning
+_ARRAYS = {
+    "logarithmic": (("parameter",), "whether the unknown is the logarithm of the value"),
+    "bounds": (("parameter", "end"), "bounds of the value, in the key's unit"),
+    "weights": (("part",), "probability of a part of the mixture"),
+    "means": (("part", "place", "parameter"), "means of unknowns: of the material, then of tests"),
+    "covariances": (
+        ("part", "place", "parameter", "other_parameter"),
+        "covariances of the unknowns",
+    ),
+    "scatters": (("part", "level"), "size of a scatter, in the unit of its unknown"),
+    "scattering": (("level",), "number of the key of a scatter"),
+    "conditions": (("test", "condition"), f"means over a test: {', '.join(CONDITIONS)}"),
+}
+
+
+def write_values(file: h5py.File, values: FittedValues) -> None:
+    """Write a group of a file."""
+    group = file.create_group(GROUP)
+    group.attrs.update(
+        {"keys": list(values.keys), "specimens": list(values.specimens), "laws": list(values.laws)}
+    )
+    sizes: dict[str, int] = {}
+    for name, (dimensions, _) in _ARRAYS.items():
+        sizes |= dict(zip(dimensions, getattr(values, name).shape, strict=True))
+    del sizes[PARAMETER.name]
+    write_variable(group, PARAMETER, list(values.keys))
+    for axis, size in sizes.items():
+        write_variable(
+            group, Variable(axis, (axis,), "1", f"number of the {axis}"), np.arange(size)
+        )
+    for name, (dimensions, meaning) in _ARRAYS.items():
+        write_variable(group, Variable(name, dimensions, "1", meaning), getattr(values, name))
+
+
+def read_values(file: h5py.File) -> FittedValues:
+    """Return the group of a file.
+
+    Raises
+    ------
+    KeyError, ValueError : there is none, or it is damaged.
+    """
+    group = file[GROUP]
+    keys, specimens, laws = (
+        tuple(map(str, group.attrs[name])) for name in ("keys", "specimens", "laws")
+    )
+    arrays = {name: group[name][()] for name in _ARRAYS}
+    samples = None
+    if "posterior" in file:
+        samples = np.stack([file["posterior"][key][()] for key in keys], axis=1)
+    lower, upper = laws
+    return FittedValues(
+        keys=keys, specimens=specimens, laws=(lower, upper), samples=samples, **arrays
+    )

@@ -1,0 +1,184 @@
+"""Sizes of the random part of wear: as shares of depths while they are sought, and as reported."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student_t
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ComputationError, ValidityWarning
+from ringwear_par.identification.definition.problem import (
+    Problem,
+    ProcessNoise,
+    Series,
+    body_of_wear,
+)
+from ringwear_par.identification.estimation.misfit import Misfit
+from ringwear_par.identification.scatter.clocks import MOST_READINGS
+from ringwear_par.identification.scatter.posterior import DEGREES, ScatterPosterior, Size
+
+#: of the logarithm of the prior's interval: a narrower one is told by the readings
+_NARROW = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class RandomWear:
+    """The bodies of a fit whose wear is random.
+
+    Parameters
+    ----------
+    process : by key ("wear.lower").
+    depths : (bodies,) mm, largest mean worn depth of each in any test.
+    steps : (bodies,) mm, worn between two readings or blocks of them, the median of all.
+    shares : of the process noise: sqrt(size / depth).
+    """
+
+    process: Mapping[str, ProcessNoise]
+    depths: FloatArray
+    steps: FloatArray
+    shares: tuple[Size, ...]
+
+    @classmethod
+    def of(
+        cls, misfit: Misfit, x: FloatArray, test_unknowns: FloatArray, *, plan: bool
+    ) -> "RandomWear":
+        """Return the bodies at unknowns (u,) and those of the keys in each test, (tests, m).
+
+        In a plan, shares are known: half the scale of their priors.
+
+        Raises
+        ------
+        ComputationError : a body does not wear there.
+        """
+        process = misfit.problem.settings.process
+        if not process:
+            return cls(process, np.zeros(0), np.zeros(0), ())
+        depths = misfit.clocks(x, test_unknowns)[1]
+        steps = [
+            np.diff(depths[rows], axis=0) * max(1.0, series.n / MOST_READINGS)
+            for _, series, rows in misfit.records
+            if series.n > 1 and not series.profile
+        ]
+        steps.append(depths[:0])
+        largest = depths.max(axis=0)
+        for key, depth in zip(process, largest.tolist(), strict=True):
+            if not depth > 0.0:
+                raise ComputationError(
+                    f"{misfit.problem.name}: fit.process.{key}: nothing is worn off at the optimum"
+                )
+        shares = [
+            _share(noise, depth, plan=plan)
+            for noise, depth in zip(process.values(), largest.tolist(), strict=True)
+        ]
+        median = np.median(np.concatenate(steps), axis=0) if len(steps) > 1 else largest
+        return cls(process, largest, median, tuple(shares))
+
+    def sizes(self, shares: FloatArray) -> FloatArray:
+        """Return the sizes (G, bodies) mm of shares (G, bodies)."""
+        return shares**2 * self.depths
+
+    @property
+    def n_fitted(self) -> int:
+        """Number of the sizes that are fitted."""
+        return sum(share.known is None for share in self.shares)
+
+    def estimated_shares(self, posterior: ScatterPosterior) -> FloatArray:
+        """Return the shares (bodies,), the median of each that is fitted."""
+        return np.array(
+            [
+                posterior.share(body, 0.5).median if share.known is None else share.known
+                for body, share in enumerate(self.shares)
+            ]
+        )
+
+    def entries(self, posterior: ScatterPosterior, level: float) -> dict[str, dict[str, Any]]:
+        """Return the entries of each body in fit.json, intervals of a confidence level."""
+        return {key: self._entry(body, posterior, level) for body, key in enumerate(self.process)}
+
+    def _entry(self, body: int, posterior: ScatterPosterior, level: float) -> dict[str, Any]:
+        depth, share = float(self.depths[body]), self.shares[body]
+        if share.known is not None:
+            size = {"known": share.known**2 * depth}
+            return {"size": size, "share": {"known": share.known}, "depth": depth}
+        of_share = posterior.share(body, level)
+        low, high = of_share.interval
+        verdict = "not identified"
+        if of_share.at_bound:
+            verdict = "at bound"
+        elif np.log(high / low) < _NARROW * _prior_width(level):
+            verdict = "identified"
+        # increments are not normal where single events are larger than they
+        coarse = of_share.median**2 * depth > self.steps[body]
+        ends = None if coarse else [low**2 * depth, high**2 * depth]
+        return {
+            "size": {"estimate": of_share.median**2 * depth, "interval": ends},
+            "share": {"estimate": of_share.median, "interval": None if coarse else [low, high],
+                      "reml": of_share.restricted},
+            "depth": depth,
+            "verdict": verdict,
+        }  # fmt: skip
+
+    def warnings(self, entries: Mapping[str, Mapping[str, Any]]) -> list[ValidityWarning]:
+        """Return warnings about sizes that readings do not tell."""
+        warnings = []
+        for body, (key, entry) in enumerate(entries.items()):
+            if "verdict" not in entry:
+                continue
+            size, step = 1e3 * entry["size"]["estimate"], 1e3 * float(self.steps[body])
+            if entry["size"]["interval"] is None:
+                text = (
+                    f"wear of {body_of_wear(key)} comes in events of {size:.2g} um, but only "
+                    f"{step:.2g} um is worn between two readings: the interval of this size is not "
+                    "known, those of the keys are"
+                )
+                values = {"size": 1e-3 * size, "step": 1e-3 * step}
+                warnings.append(ValidityWarning("coarse-wear", text, (key,), (), values))
+            if entry["verdict"] == "not identified":
+                text = (
+                    f"the readings hardly tell the noise of the wear of {body_of_wear(key)}: the "
+                    "intervals of the keys hold what was assumed of it (fit.process, prior)"
+                )
+                warnings.append(ValidityWarning("process-from-prior", text, (key,)))
+        return warnings
+
+
+def _share(noise: ProcessNoise, depth: float, *, plan: bool) -> Size:
+    if noise.size is not None:
+        return Size(float(np.sqrt(noise.size / depth)))
+    if noise.share is not None:
+        return Size(noise.share)
+    return Size(0.5 * noise.scale if plan else None, noise.scale)
+
+
+def _prior_width(level: float) -> float:
+    """Return the logarithm of the upper over the lower end of the interval of a half-t prior."""
+    low, high = student_t.ppf([0.75 - 0.25 * level, 0.75 + 0.25 * level], DEGREES)
+    return float(np.log(high / low))
+
+
+def lost_in_drift(problem: Problem) -> dict[str, str]:
+    """Return the keys of wear that free drifts hide in the noise of wear, and which drift each.
+
+    Where no test has a weighing or a profile of the body, its wear could be all of the drift.
+    """
+    lost: dict[str, str] = {}
+    for of_wear in problem.settings.process:
+        body = body_of_wear(of_wear)
+        drifts = [_free_drift(experiment.series, body) for experiment in problem.experiments]
+        if all(drifts):
+            keys = [key for key in problem.keys if key.startswith(f"{of_wear}.")]
+            lost |= dict.fromkeys(keys, f"drift of {drifts[0]} ({problem.experiments[0].name})")
+    return lost
+
+
+def _free_drift(series: Sequence[Series], body: str) -> str:
+    """Return the record of a test whose drift is free, "" where a series without tells its wear."""
+    name = ""
+    for one in series:
+        if one.tells_wear(body):
+            if not any(n.kind == "drift" and n.free for n in one.nuisances):
+                return ""
+            name = name or one.name
+    return name

@@ -1,0 +1,210 @@
+"""What predictions take from a fit or its folder, what they refuse, what they doubt."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.errors import InputError, ValidityWarning, legible
+from ringwear_par.files.folders import DESIGN, FIT, READINGS
+from ringwear_par.files.text import parse_json, read_text
+from ringwear_par.history.derivatives.numbers import differentiable
+from ringwear_par.identification.estimation.starts import PROGRESS
+from ringwear_par.identification.fit_result import FitResult
+from ringwear_par.identification.fitted_values import (
+    CONDITIONS,
+    GROUP,
+    FittedValues,
+    conditions_of,
+    fitted_values,
+    law_names,
+    read_values,
+)
+from ringwear_par.prediction.draws import MATERIAL, NEXT
+from ringwear_par.results.storage.hdf5 import reading
+from ringwear_par.results.variables import SOFTWARE
+
+#: share by which conditions are the same
+_SAME = 0.02
+_A_FIT = "must be the folder of a fit that is done (ringwear fit -o)"
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What a fit knows.
+
+    Parameters
+    ----------
+    name : what messages call it.
+    values : of its keys; units : of these, by key.
+    verdicts : by key.
+    process : sizes of the process noise, by "wear.lower" and "wear.upper".
+    level : confidence of its intervals.
+    warnings : how many it has.
+    """
+
+    name: str
+    values: FittedValues
+    units: Mapping[str, str]
+    verdicts: Mapping[str, str]
+    process: Mapping[str, Any]
+    level: float
+    warnings: int
+
+    @property
+    def specimens(self) -> int:
+        """Number of the specimens that were tested."""
+        return len({*self.values.specimens})
+
+
+def known_of(fit: FitResult | Path | str) -> Known:
+    """Return the knowledge of a fit, or of the fit of a folder. Not collective.
+
+    Raises
+    ------
+    InputError : a folder of anything else, or of a fit that is not done.
+    """
+    if isinstance(fit, FitResult):
+        return _known("fit", fit.to_dict(), fitted_values(fit))
+    if not isinstance(fit, Path | str):
+        raise InputError(
+            f"fit: a fit or its folder is needed, not {type(fit).__name__}; rw.fit returns one"
+        )
+    folder = Path(fit)
+    if not (folder / FIT).is_file():
+        raise InputError(f"{legible(str(folder))}: {_fault(folder)}; {_A_FIT}")
+    with reading(folder / READINGS, SOFTWARE, "the readings of ringwear fit") as file:
+        if GROUP not in file:
+            raise InputError(
+                f"{folder / READINGS}: is of an earlier version, which did not store what "
+                "predictions draw from; must be of a fit made again"
+            )
+        values = read_values(file)
+    try:
+        return _known(str(folder), parse_json(read_text(folder / FIT)), values)
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise InputError(f"{folder / FIT}: is not the outcome of a fit, or is damaged") from error
+
+
+def _fault(folder: Path) -> str:
+    """Return why a folder is not that of a fit."""
+    if not folder.is_dir():
+        return "is a file" if folder.exists() else "does not exist"
+    if (folder / PROGRESS).is_dir():
+        return "holds a fit that was interrupted (ringwear fit --restart completes it)"
+    if (folder / DESIGN).exists():
+        return "holds a design of tests, but no fit"
+    return f"holds no {FIT}"
+
+
+def _known(name: str, outcome: Mapping[str, Any], values: FittedValues) -> Known:
+    """Return the knowledge of an outcome and its values.
+
+    Raises
+    ------
+    ValueError : they are of different fits.
+    """
+    parameters = outcome["parameters"]
+    if tuple(parameters) != values.keys:
+        raise ValueError(name)
+    return Known(
+        name, values, {key: str(p["unit"]) for key, p in parameters.items()},
+        {key: str(p["verdict"]) for key, p in parameters.items()},
+        dict(outcome.get("process") or {}), float(outcome["level"]), len(outcome["warnings"]),
+    )  # fmt: skip
+
+
+def check_predicted(known: Known, case: Case, name: str, of: str) -> None:
+    """Refuse what a fit cannot predict.
+
+    Parameters
+    ----------
+    name : what messages call the case.
+
+    Raises
+    ------
+    InputError : all faults.
+    """
+    values, faults = known.values, []
+    if of not in (NEXT, MATERIAL, *values.specimens):
+        names = ", ".join(f'"{legible(n)}"' for n in dict.fromkeys(values.specimens))
+        faults.append(f'of = "{legible(of)}": must be "{NEXT}", "{MATERIAL}" or one of {names}')
+    faults += [
+        f"{known.name}: {key} is {verdict.replace('at', 'at its')}: there is no distribution to "
+        "draw it from; must be identified, or set in the case and not fitted"
+        for key, verdict in known.verdicts.items()
+        if verdict != "identified"
+    ]
+    laws = zip(BODIES, law_names(case), values.laws, strict=True)
+    other_laws = {f"wear.{body}.": law for body, present, law in laws if present != law}
+    has = differentiable(case)
+    for key in values.keys:
+        law = next((law for table, law in other_laws.items() if key.startswith(table)), None)
+        if law is not None:
+            faults.append(f'{name}: has another law than "{law}", of which the fit found {key}')
+        elif key not in has:
+            faults.append(f"{name}: has no {key}, which the fit found; must have it")
+    if faults:
+        raise InputError(*faults)
+
+
+def sources_of(known: Known, of: str, sizes: FloatArray) -> tuple[str, ...]:
+    """Return sentences about what was drawn.
+
+    Parameters
+    ----------
+    sizes : (2, draws) mm, of the process noise.
+    """
+    values, count = known.values, known.specimens
+    tested = f"{count} specimen{'' if count == 1 else 's'}"
+    scatters = [values.keys[key] for key in dict.fromkeys(values.scattering.tolist())]
+    if scatters:
+        sentences = [f"scatter of {', '.join(scatters)} between {tested}"]
+        if of == MATERIAL:
+            sentences = [f"the material behind {tested}, without scatter"]
+        elif of != NEXT:
+            sentences = [f"specimen {legible(of)} in the light of {tested}"]
+    else:
+        how = "covariance" if values.samples is None else "posterior samples"
+        sentences = [f"{how} of the fit to {tested}"]
+    if sizes.any():
+        size = 1e6 * float(np.median(sizes.max(axis=0)))
+        sentences.append(f"wear at random, size {size:.3g} nm")
+    return tuple(sentences)
+
+
+def doubts_of(known: Known, case: Case, of: str) -> tuple[ValidityWarning, ...]:
+    """Return the doubts about a prediction."""
+    doubts = []
+    values = known.values
+    if of == NEXT and not len(values.scattering):
+        text = (
+            "the fit has no scatter: the next specimen differs more from those tested "
+            '(scatter = "fit" where there are repeats)'
+        )
+        doubts.append(ValidityWarning("no-scatter", text))
+    means = conditions_of(case, values.keys)
+    for (name, unit), value, tests in zip(
+        CONDITIONS.items(), means.tolist(), values.conditions.T, strict=True
+    ):
+        if np.isnan(value) or np.isnan(tests).all():
+            continue
+        low, high = float(np.nanmin(tests)), float(np.nanmax(tests))
+        if not low * (1.0 - _SAME) <= value <= high * (1.0 + _SAME):
+            symbol = f" {unit}" if unit != "1" else ""
+            range_ = f"{low:.4g}{symbol}" if low == high else f"{low:.4g} to {high:.4g}{symbol}"
+            text = f"extrapolates: {name} = {value:.4g}{symbol}, tests were at {range_}"
+            numbers = {"condition": name, "case": value, "tests": [low, high], "unit": unit}
+            doubts.append(ValidityWarning("extrapolates", text, values=numbers))
+    if known.warnings:
+        text = (
+            f"the fit itself has {known.warnings} warning{'' if known.warnings == 1 else 's'}: "
+            "read its summary first"
+        )
+        doubts.append(ValidityWarning("fit-warnings", text))
+    return tuple(doubts)

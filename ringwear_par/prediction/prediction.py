@@ -1,0 +1,176 @@
+"""A prediction: histories of a case at draws of what a fit knows."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import InputError, ValidityWarning
+from ringwear_par.results.outcomes import Outcome
+from ringwear_par.results.variables import HISTORIES, SOFTWARE, Variable
+from ringwear_par.version import versions
+
+if TYPE_CHECKING:
+    import xarray
+
+#: what is predicted, names of histories
+QUANTITIES = (
+    "penetration", "approach", "force", "torque", "worn_volume_lower", "worn_volume_upper",
+)  # fmt: skip
+#: ends of the intervals of 95 and 50 %, and the median
+PROBABILITIES = (0.025, 0.25, 0.5, 0.75, 0.975)
+
+
+class TimeTo(NamedTuple):
+    """When a depth is reached, s; None where that is after the end of the case.
+
+    Parameters
+    ----------
+    median : half of the draws reach it by then; interval : holds 95 % of them.
+    reached : share of the draws that reach it before the end.
+    """
+
+    median: float | None
+    interval: tuple[float | None, float | None]
+    reached: float
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction(Outcome):
+    """Histories of a case, one a draw.
+
+    Parameters
+    ----------
+    of : "next specimen", "material" or the name of a specimen.
+    fit : what messages call the fit; case : TOML text of the case.
+    seed : of the draws.
+    keys : of the fit, with their units; values : (draws, m) of these.
+    sizes : (2, draws) mm, of the process noise of lower and upper; 0: none.
+    time : (steps,) s.
+    histories : (draws, steps) each, by name, see ``QUANTITIES``.
+    failed : draws that were left out, as their histories could not be computed.
+    sources : sentences about what was drawn.
+    doubts : what speaks against the numbers.
+    versions : of the software.
+    """
+
+    functions: ClassVar = {
+        "summary": "ringwear_par.prediction.summary", "to_dict": "ringwear_par.prediction.summary",
+        "plot": "ringwear_par.prediction.figure", "save": "ringwear_par.prediction.folder",
+    }  # fmt: skip
+
+    of: str
+    fit: str
+    case: str
+    seed: int
+    keys: Mapping[str, str]
+    values: FloatArray
+    sizes: FloatArray
+    time: FloatArray
+    histories: Mapping[str, FloatArray]
+    failed: int
+    sources: tuple[str, ...]
+    doubts: tuple[ValidityWarning, ...]
+    versions: Mapping[str, str] = field(default_factory=versions)
+
+    def __repr__(self) -> str:
+        return f"<Prediction of {self.of}: {len(self.values)} draws to {self.time[-1]:g} s>"
+
+    def quantiles(
+        self, quantity: str = "penetration", probabilities: Sequence[float] = PROBABILITIES
+    ) -> FloatArray:
+        """Return quantiles over the draws, (probabilities, steps), in the history's unit.
+
+        Parameters
+        ----------
+        quantity : one of ``QUANTITIES``.
+        probabilities : between 0 and 1; by default 2.5, 25, 50, 75 and 97.5 %.
+
+        Raises
+        ------
+        InputError : there is no such quantity.
+        """
+        if quantity not in self.histories:
+            raise InputError(f"quantity = {quantity!r}: must be one of {', '.join(self.histories)}")
+        levels: FloatArray = np.quantile(self.histories[quantity], probabilities, axis=0)
+        return levels
+
+    def time_to(self, depth: float) -> TimeTo:
+        """Return when the penetration reaches a depth, mm, first.
+
+        Linear between steps. Draws that do not reach it count as later than the end of the case.
+
+        Raises
+        ------
+        InputError : a depth that is not positive.
+        """
+        if not depth > 0.0:
+            raise InputError(f"depth = {depth!r}: must be > 0 mm")
+        reached = self.histories["penetration"] >= depth
+        after = np.argmax(reached, axis=1)
+        draws = np.arange(len(after))
+        high, low = (self.histories["penetration"][draws, np.maximum(k, 0)]
+                     for k in (after, after - 1))  # fmt: skip
+        share = np.divide(depth - low, high - low, out=np.ones_like(high), where=high > low)
+        before = self.time[np.maximum(after - 1, 0)]
+        times = before + share * (self.time[after] - before)
+        times = np.where(reached.any(axis=1), times, np.inf)
+        low_end, median, high_end = (
+            None if np.isinf(t) else float(t)
+            for t in np.quantile(times, (0.025, 0.5, 0.975), method="inverted_cdf")
+        )
+        return TimeTo(median, (low_end, high_end), float(reached.any(axis=1).mean()))
+
+    def variables(self) -> list[tuple[Variable, Any]]:
+        """Return all variables with their values: histories over (draw, step), values over draw."""
+        draw, step = (
+            Variable(name, (name,), "1", f"number of the {name}", integer=True)
+            for name in ("draw", "step")
+        )
+        histories = [
+            (
+                Variable(name, ("draw", "step"), HISTORIES[name].unit, HISTORIES[name].meaning),
+                values,
+            )
+            for name, values in self.histories.items()
+        ]
+        drawn = [
+            (Variable(key, ("draw",), unit, "value of the fitted key"), values)
+            for (key, unit), values in zip(self.keys.items(), self.values.T, strict=True)
+        ]
+        noise = [
+            (Variable(f"process.{body}", ("draw",), "mm", "size of the process noise"), sizes)
+            for body, sizes in zip(("wear.lower", "wear.upper"), self.sizes, strict=True)
+            if sizes.any()
+        ]
+        return [
+            (draw, np.arange(len(self.values))), (step, np.arange(len(self.time))),
+            (Variable("time", ("step",), "s", "time"), self.time), *histories, *drawn, *noise,
+        ]  # fmt: skip
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return all draws over (draw, step).
+
+        Raises
+        ------
+        InputError : xarray is not installed.
+        """
+        try:
+            import xarray
+        except ImportError as error:
+            raise InputError(
+                "to_xarray needs the Python package xarray; pip install 'ringwear-par[xarray]'"
+            ) from error
+        dataset = xarray.Dataset(
+            {v.name: (v.dimensions, values, v.attributes) for v, values in self.variables()},
+            attrs=self.attributes,
+        )
+        return dataset.set_coords(["time"])
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """What files say of it."""
+        about = {"of": self.of, "fit": self.fit, "case": self.case, "seed": self.seed}
+        return {"software": SOFTWARE, **about, **self.versions}

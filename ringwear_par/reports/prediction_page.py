@@ -1,0 +1,53 @@
+"""The page of a prediction, from what its folder holds."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ringwear_par.cases.units import in_signs, with_signs
+from ringwear_par.errors import legible
+from ringwear_par.files import folders
+from ringwear_par.prediction.figure import panel
+from ringwear_par.reports.blocks import (
+    Chart,
+    Charts,
+    Lines,
+    Page,
+    Section,
+    Source,
+    Table,
+    software,
+)
+from ringwear_par.reports.fit_page import stored_outcome
+
+_WARNING = "warning: "
+
+
+def prediction_page(folder: Path) -> Page:
+    """Return the page of the folder of a prediction. Not collective.
+
+    Raises
+    ------
+    InputError : it is damaged.
+    """
+    with stored_outcome(folder / folders.PREDICTION, "the outcome of ringwear predict") as outcome:
+        lines = [with_signs(line) for line in outcome["summary"]]
+        warnings = [line.removeprefix(_WARNING) for line in lines if line.startswith(_WARNING)]
+        answer = [line for line in lines if not line.startswith(_WARNING)]
+        quantiles = np.array(outcome["quantiles"]["penetration"]["values"], dtype=float).T
+        band = panel(np.array(outcome["time"], dtype=float), quantiles, outcome["of"])
+        label = "Penetration over time: median, and bands that hold 50 and 95 % of the draws"
+        header = ("at the end", "unit", *(f"{100 * p:g} %" for p in outcome["probabilities"]))
+        rows = [
+            [name.replace("_", " "), in_signs(entry["unit"]),
+             *(f"{value:.4g}" for value in entry["values"][-1])]
+            for name, entry in outcome["quantiles"].items()
+        ]  # fmt: skip
+        sections = [
+            Section("Summary", [Lines(answer), *([Lines(warnings, warning=True)] * bool(warnings)),
+                                Table("Quantiles of the draws", header, rows)]),
+            Section("Penetration", [Charts([Chart("band", band, label, wide=True)])]),
+            Section("How to reproduce", [Source("Case file", outcome["case"]),
+                                         software(outcome["versions"])]),
+        ]  # fmt: skip
+    return Page("Prediction", f"Predicted: {legible(folder.resolve().name)}", sections)

@@ -1,0 +1,156 @@
+"""Predictions of a case that was not tested: from a fit and from its folder, on any ranks."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from commands import ringwear, sentences
+from laboratory import CASE, END, TRUTH, fit_tables, history, penetration, write_table
+from mpi4py import MPI
+
+import ringwear_par as rw
+from ringwear_par.errors import InputError
+from ringwear_par.prediction import predict as module
+from ringwear_par.prediction.known import known_of
+
+FACTORS = (0.8, 1.0, 1.1, 1.3)
+K = "wear.lower.k"
+ADAPTIVE = {"time.scheme": "adaptive", "time.step": None, "time.steps": None}
+ELSEWHERE = {**ADAPTIVE, "load.pressure": 110.0, "load.omega": 3.5, "time.end": 150.0}
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """The folder of a fit of four specimens, the same on all ranks, and the fit."""
+    comm = MPI.COMM_WORLD
+    folder = comm.bcast(tmp_path_factory.mktemp("fit"))
+    tables = None
+    if comm.rank == 0:
+        rng, experiments = np.random.default_rng(4), []
+        for number, factor in enumerate(FACTORS, start=1):
+            pressure = (45.0, 80.0)[number % 2]
+            t, z = penetration(history(pressure, {**TRUTH, K: TRUTH[K] * factor}), rng)
+            write_table(folder / f"z{number}.csv", ("t_s", "z_um"), t, 1e3 * z)
+            record = {
+                "quantity": "penetration", "file": str(folder / f"z{number}.csv"), "sd": 0.2,
+                "columns": {"time": "t_s", "value": "z_um"}, "nuisance": {"offset": {}},
+            }  # fmt: skip
+            changes = {"load.pressure": pressure, "load.omega": 3.5, "time.end": END}
+            experiments.append({"name": f"test {number}", "set": changes, "data": [record]})
+        (folder / "case.toml").write_text(CASE)
+        tables = fit_tables(folder, experiments, starts=1)
+        tables["fit"]["parameters"] = json.loads(json.dumps(tables["fit"]["parameters"]))
+        tables["fit"]["parameters"][K]["scatter"] = "fit"
+    fit = rw.fit(comm.bcast(tables), comm)
+    if comm.rank == 0:
+        fit.save(folder / "out")
+    comm.Barrier()
+    return folder / "out", fit
+
+
+@pytest.fixture(scope="module")
+def case(found):
+    return rw.read_case(found[0].parent / "case.toml", ELSEWHERE)
+
+
+def test_the_folder_knows_what_the_fit_knows(found, case, comm):
+    folder, fit = found
+    of_folder = rw.predict(folder, case, draws=8, seed=3, comm=comm)
+    of_fit = rw.predict(fit, case, draws=8, seed=3, comm=MPI.COMM_SELF)  # each rank by itself
+    assert np.array_equal(of_folder.values, of_fit.values)
+    for name, values in of_fit.histories.items():
+        assert np.array_equal(of_folder.histories[name], values)
+    dataset = of_folder.to_xarray()
+    assert dataset.penetration.dims == ("draw", "step")
+
+
+@pytest.mark.serial
+def test_predictions_are_about_somebody(found, case):
+    """Next specimens scatter more than the material is unknown, and that more than a specimen."""
+    _, fit = found
+    at = {
+        of: rw.predict(fit, case, of=of, draws=200, comm=MPI.COMM_SELF)
+        for of in ("next specimen", "material", "test 1")
+    }
+    spread = {of: np.log(p.histories["penetration"][:, -1]).std() for of, p in at.items()}
+    assert spread["next specimen"] > 1.3 * spread["material"]
+    assert spread["material"] > 2.0 * spread["test 1"]
+    entry = fit.to_dict()["parameters"][K]
+    low, high = np.quantile(at["next specimen"].values[:, 0], (0.025, 0.975))
+    assert np.log([low, high]) == pytest.approx(np.log(entry["next"]), abs=0.25)
+    median = np.median(at["test 1"].values[:, 0])
+    assert median == pytest.approx(entry["each"]["test 1"]["estimate"], rel=0.05)
+    codes = [(d.code, d.values["condition"]) for d in at["material"].doubts]
+    assert codes == [("extrapolates", name) for name in ("p", "pV", "distance")]
+    assert "110 MPa, tests were at 45 to 80 MPa" in at["material"].summary()
+
+
+@pytest.mark.serial
+def test_random_wear_spreads_a_prediction(found, case, monkeypatch):
+    """Variance of worn depth: size times depth, where values are known."""
+    _, fit = found
+    size = 2e-5
+    known = known_of(fit)
+    parts = {name: getattr(known.values, name)[:1] for name in ("means", "scatters")}
+    parts |= {"weights": np.ones(1), "covariances": 0.0 * known.values.covariances[:1]}
+    known = dataclasses.replace(
+        known, process={"wear.lower": {"size": {"known": size}}},
+        values=dataclasses.replace(known.values, **parts),
+    )  # fmt: skip
+    monkeypatch.setattr(module, "known_of", lambda _: known)
+    noisy = rw.predict(fit, case, of="test 2", draws=500, comm=MPI.COMM_SELF)
+    depth = noisy.histories["worn_volume_lower"][:, [20, 40, -1]] / case.area
+    known = dataclasses.replace(known, process={})
+    plain = rw.predict(fit, case, of="test 2", draws=1, comm=MPI.COMM_SELF)
+    mean = plain.histories["worn_volume_lower"][0, [20, 40, -1]] / case.area
+    assert depth.mean(axis=0) == pytest.approx(mean, rel=0.04)
+    assert depth.var(axis=0) == pytest.approx(size * mean, rel=0.27)
+    assert "size 20 nm" in noisy.summary()
+
+
+@pytest.mark.serial
+def test_what_is_refused(found, case, tmp_path):
+    folder, fit = found
+    design, interrupted = tmp_path / "design", tmp_path / "interrupted"
+    design.mkdir()
+    (design / "design.json").write_text("{}")
+    (interrupted / "progress").mkdir(parents=True)
+    other = case.replace({"wear.lower.law": "archard", "wear.lower.p0": None})
+    for found_, case_, options, said in (
+        (tmp_path, case, {}, "holds no fit.json; must be the folder of a fit"),
+        (tmp_path / "none", case, {}, "does not exist"),
+        (design, case, {}, "holds a design of tests, but no fit"),
+        (interrupted, case, {}, "was interrupted (ringwear fit --restart completes it)"),
+        (folder, tmp_path / "no.toml", {}, "no.toml"),
+        (folder, other, {}, 'another law than "threshold", of which the fit found wear.lower.k'),
+        (fit, case, {"of": "S9"}, '"material" or one of "test 1", "test 2"'),
+        (fit, case, {"draws": 0}, "draws = 0: must be a whole number >= 1"),
+        (fit, case, {"seed": -1}, "seed = -1"),
+        ({}, case, {}, "fit: a fit or its folder is needed, not dict"),
+    ):
+        with pytest.raises(InputError) as error:
+            rw.predict(found_, case_, comm=MPI.COMM_SELF, **options)
+        assert said in str(error.value)
+
+
+@pytest.mark.serial
+def test_the_command(found, tmp_path):
+    folder, _ = found
+    out, case = tmp_path / "out", folder.parent / "case.toml"
+    words = ["predict", folder, case, "--draws", 4, "--set", "load.pressure=60", "-o"]
+    done = ringwear(*words, out)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("penetration ")
+    assert len(done.stdout.splitlines()) <= 10
+    assert {path.name for path in out.iterdir()} == {
+        "prediction.json", "prediction.h5", "prediction.png"
+    }  # fmt: skip
+    stored = json.loads((out / "prediction.json").read_text())
+    assert stored["draws"] == 4
+    assert np.shape(stored["quantiles"]["penetration"]["values"]) == (len(stored["time"]), 5)
+    assert "Prediction, 1 figure" in rw.report(out, tmp_path / "page.html")
+    refused = ringwear(*words, folder)
+    assert refused.returncode == 2
+    assert sentences(refused)[0].endswith("is the folder of ringwear fit (fit.json); must be "
+                                          "another, or new")  # fmt: skip
