@@ -195,8 +195,8 @@ def test_plot_tells_what_it_cannot_draw(case, comm, tmp_path):
     for wrong, number in (([good, bad], 2), (bad, 1)):
         with pytest.raises(rw.InputError, match=rf"^plot: result {number} failed \(.* half of"):
             rw.plot(wrong)
-    with pytest.raises(rw.InputError, match="plot: result 1 is a Case; must be a result"):
-        rw.plot(case)
+    with pytest.raises(rw.InputError, match="plot: result 2 is a Case; must be a result"):
+        rw.plot([good, case])
     with pytest.raises(rw.InputError, match="is a folder; must be the only thing to be drawn"):
         rw.plot([good, tmp_path])
     for outcome, pictures in (
