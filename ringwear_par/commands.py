@@ -155,7 +155,7 @@ COMMANDS = {
         example="mpirun -n 4 ringwear sweep study.toml -o out/study"),
     "fit": Command(
         "fit parameters of the wear law to measurements, with confidence intervals",
-        "identification.fit_folder:run_fit", (
+        "identification.fit_command:run_fit", (
         _FIT_FILE,
         _FOLDER,
         _flag("--dry-run", "print the intervals to expect if the starts are true; write nothing"),

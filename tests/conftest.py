@@ -7,6 +7,7 @@ brings back a test of such a file.
 """
 
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -44,6 +45,15 @@ def pytest_unconfigure(config):
     if getattr(config, "_sync", None) is not None:
         config._sync.Barrier()
         config._own.cleanup()
+
+
+def pytest_ignore_collect(collection_path, config):
+    """On ranks, do not even import files of which nothing would run."""
+    if config._sync is None or collection_path.suffix != ".py":
+        return None
+    text = collection_path.read_text(encoding="utf-8")
+    serial = re.search(r"^pytestmark = \[?\s*pytest\.mark\.serial", text, re.MULTILINE)
+    return True if serial and "mark.ranks" not in text else None
 
 
 def _runs_on_ranks(item):

@@ -4,11 +4,10 @@ import os
 import shlex
 import signal
 import subprocess
-import sys
 import time
 
 import pytest
-from commands import RINGWEAR, SHELL_ENVIRONMENT, on_ranks, ringwear, sentences
+from commands import RINGWEAR, SHELL_ENVIRONMENT, on_ranks, python, ringwear, sentences
 from paths import PAPER
 from waiting import Waiting
 
@@ -21,10 +20,7 @@ pytestmark = pytest.mark.serial
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 
 
-RANKS = on_ranks(0, 2)
-
-
-@pytest.mark.parametrize("ranks", RANKS)
+@pytest.mark.parametrize("ranks", on_ranks(2))
 def test_run_plot_and_status_0(tmp_path, ranks):
     done = ringwear("run", PAPER, "-o", "a.h5", "--plot", "a.png", "--set", *SMALL,
                     ranks=ranks, cwd=tmp_path)  # fmt: skip
@@ -35,14 +31,13 @@ def test_run_plot_and_status_0(tmp_path, ranks):
     assert "next         ringwear report a.h5 -o a.html" in done.stdout
     assert "\x1b" not in done.stdout
     assert {p.name for p in tmp_path.iterdir()} == {"a.h5", "a.png"}
-    assert ringwear("plot", "a.h5", "-o", "b.pdf", ranks=ranks, cwd=tmp_path).returncode == 0
+    assert ringwear("plot", "a.h5", "-o", "b.pdf", cwd=tmp_path).returncode == 0
 
 
-@pytest.mark.parametrize("ranks", RANKS)
+@pytest.mark.parametrize("ranks", on_ranks(2))
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([PAPER, "-o", "a.h5", "--set", "lower.young=-1"], "lower.young = -1"),
         ([PAPER, "-o", "a.h5", "--set", "mesh.contact_elements=1000000000"], "GB of memory"),
         ([PAPER, "-o", "a.h5", "--", "-contact_tao_typ", "tron"], "did you mean -contact_tao_type"),
         ([PAPER, "-o", "a.h5", "--", "-contact_tao_type", "lmvm"], "must be one of python, tron"),
@@ -64,22 +59,19 @@ def test_bad_input_is_said_once_with_status_2(tmp_path, ranks, words, said):
 
 
 def test_failed_computation_has_status_1(tmp_path):
-    for ranks in (0, 2):
-        result = ringwear(
-            "run", PAPER, "-o", "a.h5", "--set", *SMALL, "--", "-contact_tao_type", "tron",
-            "-contact_tao_max_it", "1", "-contact_ksp_max_it", "1", ranks=ranks, cwd=tmp_path,
-        )  # fmt: skip
-        assert result.returncode == 1, result.stderr
-        told = sentences(result)
-        assert len(told) == 1
-        assert "step 0" in told[0]
-        assert "reason DIVERGED_MAXITS" in told[0]
-        assert "residual" in told[0]
-        assert "Traceback" not in result.stderr
+    result = ringwear(
+        "run", PAPER, "-o", "a.h5", "--set", *SMALL, "--", "-contact_tao_type", "tron",
+        "-contact_tao_max_it", "1", "-contact_ksp_max_it", "1", ranks=2, cwd=tmp_path,
+    )  # fmt: skip
+    assert result.returncode == 1, result.stderr
+    (told,) = sentences(result)
+    for words in ("step 0", "reason DIVERGED_MAXITS", "residual"):
+        assert words in told
+    assert "Traceback" not in result.stderr
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("kind", ["jacobi", "none", "cholesky"])
+@pytest.mark.parametrize("kind", ["jacobi"])
 def test_a_solver_that_does_not_solve_is_an_error(tmp_path, kind):
     result = ringwear("run", PAPER, "-o", "a.h5", "--set", *SMALL, "--", "-bem_pc_type", kind,
                       cwd=tmp_path)  # fmt: skip
@@ -88,8 +80,7 @@ def test_a_solver_that_does_not_solve_is_an_error(tmp_path, kind):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("ranks", [0, 2])
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1])
+@pytest.mark.parametrize(("ranks", "number"), [(0, signal.SIGHUP), (2, signal.SIGTERM)])
 def test_a_signal_ends_the_run_with_its_steps_on_disk(tmp_path, ranks, number):
     (tmp_path / "case").mkdir()
     (tmp_path / "out").mkdir()
@@ -175,15 +166,6 @@ def test_explicit_scheme_warns_with_the_largest_stable_step(tmp_path):
     assert "warning" not in result.stdout
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_without_rights(tmp_path):
-    tmp_path.chmod(0o500)
-    result = ringwear("run", PAPER, "-o", tmp_path / "a.h5")
-    tmp_path.chmod(0o700)
-    assert result.returncode == 2
-    assert "cannot be written" in result.stderr
-
-
 def test_loaded_code_is_the_code_that_assembles():
     """Otherwise all ranks would compile again, at once, in the middle of the assembly."""
     program = """
@@ -199,8 +181,7 @@ assemble(paper_case(Mesh(8)), MPI.COMM_SELF)
 assert len(loaded) == 1
 assert list(assemble_rows.signatures) == loaded
 """
-    result = subprocess.run([sys.executable, "-c", program], env=SHELL_ENVIRONMENT,
-                            capture_output=True, text=True, timeout=100, check=False)  # fmt: skip
+    result = python("-c", program)
     assert result.returncode == 0, result.stderr
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -16,7 +17,6 @@ from paths import CASES, HELPERS, PAPER
 from stored import contents
 
 from ringwear_par.elasticity.bem import assembly
-from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.execution import watch
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage.hdf5 import atomic_hdf5
@@ -77,7 +77,7 @@ def runs(tmp_path_factory, comm):
     return folder
 
 
-def sizes_for(size, count=12):
+def sizes_for(size, count=7):
     """Sizes from a page to what is more than enough for a file of this size."""
     return [4096 * n for n in sorted({round(x) for x in np.geomspace(1, size / 2048 + 1, count)})]
 
@@ -92,6 +92,8 @@ def check(full, results, name, old=None):
     whole = []
     for size, status, said in results:
         left = full.kept / str(size)
+        # but for the progress that a busy machine shows
+        said = [one for one in said if not re.search("will be replaced$|: step [0-9]+, time", one)]
         if status == 0:
             whole.append(left)
             assert said == []
@@ -117,14 +119,14 @@ def test_run(full, runs, there):
         found = contents(left / "run.h5")
         assert found.keys() == reference.keys()
         assert all(np.array_equal(value, found[key]) for key, value in reference.items())
-    assert all("nothing of this run is stored" in said[0] for _, status, said in results if status)
+    assert all("nothing of this run is stored" in said[-1] for _, status, said in results if status)
 
 
 def test_run_with_checkpoints(full, runs):
     """It goes on without them, says so once, and what it could write is there."""
     words = ["run", PAPER, "-o", full.folder / "run.h5", "--set", *WIDE]
     size = (runs / "wide.h5").stat().st_size  # two are there at a time
-    sizes = [int(share * size) // 4096 * 4096 for share in (0.1, 0.5, 0.7, 0.8, 0.9, 1.1, 1.6, 2.4)]
+    sizes = [int(share * size) // 4096 * 4096 for share in (0.1, 0.7, 0.9, 1.1, 1.6, 2.4)]
     reached = set()
     for size, status, said in full(words, sizes, checkpoint_seconds=0.0):
         left = full.kept / str(size)
@@ -154,7 +156,6 @@ def test_run_with_checkpoints(full, runs):
     [
         ["plot", "fields.h5", "-o", "old.png", "--panels", "section"],
         ["export", "fields.h5", "-o", "old.vtkhdf"],
-        ["export", "fields.h5", "-o", "old.csv", "--fields"],
     ],
     ids=lambda words: words[3],
 )
@@ -178,7 +179,7 @@ def test_sweep(full, tmp_path, comm):
     run_sweep(study, tmp_path / "reference", comm)
     size = (tmp_path / "reference" / "results.h5").stat().st_size
     words = ["sweep", study, "-o", full.folder / "out"]
-    found = full(words, sizes_for(1.5 * size), again=True)
+    found = full(words, sizes_for(1.5 * size, 11), again=True)
     stored = set()
     for size, status, said, status_again, said_again in found:
         left = full.kept / str(size) / "out"
@@ -196,36 +197,6 @@ def test_sweep(full, tmp_path, comm):
         assert all(after[identity] == seconds for identity, seconds in before.items())
     assert len(stored) > 2
     assert status == 0
-
-
-def test_merge(full, tmp_path, comm):
-    """Results of before stay until those that replace them are whole."""
-    study = faults.write_study(tmp_path, count=2, steps=10, elements=(8, 40))
-    text = study.read_text(encoding="utf-8")
-    study.write_text(text.replace("[0, 20, 40, 60, 70]", "[0]"), encoding="utf-8")
-    run_sweep(study, tmp_path / "out", comm)
-    study.write_text(text, encoding="utf-8")
-    run_sweep(study, tmp_path / "reference", comm)
-    run_sweep(study, tmp_path / "out", comm, part=(1, 1))
-    words = ["sweep", study, "-o", full.folder / "out"]
-    sizes = sizes_for((tmp_path / "reference" / "results.h5").stat().st_size, 8)
-    for size, status, said in full(words, sizes, {"out": tmp_path / "out"}):
-        left = full.kept / str(size) / "out"
-        there, *told = said
-        assert "20 of 20 cases are there already" in there
-        if status == 0:
-            assert not told
-            assert faults.seconds_by_id(left) == faults.done_before(tmp_path / "out")
-            assert not faults.differences(left, tmp_path / "reference")
-            continue
-        assert told == [
-            f"ringwear: {full.folder / 'out' / 'results.h5'}: {full.words}; 20 of 20 cases are "
-            "stored, and the same command goes on"
-        ]
-        assert (left / "STOPPED").exists()  # beside results of before, which look complete
-        for path in (tmp_path / "out").rglob("*.*"):
-            assert (left / path.relative_to(tmp_path / "out")).read_bytes() == path.read_bytes()
-    assert (status, said[1:]) == (0, [])
 
 
 def test_files_of_many_sizes_fit_or_do_not(tmp_path):
@@ -260,7 +231,7 @@ def test_files_of_many_sizes_fit_or_do_not(tmp_path):
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
 
-    for size in (*range(1, 40_000, 1999), *range(40_000, 1_500_000, 60_009)):
+    for size in (*range(1, 40_000, 3999), *range(40_000, 1_500_000, 160_009)):
         error = write(size)
         assert (error.filename, error.strerror) == (str(path), FULL["limit"])
         assert not list(tmp_path.iterdir())
@@ -268,21 +239,6 @@ def test_files_of_many_sizes_fit_or_do_not(tmp_path):
     with h5py.File(path) as file:
         assert np.array_equal(np.unique(file["chunked"]), [1.0, 2.0])
         assert file["text_0"].asstr()[0] == "x" * 500
-
-
-def test_the_disk_is_told_by_the_name_of_the_file(tmp_path):
-    path = tmp_path / "a.csv"
-
-    def fail():
-        raise OSError(28, "No space left on device")
-
-    with pytest.raises(OSError, match="No space") as told, atomic_write(path):
-        fail()
-    assert told.value.filename == str(path)
-    other = tmp_path / "other"
-    with pytest.raises(FileNotFoundError) as told, atomic_write(path):
-        other.read_bytes()
-    assert told.value.filename == str(other)
 
 
 def test_checkpoints_are_missed_once_a_cause(shared_path, comm, monkeypatch, caplog):

@@ -2,11 +2,9 @@
 
 import resource
 import shutil
-import subprocess
-import sys
 
 import pytest
-from commands import SHELL_ENVIRONMENT
+from commands import NEEDS_MPIRUN, python
 from paths import CASES, FIT, PAPER
 
 #: the command, with little more address space on the last rank than it has once PETSc has started
@@ -42,27 +40,22 @@ def rate(p, at):
 
 def sentences(command, folder):
     """What ringwear says on two ranks, which have to end with status 1."""
-    done = subprocess.run(
-        ["mpirun", "-n", "2", sys.executable, *map(str, command)], cwd=folder,
-        env=SHELL_ENVIRONMENT, capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
+    done = python(*command, ranks=2, cwd=folder)
     assert done.returncode == 1, done.stderr
     assert "Traceback" not in done.stderr
     return [line for line in done.stderr.splitlines() if line.startswith("ringwear: ")]
 
 
 def command_of(name):
-    if name == "run":
-        return "run", PAPER, "-o", "a.h5"
     if name == "sweep":
         return "sweep", CASES / "study.toml", "-o", "out"
     return "fit", next(iter(sorted(FIT.glob("*.toml")))), "-o", "out"
 
 
 @pytest.mark.serial
-@pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun")
+@NEEDS_MPIRUN
 @pytest.mark.skipif(not hasattr(resource, "RLIMIT_AS"), reason="no limits of memory")
-@pytest.mark.parametrize("name", ["run", "sweep", "fit"])
+@pytest.mark.parametrize("name", ["sweep", "fit"])
 def test_one_rank_short_of_memory_ends_all_with_a_sentence(tmp_path, name):
     """OpenBLAS would try for ever to get what it works in."""
     (said,) = sentences(["-c", SHORT, *command_of(name)], tmp_path)
@@ -71,7 +64,7 @@ def test_one_rank_short_of_memory_ends_all_with_a_sentence(tmp_path, name):
 
 
 @pytest.mark.serial
-@pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun")
+@NEEDS_MPIRUN
 def test_a_law_that_interrupts_one_rank_ends_all_with_a_sentence(tmp_path):
     (tmp_path / "user_law.py").write_text(LAW)
     case = shutil.copy(CASES / "user_law.toml", tmp_path)

@@ -92,6 +92,7 @@ def test_bad_input_is_said_once_with_status_2(ringwear, shared_path, comm, words
     assert [p.name for p in shared_path.iterdir()] == ["taken.h5"]
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -142,17 +143,3 @@ def test_help_tells_the_exit_statuses(capsys, command):
         main([command, "--help"])
     assert ended.value.code == 0
     assert "1 the computation failed or was stopped" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(("outcome", "said"), [("fit", "fit.png"), ("design", "design.png")])
-def test_folders_of_fits_and_designs_are_not_drawn(ringwear, shared_path, comm, outcome, said):
-    """Their pictures are there."""
-    if comm.rank == 0:
-        (shared_path / "out").mkdir()
-        (shared_path / "out" / f"{outcome}.json").write_text("{}")
-    comm.Barrier()
-    status, told = ringwear("plot", "out", "-o", "a.png")
-    assert status == 2
-    assert told.startswith(f"ringwear: out: is the folder of a {outcome}, whose picture")
-    assert said in told
-    assert told.count("\n") == 1

@@ -17,7 +17,8 @@ from typing import Any
 from mpi4py import MPI
 
 from ringwear_par.errors import InputError
-from ringwear_par.explorer.exploring import Exploration, raw_keys
+from ringwear_par.explorer.exploring import Exploration
+from ringwear_par.explorer.moved_keys import raw_keys
 from ringwear_par.results.execution.stopping import StopAtOnce, Stopped
 
 log = logging.getLogger(__name__)

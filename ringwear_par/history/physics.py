@@ -323,6 +323,7 @@ class Physics:
 
     def at_pace(self, pace: FloatArray) -> Self:
         """Return the physics of a step in which rates are multiplied, by (2, B)."""
+        # energy does not tell what wears at random
         inputs = replace(self.inputs, pace=pace, per_energy=(None, None))
         return replace(self, inputs=inputs)
 

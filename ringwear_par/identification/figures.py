@@ -18,7 +18,7 @@ _COLUMNS = 3
 #: inches of readings with their residuals, and of a legend above all
 _WIDTH, _HEIGHT, _LEGEND = 4.3, 3.9, 0.4
 #: of the strip of single readings: a line of it, what is around them, and how narrow it may be
-_ROW, _MARGIN, _NARROWEST = 0.36, 0.55, 6.5
+_ROW, _MARGIN, _NARROWEST = 0.5, 0.65, 6.5
 
 
 def plot(fit: FitResult) -> Figure:
@@ -42,11 +42,12 @@ def plot(fit: FitResult) -> Figure:
         if not single:
             panel_grid(chart, rows, [5, 2] * down)
         elif not curves:
+            chart.set_figheight(_LEGEND + heights[1])
             panel_grid(chart, [[fits.single_readings(single)]])
         else:  # labels of the strip make no panel above it narrower
             parts: Any = chart.subfigures(2, 1, height_ratios=heights)
             panel_grid(parts[0], rows, [5, 2] * down)
-            panel_grid(parts[1], [[fits.single_readings(single)]])
+            panel_grid(parts[1], [[fits.single_readings(single)]], legend=False)
     return chart
 
 

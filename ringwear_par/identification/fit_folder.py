@@ -1,44 +1,31 @@
-"""``ringwear fit``: a fit into a folder, of its outcome, its readings and its figures.
-
-Each file is there once it is whole.
-"""
+"""The folder of a fit: its outcome, its readings and its figures, each there once it is whole."""
 
 import logging
 import re
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-from mpi4py import MPI
 
-from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.errors import InputError
 from ringwear_par.files.folders import (
     CURVES,
     ESTIMATES,
     FIT,
     READINGS,
     SPECIMENS,
-    check_folder,
     json_bytes,
     new_files,
     write_contents,
 )
 from ringwear_par.files.text import parse_json, read_text
-from ringwear_par.files.writing import announce_replacement
-from ringwear_par.identification.definition.fit_file import read_complete, read_fit
 from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import BASE, Problem, body_of_wear
-from ringwear_par.identification.estimation.starts import PROGRESS, StoredStarts
-from ringwear_par.identification.fit import expected_result, fit_problem
+from ringwear_par.identification.estimation.starts import PROGRESS
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.fitted_values import fitted_values, write_values
-from ringwear_par.identification.model.rounds import StoppedError
-from ringwear_par.identification.summary import prediction
-from ringwear_par.options import reject_unused_options
-from ringwear_par.parallel import on_first_rank, together, warn_of_threads
 from ringwear_par.pictures.style import picture
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, Variable
@@ -46,72 +33,6 @@ from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, 
 log = logging.getLogger(__name__)
 
 FILES = (FIT, READINGS, CURVES, ESTIMATES, SPECIMENS)
-
-
-def run_fit(
-    source: Path,
-    folder: Path,
-    comm: MPI.Intracomm,
-    *,
-    dry_run: bool = False,
-    restart: bool = False,
-    overwrite: bool = False,
-    compare: bool = False,
-) -> None:
-    """Fit and write the outcome to a folder, or in a dry run print what to expect. Collective.
-
-    A fit that fails leaves nothing; one that is stopped leaves what ``restart`` goes on with.
-    """
-    if restart and overwrite:
-        raise InputError("--restart, --overwrite: must be one of them, to go on or to start anew")
-    if dry_run:
-        problem = on_first_rank(comm, lambda: read_fit(source, plans=True))
-        expected = expected_result(problem, comm)
-        if comm.rank == 0:
-            print(prediction(expected))
-        return
-    problem = on_first_rank(comm, lambda: read_complete(source))
-    on_first_rank(comm, lambda: check_folder(folder, FILES, "fit"))
-    if restart and on_first_rank(comm, lambda: complete(folder, problem, compare=compare)):
-        if comm.rank == 0:
-            log.info("%s: the fit is complete; nothing is left to be done", folder)
-        return
-    stored = StoredStarts(folder, "")
-
-    def clear() -> None:
-        if overwrite:
-            stored.remove()
-        elif not restart:
-            refuse_interrupted(folder)
-        announce_replacement(folder / FIT)
-
-    on_first_rank(comm, clear)
-    if comm.rank == 0:
-        warn_of_threads(comm.size)
-    try:
-        result = fit_problem(problem, comm, compare=compare, folder=folder)
-        with together(comm):
-            reject_unused_options()
-    except StoppedError:
-        raise
-    except RingwearError:  # the same command would fail again, and another one must be free to run
-        if comm.rank == 0:
-            with suppress(OSError):
-                stored.remove()
-        raise
-
-    def store() -> None:
-        save(result, folder)
-        stored.remove()
-
-    on_first_rank(comm, store)
-    if comm.rank == 0:
-        print(result.summary())
-        if problem.alternatives and not compare:
-            log.info(
-                "laws of [compare] were not fitted: --compare fits %s",
-                ", ".join(problem.alternatives),
-            )
 
 
 def refuse_interrupted(folder: Path) -> None:

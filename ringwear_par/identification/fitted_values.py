@@ -8,6 +8,8 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.identification.definition.problem import body_of_wear
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.results.storage.hdf5 import write_variable
 from ringwear_par.results.variables import PARAMETER, Variable
@@ -37,6 +39,7 @@ class FittedValues:
     means, covariances : (g, 1 + tests, m) and (g, 1 + tests, m, m) of the unknowns of the material
         and of each test; NaN where nothing is known.
     scatters : (g, levels) sizes of the scatters; scattering : (levels,) number of the key of each.
+    sizes : (g, 2) mm, of the process noise of lower and upper; 0: none.
     specimens : of the tests, by name.
     laws : names of the laws of lower and upper, "" of a body that does not wear.
     conditions : (tests, 5), see ``conditions_of``.
@@ -51,6 +54,7 @@ class FittedValues:
     covariances: FloatArray
     scatters: FloatArray
     scattering: IntArray
+    sizes: FloatArray
     specimens: tuple[str, ...]
     laws: tuple[str, str]
     conditions: FloatArray
@@ -92,6 +96,7 @@ def fitted_values(fit: FitResult) -> FittedValues:
         covariance = np.where(np.isfinite(fit.covariance), fit.covariance, np.nan)[:m, :m]
         covariances = np.tile(covariance, (1, 1 + tests, 1, 1))
         scatters, scattering = np.zeros((1, 0)), np.zeros(0, dtype=np.int64)
+        sizes = np.zeros((1, len(BODIES)))
     else:
         posterior, free = material.posterior, np.array(material.free, dtype=np.int64)
         order = np.argsort(-posterior.weights)
@@ -108,10 +113,13 @@ def fitted_values(fit: FitResult) -> FittedValues:
         scatters = posterior.solutions.tau[parts]
         levels = np.array([level.key for level in posterior.model.levels], dtype=np.int64)
         scattering = free[levels]
+        sizes = np.zeros((len(parts), len(BODIES)))
+        wearing = [BODIES.index(body_of_wear(key)) for key in material.wear.process]
+        sizes[:, wearing] = material.wear.sizes(posterior.shares[parts])
     return FittedValues(
         problem.keys, np.array([p.log for p in problem.parameters]),
         np.array([p.bounds for p in problem.parameters]), weights, means, covariances, scatters,
-        scattering, tuple(e.groups[0] or e.name for e in problem.experiments),
+        scattering, sizes, tuple(e.groups[0] or e.name for e in problem.experiments),
         law_names(problem.experiments[0].case),
         np.array([conditions_of(e.case, problem.keys) for e in problem.experiments]),
         None if fit.posterior is None else fit.posterior.samples,
@@ -130,6 +138,7 @@ _ARRAYS = {
     ),
     "scatters": (("part", "level"), "size of a scatter, in the unit of its unknown"),
     "scattering": (("level",), "number of the key of a scatter"),
+    "sizes": (("part", "body"), "size of the process noise of lower and upper, mm"),
     "conditions": (("test", "condition"), f"means over a test: {', '.join(CONDITIONS)}"),
 }
 

@@ -13,7 +13,7 @@ from ringwear_par.files.folders import (
     new_files,
     write_contents,
 )
-from ringwear_par.measuring.measure_numbers import COLUMNS, number_at
+from ringwear_par.measuring.measure_numbers import QUANTITIES
 from ringwear_par.measuring.measure_result import MeasureResult
 from ringwear_par.pictures.style import picture
 
@@ -40,9 +40,13 @@ def table(result: MeasureResult) -> str:
     """Return the contents of measure.csv: a row a test; empty cells for what was not measured."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["test", "steady", *(f"{name} / {unit}" for name, unit, _ in COLUMNS), "doubts"])
+    columns = [
+        (q, part) for q in QUANTITIES for part in (("value", "u") if q.measured else ("value",))
+    ]
+    header = [f"{'u of ' * (part == 'u')}{q.name} / {q.unit}" for q, part in columns]
+    rows.writerow(["test", "steady", *header, "doubts"])
     for name, entry in result.to_dict()["tests"].items():
-        numbers = [number_at(entry, path) for _, _, path in COLUMNS]
+        numbers = [quantity.of(entry, part) for quantity, part in columns]
         cells = ["" if number is None else f"{number:.6g}" for number in numbers]
         codes = " ".join(doubt["code"] for doubt in entry["doubts"])
         rows.writerow([name, "yes" if entry["steady"] else "no", *cells, codes])

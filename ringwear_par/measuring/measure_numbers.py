@@ -1,60 +1,83 @@
-"""The numbers of a measurement as people read them: rows that its summary, table and page share.
+"""The numbers of a measurement as people read them: what its summary, table and page share.
 
-All functions take the contents of measure.json (``MeasureResult.to_dict``).
+Entries of tests are those of measure.json (``MeasureResult.to_dict``).
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
+from ringwear_par.errors import warning_lines
 from ringwear_par.measuring.analysis.budget import COVERAGE
-
-Outcome = Mapping[str, Any]
+from ringwear_par.measuring.measure_result import MeasureResult
 
 #: digits of an expanded uncertainty (JCGM 100, 7.2.6), and of numbers that have none
 _DIGITS, _ALONE = 2, 4
 #: powers of ten from which on numbers have one, and most digits behind the point of a number
 _SMALL, _LARGE, _MOST_DIGITS = -3, 5, 6
-#: columns of measure.csv: name, unit, and where the number is in the entry of a test
-COLUMNS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    ("steady from", "h", ("steady_from", "value")),
-    ("specific wear rate", "mm3/(N m)", ("specific_wear_rate", "value")),
-    ("u of specific wear rate", "mm3/(N m)", ("specific_wear_rate", "u")),
-    ("specific wear rate", "in3 min/(ft lbf h)", ("specific_wear_rate", "in3 min/(ft lbf h)")),
-    ("wear rate", "um/h", ("wear_rate", "um/h")),
-    ("u of wear rate", "um/h", ("wear_rate", "u")),
-    ("wear rate", "in/h", ("wear_rate", "in/h")),
-    ("friction", "1", ("friction", "value")),
-    ("u of friction", "1", ("friction", "u")),
-    ("pV", "MPa m/s", ("pv", "MPa m/s")),
-    ("pV", "psi ft/min", ("pv", "psi ft/min")),
-    ("mass lost", "mg", ("whole", "mass_loss", "value")),
-    ("u of mass lost", "mg", ("whole", "mass_loss", "u")),
-    ("volume lost by weighing", "mm3", ("whole", "volume", "value")),
-    ("volume lost by displacement", "mm3", ("whole", "volume_by_displacement", "value")),
-    ("specific wear rate of the whole test", "mm3/(N m)",
-     ("whole", "specific_wear_rate", "value")),
-    ("u of specific wear rate of the whole test", "mm3/(N m)",
-     ("whole", "specific_wear_rate", "u")),
-    ("distance", "m", ("whole", "distance", "value")),
-    ("temperature, mean", "degC", ("temperature", "mean")),
-    ("temperature, largest", "degC", ("temperature", "max")),
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number of a test: what it is called, and where it is in the test's entry.
+
+    Parameters
+    ----------
+    path : in the entry; measured: to a table with ``value`` and ``u``.
+    factor : from the unit of measure.json.
+    """
+
+    name: str
+    unit: str
+    path: tuple[str, ...]
+    factor: float = 1.0
+    measured: bool = False
+
+    def of(self, entry: Mapping[str, Any], name: str = "value") -> float | None:
+        """Return the number of a test, or its standard uncertainty "u"; None where it has none."""
+        value: Any = entry
+        for part in (*self.path, *((name,) if self.measured else ())):
+            value = None if value is None else value[part]
+        return None if value is None else self.factor * float(value)
+
+    def text(self, entry: Mapping[str, Any]) -> str:
+        """Return the number of a test, with its uncertainty where it has one; "" for none."""
+        value = self.of(entry)
+        if value is None or not math.isfinite(value):
+            return ""
+        return estimate_text(value, self.of(entry, "u") or 0.0 if self.measured else 0.0)
+
+
+_SPECIFIC, _WEAR, _CUSTOMARY = "specific_wear_rate", "wear_rate", "in3 min/(ft lbf h)"
+LOAD = Quantity("load", "N", ("conditions", "force"))
+SPEED = Quantity("sliding speed", "m/s", ("conditions", "speed"), 1e-3)
+FRICTION = Quantity("friction", "1", ("friction",), measured=True)
+TEMPERATURES = (
+    Quantity("temperature, mean", "degC", ("temperature", "mean")),
+    Quantity("temperature, largest", "degC", ("temperature", "max")),
+)
+#: of each test, as measure.csv and the page have them
+QUANTITIES = (
+    LOAD, Quantity("mean pressure", "MPa", ("conditions", "pressure")), SPEED,
+    Quantity("pV", "MPa m/s", ("pv", "MPa m/s")),
+    Quantity("pV", "psi ft/min", ("pv", "psi ft/min")),
+    Quantity("duration", "h", ("duration",), 1.0 / 3600.0),
+    Quantity("distance", "m", ("whole", "distance", "value")),
+    *TEMPERATURES,
+    Quantity("steady from", "h", ("steady_from", "value"), 1.0 / 3600.0),
+    Quantity("wear rate", "um/h", (_WEAR,), 3.6e6, measured=True),
+    Quantity("wear rate", "in/h", (_WEAR, "in/h")),
+    Quantity("specific wear rate", "mm3/(N m)", (_SPECIFIC,), measured=True),
+    Quantity("specific wear rate", _CUSTOMARY, (_SPECIFIC, "us"), measured=True),
+    FRICTION,
+    Quantity("mass lost", "mg", ("whole", "mass_loss"), measured=True),
+    Quantity("volume lost by weighing", "mm3", ("whole", "volume"), measured=True),
+    Quantity("volume lost by displacement", "mm3", ("whole", "volume_by_displacement"),
+             measured=True),
+    Quantity("specific wear rate of the whole test", "mm3/(N m)", ("whole", _SPECIFIC),
+             measured=True),
 )  # fmt: skip
-#: numbers of measure.json in the units of the columns above
-_SCALES: dict[tuple[str, ...], float] = {
-    ("steady_from", "value"): 1.0 / 3600.0,
-    ("wear_rate", "u"): 3.6e6,
-}
-
-
-def number_at(entry: Mapping[str, Any], path: tuple[str, ...]) -> float | None:
-    """Return a number of a test in the unit of its column, None where there is none."""
-    value: Any = entry
-    for name in path:
-        if value is None:
-            return None
-        value = value[name]
-    return None if value is None else _SCALES.get(path, 1.0) * float(value)
 
 
 def estimate_text(value: float, u: float, unit: str = "") -> str:
@@ -110,3 +133,54 @@ def skipped_text(entry: Mapping[str, Any]) -> str:
         f"{entry['skipped'][key]} {text}" for key, text in words.items() if entry["skipped"][key]
     ]
     return ", ".join(parts)
+
+
+def summary(result: MeasureResult) -> str:
+    """Return the outcome as the command prints it."""
+    outcome = result.to_dict()
+    tests: Mapping[str, Any] = outcome["tests"]
+    lines = [f"specific wear rate {repeats_text(one)}" for one in outcome["repeats"]]
+    if not lines:
+        count = len(tests)
+        lines.append(
+            f"numbers of {'this specimen' if count == 1 else f'these {count} specimens'} only: "
+            "repeats of a material scatter more"
+        )
+    width = max(map(len, tests))
+    for name, entry in tests.items():
+        for number, line in enumerate(_lines(entry)):
+            lines.append(f"{'' if number else name:{width}}  {line}")
+    lines += [f"note: {note}" for note in outcome["notes"]]
+    doubts = [f"{name}: {d['text']}" for name, entry in tests.items() for d in entry["doubts"]]
+    return "\n".join([*lines, *warning_lines(doubts)])
+
+
+def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the lines of a test."""
+    specific, rate, friction = (
+        entry[name] for name in ("specific_wear_rate", "wear_rate", "friction")
+    )
+    steady, whole = steady_text(entry), entry["whole"]
+    if specific is not None:
+        yield f"{entry_text(specific)}, {specific[_CUSTOMARY]:.3g} {_CUSTOMARY}; {steady}"
+    numbers = []
+    if rate is not None:
+        numbers.append(f"wear rate {entry_text(rate, 3.6e6, 'um/h')}")
+    if friction is not None:
+        numbers.append(f"friction {entry_text(friction)}")
+    pv = entry["pv"]
+    numbers.append(f"pV {pv['MPa m/s']:.4g} MPa m/s = {pv['psi ft/min']:.5g} psi ft/min")
+    if specific is None:
+        numbers.append(steady)
+    yield "; ".join(numbers)
+    if whole["specific_wear_rate"] is not None:
+        yield (
+            f"whole test, by weighing: {entry_text(whole['specific_wear_rate'])}; "
+            f"{entry_text(whole['mass_loss'])}, {entry_text(whole['volume'])} over "
+            f"{whole['distance']['value'] / 1e3:.4g} km"
+        )
+    if temperature := entry["temperature"]:
+        yield f"temperature {temperature['mean']:.3g} degC, at most {temperature['max']:.3g} degC"
+    if skipped := skipped_text(entry):
+        yield f"skipped: {skipped}"
+    yield from entry["notes"]

@@ -158,7 +158,7 @@ def single_readings(every: Sequence[Series]) -> Panel:
             f"{value[0]:.4g} {unit} from {(value - reach)[0]:.4g} to {(value + reach)[0]:.4g}"
             for value, reach in ((series.data, sd), (series.model, band))
         )
-        words.append(f"{legible(series.title)}\n{', model '.join(intervals)} ({level})")
+        words.append("\n".join([legible(series.title), "\nmodel ".join(intervals)]))
     reach = max(_REACH, 1.1 * float(np.abs(residuals).max()), 1.1 * float(model.max()))
     ends = np.array([-0.6, len(every) - 0.4])
     return Panel(
@@ -327,7 +327,8 @@ def _pair(outcome: Mapping[str, Any], first: FittedKey, second: FittedKey, i: in
     at = [key.scaled(key.entry["estimate"]) for key in pair]
     if unknown:
         verdicts = "\n".join(f"{key.name}: {key.entry['verdict']}" for key in unknown)
-        labels.append(Label(float(at[0]), float(at[1]), verdicts, centred=True))
+        (left, right), (_, top) = (key.axis.ends or (v, v) for key, v in zip(pair, at, strict=True))
+        labels.append(Label(0.5 * float(left + right), float(top), verdicts, True, centred=True))
     else:
         table = np.array(outcome["covariance"], dtype=float)[np.ix_([i, j], [i, j])]
         slopes = np.array([key.entry["estimate"] if key.log else 1.0 for key in pair])

@@ -92,13 +92,20 @@ def _draw_cells(axes: Any, cells: Cells) -> None:
     bar.set_label(plain(cells.label))
 
 
-def panel_grid(chart: Any, rows: Sequence[Sequence[Panel]], heights: Sequence[float] = ()) -> Any:
-    """Draw rows of panels under one legend; the first row is the longest.
+def panel_grid(
+    chart: Any,
+    rows: Sequence[Sequence[Panel]],
+    heights: Sequence[float] = (),
+    *,
+    legend: bool = True,
+) -> None:
+    """Draw rows of panels under one legend.
 
     Parameters
     ----------
     chart : a figure, or a part of one.
     heights : of the rows, relative; () for equal ones.
+    legend : whether there is one.
     """
     across = max(map(len, rows))
     grid = chart.add_gridspec(len(rows), across, height_ratios=heights or None)
@@ -111,14 +118,13 @@ def panel_grid(chart: Any, rows: Sequence[Sequence[Panel]], heights: Sequence[fl
             axes.set_title(plain(panel.title), loc="left")
             handles, labels = axes.get_legend_handles_labels()
             entries |= {label: h for h, label in zip(handles, labels, strict=True) if label}
-    if entries:
+    if entries and legend:
         widest = max(map(len, entries)) + _GLYPH
         letters = _LETTERS_OF_INCH * chart.bbox.width / chart.figure.dpi
         chart.legend(
             entries.values(), entries.keys(), loc="outside upper center", frameon=False,
             ncols=max(1, min(len(entries), int(letters / widest))),
         )  # fmt: skip
-    return chart
 
 
 def _draw_curve(axes: Any, curve: Curve) -> None:

@@ -1,13 +1,8 @@
 """Draws of what a fit knows: values of its keys, and the random pace of wear."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
-from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.fitted_values import FittedValues
 
@@ -21,30 +16,35 @@ _LEAST_SHAPE = 1e-12
 
 def draw_values(
     values: FittedValues, of: str, draws: int, random: np.random.Generator
-) -> FloatArray:
-    """Return values of the fitted keys (draws, m), within their bounds.
+) -> tuple[FloatArray, FloatArray]:
+    """Return values of the fitted keys (draws, m), and sizes of the process noise (2, draws) mm.
+
+    Values are within their bounds. The material has no process noise.
 
     Raises
     ------
     ComputationError : hardly any are within them.
     """
     low, high = values.bounds.T
-    drawn = np.zeros((0, len(values.keys)))
+    drawn, sizes = np.zeros((0, len(values.keys))), np.zeros((0, 2))
     for _ in range(_ROUNDS):
-        more = _values(values, of, draws, random)
-        drawn = np.vstack([drawn, more[((more >= low) & (more <= high)).all(axis=1)]])
+        more, noise = _values(values, of, draws, random)
+        inside = ((more >= low) & (more <= high)).all(axis=1)
+        drawn, sizes = np.vstack([drawn, more[inside]]), np.vstack([sizes, noise[inside]])
         if len(drawn) >= draws:
-            return drawn[:draws]
+            return drawn[:draws], sizes[:draws].T * (of != MATERIAL)
     raise ComputationError(
         f"almost all values that the fit knows are beyond the bounds of {', '.join(values.keys)}"
     )
 
 
-def _values(values: FittedValues, of: str, draws: int, random: np.random.Generator) -> FloatArray:
-    """Return values of the keys (draws, m), whatever their bounds."""
-    if values.samples is not None:
-        return values.samples[random.integers(len(values.samples), size=draws)]
+def _values(
+    values: FittedValues, of: str, draws: int, random: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Return values (draws, m), whatever their bounds, and sizes of the noise (draws, 2)."""
     part = random.choice(len(values.weights), size=draws, p=values.weights)
+    if values.samples is not None:
+        return values.samples[random.integers(len(values.samples), size=draws)], values.sizes[part]
     place = 0 if of in (NEXT, MATERIAL) else 1 + values.specimens.index(of)
     scales, axes = np.linalg.eigh(values.covariances[:, place])  # of known keys they are singular
     roots = axes * np.sqrt(np.maximum(scales, 0.0))[:, None, :]
@@ -55,34 +55,7 @@ def _values(values: FittedValues, of: str, draws: int, random: np.random.Generat
         for level, key in enumerate(values.scattering):
             unknowns[:, key] += shifts[:, level]
     with np.errstate(over="ignore"):
-        return np.where(values.logarithmic, np.exp(unknowns), unknowns)
-
-
-def draw_sizes(
-    process: Mapping[str, Any], level: float, draws: int, random: np.random.Generator
-) -> FloatArray:
-    """Return sizes of the process noise of lower and upper, (2, draws) mm, 0 where there is none.
-
-    Parameters
-    ----------
-    process : of a fit's outcome, by "wear.lower" and "wear.upper"; a fitted size is drawn
-        log-normal about its median, as wide as its interval of a confidence level.
-    """
-    sizes = np.zeros((2, draws))
-    for i, body in enumerate(BODIES):
-        entry = process.get(f"wear.{body}")
-        if entry is None:
-            continue
-        size = entry["size"]
-        if "known" in size:
-            sizes[i] = size["known"]
-            continue
-        low, high = size.get("interval") or (size["estimate"],) * 2
-        quantile = float(norm.ppf(0.5 + 0.5 * level))
-        low = low or size["estimate"] ** 2 / high  # 0 is not excluded: as far below as above
-        sd = np.log(high / low) / (2.0 * quantile)
-        sizes[i] = size["estimate"] * np.exp(sd * random.standard_normal(draws))
-    return sizes
+        return np.where(values.logarithmic, np.exp(unknowns), unknowns), values.sizes[part]
 
 
 def draw_paces(depths: FloatArray, sizes: FloatArray, random: np.random.Generator) -> FloatArray:

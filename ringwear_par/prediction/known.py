@@ -43,8 +43,6 @@ class Known:
     name : what messages call it.
     values : of its keys; units : of these, by key.
     verdicts : by key.
-    process : sizes of the process noise, by "wear.lower" and "wear.upper".
-    level : confidence of its intervals.
     warnings : how many it has.
     """
 
@@ -52,8 +50,6 @@ class Known:
     values: FittedValues
     units: Mapping[str, str]
     verdicts: Mapping[str, str]
-    process: Mapping[str, Any]
-    level: float
     warnings: int
 
     @property
@@ -115,7 +111,7 @@ def _known(name: str, outcome: Mapping[str, Any], values: FittedValues) -> Known
     return Known(
         name, values, {key: str(p["unit"]) for key, p in parameters.items()},
         {key: str(p["verdict"]) for key, p in parameters.items()},
-        dict(outcome.get("process") or {}), float(outcome["level"]), len(outcome["warnings"]),
+        len(outcome["warnings"]),
     )  # fmt: skip
 
 

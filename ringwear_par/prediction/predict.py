@@ -17,7 +17,7 @@ from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.model.histories import cases_at, step_times
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together
-from ringwear_par.prediction.draws import MATERIAL, draw_paces, draw_sizes, draw_values
+from ringwear_par.prediction.draws import draw_paces, draw_values
 from ringwear_par.prediction.folder import prepare
 from ringwear_par.prediction.known import Known, check_predicted, doubts_of, known_of, sources_of
 from ringwear_par.prediction.prediction import QUANTITIES, Prediction
@@ -128,9 +128,7 @@ def _job(
     case = case if isinstance(case, Case) else read_case(case, overrides)
     check_predicted(known, case, name, of)
     random = np.random.default_rng(seed)
-    points = draw_values(known.values, of, draws, random)
-    process = {} if of == MATERIAL else known.process
-    return _Job(known, case, of, seed, points, draw_sizes(process, known.level, draws, random))
+    return _Job(known, case, of, seed, *draw_values(known.values, of, draws, random))
 
 
 def _predicted(job: _Job, comm: MPI.Comm) -> Prediction:

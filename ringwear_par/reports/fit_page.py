@@ -26,7 +26,6 @@ from ringwear_par.identification.summary import (
 )
 from ringwear_par.pictures import fits
 from ringwear_par.pictures.designs import design_panels
-from ringwear_par.pictures.style import in_words
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -268,7 +267,7 @@ def _series_charts(every: Sequence[fits.Series]) -> list[Chart]:
                 Chart(f"{name}-residuals", fits.residuals(series), f"Residuals of {title}"),
             ]
     if single := [series for series in every if len(series.x) == 1]:
-        panel, height = fits.single_readings(single), 160 + 45 * len(single)
+        panel, height = fits.single_readings(single), 160 + 60 * len(single)
         charts.append(Chart("single", panel, "Series of one reading", height, wide=True))
     return charts
 
@@ -303,8 +302,7 @@ def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
     keys = list(outcome["parameters"])
     rows = []
     for number, one in enumerate(outcome["designs"], start=1):
-        tests = " + ".join(map(_test, one["experiments"]))
-        rows.append([str(number), tests, f"{one['seconds']:g}",
+        rows.append([str(number), one["name"], f"{one['seconds']:g}",
                      *(_number(one["sd"][key], 3) for key in keys)])  # fmt: skip
     rows.append(["fit file", "its own tests", _DASH,
                  *(_number(outcome["fit_file"]["sd"][key], 3) for key in keys)])  # fmt: skip
@@ -323,10 +321,6 @@ def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
     if following.exists():
         blocks.append(Source("The best tests, as tables of a fit file", read_file(following)))
     return Section("The next tests", blocks)
-
-
-def _test(keys: Mapping[str, Any]) -> str:
-    return ", ".join(f"{key} = {in_words(value)}" for key, value in keys.items())
 
 
 def _reproduced(outcome: Mapping[str, Any], text: str) -> Section:

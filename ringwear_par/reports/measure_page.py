@@ -1,6 +1,5 @@
 """The page of a measurement, from what its folder holds."""
 
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -10,6 +9,12 @@ from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.errors import legible
 from ringwear_par.files import folders
 from ringwear_par.measuring.measure_numbers import (
+    FRICTION,
+    LOAD,
+    QUANTITIES,
+    SPEED,
+    TEMPERATURES,
+    Quantity,
     entry_text,
     estimate_text,
     repeats_text,
@@ -145,45 +150,20 @@ def _wear(outcome: Mapping[str, Any]) -> list[Block]:
             ("atmosphere, humidity, lubricant, cleaning", _OPEN),
         ],
     )  # fmt: skip
-    rows = [
-        ("load (N)", _cells(tests, lambda e: f"{e['conditions']['force']:.4g}")),
-        ("mean pressure (MPa)", _cells(tests, lambda e: f"{e['conditions']['pressure']:.4g}")),
-        ("sliding speed (m/s)", _cells(tests, lambda e: f"{e['conditions']['speed'] / 1e3:.4g}")),
-        ("p V (MPa m/s)", _cells(tests, lambda e: f"{e['pv']['MPa m/s']:.4g}")),
-        ("p V (psi ft/min)", _cells(tests, lambda e: f"{e['pv']['psi ft/min']:.0f}")),
-        ("duration (h)", _cells(tests, lambda e: f"{e['duration'] / 3600.0:.4g}")),
-        ("sliding distance (km)",
-         _cells(tests, lambda e: f"{e['whole']['distance']['value'] / 1e3:.4g}")),
-        ("temperature, mean and largest (\u00b0C)", _cells(tests, _temperature)),
-        ("running-in until (h)", _cells(tests, lambda e: f"{e['steady_from']['value'] / 3600.0:.3g}"
-                                       if e["steady"] else "not over")),
-        ("wear rate (\u00b5m/h)", _cells(tests, lambda e: _bare(e["wear_rate"], 3.6e6))),
-        ("wear rate (in/h)", _cells(tests, lambda e: _DASH if e["wear_rate"] is None
-                                   else f"{e['wear_rate']['in/h']:.3g}")),
-        ("specific wear rate, steady (mm\u00b3/(N m))",
-         _cells(tests, lambda e: _bare(e["specific_wear_rate"]))),
-        ("mass lost (mg)", _cells(tests, lambda e: _bare(e["whole"]["mass_loss"]))),
-        ("volume lost, by weighing (mm\u00b3)",
-         _cells(tests, lambda e: _bare(e["whole"]["volume"]))),
-        ("volume lost, by displacement (mm\u00b3)",
-         _cells(tests, lambda e: _bare(e["whole"]["volume_by_displacement"]))),
-        ("specific wear rate, whole test (mm\u00b3/(N m))",
-         _cells(tests, lambda e: _bare(e["whole"]["specific_wear_rate"]))),
-    ]  # fmt: skip
+    quantities = [quantity for quantity in QUANTITIES if quantity is not FRICTION]
+    rows = [("part of the test", _cells(tests, steady_text)), *_rows(tests, quantities)]
     return [conditions, _by_test("Conditions and wear of each test", tests, rows)]
 
 
 def _friction(outcome: Mapping[str, Any]) -> list[Block]:
     tests = outcome["tests"]
     rows = [
-        ("kinetic friction coefficient", _cells(tests, lambda e: _bare(e["friction"]))),
+        *_rows(tests, [FRICTION], "kinetic friction coefficient"),
         ("it is of", _cells(tests, steady_text)),
         ("steady by itself from (h)", _cells(tests, lambda e: _DASH
                                             if e["steady_from"]["friction"] is None
                                             else f"{e['steady_from']['friction'] / 3600.0:.3g}")),
-        ("load (N)", _cells(tests, lambda e: f"{e['conditions']['force']:.4g}")),
-        ("sliding speed (m/s)", _cells(tests, lambda e: f"{e['conditions']['speed'] / 1e3:.4g}")),
-        ("temperature, mean and largest (\u00b0C)", _cells(tests, _temperature)),
+        *_rows(tests, [LOAD, SPEED, *TEMPERATURES]),
         ("static friction coefficient", _cells(tests, lambda e: _OPEN)),
     ]  # fmt: skip
     sentence = (
@@ -197,6 +177,19 @@ def _by_test(
     caption: str, tests: Mapping[str, Any], rows: Sequence[tuple[str, list[str]]]
 ) -> Table:
     return Table(caption, ("quantity", *tests), [(name, *cells) for name, cells in rows])
+
+
+def _rows(
+    tests: Mapping[str, Any], quantities: Sequence[Quantity], name: str = ""
+) -> list[tuple[str, list[str]]]:
+    """Return rows of quantities, of a name or their own, with the unit."""
+    return [
+        (
+            name or f"{quantity.name} ({in_signs(quantity.unit)})",
+            [_signs(quantity.text(entry)) or _DASH for entry in tests.values()],
+        )
+        for quantity in quantities
+    ]
 
 
 def _cells(tests: Mapping[str, Any], cell: Any) -> list[str]:
@@ -273,10 +266,3 @@ def _bare(entry: Mapping[str, Any] | None, factor: float = 1.0) -> str:
 def _customary(entry: Mapping[str, Any]) -> str:
     rate = entry["specific_wear_rate"]
     return _DASH if rate is None else _signs(estimate_text(rate["us"]["value"], rate["us"]["u"]))
-
-
-def _temperature(entry: Mapping[str, Any]) -> str:
-    temperature = entry["temperature"]
-    if temperature is None or not math.isfinite(temperature["mean"]):
-        return _DASH
-    return f"{temperature['mean']:.3g}, {temperature['max']:.3g}"

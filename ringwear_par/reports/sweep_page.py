@@ -9,9 +9,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.units import in_signs
-from ringwear_par.errors import InputError, legible
-from ringwear_par.files.text import parse_value
-from ringwear_par.pictures.style import in_words
+from ringwear_par.errors import legible
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -28,10 +26,9 @@ from ringwear_par.reports.blocks import (
 )
 from ringwear_par.results.instants import number_words
 from ringwear_par.studies.analysis.responses import done_cases
-from ringwear_par.studies.analysis.sensitivity import Indices, sensitivity_indices
-from ringwear_par.studies.analysis.surrogate import surrogate
+from ringwear_par.studies.analysis.sensitivity import Indices, surrogate_and_indices
 from ringwear_par.studies.definition.variations import own_key
-from ringwear_par.studies.pictures.choice import Choice, choose
+from ringwear_par.studies.pictures.choice import Choice, choose, raw_words
 from ringwear_par.studies.pictures.effects import effects, index_panels, pointed_cases
 from ringwear_par.studies.pictures.histories import case_words, histories
 from ringwear_par.studies.storage.end_values import (
@@ -60,11 +57,7 @@ def sweep_page(folder: Path) -> Page:
     ensemble = read_ensemble(folder)
     sections = [Section("Summary", _summary(ensemble))]
     if done_cases(ensemble).any():
-        try:
-            regressions, absence = surrogate(ensemble), ""
-        except InputError as error:
-            regressions, absence = None, f"No surrogate: {error}"
-        indices = sensitivity_indices(ensemble, regressions)
+        regressions, indices, absence = surrogate_and_indices(ensemble)
         choice = choose(ensemble, regressions, indices)
         sections.append(Section("Histories", [_histories(ensemble, choice)]))
         sections.append(Section("Final values", _effects(ensemble, choice, absence)))
@@ -151,7 +144,7 @@ def _ranges(ensemble: Ensemble, cases: Any) -> tuple[Table, list[str]]:
             count = len(np.unique(known))
         else:
             words = list(dict.fromkeys(values))
-            ends, count = [in_words(parse_value(w)) for w in (words[0], words[-1])], len(words)
+            ends, count = [raw_words(w) for w in (words[0], words[-1])], len(words)
         if count > 1:
             rows.append((name, in_signs(unit), meaning, *ends, str(count)))
         else:
@@ -199,7 +192,7 @@ def _effects(ensemble: Ensemble, choice: Choice, absence: str) -> list[Block]:
     if choice.responses is not None:
         lines.append("; ".join(choice.responses.remarks))
     elif absence:
-        lines.append(absence)
+        lines.append(f"No surrogate: {absence}")
     return [Lines(lines), Charts(charts, points=case_words(ensemble, choice, cases))]
 
 
@@ -239,7 +232,7 @@ def _cases(ensemble: Ensemble) -> Table:
     rows = []
     for i in tabulated.tolist():
         keys = [
-            _number(column[i]) if column.dtype.kind == "f" else in_words(parse_value(column[i]))
+            _number(column[i]) if column.dtype.kind == "f" else raw_words(column[i])
             for column in ensemble.varied.values()
         ]
         ends = [_number(values[i]) for values in finals.values()]

@@ -7,8 +7,16 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.stress.fields import Largest, StressHistory, StressState
-from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES, max_shear, mises, principal
+from ringwear_par.elasticity.stress.fields import (
+    COMPONENTS,
+    SIDES,
+    Largest,
+    StressHistory,
+    StressState,
+    max_shear,
+    mises,
+    principal,
+)
 from ringwear_par.results import variables as table
 from ringwear_par.results.variables import Variable, layer_axis
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
-from ringwear_par.elasticity.stress.measures import SIDES
+from ringwear_par.elasticity.stress.fields import SIDES
 
 #: what files say they were written by
 SOFTWARE = "ringwear-par"

@@ -7,8 +7,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
-from ringwear_par.elasticity.stress.fields import StressHistory, StressState
-from ringwear_par.elasticity.stress.measures import mises
+from ringwear_par.elasticity.stress.fields import StressHistory, StressState, mises
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.history.observers.balances import WorstBalances
 from ringwear_par.history.observers.stresses import RISING, CaseStresses, StressObserver

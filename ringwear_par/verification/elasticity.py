@@ -25,7 +25,7 @@ from ringwear_par.elasticity.bem.kernels import ring_kernels
 from ringwear_par.elasticity.bem.systems import BoundaryConditions
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Section
-from ringwear_par.elasticity.stress.measures import max_shear, mises
+from ringwear_par.elasticity.stress.fields import max_shear, mises
 from ringwear_par.elasticity.stress.recovery import (
     StressPoints,
     StressRecovery,

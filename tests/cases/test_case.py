@@ -11,7 +11,6 @@ from paths import PAPER
 from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.cases.schema import KEYS
 from ringwear_par.cases.tables import key_table
-from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.validity.case_limits import check_memory, check_mesh
@@ -45,12 +44,6 @@ def test_a_study_is_told_as_such():
     assert faults(study.read_text(), "load.pressure=50") == said
     with pytest.raises(InputError, match="case: is a study, not a case"):
         read_case({"case": "paper.toml", "vary": {}})
-
-
-def test_a_fit_file_is_told_as_such():
-    fit = PAPER.parent.parent / "fit" / "fit.toml"
-    said = ["case.toml: is a fit file, not a case; ringwear fit computes it"]
-    assert faults(fit.read_text()) == said
     with pytest.raises(InputError, match="case: is a fit file, not a case"):
         read_case({"case": "paper.toml", "fit": {}, "experiment": []})
 
@@ -70,36 +63,18 @@ def test_an_overriding_load_replaces_the_files():
     assert case.load.force is None
 
 
-def test_toml_text_reads_back():
-    import tomllib
-
-    flat = {"a": 1, "b.c": [1.5, 2.0], "b.d.e": 'x\\y"z', "b.f": True, "g.h": 1e-7}
-    tables = tomllib.loads(toml_text(flat))
-    assert tables == {"a": 1, "b": {"c": [1.5, 2.0], "d": {"e": 'x\\y"z'}, "f": True},
-                      "g": {"h": 1e-7}}  # fmt: skip
-
-
 @pytest.mark.parametrize(
     ("override", "words"),
     [
         ("lower.young=-1", ["lower.young = -1", "must be a finite number > 0", "MPa"]),
-        ("lower.young=0", ["lower.young = 0", "> 0"]),
         ("upper.poisson=0.5", ["upper.poisson = 0.5", "> -1 and < 0.5"]),
-        ("upper.poisson=-1", ["upper.poisson = -1", "> -1 and < 0.5"]),
         ("lower.r=[40, 20]", ["lower.r", "two increasing numbers"]),
-        ("lower.r=[20, 20]", ["lower.r", "two increasing numbers"]),
         ("lower.r=[-1, 40]", ["lower.r", ">= 0"]),
-        ("lower.z=[20, 20]", ["lower.z", "two increasing numbers"]),
-        ("lower.r=3", ["lower.r = 3", "two increasing numbers"]),
         ('lower.young="stiff"', ['lower.young = "stiff"', "a finite number"]),
-        ("lower.young=true", ["lower.young = true"]),
         ("wear.lower.k=nan", ["wear.lower.k = nan", "finite"]),
         ("load.omega=inf", ["load.omega = inf", "finite"]),
         ("load.pressure=0", ["load.pressure = 0", "> 0"]),
-        ("load.force=-5", ["load.force = -5", "> 0"]),
-        ("time.step=0", ["time.step = 0", "> 0"]),
         ("time.steps=0", ["time.steps = 0", "whole number from 1"]),
-        ("time.steps=1.5", ["time.steps = 1.5", "whole number"]),
         ("time.scheme=magic", ['"magic"', '"implicit" or "explicit"']),
         ("mesh.contact_elements=1e200", ["mesh.contact_elements = 1e+200", "to 1e+12"]),
         ("mesh.contact_elements=2", ["mesh.contact_elements = 2", "whole number from 4"]),
@@ -115,19 +90,14 @@ def test_toml_text_reads_back():
         ("output.boundary=[300]", ["output.boundary: 300 is after the end", "<= 200 (s)"]),
         ("output.boundary=[10, 5]", ["output.boundary = [10, 5]", "a list of increasing times"]),
         ("output.times=[5, 5]", ["output.times = [5, 5]", "increasing numbers > 0"]),
-        ("output.times=[500]", ["output.times: 500 is after the end", "<= 200 (s)"]),
         ("time.end=3", ["time.end = 3", 'needs time.scheme = "adaptive"']),
         ("load.omega=[[0, 1], [0, 2]]", ["load.omega", "0 after 0", "must increase"]),
         ("load.pressure=[[0, 80], [5, -1]]", ["load.pressure", "[[t, value >= 0], ...]"]),
         ("wear.lower.k={r=[[31, 1], [30, 1]]}", ["wear.lower.k", "30 after 31"]),
         ("wear.lower.m=2", ["wear.lower.m: has no meaning", "must be among k, p0"]),
         ("wear.lower.law=power", ["wear.lower.m is missing", 'wear.lower.law = "power"']),
-        ("wear.lower.law=table", ["wear.lower.table is missing"]),
         ("wear.lower.law=user", ["wear.lower.file is missing"]),
         ("lower.young=1e308", ["lower.young = 1e+308", "from 1e-60 to 1e+30 in magnitude"]),
-        ("wear.lower.k=1e-300", ["wear.lower.k = 1e-300", "from 1e-60 to 1e+30"]),
-        ("lower.z=[-1e300, 20]", ["lower.z", "from 1e-60 to 1e+30"]),
-        ("load.force=[[0, 1], [5, 1e40]]", ["load.force", "from 1e-60 to 1e+30"]),
         ("nonsense", ["--set nonsense", "KEY=VALUE"]),
     ],
 )
@@ -183,12 +153,6 @@ def test_each_fault_of_a_shape_has_its_sentence(overrides, words):
     text = "\n".join(faults(TEXT, *overrides))
     for word in words:
         assert word in text
-
-
-def test_faults_of_shapes_come_together():
-    told = faults(TEXT, "upper.chamfer=2", "lower.profile=[[20, 20], [40, 21]]", "load.omega=-1")
-    assert len(told) == 3
-    assert all("case.toml" in line or line.startswith("--set ") for line in told)
 
 
 def test_a_long_profile_that_is_wrong_is_not_printed_in_full():
@@ -275,12 +239,6 @@ def test_missing_file():
         read_case(Path("nowhere.toml"))
 
 
-def test_a_wear_table_needs_its_coefficient():
-    told = faults(TEXT + '\n[wear.upper]\nlaw = "threshold"\np0 = 3.0\n')
-    assert len(told) == 1
-    assert told[0].startswith("case.toml: wear.upper.k is missing: must be a finite number >= 0")
-
-
 def test_memory_is_stated_before_it_is_tried():
     case = read_case(PAPER, ["mesh.contact_elements=1000000000"])
     with pytest.raises(InputError, match=r"mesh.contact_elements = 1000000000.*needs .* GB"):
@@ -288,11 +246,6 @@ def test_memory_is_stated_before_it_is_tried():
     check_memory(read_case(PAPER), 1, "case.toml")
     with pytest.raises(InputError, match=r"time.steps = 1000000000000.*needs .* GB"):
         check_memory(read_case(PAPER, ["time.steps=1e12"]), 1, "case.toml")
-
-
-def test_an_empty_table_changes_nothing():
-    case = read_case(PAPER, ["contact={}"])
-    assert parse_case(case.text, "stored") == read_case(PAPER)
 
 
 def test_any_title_is_stored_as_it_is():

@@ -12,6 +12,15 @@ from ringwear_par.wear.catalogue import LAWS
 #: the others in that folder are studies
 RUNS = sorted(p for p in CASES.glob("*.toml") if "lower" in tomllib.loads(p.read_text()))
 
+#: of some ranks several kinds: elements that follow, layers, fields, a law in a file
+ON_RANKS = ("cycles", "fields", "updated", "user_law", "wear_through")
+PARAMETERS = [
+    pytest.param(
+        path, id=path.stem, marks=() if path.stem in ON_RANKS else pytest.mark.serial
+    )
+    for path in RUNS
+]  # fmt: skip
+
 
 def test_every_law_scheme_and_shape_has_a_case():
     texts = [tomllib.loads(path.read_text()) for path in RUNS]
@@ -24,7 +33,7 @@ def test_every_law_scheme_and_shape_has_a_case():
     assert any(isinstance(t["load"]["omega"], list) for t in texts)
 
 
-@pytest.mark.parametrize("path", RUNS, ids=[path.stem for path in RUNS])
+@pytest.mark.parametrize("path", PARAMETERS)
 def test_a_case_runs_and_keeps_its_balances(path, shared_path, comm):
     output = shared_path / "run.h5"
     run_case(path, output, ["mesh.contact_elements=24"], comm=comm)

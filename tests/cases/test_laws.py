@@ -1,7 +1,5 @@
 """Laws of a case: the key that names one, what laws declare, what is tried before a run."""
 
-import subprocess
-import sys
 from dataclasses import dataclass, fields, replace
 
 import pytest
@@ -95,17 +93,3 @@ def test_ringwear_laws_tells_formulas_and_tests_parameters(capsys):
         assert f"ok   derivative of the rate with respect to worn depth, t = 0 s, {worn} mm" in said
     check_laws(CASES / "user_law.toml", [])
     assert "respect to parameters.p1, t = 0 s" in capsys.readouterr().out
-
-
-@pytest.mark.serial
-def test_laws_are_read_and_tried_without_mpi_petsc_and_compiled_code():
-    code = (
-        "import sys; from pathlib import Path; "
-        "import ringwear_par.cases.files.law_trials as trials; "
-        f"trials.check_laws(Path({str(CASES / 'user_law.toml')!r}), []); "
-        "print(*[m for m in ('mpi4py.MPI', 'petsc4py', 'numba', 'scipy') if m in sys.modules])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
-    )
-    assert done.stdout.splitlines()[-1] == ""

@@ -17,7 +17,6 @@ from ringwear_par.cases.tables import key_table
 from ringwear_par.elasticity.geometry.sections import Material
 from ringwear_par.history.elastic.bodies import bodies, operator_key
 from ringwear_par.history.validity.case_limits import check_mesh
-from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.definition.variations import split_key, value_of, varied_keys
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
@@ -198,34 +197,6 @@ def test_cases_of_columns_forget_what_was_worked_out_of_other_numbers(monkeypatc
     assert made.laws == alone.laws != before[0]
     assert made.line is before[1]
     assert made == alone
-
-
-def test_cases_of_columns_are_those_that_are_read():
-    case = rw.read_case(CASE)
-    values = [1e-8, 5e-8]
-    made = with_numbers(case, {split_key(K): values}, [case.text] * 2)
-    for k, one in zip(values, made, strict=True):
-        assert one == case.replace({K: k})
-    ids = {case_id(read_keys(case.replace({K: k}).text)) for k in (2e-8, 5e-8)}
-    assert len(ids) == 2
-    same = case.replace({"lower.layers[0].wear.p0": 0.0})  # which is the default
-    assert case_id(read_keys(same.text)) == case_id(read_keys(case.text))
-
-
-@pytest.mark.parametrize(
-    ("wear", "said"),
-    [
-        ('law = "threshold", k = 1e-7, m = 2', "wear.m: has no meaning where"),
-        ('law = "threshold", k = 1e-7, kk = 2', "wear.kk: unknown key (did you mean wear.k?)"),
-    ],
-)
-def test_no_entry_of_a_file_is_lost(wear, said, tmp_path):
-    path = tmp_path / "case.toml"
-    path.write_text(TEXT.replace('law = "threshold", k = 2e-8', wear))
-    with pytest.raises(rw.InputError) as caught:
-        rw.read_case(path)
-    (fault,) = caught.value.faults
-    assert said in fault
 
 
 @pytest.mark.parametrize(

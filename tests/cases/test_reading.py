@@ -1,15 +1,12 @@
 """Cases from files, dicts and overrides: the same checks, and nothing that is given in vain."""
 
 import math
-import subprocess
-import sys
 import tomllib
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
-from commands import SHELL_ENVIRONMENT
 from paths import CASES, PAPER
 
 from ringwear_par.cases.files.keys import read_keys
@@ -218,24 +215,6 @@ def test_an_override_takes_with_it_what_has_no_meaning_then(text, overrides, sam
     else:
         assert case == parse_case(same, "same")
     assert parse_case(case.text, "stored") == case
-
-
-@pytest.mark.serial
-def test_reading_a_case_starts_neither_mpi_nor_petsc_nor_compiled_code():
-    """Nor the parts of scipy, slow to import, that only meshes and profiles need."""
-    program = f"""
-import sys
-from ringwear_par.cases.files.reading import read_case
-case = read_case({str(PAPER)!r}, {{"load.pressure": 50}})
-assert case.replace({{"wear.lower.k": 2e-7}}).load == case.load
-heavy = ("mpi4py.MPI", "petsc4py.PETSc", "numba", "h5py", "matplotlib", "scipy")
-print([name for name in heavy if name in sys.modules])
-read_case({str(CASES / "sphere.toml")!r})
-print([name for name in heavy[:-1] if name in sys.modules])
-"""
-    result = subprocess.run([sys.executable, "-c", program], env=SHELL_ENVIRONMENT,
-                            capture_output=True, text=True, timeout=100, check=False)  # fmt: skip
-    assert result.stdout == "[]\n[]\n", result.stderr
 
 
 @pytest.mark.parametrize(

@@ -166,6 +166,7 @@ def test_a_trace_of_a_profilometer_is_a_face(tmp_path):
     case = rw.read_case(tmp_path / "case.toml")
     parabola = -((RADII - 12.5) ** 2) / 1000.0
     assert case.sections[1].depth(RADII) == pytest.approx(parabola, abs=1e-6)
+    assert rw.read_case(CROWN, [f"upper.profile.file={tmp_path / 'trace.csv'}"]).upper == case.upper
     (tmp_path / "trace.csv").unlink()
     assert case.replace({}) == case  # the text has the points
 
@@ -190,14 +191,6 @@ def test_heights_in_other_units_are_refused_and_in_none_are_told(tmp_path, caplo
     assert told == [f"{path}: no unit ends the name of the column höhe; it is taken in mm"]
 
 
-def test_studies_vary_the_size_of_a_shape():
-    study = rw.read_study(
-        {"case": str(CROWN), "vary": {"upper.profile.crown": {"linear": [300, 500], "count": 2}}}
-    )
-    depths = [study.case(n).sections[1].depth(np.array([10.0]))[0] for n in (0, 1)]
-    assert depths == pytest.approx([np.sqrt(R**2 - 2.5**2) - R for R in (300.0, 500.0)])
-
-
 def test_sizes_of_shapes_have_units_in_studies(tmp_path):
     (tmp_path / "cases.csv").write_text("upper.profile.crown\n0.5 m\n600\n")
     designs = [
@@ -211,14 +204,6 @@ def test_sizes_of_shapes_have_units_in_studies(tmp_path):
         assert depths == pytest.approx([np.sqrt(R**2 - 2.5**2) - R for R in (500.0, 600.0)])
     with pytest.raises(rw.InputError, match="must be the key itself"):
         rw.read_study({"case": str(CROWN), "vary": {"upper.profile.file": {"values": ["a.csv"]}}})
-
-
-def test_a_trace_is_named_by_its_key_too(tmp_path, monkeypatch):
-    (tmp_path / "trace.csv").write_text("r_mm,h_um\n10,0\n12.5,5\n15,0\n")
-    monkeypatch.chdir(tmp_path)
-    by_table = rw.read_case(CROWN, {"upper.profile": {"file": "trace.csv"}})
-    assert rw.read_case(CROWN, ["upper.profile.file=trace.csv"]) == by_table
-    assert by_table.sections[1].depth(np.array([10.0]))[0] == pytest.approx(-0.005)
 
 
 def test_units_are_those_of_what_is_named():

@@ -9,7 +9,7 @@ from wearing import step_wear
 
 from ringwear_par.contact import newton
 from ringwear_par.contact.engine import TAO_TYPES
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
@@ -71,24 +71,6 @@ def test_every_type_agrees_with_the_independent_solver(problem, comm, tao_type, 
         given = solver.solve(gap, approach=0.7 * delta)
         p, _ = active_set.solve(stiffness, line.area, gap, approach=0.7 * delta)
         assert np.abs(given.pressure - p).max() <= 1e-8 * p.max()
-
-
-@pytest.mark.parametrize("tao_type", TAO_TYPES, indirect=True)
-@pytest.mark.parametrize("shape", ["flat", "crown"])
-def test_implicit_wear_of_two_bodies(problem, comm, tao_type, shape):
-    line, stiffness = problem
-    gap, power = gaps(N)[shape], 0.35 * line.arm
-    laws = ThresholdLaw(1e-6, 40.0), ThresholdLaw(2e-6, 85.0)
-    rise = [20.0 * law.k * power for law in laws]
-    with OneContact(stiffness, line.area) as solver:
-        state = solver.solve(gap, force=FORCE, wear=step_wear(laws, power, 20.0))
-    p, delta = active_set.solve(
-        stiffness, line.area, gap, force=FORCE, laws=[40.0, 85.0], rise=rise
-    )
-    assert (p > 85).any()
-    assert ((p > 40) & (p < 85)).any()
-    assert np.abs(state.pressure - p).max() <= 1e-8 * p.max()
-    assert state.approach == pytest.approx(delta, rel=1e-8)
 
 
 @pytest.mark.parametrize("plain", [newton.PLAIN_ITERATIONS, 0], ids=["plain", "damped"])
@@ -171,17 +153,6 @@ def test_failure_is_an_error_that_names_reason_and_residual(problem, comm):
             solver.solve(gaps(N)["rough"], force=FORCE)
     finally:
         del options["contact_tao_max_it"]
-
-
-def test_unknown_tao_type_is_refused(problem, comm):
-    line, stiffness = problem
-    options = PETSc.Options()
-    options["contact_tao_type"] = "blmvm"
-    try:
-        with pytest.raises(InputError, match="must be one of python, tron, bnls"):
-            OneContact(stiffness, line.area)
-    finally:
-        del options["contact_tao_type"]
 
 
 def test_warm_steps_take_one_iteration(paper_pair, comm):

@@ -62,28 +62,6 @@ def solver():
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_the_gradient_is_that_of_the_objective(solver, name):
-    """Through TAO's own calls, by central differences at the approaches of the solution."""
-    solver.solve(GAP, force=FORCE, wear=wear_of(name))
-    tao = solver._tao
-    solver._problem.at_work = np.arange(B)
-    x, g = tao.getSolution().duplicate(), tao.getSolution().duplicate()
-    q = RNG.uniform(0.5, 2.0, B * N) * solver.warm.scaled_pressure.max()
-    x.setArray(q)
-    tao.computeGradient(x, g)
-    gradient = g.getArray().copy()
-    for place in RNG.integers(0, B * N, 12):
-        values = []
-        for sign in (1.0, -1.0):
-            moved = q.copy()
-            moved[place] += sign * (h := 1e-5 * q[place])
-            x.setArray(moved)
-            values.append(tao.computeObjective(x))
-        found = (values[0] - values[1]) / (2.0 * h)
-        assert found == pytest.approx(gradient[place], rel=1e-4, abs=1e-4 * np.abs(gradient).max())
-
-
-@pytest.mark.parametrize("name", LAWS)
 def test_the_hessian_is_the_derivative_of_the_gradient(solver, name):
     """As TAO is given it: a product with a direction against differences of gradients."""
     solver.solve(GAP, force=FORCE, wear=wear_of(name))
@@ -287,39 +265,6 @@ def test_bases_that_no_history_has_any_more_are_forgotten():
             exact = np.linalg.solve(block[np.ix_(on, on)], right[i, on])
             assert out[i, on] == pytest.approx(exact, rel=1e-9, abs=1e-10)
     assert len(made._stack.psi) <= 12
-
-
-def test_bases_are_those_of_sets_and_are_kept():
-    symmetric, area, speed = np.eye(5) + 0.5, np.arange(1.0, 6.0), np.arange(2.0, 7.0)
-    compliances = ScaledCompliances.of(symmetric[None], area, speed[None])
-    free, wearing = np.array([1, 1, 0, 1, 1], bool), np.array([0, 1, 1, 1, 1], bool)
-    basis = compliances.basis(0, free, wearing)
-    assert compliances.basis(0, free, wearing & free) is basis
-    assert compliances.take(np.array([0])).basis(0, free, wearing) is basis
-    again = ScaledCompliances.of(symmetric[None].copy(), area, speed[None])
-    assert again.basis(0, free, wearing) is basis
-    other = ScaledCompliances.of(symmetric[None], area)
-    assert other.basis(0, free, wearing) is not basis
-    (matrix,), (shape,), (weights,) = compliances.matrices, compliances.speed, compliances.weights
-    worn = np.diag(shape * (free & wearing))
-    assert basis.psi.T @ matrix @ basis.psi == pytest.approx(np.diag([1, 1, 1, 1, 0]), abs=1e-14)
-    assert basis.psi.T @ worn @ basis.psi == pytest.approx(np.diag(basis.mu), abs=1e-14)
-    assert basis.force == pytest.approx(weights @ basis.psi)
-    indefinite = ScaledCompliances.of(np.full((1, 5, 5), 2.0) - np.eye(5), area)
-    assert indefinite.basis(0, free, wearing) is None
-
-
-def test_compliances_are_scaled_and_taken():
-    excess = RNG.normal(size=COMPLIANCES.shape)
-    every = ScaledCompliances.of(COMPLIANCES, AREA, excess=excess)
-    assert np.diagonal(every.matrices, axis1=1, axis2=2) == pytest.approx(1.0, rel=1e-15)
-    scale = every.scale[:, :, None] * every.scale[:, None, :]
-    assert every.matrices * scale == pytest.approx(COMPLIANCES)
-    assert np.array_equal(every.transposed_excess, excess.transpose(0, 2, 1))
-    taken = every.take(np.array([1]))
-    assert taken.area is AREA
-    assert np.array_equal(taken.matrices, every.matrices[1:])
-    assert taken.names[0] == every.names[1] != every.names[0]
 
 
 @pytest.mark.parametrize("n", [12, 37, 64, 65, 100])

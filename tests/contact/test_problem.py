@@ -1,8 +1,5 @@
 """The contact problem by itself: its derivatives, its residual, and what it does not import."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -113,15 +110,3 @@ def test_histories_that_need_no_pressure_are_not_at_work(problem):
     assert problem.approaches[1] == 2.0
     with pytest.raises(ValueError, match="force or approach"):
         problem.pose(gap, None, None, None, some)
-
-
-@pytest.mark.serial
-def test_starts_neither_mpi_nor_petsc_nor_compiled_code():
-    text = (
-        "import sys; import ringwear_par.contact.problem, ringwear_par.contact.approach; "
-        "import ringwear_par.options, ringwear_par.version; "
-        "heavy = ('mpi4py.MPI', 'petsc4py', 'numba', 'scipy', 'h5py'); "
-        "print([name for name in heavy if name in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"

@@ -1,17 +1,15 @@
 """Errors out of TAO's callbacks, and the life of PETSc's objects."""
 
-import shutil
-import subprocess
-import sys
 import weakref
 
 import numpy as np
 import pytest
-from commands import SHELL_ENVIRONMENT
+from commands import NEEDS_MPIRUN, python, ringwear
 from one_contact import engine_of
-from paths import ROOT
+from paths import PAPER, ROOT
 from petsc4py import PETSc
 
+from ringwear_par.cases.files.reading import read_case
 from ringwear_par.contact import engine as module
 from ringwear_par.contact import tao
 from ringwear_par.contact.engine import ContactEngine
@@ -26,42 +24,9 @@ AREA = np.ones(N)
 FLAT, THREE = np.zeros((1, N)), np.array([3.0])
 
 
-class _Failing:
-    """Wear whose law fails."""
-
-    local, layered, nearly_discontinuous = True, False, False
-
-    def __init__(self, error):
-        self.error = error
-
-    def depth(self, p):
-        raise self.error
-
-    def potential(self, p):
-        return 0.0 * p
-
-    d_depth_dp = potential
-
-
 def start_anew(solver):
     """Let the next solve start as a new solver would."""
     solver.warm = WarmStart(np.zeros((1, N)), np.zeros(1))
-
-
-@pytest.mark.parametrize(
-    "error", [LawError("wear.lower: the law failed"), ZeroDivisionError("of a law")], ids=repr
-)
-def test_an_error_of_a_law_comes_out_as_it_is(error):
-    with engine_of(COMPLIANCE, AREA) as solver:
-        before = solver.solve(FLAT, force=THREE)
-        start_anew(solver)
-        with pytest.raises(type(error)) as caught:
-            solver.solve(FLAT, force=THREE, wear=_Failing(error))
-        assert caught.value is error
-        # and the solver goes on as if nothing had been
-        start_anew(solver)
-        after = solver.solve(FLAT, force=THREE)
-        assert np.array_equal(after.pressure, before.pressure)
 
 
 def test_what_is_made_is_freed_if_the_rest_cannot_be_made(monkeypatch):
@@ -215,9 +180,7 @@ def failing():
     here = made()
     raise RuntimeError("of its own")
 
-if how == "ends":
-    print("all done", flush=True)
-elif how == "raises":
+if how == "raises":
     failing()
 elif how == "keeps what was raised":
     try:
@@ -233,37 +196,18 @@ elif how == "in a circle":
         solver.itself = solver
 """
 
-RANKS = [
-    0,
-    pytest.param(2, marks=pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun")),
-]
 
-
-def _run(command, ranks):
-    """Return a process that has ended, of mpirun where there are ranks."""
-    launcher = ["mpirun", "-n", str(ranks)] if ranks else []
-    return subprocess.run(
-        [*launcher, *map(str, command)],
-        env=SHELL_ENVIRONMENT, cwd=ROOT, capture_output=True, text=True, timeout=100, check=False,
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize("ranks", RANKS)
 @pytest.mark.parametrize(
-    ("how", "status"),
+    ("ranks", "how", "status"),
     [
-        ("ends", 0),
-        ("raises", 1),
-        ("keeps what was raised", 3),
-        ("destroyed", 0),
-        ("in a circle", 0),
+        (0, "keeps what was raised", 3), (0, "in a circle", 0),
+        pytest.param(2, "destroyed", 0, marks=NEEDS_MPIRUN),
+        pytest.param(2, "raises", 1, marks=NEEDS_MPIRUN),
     ],
-)
-def test_a_process_ends_with_its_own_status(tmp_path, ranks, how, status):
+)  # fmt: skip
+def test_a_process_ends_with_its_own_status(ranks, how, status):
     """Whoever uses the package need not know of destroy()."""
-    program = tmp_path / "program.py"
-    program.write_text(PROGRAM)
-    done = _run([sys.executable, str(program), how], ranks)
+    done = python("-c", PROGRAM, how, ranks=ranks)
     assert done.returncode == status, done.stderr
     said = done.stdout + done.stderr
     _said_nothing_odd(said)
@@ -325,39 +269,34 @@ if how == "not caught":
 """
 
 
-@pytest.mark.parametrize("ranks", RANKS)
 @pytest.mark.parametrize(
-    ("how", "kind", "status"),
-    [("caught", "both", 0), ("not caught", "file", 1), ("not caught", "object", 1)],
-)
+    ("ranks", "how", "kind", "status"),
+    [
+        (0, "caught", "both", 0), (0, "not caught", "file", 1),
+        pytest.param(2, "not caught", "object", 1, marks=NEEDS_MPIRUN),
+    ],
+)  # fmt: skip
 def test_a_law_that_fails_in_the_midst_leaves_the_status_alone(tmp_path, ranks, kind, how, status):
     """What a law raised holds frames, and these TAO's own references to itself."""
-    program, law = tmp_path / "program.py", tmp_path / "law.py"
-    program.write_text(RUN_OF_A_FAILING_LAW)
+    law = tmp_path / "law.py"
     law.write_text(FAILING)
-    done = _run([sys.executable, str(program), how, kind, str(law)], ranks)
+    done = python("-c", RUN_OF_A_FAILING_LAW, how, kind, law, ranks=ranks, cwd=ROOT)
     assert done.returncode == status, done.stderr
     _said_nothing_odd(done.stdout + done.stderr)
 
 
-@pytest.mark.parametrize("ranks", RANKS)
-@pytest.mark.parametrize("command", ["run", "sweep"])
-def test_a_command_whose_law_fails_in_the_midst_ends_with_1(tmp_path, ranks, command):
+@NEEDS_MPIRUN
+def test_a_command_whose_law_fails_in_the_midst_ends_with_1(tmp_path):
     (tmp_path / "law.py").write_text(FAILING)
-    text = (ROOT / "scripts/cases/paper.toml").read_text().replace("steps = 200", "steps = 4")
-    before, _, after = text.partition("[wear.lower]")
-    after = after[after.index("\n[") :]
-    case = f'{before}[wear.lower]\nlaw = "user"\nfile = "law.py"\n{after}'
-    (tmp_path / "case.toml").write_text(f"{case}\n[mesh]\ncontact_elements = 16\n")
+    case = {
+        "time.steps": 4, "mesh.contact_elements": 16, "wear.lower": None, "wear.lower.law": "user",
+        "wear.lower.file": str(tmp_path / "law.py"),
+    }  # fmt: skip
+    (tmp_path / "case.toml").write_text(read_case(PAPER, case).text)
     (tmp_path / "study.toml").write_text(
         'case = "case.toml"\n[vary]\n"load.pressure" = { values = [50, 60] }\n'
     )
-    names = {
-        "run": [tmp_path / "case.toml", "-o", tmp_path / "run.h5"],
-        "sweep": [tmp_path / "study.toml", "-o", tmp_path / "out"],
-    }
-    done = _run([sys.executable, "-m", "ringwear_par", command, *names[command]], ranks)
+    done = ringwear("sweep", tmp_path / "study.toml", "-o", tmp_path / "out", ranks=2)
     assert done.returncode == 1, done.stderr
-    failed = {"run": "of the law", "sweep": "2 of 2 cases failed"}
-    assert failed[command] in done.stdout + done.stderr
+    assert "2 of 2 cases failed" in done.stdout + done.stderr
     _said_nothing_odd(done.stdout + done.stderr)

@@ -9,7 +9,6 @@ from paths import CASES
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import compliance
 from ringwear_par.elasticity.bem.boundary import node_wear
-from ringwear_par.elasticity.bem.updated import moving_parts
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.slopes import case_slopes, common_slope
 from ringwear_par.errors import ComputationError
@@ -42,13 +41,14 @@ def cases():
     both = paper_case(Mesh(32), p0=(0.0, 0.0))
     chamfered = read_case(CASES / "chamfer.toml", ["mesh.contact_elements=32"])
     sphere = read_case(CASES / "sphere.toml", ["mesh.contact_elements=32"])
-    overlap = read_case(CASES / "overlap.toml", ["mesh.contact_elements=32"])
     cones = ring_case(SORTS["cones of 5 degrees"], Mesh(32), k=(1e-7, 1e-7))
-    return both, chamfered, sphere, overlap, replace(cones, mesh=Mesh(32, geometry="updated"))
+    return both, chamfered, sphere, replace(cones, mesh=Mesh(32, geometry="updated"))
 
 
-@pytest.mark.ranks
-@pytest.mark.parametrize("which", range(5))
+@pytest.mark.parametrize(
+    "which",
+    [pytest.param(0, marks=pytest.mark.ranks), 1, 2, pytest.param(3, marks=pytest.mark.ranks)],
+)
 def test_an_update_is_a_fresh_assembly(cases, which, comm):
     case = cases[which]
     moving = updated_geometry(case, comm)
@@ -121,16 +121,6 @@ def test_wear_at_the_nodes():
     assert nodes[0] > 0.1
     assert (nodes[2:] == 0.0).all()
     assert not node_wear(line, np.zeros(16)).any()
-
-
-def test_what_moves(cases):
-    case = cases[0]
-    for section, (parts,) in zip(
-        case.sections, (moving_parts(s, case.line, case.mesh) for s in case.sections), strict=True
-    ):
-        assert parts.elements.sum() < 0.7 * len(parts.elements)
-        beside = 2 if section.r != case.contact else 32
-        assert parts.elements.sum() <= 32 + beside
 
 
 @pytest.mark.ranks

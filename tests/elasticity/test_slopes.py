@@ -1,13 +1,11 @@
 """Slopes of faces, the one that pressure acts along, and the elasticity of sloping pairs."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from paths import CASES
 
-from ringwear_par.cases.case import Stepping
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import compliance
 from ringwear_par.elasticity.bem.pair import assemble_pair
@@ -17,7 +15,6 @@ from ringwear_par.elasticity.geometry.slopes import case_slopes, common_slope, f
 from ringwear_par.elasticity.stress.boundary_fields import FACES
 from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.elastic.pairs import assemble, boundary_recovery
-from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.start import first_contact
 from ringwear_par.verification.fine import SORTS, Rings, ring_case
 
@@ -134,33 +131,6 @@ def test_a_pair_upside_down_is_the_same_pair(comm):
         assert np.abs(a - b).max() <= 1e-12 * np.abs(a).max(), name
     mine, turned = one.compliance((1e4, 5e4)), other.compliance((5e4, 1e4))
     assert turned.matrix == pytest.approx(mine.matrix, rel=1e-9)
-
-
-def test_histories_upside_down_wear_the_exchanged_bodies(comm):
-    rings = Rings(CONTACT, (1e4, 1e5), 10.0)
-    case = ring_case(rings, Mesh(16), Stepping("implicit", 5.0, 4), (1e-7, 3e-7))
-    lower, upper = case.rings
-    turned = replace(
-        case,
-        lower=replace(lower, young=upper.young, face=upper.face),
-        upper=replace(upper, young=lower.young, face=lower.face),
-        wear_lower=case.wear_upper,
-        wear_upper=case.wear_lower,
-    )
-    one, other = (trace(each, comm).last for each in (case, turned))
-    assert not np.allclose(case_slopes(turned.sections, case.line, case.mesh), TAN)
-    assert other.contact.pressure == pytest.approx(one.contact.pressure, rel=1e-9)
-    assert other.wear[::-1] == pytest.approx(one.wear, rel=1e-9)
-    assert other.contact.approach == pytest.approx(one.contact.approach, rel=1e-9)
-
-
-def test_falling_cones_are_not_rising_ones(comm):
-    """The sign of a slope matters: pressure pushes outwards, or inwards."""
-    mesh, found = Mesh(16), []
-    for degrees in (10.0, -10.0):
-        case = ring_case(Rings(CONTACT, (1e4, 1e5), degrees), mesh)
-        found.append(first_contact(case, comm).pressure)
-    assert np.abs(found[0] - found[1]).max() > 5.0
 
 
 def asymmetry(line, normal):

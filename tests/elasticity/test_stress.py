@@ -10,8 +10,8 @@ from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Material, Section
 from ringwear_par.elasticity.stress import rows
+from ringwear_par.elasticity.stress.fields import max_shear, mises, principal
 from ringwear_par.elasticity.stress.largest import Search, edges
-from ringwear_par.elasticity.stress.measures import max_shear, mises, principal
 from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery
 from ringwear_par.elasticity.stress.surface import faces
 from ringwear_par.elasticity.stress.zone import ZoneStress, locate
@@ -119,31 +119,6 @@ def test_points_outside_have_no_stress():
     assert np.isfinite(got[1]).all()
 
 
-def test_points_are_located():
-    at = locate(boundary_mesh(DISC, contact_line(DISC.r, Mesh(8)), Mesh(8)),
-                np.array([[0.0, -1.0], [3.0, 0.5], [9.0, -4.0], [0.0, -8.5]]))  # fmt: skip
-    assert at.distance == pytest.approx([1.0, -0.5, 1.0, -0.5])
-    assert at.foot[:3] == pytest.approx(np.array([[0.0, 0.0], [3.0, 0.0], [10.0, -4.0]]))
-
-
-def test_runs_end_at_corners_and_with_the_contact():
-    upper = Section((28.5, 31.5), 20.0, ((28.5, -0.1), (28.6, 0.0), (31.4, 0.0), (31.5, -0.1)))
-    for section, contact, runs in (
-        (RING, (28.5, 31.5), 6),
-        (upper, (28.5, 31.5), 6),
-        (DISC, (0.0, 5.0), 4),
-    ):
-        boundary = boundary_mesh(section, contact_line(contact, Mesh(16), section), Mesh(16))
-        found = faces(boundary)
-        assert len(found.runs) == runs
-        assert sorted(np.concatenate(found.runs)) == list(range(len(boundary.elements)))
-        t = np.array([0.0, 0.5, 1.0])
-        for run in found.runs:  # sizes go on smoothly from element to element
-            sizes = np.array([found.size(np.full(3, e), t) for e in run])
-            assert sizes[1:, 0] == pytest.approx(sizes[:-1, 2])
-            assert (sizes > 0).all()
-
-
 def test_powers_between_mid_points():
     """Stresses at edges are powers of the distance: the interpolation has to follow them."""
     boundary = boundary_mesh(RING, contact_line((28.5, 31.5), Mesh(64)), Mesh(64))
@@ -239,18 +214,6 @@ def test_up_to_the_surface(comm):
             assert mises(body.points) == pytest.approx(mises(exact.points), rel=tolerance)
 
 
-def test_the_largest_stress_grows_towards_an_unworn_edge(comm):
-    none = np.empty((0, 2))
-    largest = [paper_stresses(64, comm, (none, none), exclude) for exclude in (0.2, 0.1, 0.05)]
-    for body in (0, 1):
-        values = [both[body].largest.mises for both in largest]
-        assert values[0] < values[1] < values[2]
-        assert values[1] / values[0] == pytest.approx(2**0.45, rel=0.2)
-    at = largest[1][0].largest
-    edge = 28.5 if at.r < 30.0 else 31.5
-    assert np.hypot(at.r - edge, at.z - 20.0) == pytest.approx(0.1)
-
-
 def coated_stresses(n, thickness, young, comm):
     """Stresses of the paper's lower ring under a layer, beside and on both sides of its bottom."""
     section = Section((20.0, 40.0), 20.0, (), (thickness,))
@@ -271,7 +234,7 @@ def coated_stresses(n, thickness, young, comm):
     return lower.points.reshape(len(depth), len(r), 6), lower.largest
 
 
-@pytest.mark.parametrize("thickness", [0.005, 0.05, 0.5])
+@pytest.mark.parametrize("thickness", [0.005, 0.5])
 def test_stress_in_a_layer_and_under_it(thickness, comm):
     coarse, fine = (coated_stresses(n, thickness, 1e5, comm) for n in (48, 96))
     assert mises(coarse[0]) == pytest.approx(mises(fine[0]), rel=1e-2)
@@ -285,7 +248,7 @@ def test_stress_in_a_layer_and_under_it(thickness, comm):
     assert strain[0] == pytest.approx(strain[1], rel=1e-9)
 
 
-@pytest.mark.parametrize(("thickness", "young"), [(0.02, 30.0), (0.005, 3.0), (0.001, 100.0)])
+@pytest.mark.parametrize(("thickness", "young"), [(0.005, 3.0), (0.001, 100.0)])
 def test_stress_under_a_soft_film_is_that_of_the_body(thickness, young, comm):
     """Tangential strains times the stiff side's modulus are no noise of the film's."""
     coarse, fine = (coated_stresses(n, thickness, young, comm) for n in (48, 96))
@@ -310,7 +273,7 @@ def disc_stresses(n, comm, points, layers=()):
     return result.stress.states[-1].points, 0.3 * result.profiles["pressure"][0][0]
 
 
-@pytest.mark.parametrize("thickness", [None, 0.005, 0.05, 2.0])
+@pytest.mark.parametrize("thickness", [None, 0.05])
 def test_on_the_axis_stress_is_symmetric(thickness, comm):
     """On faces and interfaces, inside and in layers; beside it stress goes to the same."""
     layers = [{"thickness": thickness, "young": 1e5, "poisson": 0.3}] if thickness else []
@@ -327,10 +290,9 @@ def test_on_the_axis_stress_is_symmetric(thickness, comm):
     np.testing.assert_allclose(near[:, 1], near[:, 0], atol=2e-3 * friction)
 
 
-@pytest.mark.parametrize("thickness", [None, 0.4])
-def test_near_the_axis_stress_converges(thickness, comm):
+def test_near_the_axis_stress_converges(comm):
     """Within the first element, which is 0.39 mm wide on the coarsest of the meshes."""
-    layers = [{"thickness": thickness, "young": 1e5, "poisson": 0.3}] if thickness else []
+    layers = [{"thickness": 0.4, "young": 1e5, "poisson": 0.3}]
     heights = [14.9, 14.8, 14.7, 14.5, 14.0, 15.1, 15.3]
     points = [[r, z] for r in (0.0, 0.02, 0.05, 0.1, 0.2) for z in heights]
     coarse, middle, fine = (disc_stresses(n, comm, points, layers) for n in (64, 128, 256))

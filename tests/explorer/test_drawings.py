@@ -9,9 +9,10 @@ import pytest
 from paths import CASES, FIT
 
 import ringwear_par as rw
-from ringwear_par.explorer.exploring import Exploration, raw_keys
+from ringwear_par.explorer.exploring import Exploration
 from ringwear_par.explorer.figures import MENU, Drawing
 from ringwear_par.explorer.measured import read_table
+from ringwear_par.explorer.moved_keys import raw_keys
 from ringwear_par.explorer.page import _variables
 from ringwear_par.pictures.runs import HISTORY_PANELS
 
@@ -86,23 +87,6 @@ def test_tables_are_read_as_fits_read_them(drawn):
     assert np.allclose(found[0].values(case, drawn[0].result), [1500.0, 2500.0])
     assert np.allclose(found[1].values(case, drawn[0].result), np.array([2e-3, 3e-3]) / 0.0019)
     assert len(found[-1].x) == 1
-
-
-def test_units_of_quotients_and_none_are_told(drawn):
-    case, result = drawn[0].case, drawn[0].result
-    depth, mass = read_table(b"t / min,z / um,m_lower / mg\n2,3,19\n", "a.csv", case)
-    assert (depth.quantity, depth.unit, mass.quantity) == ("penetration", "um", "mass.lower")
-    assert depth.x == pytest.approx([120.0])
-    assert depth.values(case, result) == pytest.approx([3e-3])
-    assert mass.values(case, result) == pytest.approx([10.0])
-    assert depth.assumptions == mass.assumptions == []
-    (depth,) = read_table(b"t,z\n2,3\n", "a.csv", case)
-    assert depth.assumptions == [
-        "a.csv: the column t names no unit; s is taken",
-        "a.csv: the column z names no unit; mm is taken",
-    ]
-    (depth,) = read_table(b"t,z_um\n0:02:00,3\n", "a.csv", case)
-    assert depth.assumptions == []
 
 
 def test_how_far_readings_are_from_the_curve(drawn):

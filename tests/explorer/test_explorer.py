@@ -5,8 +5,9 @@ import pytest
 from paths import CASES, PAPER
 
 import ringwear_par as rw
-from ringwear_par.explorer.controls import _times, controls_of
-from ringwear_par.explorer.exploring import Exploration, raw_keys
+from ringwear_par.explorer.controls import controls_of
+from ringwear_par.explorer.exploring import Exploration
+from ringwear_par.explorer.moved_keys import raw_keys
 
 pytestmark = pytest.mark.serial
 
@@ -101,14 +102,6 @@ def test_the_text_taken_home_gives_the_same_numbers(path, tmp_path, comm):
     for control in exploration.controls.values():
         assert control.low <= control.value <= control.high
         assert control.step > 0
-
-
-def test_positions_are_round_in_the_unit_that_is_shown():
-    for text, step in (("10 h", 0.2), ("90 min", 2.0), (36000.0, 1000.0)):
-        (control,) = _times({"time.end": text})
-        assert control.step == step
-        places = np.array([control.low, control.value]) / step
-        assert places == pytest.approx(np.round(places), rel=1e-9)
 
 
 def test_numbers_stay_in_the_units_of_the_user(explored):

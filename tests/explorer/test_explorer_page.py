@@ -10,7 +10,8 @@ from bokeh.server.session import ServerSession
 from paths import PAPER
 from tornado.ioloop import IOLoop
 
-from ringwear_par.explorer.exploring import Exploration, raw_keys
+from ringwear_par.explorer.exploring import Exploration
+from ringwear_par.explorer.moved_keys import raw_keys
 from ringwear_par.explorer.page import Page
 from ringwear_par.explorer.server import _if_there
 
@@ -150,16 +151,6 @@ def test_faults_stay_until_numbers_can_be_computed(comm):
     visited.ask(3, **{"lower.young": "1e30"})  # whose slider would reach further
     visited.work()
     assert "Infinity" not in visited.talk.answer
-
-
-def test_units_that_are_taken_are_told_as_long_as_a_table_is_there(comm):
-    visited = Visited(comm)
-    visited.work()
-    visited.give("a.csv", b"t,penetration_um,torque_Nm\n1,2,3\n")
-    assert visited.told["laid_fault"] == "a.csv: the column t names no unit; s is taken"
-    for column in visited.told["laid"]:
-        visited.talk.table = json.dumps({"number": column["number"], "remove": True})
-    assert visited.told["laid_fault"] == ""
 
 
 def test_only_answers_have_the_number_of_a_wish(comm):

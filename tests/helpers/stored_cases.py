@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 
 from ringwear_par.results.result import HistoryColumns
-from ringwear_par.studies.definition.texts import Texts
 from ringwear_par.studies.storage.blocks import Block
 from ringwear_par.studies.storage.stored_variables import FIELDS, OF_A_CASE
 
@@ -48,5 +47,5 @@ def block_of(cases, version="1", texts=None):
     deep = any(name in FIELDS for name in states)
     return Block.of(
         histories, line, [case.id for case in cases],
-        texts or Texts.whole([case.toml for case in cases]), version, deep=deep,
+        texts or [case.toml for case in cases], version, deep=deep,
     )  # fmt: skip

@@ -9,6 +9,7 @@ import numpy as np
 def vtkhdf_step(file, number):
     """Points, cells, types and fields at a step of a VTKHDF file, by the rules of its format."""
     root = file["VTKHDF"]
+    assert (root.attrs["Type"], list(root.attrs["Version"])) == (b"UnstructuredGrid", [2, 0])
     steps = root["Steps"]
     part = steps["PartOffsets"][number]
     assert steps["NumberOfParts"][number] == 1

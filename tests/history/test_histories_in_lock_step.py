@@ -166,8 +166,13 @@ LAWS = ("threshold", "two bodies", "power", "table", "memory", "distance", "non-
         "object", "no wear")  # fmt: skip
 
 
-@pytest.mark.parametrize("stepping", STEPPINGS)
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize(
+    ("name", "stepping"),
+    [
+        *((name, "adaptive") for name in LAWS), ("two bodies", "implicit"), ("memory", "implicit"),
+        ("distance", "explicit"), ("non-local", "explicit"), ("user", "implicit"),
+    ],
+)  # fmt: skip
 def test_laws_and_schemes(flat, pair, name, stepping):
     cases = of_laws(replace(flat, time=STEPPINGS[stepping]), name)
     seen = run(cases, pair)
@@ -186,7 +191,7 @@ def test_loads(flat, pair, name):
         assert len({rows[-1][0][1] for rows in seen.values()} - {0.0}) > 0
 
 
-@pytest.mark.parametrize("size", [1, 2, 7, 128])
+@pytest.mark.parametrize("size", [2, 7])
 def test_digits_do_not_depend_on_the_size_of_batches(crowned, size):
     """Contact grows: elements enter, in some histories of a group and not in others."""
     base, pair = crowned
@@ -267,12 +272,6 @@ def test_what_nobody_expects_is_warned_of_once(flat, pair, caplog):
     record = caplog.records[0]
     assert record.levelname == "WARNING"
     assert "4 histories cannot step together (KeyError('no such scheme'))" in record.getMessage()
-
-
-def test_a_failure_of_ours_is_not_warned_of(flat, pair, caplog):
-    cases = [replace(case, wear_lower=Spoilt(1e-7, 13.0)) for case in of_laws(flat, "threshold", 2)]
-    assert sorted(simulate(cases, ALONE, pair=pair).failures) == [0, 1]
-    assert caplog.records == []
 
 
 def test_an_observer_that_fails_ends_all(flat, pair):

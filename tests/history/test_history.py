@@ -55,13 +55,6 @@ def test_balances_at_every_step(stepped, scheme):
         assert line.area @ after.wear[0] == pytest.approx(1e-7 * energy, rel=1e-10)
 
 
-def test_first_contact_has_no_wear(stepped):
-    history, states = stepped(time=steps("implicit", 1.0, 1))
-    assert not states[0].wear.any()
-    assert states[0].energy == 0.0
-    assert history.steps == 1
-
-
 def test_twenty_steps_nearly_serve_for_two_hundred(stepped):
     """The worn volume, to 0.02 % at p0 = 0 and 0.4 % at 40 MPa; the penetrations of figure 2."""
     for p0, depth, tolerance in ((0.0, 18.2, 2e-4), (40.0, 9.7, 4e-3)):
@@ -159,14 +152,6 @@ def test_implicit_steps_of_any_length_are_smooth(stepped):
         sign = np.diff(states[-1].wear[0])
         assert np.count_nonzero(np.diff(np.sign(sign))) <= 1  # one maximum, in the middle
         assert history.balances.force <= 1e-10
-
-
-def test_no_wear_without_law_or_sliding(stepped, paper_pair):
-    omega0 = Load(0.0, force=paper_pair[0].load.force)
-    for parts in ({"wear_lower": None}, {"load": omega0}):
-        _, states = stepped(time=steps("implicit", 1.0, 5), **parts)
-        assert not states[-1].wear.any()
-        assert states[-1].contact.approach == pytest.approx(states[0].contact.approach, rel=1e-12)
 
 
 @pytest.mark.ranks

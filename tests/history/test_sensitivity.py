@@ -126,33 +126,6 @@ def off_differences(case, pair, keys, times=None, step=1e-6):
 # -- derivatives are those of the history ----------------------------------------------------------
 
 
-@pytest.mark.parametrize("scheme", STEPPINGS)
-@pytest.mark.parametrize("law", LAWS)
-def test_remainders_are_of_second_order(tmp_path, law, scheme):
-    case = case_of(tmp_path, law, scheme)
-    pair = assemble(case, ALONE)
-    times, numbers = ends_of(case, pair), numbers_of(case)
-    there = history(case, pair, list(numbers), times)
-    size = {name: np.abs(v).max() or 1.0 for name, v in values(there).items()}
-    rng, orders = np.random.default_rng(3), []
-    for _ in range(2):
-        way = rng.uniform(0.5, 1.0, len(numbers)) * rng.choice([-1.0, 1.0], len(numbers))
-        remainders = []
-        for h in 0.02 * 0.5 ** np.arange(4):
-            by = h * way * np.array(list(numbers.values()))
-            moved = case.replace(dict(zip(numbers, list(numbers.values()) + by, strict=True)))
-            after = values(history(moved, pair, times=times))
-            parts = [
-                (after[name] - v - np.tensordot(by, there.derivatives[name], 1)) / size[name]
-                for name, v in values(there).items()
-                if name not in ("d_gap", "d_force")
-            ]
-            remainders.append(np.sqrt(sum((part**2).sum() for part in parts)))
-        orders += np.log2(np.divide(remainders[:-1], remainders[1:])).tolist()
-    assert np.median(orders) >= 1.9
-    assert remainders[0] > 1e-6  # above round-off
-
-
 @pytest.mark.parametrize(
     ("law", "scheme", "changes"),
     [
@@ -168,6 +141,10 @@ def test_remainders_are_of_second_order(tmp_path, law, scheme):
         ("two bodies", "adaptive", {"load.omega": VARYING, "upper.chamfer": 0.3}),
         ("threshold", "adaptive", {"output.times": [7.0, 21.0]}),
         ("user", "adaptive", {"lower.r": [29.0, 40.0]}),
+        ("table", "explicit", {}),
+        ("power", "adaptive", {}),
+        ("distance", "explicit", {}),
+        ("non-local", "adaptive", {}),
     ],
 )
 def test_derivatives_are_central_differences(tmp_path, law, scheme, changes):
@@ -197,7 +174,7 @@ def test_elements_that_enter_within_steps_are_differentiated(tmp_path, monkeypat
     assert sum(each is not None for each in late) > len(late) / 5
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_derivatives_of_random_cases(tmp_path, seed):
     rng = np.random.default_rng(seed)
     law, scheme = rng.choice(list(LAWS)), rng.choice(list(STEPPINGS))

@@ -25,12 +25,9 @@ from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.start import initial_state
 from ringwear_par.results.warnings import validity_warnings
 from ringwear_par.verification.fine import CONTACT, Rings, ring_case
-from ringwear_par.verification.paper import paper_case
 from ringwear_par.wear.averaging import averaging
 from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.non_local import NonLocalLaw
-from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
@@ -113,7 +110,7 @@ def test_other_laws_keep_their_balances_on_cones(cones, laws, comm):
             assert state.wear[0].max() > 1e-5
 
 
-@pytest.mark.parametrize("step", [euler.forward, euler.backward, sdirk2.step])
+@pytest.mark.parametrize("step", [euler.backward, sdirk2.step])
 def test_histories_on_cones_together_are_as_if_alone(cones, step, comm):
     """To the last bit, with a law that remembers and one that averages."""
     base, pair = cones
@@ -138,24 +135,6 @@ def test_histories_on_cones_together_are_as_if_alone(cones, step, comm):
         assert np.array_equal(second.worn[:, i], alone.worn[:, 0])
         assert np.array_equal(second.contact.pressure[i], alone.contact.pressure[0])
         assert second.energy[i] == alone.energy[0]
-
-
-def test_averages_keep_the_volume_of_the_true_area(cones, comm):
-    """Of a non-local law whose rate is k mu V times the averaged pressure, averaged again."""
-    base, pair = cones
-    law = NonLocalLaw(1e-7, 0.0, length=0.3)
-    case, line = replace(base, wear_lower=law, wear_upper=None), pair.line
-    physics = Physics.of([case], pair)
-    with physics.contacts() as contacts:
-        state = euler.backward(
-            physics, contacts, initial_state(physics, contacts), np.array([2.0])
-        ).state
-        worn, p = state.wear[0, 0], state.contact.pressure[0]
-        average = averaging(line.r, line.area / COS, 0.3)
-    speed = case.load.omega * line.arm
-    exact = average @ (2.0 * law.k * case.friction * speed * (average @ p))
-    assert worn * COS == pytest.approx(exact, rel=1e-9)
-    assert line.area @ worn == pytest.approx(line.area / COS @ exact, rel=1e-9)
 
 
 def test_running_in_remembers_depths_along_the_normal(cones, comm):
@@ -226,20 +205,6 @@ def test_potential_depth_and_jacobian_of_a_step_go_together(cones, laws):
     # an average of depths would be another potential; depths of the step and rates are one
     assert step.depths(p).sum(axis=0) == pytest.approx(step.depth(p), rel=1e-12)
     assert 3.0 * step.rates(p, step.depths(p)) == pytest.approx(step.depths(p), rel=1e-9)
-
-
-def test_taylor_remainders_of_a_curved_law_on_sloping_faces(cones):
-    line = cones[1].line
-    x = np.linspace(0.0, 1.0, line.n)
-    obliquity = np.hypot(1.0, np.sin(4.0 * x))
-    laws = PowerLaw(1e-9, 2.5, 0.7), RunningInLaw(1e-7, 9e-7, 20.0, depth=2e-5)
-    step, flat = increment(line, laws, obliquity), increment(line, laws, np.ones(line.n))
-    p, direction = 50.0 + 20.0 * np.cos(9.0 * x), 4.0 * np.cos(23.0 * x)
-    slope = step.jacobian(p) @ direction
-    assert (orders(lambda d: step.depth(p + d), slope, direction) > 1.9).all()
-    assert step.depth(p) == pytest.approx(obliquity * flat.depth(p), rel=1e-12)
-    assert step.jacobian(p) == pytest.approx(obliquity[:, None] * flat.jacobian(p), rel=1e-12)
-    assert step.potential(p) == pytest.approx(obliquity * flat.potential(p), rel=1e-12)
 
 
 # -- faces that turn as they wear ------------------------------------------------------------------
@@ -356,12 +321,6 @@ def test_a_steep_cone_that_bears_on_a_flat_face_is_told_with_its_place(comm):
     assert "unlike_slopes" not in flags(gentle, comm)
 
 
-def test_matched_cones_and_the_flat_rings_of_the_paper_are_not_doubted(cones, comm):
-    matched = ring_case(Rings(CONTACT, (1e4, 1e5), 20.0), Mesh(24), Stepping("implicit", 2.0, 2), K)
-    for case in (cones[0], matched, paper_case(Mesh(24))):
-        assert "unlike_slopes" not in flags(case, comm)
-
-
 def test_faces_that_have_worn_to_each_other_are_doubted_only_if_the_elements_have_not(comm):
     """Over a chamfer of 45 degrees, once it bears load: what "updated" is advised for."""
     keys = {
@@ -373,16 +332,3 @@ def test_faces_that_have_worn_to_each_other_are_doubted_only_if_the_elements_hav
     assert told.endswith('"updated" follows the worn faces')
     following = read_case(CHAMFER, {**keys, "mesh.geometry": "updated"})
     assert 'mesh.geometry = "updated"' not in flags(following, comm).get("unlike_slopes", "")
-
-
-def test_archard_on_a_cone_is_worn_along_the_axis_by_more(cones, comm):
-    """The law knows no friction; the depth along the axis is that along the normal / cos alpha."""
-    base, pair = cones
-    case = replace(base, wear_lower=ArchardLaw(1e-8), wear_upper=None)
-    physics = Physics.of([case], pair)
-    with physics.contacts() as contacts:
-        state = initial_state(physics, contacts)
-        rates = physics.rates_at(np.zeros(1), state.wear, state.contact.pressure)
-    exact = 1e-8 * state.contact.pressure[0] * case.load.omega * pair.line.arm
-    assert rates[0, 0] * COS == pytest.approx(exact, rel=1e-12)
-    assert not rates[1].any()

@@ -66,22 +66,6 @@ def test_explicit_steps_are_stable_below_the_limit_and_not_above(worn):
     assert np.ptp(unstable.pressure) > 100.0
 
 
-def test_nodal_gaps_hardly_feel_alternating_pressures(limits):
-    for n, limit in limits.items():
-        middle, nodal = (limit.softness[gaps] for gaps in ("mid-point", "nodal"))
-        assert 0.0 < nodal[0] < middle[0] / 50.0
-        assert nodal[1] == pytest.approx(middle[1], rel=2e-3)  # smooth pressures: no difference
-        if n >= 32:
-            assert nodal[2] < 0.1 * middle[2]
-    least = {
-        gaps: [limit.softness[gaps][0] for limit in limits.values()]
-        for gaps in ("mid-point", "nodal")
-    }
-    for gaps, order in (("mid-point", 1), ("nodal", 3)):
-        orders = np.log2(np.array(least[gaps][:-1]) / least[gaps][1:])
-        assert orders == pytest.approx([order] * 3, abs=0.05)
-
-
 def test_nodal_gaps_spoil_the_unworn_pressure(comm):
     errors = []
     for n in (32, 64):
@@ -103,18 +87,6 @@ def test_profiles_ripple_for_either_cause_and_not_without(worn):
     # what the gaps alone do, with steps that are stable: nothing
     assert ripple("nodal", "implicit", script.LONG) < 1.5 * smooth
     assert ripple("nodal", "explicit", 0.04) < 1.5 * smooth
-
-
-def test_threshold_makes_ripples_dig_too_deep(worn):
-    """With p0 > 0 what alternates wears more on average; without only the profile suffers."""
-    for gaps, step, too_deep in (("mid-point", script.LONG, 1.05), ("nodal", script.SHORT, 1.3)):
-        ratio = {}
-        for p0 in (0.0, 40.0):
-            rippled = worn(gaps, "explicit", step, p0)
-            smooth = worn(gaps, "implicit", 1.0, p0)
-            ratio[p0] = rippled.penetration / smooth.penetration
-        assert ratio[0.0] == pytest.approx(1.0, abs=0.025)
-        assert ratio[40.0] > too_deep
 
 
 def test_picture_is_drawn(both, limits, worn, comm, shared_path):

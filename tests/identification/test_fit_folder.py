@@ -1,6 +1,5 @@
 """The folder of a fit: what is written, dry runs, starts that are kept, fits that go on."""
 
-import copy
 import json
 import os
 import pickle
@@ -15,8 +14,6 @@ import xarray
 from laboratory import (
     FITTED,
     TRUTH,
-    fit_tables,
-    write_tests,
 )
 
 import ringwear_par as rw
@@ -24,22 +21,14 @@ from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.folders import FIT
 from ringwear_par.identification import fit as fit_room
-from ringwear_par.identification import fit_folder
+from ringwear_par.identification import fit_command, fit_folder
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation import solution as solution_room
 from ringwear_par.identification.estimation import starts as starts_room
 from ringwear_par.identification.fit import fit, fit_problem
-from ringwear_par.identification.fit_folder import run_fit
+from ringwear_par.identification.fit_command import run_fit
 from ringwear_par.identification.model.rounds import StoppedError
 from ringwear_par.results.execution.stopping import StopSignals
-
-
-@pytest.fixture(scope="module")
-def tables(tmp_path_factory):
-    """A function that makes a fit file of two tests of the laboratory, with noise."""
-    folder = tmp_path_factory.mktemp("laboratory")
-    written = write_tests(folder)
-    return lambda **settings: fit_tables(folder, copy.deepcopy(written), **settings)
 
 
 @pytest.mark.serial
@@ -55,7 +44,10 @@ def test_a_dry_run_tells_what_is_not_installed(tables, tmp_path, comm, capsys, m
         run_fit(path, tmp_path / "out", comm)
     monkeypatch.undo()
     run_fit(path, tmp_path / "out", comm, dry_run=True)
-    assert "missing" not in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "missing" not in said
+    assert "to be expected" in said
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.serial
@@ -118,19 +110,6 @@ def test_what_is_written(written, comm, capsys):
 
 
 @pytest.mark.serial
-def test_doubts_are_said_once(tables, tmp_path, comm, capfd):
-    given = tables(starts=1)
-    for series in given["experiment"][0]["data"]:
-        series["sd"] *= 0.1
-    path = tmp_path / "fit.toml"
-    path.write_text("".join(f"{key} = {toml_value(value)}\n" for key, value in given.items()))
-    run_fit(path, tmp_path / "out", comm)
-    out, err = capfd.readouterr()
-    assert out.count("warning: the model does not fit") == 1
-    assert "does not fit" not in err
-
-
-@pytest.mark.serial
 def test_a_complete_fit_is_left_as_it_is(written, comm, monkeypatch, caplog):
     caplog.set_level("INFO")
     path, folder = written
@@ -149,21 +128,13 @@ def test_a_complete_fit_is_left_as_it_is(written, comm, monkeypatch, caplog):
     def never(*args, **kwargs):
         raise AssertionError("fitted again")
 
-    monkeypatch.setattr(fit_folder, "fit_problem", never)
+    monkeypatch.setattr(fit_command, "fit_problem", never)
     run_fit(path, folder, comm, restart=True)
     assert (folder / "fit.json").read_text() == whole
     path.write_text(path.read_text() + "\n# another\n")
     with pytest.raises(AssertionError, match="fitted again"):
         run_fit(path, folder, comm)
     assert f"{folder / 'fit.json'} is there already: it will be replaced" in caplog.text
-
-
-@pytest.mark.serial
-def test_a_dry_run_writes_nothing(written, comm, capsys):
-    path, folder = written
-    run_fit(path, folder, comm, dry_run=True)
-    assert "to be expected" in capsys.readouterr().out
-    assert not folder.exists()
 
 
 @pytest.mark.serial

@@ -1,7 +1,6 @@
 """``ringwear measure`` as users type it: all that is wrong is told, and nothing is written."""
 
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
@@ -168,21 +167,3 @@ def test_a_folder_that_cannot_be_written_is_refused_first(measure):
     Path("out").write_text("a file")
     status, _, errors = measure("measure.toml")
     assert (status, errors) == (2, "ringwear: out: is a file; must be a folder, or new\n")
-
-
-def test_neither_mpi_nor_petsc_is_started_by_rw_measure(laboratory):
-    import subprocess
-
-    from commands import SHELL_ENVIRONMENT
-
-    program = (
-        "import sys, ringwear_par as rw\nrw.measure('measure.toml').save('out')\n"
-        "heavy = {'mpi4py.MPI', 'petsc4py.PETSc', 'numba'} & set(sys.modules)\n"
-        "assert not heavy, heavy"
-    )
-    environment = {**SHELL_ENVIRONMENT, "PYTHONPATH": str(ROOT)}
-    result = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True,
-        timeout=100, check=False,
-    )  # fmt: skip
-    assert result.returncode == 0, result.stderr

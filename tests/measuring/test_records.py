@@ -109,13 +109,6 @@ def test_a_pause_of_days_between_dates_and_times_of_day(names, first, columns, r
     assert record.time[30] - record.time[29] == 60.0 + 48 * 3600.0
 
 
-def test_clocks_from_the_start_have_no_date(read):
-    def row(i):
-        return f"{14 + i // 30}.03.2026;0:{i:02d}:00;{i}"
-
-    assert read("Datum;Zeit;Weg / um", row).end == 59 * 60.0
-
-
 @pytest.mark.parametrize(
     ("day", "months", "told"), [(3, 4, True), (13, 4, False), (3, 13, False), (3, 3, False)]
 )
@@ -217,12 +210,6 @@ def test_weighings_are_known_to_their_last_digit_at_best(text, resolution, scatt
     assert read.scatter == pytest.approx(scatter)
     assert read.sd == pytest.approx(max(scatter, resolution / np.sqrt(12.0)))
     assert read.coarse == (scatter == 0.0)
-
-
-def test_many_weighings_are_read_in_a_time_that_grows_with_them(tmp_path):
-    rows = "".join(f"S{i};{40 + i % 7}.1234;{40 + i % 7}.1;40\n" for i in range(20_000))
-    read = weighings(tmp_path, f"specimen;before_g;before_g;after_g\n{rows}")
-    assert len(read.specimens) == 20_000
 
 
 @pytest.mark.parametrize(

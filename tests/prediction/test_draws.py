@@ -5,7 +5,7 @@ import pytest
 
 from ringwear_par.errors import InputError
 from ringwear_par.identification.fitted_values import FittedValues
-from ringwear_par.prediction.draws import MATERIAL, NEXT, draw_paces, draw_sizes, draw_values
+from ringwear_par.prediction.draws import MATERIAL, NEXT, draw_paces, draw_values
 from ringwear_par.prediction.prediction import Prediction
 
 pytestmark = pytest.mark.serial
@@ -23,14 +23,19 @@ def values():
     return FittedValues(
         ("k", "p0"), np.array([True, False]), np.array([[1e-9, 1e9], [-1e9, 1e9]]),
         np.array([0.3, 0.7]), rng.standard_normal((2, 3, 2)), roots @ np.swapaxes(roots, -1, -2),
-        np.array([[0.5], [1.0]]), np.array([0]), ("S1", "S2"), ("archard", ""), np.zeros((2, 5)),
+        np.array([[0.5], [1.0]]), np.array([0]), np.array([[1e-5, 0.0], [2e-5, 0.0]]),
+        ("S1", "S2"), ("archard", ""), np.zeros((2, 5)),
     )  # fmt: skip
 
 
 @pytest.mark.parametrize(("of", "place"), [(MATERIAL, 0), (NEXT, 0), ("S2", 2)])
 def test_draws_have_the_moments_of_their_mixture(values, of, place):
-    drawn = draw_values(values, of, DRAWS, np.random.default_rng(2))
+    drawn, sizes = draw_values(values, of, DRAWS, np.random.default_rng(2))
     unknowns = np.column_stack([np.log(drawn[:, 0]), drawn[:, 1]])
+    if of == MATERIAL:
+        assert not sizes.any()
+    else:  # drawn with the values of their part
+        assert (sizes[0] == 2e-5).mean() == pytest.approx(0.7, abs=0.01)
     means, weights = values.means[:, place], values.weights
     mean = weights @ means
     shifts = means - mean
@@ -57,14 +62,6 @@ def test_worn_depth_is_a_gamma_process():
     kurtosis = 3.0 + 6.0 * size / depth
     off = np.abs(worn[:, 0].var(axis=0) / sd**2 - 1.0)
     assert (off < OFF * np.sqrt((kurtosis - 1.0) / DRAWS)).all()
-
-
-def test_sizes_are_as_wide_as_their_interval():
-    process = {"wear.lower": {"size": {"estimate": 2e-5, "interval": [1e-5, 4e-5]}},
-               "wear.upper": {"size": {"known": 3e-6}}}  # fmt: skip
-    lower, upper = draw_sizes(process, 0.95, DRAWS, np.random.default_rng(4))
-    assert np.quantile(lower, (0.025, 0.5, 0.975)) == pytest.approx([1e-5, 2e-5, 4e-5], rel=0.03)
-    assert (upper == 3e-6).all()
 
 
 def test_a_depth_is_reached_by_some_draws_only():

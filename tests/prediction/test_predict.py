@@ -94,14 +94,13 @@ def test_random_wear_spreads_a_prediction(found, case, monkeypatch):
     known = known_of(fit)
     parts = {name: getattr(known.values, name)[:1] for name in ("means", "scatters")}
     parts |= {"weights": np.ones(1), "covariances": 0.0 * known.values.covariances[:1]}
-    known = dataclasses.replace(
-        known, process={"wear.lower": {"size": {"known": size}}},
-        values=dataclasses.replace(known.values, **parts),
-    )  # fmt: skip
+    parts |= {"sizes": np.array([[size, 0.0]])}
+    known = dataclasses.replace(known, values=dataclasses.replace(known.values, **parts))
     monkeypatch.setattr(module, "known_of", lambda _: known)
     noisy = rw.predict(fit, case, of="test 2", draws=500, comm=MPI.COMM_SELF)
     depth = noisy.histories["worn_volume_lower"][:, [20, 40, -1]] / case.area
-    known = dataclasses.replace(known, process={})
+    parts["sizes"] = np.zeros((1, 2))
+    known = dataclasses.replace(known, values=dataclasses.replace(known.values, **parts))
     plain = rw.predict(fit, case, of="test 2", draws=1, comm=MPI.COMM_SELF)
     mean = plain.histories["worn_volume_lower"][0, [20, 40, -1]] / case.area
     assert depth.mean(axis=0) == pytest.approx(mean, rel=0.04)

@@ -19,13 +19,6 @@ def before(tmp_path):
     return write(tmp_path / "before.h5", wear=wear, count=np.arange(3), text="one line\nanother")
 
 
-def test_equal_records_have_no_differences(before, tmp_path, capsys):
-    wear = np.linspace(0.0, 1e-2, 5)
-    after = write(tmp_path / "b.h5", wear=wear, count=np.arange(3), text="one line\nanother")
-    assert baseline.compare(before, after) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "3 arrays and texts in both: 0 differences"
-
-
 def test_the_last_bit_of_an_array_and_a_word_of_a_text_are_differences(before, tmp_path, capsys):
     wear = np.linspace(0.0, 1e-2, 5)
     wear[2] = np.nextafter(wear[2], 1.0)

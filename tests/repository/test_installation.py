@@ -4,10 +4,9 @@ import os
 import shutil
 import stat
 import subprocess
-import sys
 
 import pytest
-from commands import SHELL_ENVIRONMENT
+from commands import python
 from paths import ROOT
 
 pytestmark = pytest.mark.serial
@@ -18,13 +17,6 @@ BROKEN = {
 }
 
 
-def python(words, cwd, **environment):
-    return subprocess.run(
-        [sys.executable, *map(str, words)], cwd=cwd, env={**SHELL_ENVIRONMENT, **environment},
-        capture_output=True, text=True, timeout=100, check=False,
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("package", BROKEN)
 def test_a_package_that_does_not_load_is_told_in_a_sentence(tmp_path, package):
     error, said = BROKEN[package]
@@ -32,7 +24,7 @@ def test_a_package_that_does_not_load_is_told_in_a_sentence(tmp_path, package):
     (tmp_path / "broken" / package / "__init__.py").write_text(f"raise {error}\n")
     (tmp_path / "out").mkdir()
     path = os.pathsep.join([str(tmp_path / "broken"), str(ROOT)])
-    done = python(RUN, tmp_path / "out", PYTHONPATH=path)
+    done = python(*RUN, cwd=tmp_path / "out", PYTHONPATH=path)
     assert done.returncode == 1
     (told,) = done.stderr.splitlines()
     assert told.startswith("ringwear: ")
@@ -44,24 +36,24 @@ def test_results_and_laws_are_looked_at_without_petsc(tmp_path):
     (tmp_path / "broken" / "petsc4py").mkdir(parents=True)
     (tmp_path / "broken" / "petsc4py" / "__init__.py").write_text("raise ImportError('none')\n")
     path = os.pathsep.join([str(tmp_path / "broken"), str(ROOT)])
-    assert python([*RUN, "--set", "time.steps=3"], tmp_path).returncode == 0
+    assert python(*RUN, "--set", "time.steps=3", cwd=tmp_path).returncode == 0
     for words in (
         ["plot", "a.h5", "-o", "a.png"], ["export", "a.h5", "-o", "a.csv"],
         ["report", "a.h5", "-o", "a.html"], ["laws", RUN[3]],
     ):  # fmt: skip
-        done = python(["-m", "ringwear_par", *words], tmp_path, PYTHONPATH=path)
+        done = python("-m", "ringwear_par", *words, cwd=tmp_path, PYTHONPATH=path)
         assert (done.returncode, done.stderr) == (0, "")
     fit = ROOT / "scripts/fit/plan.toml"
-    done = python(["-m", "ringwear_par", "design", fit, "-o", "out"], tmp_path, PYTHONPATH=path)
+    done = python("-m", "ringwear_par", "design", fit, "-o", "out", cwd=tmp_path, PYTHONPATH=path)
     assert done.returncode == 1
     assert done.stderr.startswith("ringwear: PETSc for Python does not load (none)")
 
 
 def test_nothing_is_said_where_no_home_may_be_written(tmp_path):
-    assert python([*RUN, "--set", "time.steps=3"], tmp_path).returncode == 0
+    assert python(*RUN, "--set", "time.steps=3", cwd=tmp_path).returncode == 0
     nowhere = {"HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null", "XDG_CONFIG_HOME": "/dev/null"}
     words = ["-m", "ringwear_par", "plot", "a.h5", "-o", "a.png"]
-    done = python(words, tmp_path, MPLCONFIGDIR="", **nowhere)
+    done = python(*words, cwd=tmp_path, MPLCONFIGDIR="", **nowhere)
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "a.png").exists()
 
@@ -85,7 +77,7 @@ ELLIPTIC = "from ringwear_par.elasticity.bem.kernels import elliptic; print(elli
 def test_compiled_code_is_kept_in_a_private_folder_where_nothing_else_may_be_written(
     tmp_path, unwritable
 ):
-    done = python(["-c", ELLIPTIC], tmp_path, **unwritable)
+    done = python("-c", ELLIPTIC, cwd=tmp_path, **unwritable)
     assert done.returncode == 0, done.stderr
     (kept,) = (tmp_path / "tmp").iterdir()
     assert stat.S_IMODE(kept.stat().st_mode) == 0o700
@@ -94,7 +86,7 @@ def test_compiled_code_is_kept_in_a_private_folder_where_nothing_else_may_be_wri
     shutil.rmtree(kept)
     kept.mkdir()
     kept.chmod(0o777)
-    again = python(["-c", ELLIPTIC], tmp_path, **unwritable)
+    again = python("-c", ELLIPTIC, cwd=tmp_path, **unwritable)
     assert again.returncode == 0, again.stderr
     assert again.stdout == done.stdout
     assert not list(kept.iterdir())
@@ -116,10 +108,10 @@ def test_a_changed_function_is_compiled_into_its_callers(tmp_path):
         "print(p(2.0), *p.stats.cache_hits.values())"
     )
     path = {"PYTHONPATH": str(tmp_path / "site"), "PYTHONDONTWRITEBYTECODE": "1"}
-    assert python(["-c", program], tmp_path, **path).stdout == "2.0\n"
-    assert python(["-c", program], tmp_path, **path).stdout == "2.0 1\n"
+    assert python("-c", program, cwd=tmp_path, **path).stdout == "2.0\n"
+    assert python("-c", program, cwd=tmp_path, **path).stdout == "2.0 1\n"
     callee.write_text(callee.read_text().replace("1.0", "1.5"))
-    assert python(["-c", program], tmp_path, **path).stdout == "3.0\n"
+    assert python("-c", program, cwd=tmp_path, **path).stdout == "3.0\n"
 
 
 @pytest.mark.parametrize("shell", ["dash", "zsh"])

@@ -2,12 +2,10 @@
 
 import ast
 import re
-import subprocess
-import sys
 
 import pytest
-from commands import SHELL_ENVIRONMENT
-from paths import ROOT
+from commands import python
+from paths import CASES, ROOT
 
 import ringwear_par as rw
 
@@ -15,22 +13,15 @@ HEAVY = ("mpi4py.MPI", "petsc4py.PETSc", "numba", "ringwear_par.elasticity.bem.a
 
 #: most modules of ours that one may know, and rooms where some still know more
 MOST_IMPORTS = 15
-IMPORTS_TO_DO = {"explorer", "history", "identification", "pictures", "reports", "studies"}
+IMPORTS_TO_DO = {"history", "identification"}
 
 pytestmark = pytest.mark.serial
-
-
-def run(program, *words):
-    return subprocess.run(
-        [sys.executable, "-c", program, *map(str, words)], env=SHELL_ENVIRONMENT, cwd=ROOT,
-        capture_output=True, text=True, timeout=100, check=False,
-    )  # fmt: skip
 
 
 def test_import_directions():
     """The contracts of pyproject.toml: layers, no circles, PETSc where systems are solved."""
     program = "from importlinter.cli import lint_imports; raise SystemExit(lint_imports())"
-    result = run(program)
+    result = python("-c", program, cwd=ROOT)
     assert result.returncode == 0, result.stdout
     assert "4 kept, 0 broken" in result.stdout
 
@@ -56,28 +47,37 @@ def test_no_module_knows_many_others():
     assert not many
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "import ringwear_par",
-        "rw.read_case(case).replace({'load.pressure': 50})",
-        "rw.read_study(study)",
-        "rw.open_result(run).to_xarray()",
-        "rw.plot(rw.open_result(run), ['wear', 'penetration'])",
-        "rw.open_ensemble(folder).penetration",
-        "rw.report(run, f'{run}.html')",
-        "rw.report(folder, f'{run}.html')",
-        "rw.surrogate",
-        "rw.WearLaw, rw.Result, rw.FailedResult, rw.InputError, rw.ComputationError",
-    ],
-)
-def test_what_starts_neither_mpi_nor_petsc_nor_compiled_code(words, stored):
-    program = (
-        "import sys\nimport ringwear_par as rw\ncase, study, run, folder = sys.argv[1:]\n"
-        f"{words}\nheavy = [name for name in {HEAVY} if name in sys.modules]\n"
-        "assert not heavy, heavy"
-    )
-    result = run(program, *stored)
+#: what is used one after another by one process, and what may not have been loaded by then
+LIGHT = (
+    ("import ringwear_par.contact.problem, ringwear_par.options", ("scipy", "h5py", "matplotlib")),
+    ("rw.read_case(case).replace({'load.pressure': 50})", ("scipy", "h5py", "matplotlib")),
+    ("from ringwear_par.cases.files.law_trials import check_laws", ()),
+    ("check_laws(Path(cases) / 'user_law.toml', [])", ("scipy",)),
+    ("rw.read_case(f'{cases}/sphere.toml')", ("h5py", "matplotlib")),
+    ("rw.read_study(study)", ()),
+    ("rw.open_result(run).to_xarray()", ()),
+    ("rw.plot([rw.open_result(run), run], 'wear,penetration,pressure,section')", ()),
+    ("rw.open_ensemble(folder).penetration", ()),
+    ("rw.plot(folder)", ()),
+    ("rw.report(run, f'{run}.html')", ()),
+    ("rw.report(folder, f'{run}.html')", ()),
+    ("rw.surrogate, rw.WearLaw, rw.FailedResult, rw.InputError", ()),
+    ("rw.measure(f'{cases}/../measure/measure.toml').save(f'{run}.measured')", ()),
+)  # fmt: skip
+
+
+def test_what_starts_neither_mpi_nor_petsc_nor_compiled_code(stored):
+    program = f"""
+import sys
+from pathlib import Path
+import ringwear_par as rw
+case, study, run, folder, cases = sys.argv[1:]
+for words, more in {LIGHT}:
+    exec(words)
+    heavy = [name for name in ({HEAVY} + more) if name in sys.modules]
+    assert not heavy, (words, heavy)
+"""
+    result = python("-c", program, *stored, CASES)
     assert result.returncode == 0, result.stderr
 
 
@@ -97,7 +97,7 @@ rw.simulate(rw.read_case(case)).save(run)
 rw.sweep(rw.read_study(study), folder)
 """
     names = case, study, folder / "run.h5", folder / "out"
-    result = run(program, *names)
+    result = python("-c", program, *names)
     assert result.returncode == 0, result.stderr
     return names
 

@@ -3,10 +3,8 @@
 from dataclasses import replace
 
 import benchmark
-import benchmark_derivatives
 import benchmark_ensembles
 import follow_the_wear
-import follow_through_coatings
 import numpy as np
 import pytest
 import queue_at_scale
@@ -35,13 +33,6 @@ def test_ensembles_are_measured_beside_a_bare_loop_that_finds_the_same(kind):
     result = rw.simulate(case, MPI.COMM_SELF, pair=pair)
     penetration = benchmark_ensembles.bare_loop(pair, case)
     assert penetration == pytest.approx(result.histories["penetration"][-1], rel=0.05)
-
-
-def test_derivatives_are_measured_beside_plain_histories():
-    plain, more, together, more_together = benchmark_derivatives.measure("adaptive", 2, 8, 1)
-    assert plain > 0.0
-    assert together > 0.0
-    assert np.isfinite([more, more_together]).all()
 
 
 def test_sweeps_are_measured_from_the_command_to_their_files():
@@ -77,11 +68,3 @@ def test_following_the_wear_is_compared_with_a_fixed_mesh():
     assert 0.02 < fixed.wear[-1] < 0.03
     assert fixed.seconds > 0.0
     assert follow_the_wear.interior(case).sum() < 16
-
-
-@pytest.mark.parametrize("thickness", [1.0, 50.0])
-def test_coatings_of_any_thickness_wear_through_in_the_same_time(thickness):
-    case = follow_through_coatings.coated(thickness, 500.0)
-    assert case.layer_ends(0)[-1] == pytest.approx(1e-3 * thickness)
-    wear = [law.k / thickness for law in case.laws[0].laws]
-    assert wear == pytest.approx([2e-8 / 3.0, 1e-7 / 3.0])

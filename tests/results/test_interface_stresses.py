@@ -1,16 +1,13 @@
 """Stresses along interfaces: balances, neighbours inside, files, ranks, wear, doubts, pictures."""
 
 import csv
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from vtkhdf import last_state
 
 import ringwear_par as rw
-from ringwear_par.elasticity.stress.measures import SIDES, mises
-from ringwear_par.results.execution.run import run_case
+from ringwear_par.elasticity.stress.fields import SIDES, mises
 from ringwear_par.results.storage.export import export
 
 pytestmark = pytest.mark.serial
@@ -80,29 +77,7 @@ def test_a_soft_film_that_is_worn_through_in_places(comm):
     assert known[~under].all()
     force = found.stress.states[0].interfaces[0][0, 0, :, 2] @ areas(interface, 20.0)
     assert -force == pytest.approx(found.histories["force"][0], rel=2e-3)
-    if comm.rank == 0:
-        assert rw.plot(found, "section").axes
-        check_words_where_worn_through(found)
-
-
-def check_words_where_worn_through(found):
-    """In the middle of what is gone, of each panel; none while little of it is."""
-
-    def words(inner, outer):
-        state = found.stress.states[-1]
-        stress = found.stress.states[0].interfaces[0].copy()
-        r = found.stress.interfaces[0].r
-        stress[:, :, (r > inner) & (r < outer)] = np.nan
-        state = replace(state, interfaces=(stress, state.interfaces[1]))
-        changed = replace(found, stress=replace(found.stress, states=(state,)))
-        return [
-            [(text.get_text(), text.get_position()[0]) for text in axes.texts]
-            for axes in rw.plot(changed, "interfaces").axes
-        ]
-
-    assert words(29.0, 31.0) == [[("worn through", pytest.approx(30.0, abs=0.1))]] * 2
-    assert words(0.0, 40.0) == [[("worn through", pytest.approx(30.0, abs=0.1))]] * 2
-    assert words(28.5, 28.7) == [[], []]
+    assert rw.plot(found, "section,interfaces").axes
 
 
 def test_both_sides_share_tractions_only(result):
@@ -259,36 +234,6 @@ def test_stresses_that_are_left_out_are_in_files_tables_and_maps(through, tmp_pa
     with (tmp_path / "points.csv").open(newline="") as file:
         table = [float(row["mises (MPa)"]) for row in csv.DictReader(file)]
     np.testing.assert_array_equal(table, data.mises.values.ravel())
-    figure = rw.plot(through, "stress,mises", times="0, 60")
-    first, last = (axes.collections[0] for axes in figure.axes if axes.get_title())
-    r = through.stress.grid[0]
-    for drawn, state in ((first, through.stress.states[0]), (last, through.stress.states[-1])):
-        known = np.isfinite(state.grid[1:-1, 0, 0])
-        covered = [
-            any(path.contains_point((at, 19.9992)) for path in drawn.get_paths())
-            for at in r[1:-1].tolist()
-        ]
-        inside = known & np.roll(known, 1) & np.roll(known, -1)
-        assert np.array(covered)[inside].all()
-        assert not np.array(covered)[~known].any()
-
-
-@pytest.mark.ranks
-def test_points_of_layers_are_the_same_on_all_ranks(through):
-    stress = case_points(through)
-    alone = worn_through("fixed", 10.0, stress__points=stress, stress__grid=GRID)
-    for one, other in zip(alone.stress.states, through.stress.states, strict=True):
-        np.testing.assert_array_equal(one.points, other.points)
-        np.testing.assert_array_equal(one.grid, other.grid)
-        np.testing.assert_array_equal(one.surface, other.surface)
-    assert alone.doubts == through.doubts
-
-
-def case_points(result):
-    return [
-        [*place, side] if side else place
-        for place, side in zip(result.stress.points.tolist(), result.stress.sides, strict=True)
-    ]
 
 
 def test_points_in_material_that_is_worn_away_are_doubted():
@@ -306,41 +251,6 @@ def test_points_in_material_that_is_worn_away_are_doubted():
     assert doubted([shallow], stress__times=[0.0]) == []
     moved = worn_through("updated", 30.0, stress__points=[shallow]).doubts
     assert not [text for text in moved if "stress.points" in text]
-
-
-def test_a_restarted_run_doubts_what_the_whole_one_does(tmp_path, comm):
-    """Also where nothing is asked for after the restart."""
-    asked = ["stress.points=[[30, 19.9998]]", "stress.times=[50]", "wear.lower.p0=0",
-             "mesh.contact_elements=16", "time.step=10"]  # fmt: skip
-    paper, short, whole = (
-        Path("scripts/cases/paper.toml"),
-        tmp_path / "short.h5",
-        tmp_path / "whole.h5",
-    )
-    run_case(paper, whole, [*asked, "time.steps=12"], comm=comm)
-    run_case(paper, short, [*asked, "time.steps=8"], comm=comm)
-    run_case(paper, short, [*asked, "time.steps=12"], comm=comm, restart=True)
-    found = rw.open_result(short)
-    assert found.doubts == rw.open_result(whole).doubts
-    assert any("stress.points[0]" in text for text in found.doubts)
-
-
-def test_a_grid_that_wear_goes_through(tmp_path):
-    """Files for ParaView have its points while any state has; else nothing is left to export."""
-    grid = {"body": "lower", "r": [29.0, 31.0], "z": [19.9985, 19.9995], "n": [5, 4]}
-    found = worn_through("fixed", 30.0, stress__grid=grid)
-    export(found, tmp_path / "a.vtkhdf", stress=True)
-    data = last_state(tmp_path / "a.vtkhdf")
-    assert len(data["mises"]) == 20
-    assert np.isnan(data["mises"]).all()
-    assert np.isfinite(found.stress.states[0].grid).all()
-    (axes, *_) = rw.plot(found, "stress", times="180").axes
-    assert "worn through" in [text.get_text() for text in axes.texts]
-    assert "worn faces" not in axes.get_title()
-    late = worn_through("fixed", 30.0, stress__grid=grid, stress__times="last")
-    with pytest.raises(rw.InputError, match=r"nothing of stress\.grid is left"):
-        export(late, tmp_path / "b.vtkhdf", stress=True)
-    assert not (tmp_path / "b.vtkhdf").exists()
 
 
 @pytest.mark.parametrize("geometry", ["fixed", "updated"])
@@ -421,10 +331,3 @@ def test_exports(result, tmp_path):
     for name, more in (("a.csv", {"fields": True}), ("a.vtkhdf", {"stress": True})):
         with pytest.raises(rw.InputError, match="--interfaces"):
             export(result, tmp_path / name, interfaces=True, **more)
-
-
-def test_the_page_of_a_run_has_them(result, tmp_path):
-    result.save(tmp_path / "run.h5")
-    rw.report(tmp_path / "run.h5", tmp_path / "run.html")
-    text = (tmp_path / "run.html").read_text()
-    assert "tractions along interfaces" in text[text.index(">Stress inside</h2>") :]

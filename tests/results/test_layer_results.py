@@ -1,7 +1,6 @@
 """Results of bodies with layers: variables, words, tables, pictures, sweeps."""
 
 import csv
-import itertools
 from dataclasses import replace
 
 import h5py
@@ -15,9 +14,7 @@ from ringwear_par.arrays import share
 from ringwear_par.pictures.figures import plot
 from ringwear_par.reports.run_page import profiles, worn_table
 from ringwear_par.results.key_numbers import key_numbers
-from ringwear_par.results.layer_ends import worn_through
 from ringwear_par.results.storage.export import export
-from ringwear_par.results.unit_suspicions import unit_suspicions
 
 CASE = CASES / "wear_through.toml"
 LAYER = {"thickness": 0.003, "young": 10e3, "poisson": 0.3}
@@ -158,11 +155,6 @@ def test_densities_of_layers_are_stored(tmp_path):
             rw.open_result(tmp_path / "run.h5")
 
 
-def test_a_layer_denser_than_any_material_is_doubted():
-    (doubt,) = unit_suspicions(rw.read_case(CASE, {"lower.layers[0].density": 1.2}))
-    assert doubt.text.startswith("lower.layers[0].density = 1.2 g/mm3 is denser than any material")
-
-
 def test_shares_are_one_at_most():
     """Of all elements exactly 1, whatever they round to, in one history and in several."""
     rng = np.random.default_rng(1)
@@ -172,17 +164,6 @@ def test_shares_are_one_at_most():
         for found in (share(area, which), np.array([share(area, row) for row in which])):
             np.testing.assert_allclose(found, which @ area / area.sum(), rtol=1e-12)
             assert found.max() == found[2] == 1.0
-
-
-@pytest.mark.parametrize("n", [16, 18, 22, 30])
-def test_all_that_is_worn_through_is_a_share_of_one(n):
-    film = {**LAYER, "thickness": 1e-4}
-    case = rw.read_case(CASE, {"lower.layers": [film], **SMALL, "mesh.contact_elements": n})
-    alone, (other, _) = rw.simulate(case, MPI.COMM_SELF), rw.simulate_all([case, case])
-    for found in (alone, other):
-        assert found.layers["layer_left_lower"][-1].max() == 0.0
-        assert found.layers["share_through_lower"][-1] == 1.0
-        assert worn_through(found, "lower")[-1].share == 1.0
 
 
 def test_a_worn_layer_of_another_modulus_is_a_doubt(result):
@@ -222,62 +203,6 @@ def test_layers_in_tables_and_pictures(result, tmp_path):
     assert plot(light, "through").axes[0].get_ylim() == (0.0, 100.0)
     with pytest.raises(rw.InputError, match="through needs a body with layers"):
         plot(plain, "through")
-
-
-@pytest.mark.serial
-@pytest.mark.parametrize(
-    ("times", "labels"),
-    [(1.0, ["layer 0", "layer 1"]), (100.0, ["layers 0, 1", "layer 0"])],
-)
-def test_labels_of_layers_do_not_overprint(result, times, labels):
-    """Where wear is much deeper, here of both bodies, also on the scale of another result."""
-    deep = replace(result, profiles={
-        name: times * (result.profiles["wear_lower"] if name.startswith("wear") else values)
-        if times > 1.0 else values
-        for name, values in result.profiles.items()
-    })  # fmt: skip
-    panels = [plot(deep, "wear"), plot([deep, result], "wear")]
-    for figure, count in zip(panels, (1, 2), strict=True):
-        figure.draw_without_rendering()
-        first = figure.axes[0]
-        assert [
-            text.get_text().strip() for text in first.texts if "lay" in text.get_text()
-        ] == labels
-        for axes in figure.axes[:count]:
-            boxes = [t.get_window_extent() for t in axes.texts if "lay" in t.get_text()]
-            assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
-
-
-@pytest.mark.serial
-def test_sweeps_over_thicknesses_and_laws_of_layers(tmp_path):
-    study = {
-        "case": {**rw_tables(), **SMALL},
-        "vary": {
-            "lower.layers[0].thickness": {"values": ["0.5 um", 0.003]},
-            "lower.layers[0].wear.k": {"log": [1e-8, 4e-8], "count": 2},
-        },
-        "design": {"method": "grid"},
-    }
-    rw.sweep(rw.read_study(study), tmp_path / "out", MPI.COMM_SELF)
-    data = rw.open_ensemble(tmp_path / "out")
-    thickness, k = (data[f"lower.layers[0].{name}"].values for name in ("thickness", "wear.k"))
-    assert sorted(set(thickness)) == [5e-4, 3e-3]
-    assert data["lower.layers[0].thickness"].attrs["units"] == "mm"
-    for i in range(4):
-        case = rw.read_case(study["case"]).replace(
-            {"lower.layers[0].thickness": thickness[i], "lower.layers[0].wear.k": k[i]}
-        )
-        alone = rw.simulate(case, MPI.COMM_SELF)
-        for name in ("share_through_lower", "layer_left_lower"):
-            np.testing.assert_allclose(data[name][i], alone.layers[name], atol=1e-9, err_msg=name)
-
-
-def rw_tables():
-    """The case without its comments, by dotted keys."""
-    from ringwear_par.cases.files.keys import read_keys
-
-    keys = read_keys(CASE.read_text())
-    return {path: value for path, value in keys.items() if path != "time.end"}
 
 
 def test_soft_films_that_do_not_yield_to_volume_are_doubted():

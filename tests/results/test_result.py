@@ -1,18 +1,13 @@
 """Results in memory: the dataset of their file, bit for bit; saved, opened, light to import."""
 
-import errno
 import json
-import os
 import pickle
-import subprocess
-import sys
 from dataclasses import replace
 
 import h5py
 import numpy as np
 import pytest
 import xarray
-from commands import SHELL_ENVIRONMENT
 from last_states import with_last_pressure
 from mpi4py import MPI
 from paths import CASES, PAPER
@@ -20,14 +15,12 @@ from stored import contents
 
 import ringwear_par as rw
 from ringwear_par.cases.case import Stepping
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import InputError
 from ringwear_par.results.execution import run as driver
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.key_numbers import by_name, check_numbers, key_numbers
 from ringwear_par.results.storage.boundaries import BOUNDARY_FIELDS
-from ringwear_par.results.storage.checkpoints import restored
-from ringwear_par.results.storage.export import export
-from ringwear_par.results.storage.result_files import open_result, read_status
+from ringwear_par.results.storage.result_files import open_result
 from ringwear_par.results.variables import (
     EDGE_ELEMENT,
     ELEMENT,
@@ -37,6 +30,8 @@ from ringwear_par.results.variables import (
     STEP,
     STEPS_MADE,
 )
+
+pytestmark = pytest.mark.serial
 
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 FIELDS = ["mesh.contact_elements=16", "time.end=20", "output.times=[5, 10]"]
@@ -69,6 +64,7 @@ def computed(shared_path, comm, monkeypatch):
     return run
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("case", "words"),
     [
@@ -101,7 +97,6 @@ def test_the_dataset_is_that_of_the_file(computed, comm, case, words):
     assert set(stored.coords) == {"step", "element", "time", "r", "width"}
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("extra", [[], ["mesh.geometry=updated", "wear.lower.k=1e-6"]])
 def test_saved_and_opened_it_is_the_same(computed, shared_path, comm, extra):
     path, result = computed("fields.toml", [*FIELDS, *extra])
@@ -127,51 +122,6 @@ def test_saved_and_opened_it_is_the_same(computed, shared_path, comm, extra):
     assert balances["force"] < 1e-10
 
 
-@pytest.mark.serial
-def test_a_result_without_checkpoint_is_one_all_the_same(computed, shared_path, comm):
-    _, result = computed("paper.toml", [*SMALL, "output.every=6"])
-    if comm.rank > 0:
-        return
-    path = shared_path / "lean.h5"
-    replace(result, checkpoint=None).save(path)
-    assert read_status(path) == ("complete", 20)
-    again = open_result(path)
-    assert np.array_equal(again.line.edges, result.line.edges)
-    xarray.testing.assert_identical(again.to_xarray(), result.to_xarray())
-    with pytest.raises(InputError, match=r"lean.h5: holds no state to go on from"):
-        restored(again)
-
-
-@pytest.mark.serial
-def test_saving_where_it_cannot_be(computed, shared_path, comm, monkeypatch):
-    _, result = computed("paper.toml", SMALL)
-    if comm.rank > 0:
-        return
-    with pytest.raises(InputError, match=r"its folder .* does not exist"):
-        result.save(shared_path / "no" / "run.h5")
-    with pytest.raises(InputError, match="is a folder"):
-        result.save(shared_path)
-
-    def full(*_, **__):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    target = shared_path / "full.h5"
-    monkeypatch.setattr(os, "pwrite", full)
-    with pytest.raises(ComputationError, match=r"full.h5: .*No space left"):
-        result.save(target)
-    assert [p.name for p in shared_path.iterdir()] == ["run.h5"]
-
-
-@pytest.mark.serial
-def test_without_xarray(computed, comm, monkeypatch):
-    _, result = computed("paper.toml", SMALL)
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    if comm.rank == 0:
-        with pytest.raises(InputError, match=r"needs the Python package xarray; pip install"):
-            result.to_xarray()
-
-
-@pytest.mark.serial
 @pytest.mark.parametrize("words", [["output.boundary=all"], ["output.boundary=last"], []])
 def test_all_groups_open_as_a_tree(computed, comm, words):
     """Also with warnings as errors, so without axes that have no name."""
@@ -209,43 +159,7 @@ def test_damaged_files_are_one_sentence(computed, comm):
         open_result(path)
 
 
-def test_results_in_memory_are_exported(computed, comm, tmp_path):
-    path, result = computed("fields.toml", FIELDS)
-    if comm.rank > 0:
-        return
-    export(result, tmp_path / "a.csv")
-    export(path, tmp_path / "file.csv")
-    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "file.csv").read_bytes()
-    for name, run in (("a", result), ("file", path)):
-        export(run, tmp_path / f"{name}.vtkhdf")
-    with h5py.File(tmp_path / "a.vtkhdf") as own, h5py.File(tmp_path / "file.vtkhdf") as read:
-        assert np.array_equal(own["VTKHDF/Points"], read["VTKHDF/Points"])
-        assert np.array_equal(own["VTKHDF/CellData/pressure"], read["VTKHDF/CellData/pressure"])
-
-
-LIGHT = """
-import sys
-from ringwear_par.pictures.figures import plot
-from ringwear_par.results.storage.result_files import open_result
-
-result = open_result(sys.argv[1])
-plot([result, sys.argv[1]], "wear,penetration,pressure,section")
-result.to_xarray()
-heavy = {"mpi4py.MPI", "petsc4py", "petsc4py.PETSc", "numba"} & set(sys.modules)
-assert not heavy, heavy
-"""
-
-
-@pytest.mark.serial
-def test_opening_and_drawing_start_neither_mpi_nor_petsc_nor_numba(computed):
-    path, _ = computed("fields.toml", FIELDS)
-    environment = {**SHELL_ENVIRONMENT, "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run(
-        [sys.executable, "-c", LIGHT, str(path)], env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-
-
+@pytest.mark.ranks
 def test_results_travel_to_other_processes(shared_path, comm):
     result = rw.simulate(rw.read_case(PAPER, {"mesh.contact_elements": 8, "time.steps": 2}), comm)
     again = pickle.loads(pickle.dumps(result))
@@ -321,16 +235,6 @@ def test_the_largest_pressure_says_when_it_is_of_an_edge_element(computed, comm)
         words = "(at the edge of contact, where it may be off by 28 %)"
         assert words in changed.summary(verbose=True)
         assert words not in result.summary(verbose=True)
-
-
-def test_faces_apart_have_no_largest_pressure(computed, comm):
-    _, result = computed("paper.toml", SMALL)
-    if comm.rank == 0:
-        apart = with_last_pressure(result, np.zeros(16))
-        assert "elements in contact 0 (of 16: the faces do not touch)" in apart.summary(
-            verbose=True
-        )
-        assert not {"largest_pressure", "worn_off", "elastic"} & by_name(key_numbers(apart)).keys()
 
 
 def test_the_numbers_of_a_run_are_data(computed, comm):

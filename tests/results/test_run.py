@@ -10,10 +10,10 @@ from paths import PAPER
 import ringwear_par as rw
 from ringwear_par import read_case, simulate
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage.result_files import open_result, read_status
-from ringwear_par.studies.execution.batches import computed
+
+pytestmark = pytest.mark.serial
 
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 #: wears half of the lower body off after some steps
@@ -37,32 +37,35 @@ def interrupted(shared_path, comm, stopped_after):
     return path
 
 
+@pytest.mark.ranks
 def test_a_failed_run_says_why_and_is_replaced(failed, comm):
     assert "more than half of its height" in open_result(failed).attributes["error"]
+    assert "warning: failed after step" in open_result(failed).summary().splitlines()[0]
     assert read_status(failed)[0] == "incomplete"
     run_case(PAPER, failed, SMALL, comm=comm)
     assert read_status(failed) == ("complete", 20)
     assert open_result(failed).attributes["error"] == ""
 
 
-def test_a_failed_run_does_not_go_on_as_another_case(failed, comm):
-    with pytest.raises(InputError, match="holds another case"):
-        run_case(PAPER, failed, SMALL, comm=comm, restart=True)
-
-
-def test_an_interrupted_run_is_kept(interrupted, comm):
-    with pytest.raises(InputError, match=r"after step 7; --restart continues it, --overwrite"):
-        run_case(PAPER, interrupted, SMALL, comm=comm)
-    with pytest.raises(InputError, match=r"one of another case, and --overwrite replaces it"):
-        run_case(PAPER, interrupted, [*SMALL, "wear.lower.k=2e-7"], comm=comm)
+@pytest.mark.ranks
+def test_an_interrupted_run_is_kept_until_it_is_said_what_becomes_of_it(interrupted, comm):
+    other = [*SMALL, "wear.lower.k=2e-7"]
+    for keys, how, said in (
+        (SMALL, {}, "after step 7; --restart continues it, --overwrite"),
+        (other, {}, "one of another case, and --overwrite replaces it"),
+        (other, {"restart": True}, "holds another case"),
+        (SMALL, {"restart": True, "overwrite": True}, "--restart, --overwrite: must be one of"),
+    ):
+        with pytest.raises(InputError, match=said):
+            run_case(PAPER, interrupted, keys, comm=comm, **how)
     assert read_status(interrupted) == ("incomplete", 7)
-
-
-def test_an_interrupted_run_is_overwritten_if_that_is_said(interrupted, comm):
-    run_case(PAPER, interrupted, [*SMALL, "wear.lower.k=2e-7"], comm=comm, overwrite=True)
+    told = open_result(interrupted).summary().splitlines()[0]
+    assert told == "warning: stopped after step 7 of 20: ringwear run --restart continues it"
+    run_case(PAPER, interrupted, other, comm=comm, overwrite=True)
     assert read_status(interrupted) == ("complete", 20)
 
 
+@pytest.mark.ranks
 def test_a_case_file_is_never_overwritten(shared_path, comm):
     path = shared_path / "case.toml"
     if comm.rank == 0:
@@ -71,11 +74,6 @@ def test_a_case_file_is_never_overwritten(shared_path, comm):
     with pytest.raises(InputError, match="is the case file itself"):
         run_case(path, path, SMALL, comm=comm, overwrite=True)
     assert path.read_text() == PAPER.read_text()
-
-
-def test_going_on_and_starting_anew_exclude_each_other(interrupted, comm):
-    with pytest.raises(InputError, match="--restart, --overwrite: must be one of them"):
-        run_case(PAPER, interrupted, SMALL, comm=comm, overwrite=True, restart=True)
 
 
 def test_what_makes_an_answer_doubtful_is_stored(shared_path, comm, capsys):
@@ -98,22 +96,6 @@ def test_a_number_in_another_unit_is_doubted_once(shared_path, comm, capsys, cap
     if comm.rank == 0:
         assert capsys.readouterr().out.count("lower.young = 2.1e+11 MPa is stiffer") == 1
         assert "young" not in caplog.text
-
-
-def test_a_number_in_another_unit_is_doubted_where_there_is_no_summary(shared_path, comm, caplog):
-    with pytest.raises(ComputationError, match="half of its height"):
-        run_case(PAPER, shared_path / "run.h5", [*TOO_MUCH, *IN_PASCALS], comm=comm)
-    if comm.rank == 0:
-        assert caplog.text.count("lower.young = 2.1e+11 MPa is stiffer") == 1
-
-
-def test_the_summary_of_a_stopped_run_says_so_first(interrupted):
-    told = open_result(interrupted).summary().splitlines()[0]
-    assert told == "warning: stopped after step 7 of 20: ringwear run --restart continues it"
-
-
-def test_the_summary_of_a_failed_run_says_why_first(failed):
-    assert "warning: failed after step" in open_result(failed).summary().splitlines()[0]
 
 
 def test_the_summary_leads_with_the_answer_and_ends_with_checks(shared_path, comm, capsys):
@@ -140,14 +122,6 @@ def test_the_summary_leads_with_the_answer_and_ends_with_checks(shared_path, com
         assert file.attrs["law_upper"] == ""
 
 
-def test_the_summary_tells_when_the_error_of_a_step_is_largest(comm, interrupted):
-    """Also where the run has gone on since."""
-    run_case(PAPER, interrupted, SMALL, comm=comm, restart=True)
-    *_, last = open_result(interrupted).summary(verbose=True).splitlines()
-    assert "of the worst single step " in last
-    assert " um (in the step to t = 1 s). This is not the error of the result: compare" in last
-
-
 def test_the_summary_tells_what_the_error_of_time_stepping_is_of(comm):
     case = read_case(PAPER, [*SMALL, "time.scheme=adaptive", "time.tolerance=2e-5"])
     told = simulate(case, comm).summary(verbose=True)
@@ -160,23 +134,7 @@ def test_the_summary_tells_what_the_error_of_time_stepping_is_of(comm):
     assert re.search(r"of the whole history [\d.]+ um\. The error", changed)
 
 
-def test_the_summary_names_closing_contact_where_elements_close(comm):
-    """Alone and in lock step."""
-    case = read_case(PAPER.with_name("crown.toml"), {"mesh.contact_elements": 24, "time.end": 20.0})
-    told = "The errors of the mesh and of elements that come into contact are not included."
-    alone = simulate(case, comm)
-    assert told in alone.summary(verbose=True)
-    (together,) = computed([case], assemble(case, comm), results=True)
-    (same,) = together.results()
-    assert told in same.summary(verbose=True)
-
-
-def test_the_summary_says_that_nothing_wears(comm):
-    case = read_case(PAPER, [*SMALL, "time.steps=1"])
-    result = simulate(replace(case, wear_lower=None), comm)
-    assert "nothing wears" in result.summary(verbose=True).splitlines()
-
-
+@pytest.mark.ranks
 def test_a_failure_at_a_time_of_output_leaves_no_row_twice(shared_path, comm, monkeypatch):
     """Neither in the file of the failed run, nor after it has been gone on with."""
     from ringwear_par.history.loop import METHODS

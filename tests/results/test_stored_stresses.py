@@ -1,7 +1,6 @@
 """Stresses in results: files, ranks, restarts, geometry that follows the wear, the summary."""
 
 import csv
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +8,8 @@ from last_states import with_last_pressure
 from vtkhdf import last_state
 
 import ringwear_par as rw
-from ringwear_par.cases.stress import Stress
-from ringwear_par.elasticity.stress.measures import COMPONENTS, max_shear, mises, principal
+from ringwear_par.elasticity.stress.fields import COMPONENTS, max_shear, mises, principal
 from ringwear_par.elasticity.stress.recovery import StressRecovery
-from ringwear_par.history.validity.case_limits import stress_numbers
 from ringwear_par.results.storage.export import export
 
 pytestmark = pytest.mark.serial
@@ -80,28 +77,6 @@ def test_variables_and_file(tmp_path):
     assert (data.max_mises.values >= np.nanmax(data.mises.values[:, [0, 2]], axis=1)).all()
 
 
-def test_points_tell_their_side_of_an_interface(tmp_path):
-    """In the order of the case; with the stresses that the interface has on that side."""
-    layer = {"thickness": 0.1, "young": 1e5, "poisson": 0.3}
-    plain = case_of(lower__layers=[layer], stress__times="last", stress__points=[[30.0, 19.0]])
-    of = rw.simulate(plain).stress
-    k = len(of.interfaces[0].r) // 2
-    r, z = of.interfaces[0].r[k], 19.9
-    points = [[r, z, "below"], [30.0, 19.0], [r, z, "above"], [30.0, 20.0, "above"]]
-    result = rw.simulate(plain.replace({"stress.points": points}))
-    data = result.to_xarray()
-    assert data.stress.point_side.values.tolist() == ["below", "", "above", "above"]
-    for side in ("above", "below"):
-        own = data.stress.where((data.point_side == side) & (data.point_z == z), drop=True)
-        along = data.interface_stress_lower.sel(side=side).isel(interface_element_lower=k)
-        np.testing.assert_allclose(own.squeeze(), along.squeeze(), rtol=1e-9, atol=1e-9)
-    export(result, tmp_path / "points.csv", stress=True)
-    with (tmp_path / "points.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["side"] for row in rows] == ["below", "", "above", "above"]
-    assert [float(row["mises (MPa)"]) for row in rows] == data.mises.values[0].tolist()
-
-
 @pytest.mark.ranks
 def test_the_same_on_all_ranks(comm):
     from mpi4py import MPI
@@ -113,7 +88,7 @@ def test_the_same_on_all_ranks(comm):
 
 
 @pytest.mark.ranks
-@pytest.mark.parametrize("times", ["last", "all", [0.0, 60.0]])
+@pytest.mark.parametrize("times", ["last", [0.0, 60.0]])
 def test_many_cases_share_what_is_integrated(times, comm, monkeypatch):
     """Same bits in whatever company; those of single runs to round-off; one of them stays alone."""
     made, integrated = [], StressRecovery._integrated
@@ -138,8 +113,9 @@ def test_many_cases_share_what_is_integrated(times, comm, monkeypatch):
             np.testing.assert_allclose(a.grid, b.grid, rtol=1e-8, atol=1e-8)
 
 
-@pytest.mark.parametrize("times", ["last", "all", [0.0, 60.0]])
-@pytest.mark.parametrize("geometry", ["fixed", "updated"])
+@pytest.mark.parametrize(
+    ("times", "geometry"), [("last", "fixed"), ("all", "updated"), ([0.0, 60.0], "fixed")]
+)
 def test_a_run_gone_on_with_has_the_same(times, geometry, tmp_path):
     from ringwear_par.cli import main
 
@@ -218,24 +194,6 @@ def test_hertz_like_crown_has_its_largest_stress_inside():
     assert not any("stress.exclude" in doubt for doubt in result.doubts)
 
 
-def test_memory_counts_points_and_states():
-    case = case_of(stress__times="all")
-    (few, rows), (many, more) = (
-        stress_numbers(c) for c in (case, case.replace({"stress.grid.n": [100, 100]}))
-    )
-    assert many - few == 100 * 100 - 9 * 7
-    assert more > rows > 0
-    assert stress_numbers(case.replace({"stress.times": "last"}))[1] < rows
-
-
-def test_keys_of_stress_do_not_vary():
-    with pytest.raises(rw.InputError, match=r"study: stress.exclude: must not vary; what"):
-        rw.read_study({
-            "case": "scripts/cases/paper.toml",
-            "vary": {"stress.exclude": {"values": [0.1, 0.2]}},
-        })  # fmt: skip
-
-
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory, comm):
     path = tmp_path_factory.mktemp("stresses") / "run.h5"
@@ -274,53 +232,7 @@ def test_pictures_show_what_is_stored(stored, tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 3000
 
 
-@pytest.mark.parametrize(
-    ("r", "z"),
-    [((26.5, 33.5), (19.98, 20.0)), ((24.5, 35.5), (19.8, 20.0)), ((28.0, 32.0), (19.0, 21.0)),
-     ((28.4, 28.6), (19.0, 21.0))],
-)  # fmt: skip
-def test_maps_are_neither_lines_nor_strips(r, z):
-    """Where they would be, one side has a scale of its own; titles tell all, as it is drawn."""
-    result = rw.simulate(case_of(stress__grid={"r": list(r), "z": list(z), "n": [9, 7]}))
-    figure = rw.plot(result, "stress,depth")
-    axes, _, depth = figure.axes
-    width, height = np.ptp(r), np.ptp(z)
-    assert 0.25 <= axes.get_aspect() * height / width <= 4.0
-    title = axes.get_title().splitlines()[1].replace("\N{MULTIPLICATION SIGN}", "")
-    told = {words.rpartition(" ")[0]: float(words.split()[-1]) for words in title.split(", ")}
-    assert told.get("heights", 1.0) / told.get("radii", 1.0) == pytest.approx(axes.get_aspect())
-    (face,) = axes.lines
-    drawn, wear = 20.0 - face.get_ydata(), result.profiles["wear_lower"][-1]
-    np.testing.assert_allclose(
-        told.get("heights", 1.0) * drawn, told["worn faces"] * wear, rtol=1e-6, atol=1e-9
-    )
-    assert drawn.max() >= wear.max() * (1.0 - 1e-9)  # not less than the scale of heights shows
-    figure.draw_without_rendering()
-    for axis in (axes.xaxis, axes.yaxis, depth.yaxis):
-        assert axis.get_major_formatter().get_offset() == ""
-        low, high = sorted(axis.get_view_interval())
-        texts = {tick: text.get_text() for tick, text in zip(axis.get_ticklocs(),
-                 axis.get_ticklabels(), strict=True) if low <= tick <= high}  # fmt: skip
-        assert all(float(text) == pytest.approx(tick) for tick, text in texts.items())
-        assert len(set(texts.values())) == len(texts) >= 3
-    assert depth.get_xlim()[1] > 1.01 * np.nanmax(depth.lines[0].get_xdata())
-
-
-def test_pictures_of_what_is_not_stored_are_refused(tmp_path):
-    bare = rw.simulate(case_of(time__steps=1).replace({"stress": None}))
-    points = rw.simulate(case_of(stress__grid=None, time__steps=1))
-    for panel in ("stress", "depth", "mises"):
-        with pytest.raises(rw.InputError, match=r"holds no stresses; must .* \[stress\]"):
-            rw.plot(bare, panel)
-    with pytest.raises(rw.InputError, match=r"at points only; must be computed with stress.grid"):
-        rw.plot(points, "stress")
-    assert rw.plot(points, "mises").axes[0].lines
-
-
 def test_exports(stored, tmp_path):
-    import csv
-
-    from ringwear_par.results.storage.export import export
 
     result = rw.open_result(stored)
     state = result.stress.states[-1]
@@ -346,22 +258,6 @@ def test_exports(stored, tmp_path):
     assert list(map(float, rows[-1][4:10])) == state.points[-1].tolist()
 
 
-@pytest.mark.parametrize(
-    ("name", "more", "said"),
-    [
-        ("a.vtk", {}, "its ending must be one of .vtkhdf, .csv"),
-        ("a.vtkhdf", {"segments": 8}, "without --revolve"),
-        ("a.csv", {"fields": True}, "without --revolve, --scale, --fields"),
-    ],
-)
-def test_exports_that_cannot_be(stored, tmp_path, name, more, said):
-    from ringwear_par.results.storage.export import export
-
-    with pytest.raises(rw.InputError, match=said):
-        export(stored, tmp_path / name, stress=True, **more)
-    assert not list(tmp_path.iterdir())
-
-
 def test_the_page_of_a_run_has_them(stored, tmp_path):
     page = tmp_path / "run.html"
     rw.report(stored, page)
@@ -370,26 +266,6 @@ def test_the_page_of_a_run_has_them(stored, tmp_path):
     assert "data:image/png;base64," in section
     state = rw.open_result(stored).stress.states[-1]
     assert f"<td>{state.largest[0].mises:.5g}</td>" in section
-
-
-def test_stresses_of_a_coated_ring(tmp_path):
-    coated = case_of(
-        lower__layers=[{"thickness": 0.3, "young": 1e5, "poisson": 0.3}], stress__times="all",
-        stress__points=[[30.0, 19.7, "above"], [30.0, 19.7, "below"]], time__steps=2,
-    )  # fmt: skip
-    result = rw.simulate(coated)
-    result.save(tmp_path / "run.h5")
-    same(rw.open_result(tmp_path / "run.h5"), result)
-    for state in result.stress.states:
-        above, below = state.points
-        assert above[[2, 3, 5]] == pytest.approx(below[[2, 3, 5]], abs=1e-9)
-        assert abs(above[0] - below[0]) > 5.0
-        assert state.largest[0].layer == 0
-    data = result.to_xarray()
-    assert data.max_mises_lower_layer.values.tolist() == [0, 0, 0]
-    map_axes, depth = rw.plot(result, ["stress", "depth"]).axes[::2]
-    assert len(map_axes.collections) >= 3  # the layer, what is below, and upper
-    assert len(depth.lines[0].get_ydata()) == 7 + 3
 
 
 def test_stresses_beside_the_contact_converge(comm):
@@ -401,12 +277,6 @@ def test_stresses_beside_the_contact_converge(comm):
         case = rw.read_case("scripts/cases/paper.toml", {**changes, "stress.points": beside})
         found[n] = mises(rw.simulate(case, comm).stress.states[-1].points)
     np.testing.assert_allclose(found[64], found[128], rtol=0.01)
-
-
-def test_points_of_a_case_that_was_not_read_are_checked():
-    case = replace(case_of(), stress=Stress(points=((50.0, 1.0, ""),)))
-    with pytest.raises(rw.InputError, match=r"stress\.points\[0\] = \[50\.0, 1\.0\]: lies outside"):
-        rw.simulate(case)
 
 
 def test_the_largest_of_each_layer(tmp_path):

@@ -54,16 +54,17 @@ def set_trap(path, law, told):
             file.attrs["user_laws"] = json.dumps({"lower": law.read_text()})
 
 
-@pytest.mark.parametrize("told", [False, True])
 @pytest.mark.parametrize(
-    "words",
+    ("told", "words"),
     [
-        ["run", PAPER, "-o", "run.h5", *SMALL, "--restart"],
-        ["run", PAPER, "-o", "run.h5", *SMALL],
-        ["plot", "run.h5", "-o", "a.png", "--panels", "wear,penetration,pressure"],
-        ["plot", "run.h5", "other.h5", "-o", "a.png"],
-        ["export", "run.h5", "-o", "a.csv"],
-        ["run", PAPER, "-o", "run.h5", *SMALL, "--overwrite"],
+        (False, ["run", PAPER, "-o", "run.h5", *SMALL, "--restart"]),
+        (True, ["run", PAPER, "-o", "run.h5", *SMALL, "--restart"]),
+        (True, ["run", PAPER, "-o", "run.h5", *SMALL]),
+        (True, ["plot", "run.h5", "-o", "a.png", "--panels", "wear,penetration,pressure"]),
+        (True, ["plot", "run.h5", "other.h5", "-o", "a.png"]),
+        (True, ["export", "run.h5", "-o", "a.csv"]),
+        (True, ["report", "run.h5", "-o", "a.html"]),
+        (True, ["run", PAPER, "-o", "run.h5", *SMALL, "--overwrite"]),
     ],
 )
 def test_a_law_that_only_a_result_file_names_is_not_run(
@@ -204,12 +205,3 @@ def test_any_title_is_drawn_and_printed(run, title, tmp_path):
     other = tmp_path / "$a_$.h5"
     other.write_bytes(run.read_bytes())
     rw.plot([result, other], "penetration").savefig(tmp_path / "a.png")
-
-
-def test_results_that_differ_in_a_table_are_labelled(run, tmp_path):
-    other = tmp_path / "other.h5"
-    with_table = ["--set", "wear.lower.k={ r = [[28, 1e-7], [32, 2e-7]] }", *SMALL[1:]]
-    assert main(["run", PAPER, "-o", str(other), *with_table]) == 0
-    (axes,) = rw.plot([run, other], "penetration").axes
-    told = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert told == ["k = 1e-07 1/MPa", "k = profile of 2 radii"]

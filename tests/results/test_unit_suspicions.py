@@ -6,7 +6,6 @@ from paths import CASES, PAPER
 
 import ringwear_par as rw
 from ringwear_par.history.loop import simulate_one
-from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.unit_suspicions import unit_suspicions
 
 LAYERED = CASES / "wear_through.toml"
@@ -48,17 +47,6 @@ def test_a_k_in_another_unit_is_doubted(law, k, most):
     assert "1/MPa is a specific wear rate of " in text
     assert "more than that of any material in dry sliding, 0.1; if it is in mm3/(N m), " in text
     assert text.endswith(' mm3/(N m)"')
-
-
-def test_a_k_at_the_start_is_doubted_by_itself():
-    wear = {"law": "running-in", "k": 1e-7, "k_start": 0.1, "depth": 1.0}
-    found = told(LAYERED, **{f"wear.lower.{name}": value for name, value in wear.items()})
-    assert found.keys() == {"wear.lower.k_start"}
-
-
-def test_a_k_of_a_layer_is_doubted_by_its_own_name():
-    (text,) = told(LAYERED, **{"lower.layers[0].wear.k": 0.1}).values()
-    assert text.startswith("lower.layers[0].wear.k = 0.1 1/MPa is a specific wear rate of 10 mm3")
 
 
 PAPER = PAPER
@@ -108,14 +96,6 @@ def test_each_law_forecasts_the_wear_at_the_mean_pressure(law, key):
                 **{f"wear.lower.{k}": v for k, v in law.items()}) == {}  # fmt: skip
 
 
-def test_wear_through_a_slow_layer_is_not_that_of_the_body():
-    """The body's k would wear off all of it, but for the layer."""
-    layer = {"thickness": 0.1, "young": 1e4, "poisson": 0.3, "wear": {"law": "archard", "k": 1e-12}}
-    keys = washer(1e-6, 8.0)
-    assert set(told(PAPER, **keys)) == {"wear.lower.k"}
-    assert told(PAPER, **keys, **{"lower.layers": [layer]}) == {}
-
-
 @pytest.mark.serial
 @pytest.mark.parametrize("scheme", ["adaptive", "implicit"])
 def test_a_run_that_fails_by_deep_wear_asks_for_the_unit(scheme):
@@ -140,16 +120,6 @@ def test_much_wear_is_one_warning_that_asks_for_the_unit():
     assert "more than 5 % of a body's height" in text
     assert text.endswith('if it is in mm3/(N m), write "1.2e-06 mm3/(N m)"')
     assert result.to_dict()["warnings"].count(text) == 1
-
-
-@pytest.mark.serial
-def test_a_run_that_fails_asks_for_a_unit_once(tmp_path, caplog):
-    keys = washer(1.2e-6, 10.0) | {"mesh.contact_elements": 12, "lower.young": 2.1e11}
-    (tmp_path / "case.toml").write_text(rw.read_case(PAPER, keys).text)
-    with pytest.raises(rw.ComputationError, match=r"wear\.lower\.k = 1\.2e-06 is in 1/MPa"):
-        run_case(tmp_path / "case.toml", tmp_path / "run.h5", comm=MPI.COMM_SELF)
-    assert "wear.lower.k" not in caplog.text
-    assert caplog.text.count("lower.young = 2.1e+11 MPa is stiffer") == 1
 
 
 def soft(young, poisson, pressure):

@@ -191,16 +191,3 @@ def test_a_law_that_raises_for_all_fails_its_own_case_only(case):
     good = [i for i in range(5) if i != 2]
     for i, one in zip(good, simulate_all([cases[i] for i in good], ALONE), strict=True):
         equal(found[i], one)
-
-
-def test_those_that_are_told_to_stop_are_thrown_away(case):
-    asked = []
-
-    def stop():
-        asked.append(None)
-        return len(asked) > 12
-
-    cases = [case.replace({"wear.lower.k": 1e-7 * (1 + i)}) for i in range(8)]
-    blocks = list(computed(cases, assemble(case, ALONE), batch=1, stop=stop))
-    assert sum(len(block.numbers) for block in blocks) < 8
-    assert len(asked) == 13

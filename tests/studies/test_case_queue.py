@@ -90,13 +90,6 @@ def test_what_was_counted_before_a_stop_is_told(comm, scheduler):
     assert comm.bcast(board.ended()) == (done, 0)
 
 
-def test_a_board_without_cases(scheduler):
-    board, ended = scheduler([])
-    assert work(board) == []
-    board.wait_for_all(lambda: None)
-    assert ended == []
-
-
 def test_teams_take_groups_before_they_share_one():
     board = CaseQueue([4, 6, 2], 3, [1.0] * 3)
     taken = [board.draw(team) for team in (0, 1, 2)]
@@ -124,16 +117,6 @@ def test_what_is_drawn_at_once_keeps_a_team_busy_and_shrinks_towards_the_end():
     largest = drawn.index(max(drawn))
     assert drawn[largest:] == sorted(drawn[largest:], reverse=True)
     assert (left, last, board.done) == (0, True, 1000)
-
-
-def test_short_cases_are_not_drawn_one_by_one():
-    """Half of what is left for each would be 16, 8, 4, 2 and 1."""
-    board, drawn = CaseQueue([64], 2, [1e-3]), []
-    while (cases := board.draw(len(drawn) % 2)) is not None:
-        drawn.append(cases.number)
-        board.count(0, cases.number, 0, 1e-3 * cases.number)
-    assert drawn[:2] == [32, 16]
-    assert CaseQueue([64], 1, [1e-3]).draw(0) == Stretch(0, 0, 64)
 
 
 def test_cases_that_go_side_by_side_are_drawn_as_many_as_that_takes():

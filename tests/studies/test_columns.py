@@ -15,12 +15,10 @@ from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
 from ringwear_par.studies.definition import checking
 from ringwear_par.studies.definition import study as studies
-from ringwear_par.studies.definition.case_columns import Groups
 from ringwear_par.studies.definition.checking import LOOKED_AT, case_faults
 from ringwear_par.studies.definition.designs import read_draft
 from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.definition.study import read_study
-from ringwear_par.studies.definition.texts import Texts
 from ringwear_par.studies.definition.variations import Column, split_key, varied_keys
 from ringwear_par.studies.storage.blocks import BY_CASE, BY_STATE, CASE, Kind, PackedBlock
 from ringwear_par.studies.storage.case_index import CaseIndex
@@ -119,7 +117,7 @@ def one_by_one(tables):
     return found, tuple(case_faults("study", bad[:LOOKED_AT], len(bad), draft.count))
 
 
-@pytest.mark.parametrize("seed", range(120))
+@pytest.mark.parametrize("seed", range(60))
 def test_a_study_is_what_its_cases_are_one_by_one(tmp_path, seed):
     """Ids, cases, their texts and the sentences on bad ones."""
     tables = study_of(random.Random(seed), tmp_path)
@@ -135,14 +133,10 @@ def test_a_study_is_what_its_cases_are_one_by_one(tmp_path, seed):
         return
     assert faults == ()
     assert found.ids == tuple(wanted)
-    cases, texts = found.cases_and_texts(range(len(wanted)))
-    written = texts.of_cases(range(len(wanted)))
-    restored = Texts.unpacked(texts.packed(), len(wanted))
-    assert texts.longest == max(len(text.encode()) for text in written)
+    cases = found.cases_of(range(len(wanted)))
     for i, (row, case, keys) in enumerate(wanted.values()):
         assert cases[i] == case
-        assert cases[i].text == case.text == toml_text(keys) == written[i]
-        assert restored.of_cases([i]) == [case.text]
+        assert cases[i].text == case.text == toml_text(keys)
         assert found.case(i) == case
         assert cases[i].breakpoints == case.breakpoints
         assert repr(found.rows[i]) == repr(row)
@@ -153,23 +147,8 @@ def test_a_study_is_what_its_cases_are_one_by_one(tmp_path, seed):
 
 def test_the_drawn_studies_are_good_and_bad(tmp_path):
     """Else the test above would show little."""
-    bad = sum(bool(one_by_one(study_of(random.Random(n), tmp_path))[1]) for n in range(120))
-    assert 30 <= bad <= 90
-
-
-def test_rows_of_the_same_case_without_any_number(tmp_path):
-    """Nothing but texts, whole numbers and pairs, some of them again and again."""
-    (tmp_path / "base.toml").write_text(PAPER)
-    rows = ["clamped,10,32", "platen,10,32", "clamped,10,32", "clamped,20,32.0", "platen,10,32"]
-    (tmp_path / "rows.csv").write_text("\n".join(["upper.grip,time.steps,upper.r[1]", *rows]))
-    design = {"method": "list", "file": str(tmp_path / "rows.csv")}
-    tables = {"case": str(tmp_path / "base.toml"), "design": design}
-    wanted, faults = one_by_one(tables)
-    found = read_study(tables)
-    assert faults == ()
-    assert len(found.ids) == 3
-    assert found.ids == tuple(wanted)
-    assert found.cases_and_texts(range(3))[0] == [case for _, case, _ in wanted.values()]
+    bad = sum(bool(one_by_one(study_of(random.Random(n), tmp_path))[1]) for n in range(60))
+    assert 15 <= bad <= 45
 
 
 def test_few_cases_are_made_where_only_numbers_differ(tmp_path, comm, monkeypatch):
@@ -210,27 +189,6 @@ def test_a_users_law_is_the_one_that_was_tried(tmp_path):
     assert [dict(case.wear_lower.parameters)["p1"] for case in cases] == [30, 45, 60, 75, 90]
 
 
-def test_it_is_so_where_a_stretch_of_the_study_has_but_numbers(tmp_path):
-    """And all of it has tables too: ranks look at stretches."""
-    for name in ("user_law.toml", "user_law.py"):
-        (tmp_path / name).write_text((CASES / name).read_text())
-    omega = [3.5, [[0, 0], [10, 3.5]], 4.0]
-    vary = {
-        "load.omega": {"values": omega},
-        "wear.lower.parameters.p1": {"values": [30, 90]},
-    }
-    draft = read_draft({"case": str(tmp_path / "user_law.toml"), "vary": vary})
-    stretches = [checking.check_cases(draft, first, first + 2, 1) for first in (0, 2, 4)]
-    study = studies._complete(draft, stretches, 1)
-    (tmp_path / "user_law.py").unlink()
-    cases = study.cases_and_texts(range(6))[0]
-    assert [dict(case.wear_lower.parameters)["p1"] for case in cases] == [30, 90] * 3
-    assert [case.load.omega for case in cases[::4]] == [3.5, 4.0]
-    assert [study.ids[n] for n in range(6)] == [
-        identity for part in stretches for identity in part.identities.astype(str)
-    ]
-
-
 def test_numbers_of_a_table_are_those_that_toml_has(tmp_path):
     """Whichever way they are read."""
     cells = ["1", "-0", "0.50", "1e-7", "1E3", "+5", "01", "1_000", "inf", ".5", "5.", "0x10", "a"]
@@ -252,13 +210,6 @@ def test_columns_tell_values_apart_as_they_are_written():
     assert len(set(Column.of([0.0, -0.0, 1.5, 0.0]).codes.tolist())) == 3
     part = column.part(np.array([6, 0, 7]))
     assert part.by_case() == [[1, 2], 0, [1, 2]]
-
-
-def test_groups_keep_their_numbers_when_cases_go():
-    groups = Groups(np.array([4, 1, 0, 3, 2]), np.array([0, 2, 2, 5]))
-    left = groups.only(np.array([True, False, True, False, True]))
-    assert [group.tolist() for group in left] == [[4], [], [0, 2]]
-    assert left.sizes.tolist() == [1, 0, 2]
 
 
 def a_block(name, rows, axes=(), **columns):
@@ -291,7 +242,7 @@ def test_a_case_that_was_not_begun_is_not_stored():
     assert index["place"].tolist() == [0, 2]
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(12))
 def test_histories_come_into_their_places(seed):
     """Ragged ones, in any order, with and without elements, against a loop."""
     rng = np.random.default_rng(seed)

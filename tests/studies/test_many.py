@@ -14,9 +14,8 @@ from ringwear_par.history.observers.trace import Trace
 from ringwear_par.results.execution.simulate import simulate
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.results.storage.checkpoints import restored
-from ringwear_par.results.variables import HISTORIES
 from ringwear_par.schedules import Table
-from ringwear_par.studies.execution import batches, many
+from ringwear_par.studies.execution import many
 from ringwear_par.studies.execution.many import simulate_all
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
@@ -162,17 +161,3 @@ def test_a_history_that_ends_without_load_goes_on(case, comm):
     end, exact = ends
     assert np.array_equal(end.wear, exact.wear)
     assert (end.wear[0] > found.profiles["wear_lower"][-1]).all()
-
-
-def test_blocks_of_long_histories_are_small(case):
-    """What waits in memory is histories too, not only profiles."""
-    last = case.replace({"output.profiles": "last"})
-    assert batches._block(last, 512) == 4 * 512
-    rows = 20_000
-    size = batches._block(last.replace({"time.steps": rows}), 512)
-    assert 1 < size < 512
-    assert 8.0 * rows * len(HISTORIES) * size <= batches._BLOCK_BYTES
-
-
-def test_no_cases_have_no_results(comm):
-    assert simulate_all([], comm) == []

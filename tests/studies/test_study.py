@@ -4,8 +4,6 @@ import itertools
 import math
 import os
 import re
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -23,7 +21,8 @@ from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.definition.study import read_study, read_study_together
 from ringwear_par.studies.definition.variations import read_variations
 from ringwear_par.studies.execution import plan
-from ringwear_par.wear.laws.power import PowerLaw
+
+pytestmark = pytest.mark.serial
 
 CASE = (Path(__file__).parents[2] / "scripts/cases/paper.toml").read_text()
 GRID = """
@@ -86,7 +85,6 @@ def test_a_case_of_a_study_is_told_by_its_text(write):
     assert study.case(3) is not case
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("method", ["sobol", "random"])
 @pytest.mark.parametrize("more", [8, 13, 40])
 def test_a_longer_design_extends_a_shorter_one(write, method, more):
@@ -95,7 +93,6 @@ def test_a_longer_design_extends_a_shorter_one(write, method, more):
     assert long.ids[:7] == short.ids
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("method", ["sobol", "latin-hypercube", "random"])
 def test_samples_fill_their_ranges(write, method):
     study = sampled(write, method, 256)
@@ -129,19 +126,6 @@ def test_list_from_a_table(write, shared_path):
     assert len(study.groups) == 2
 
 
-def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path):
-    """Excel and some editors write one: in the study, its base case and its list."""
-    for name, text in (
-        ("paper.toml", CASE),
-        ("study.toml", 'case = "paper.toml"\ndesign = { method = "list", file = "rows.csv" }\n'),
-        ("rows.csv", "load.pressure,wear.lower.k\n50,1e-7\n60,2e-7\n"),
-    ):
-        (tmp_path / name).write_text(text, encoding="utf-8-sig")
-    study = read_study(tmp_path / "study.toml")
-    assert study.names == ("load.pressure", "wear.lower.k")
-    assert study.rows == ((50, 1e-7), (60, 2e-7))
-
-
 def test_schemes_vary_and_each_has_the_keys_that_it_knows(shared_path, comm):
     """A base case says the tolerance of the adaptive ones and the step of the others."""
     adaptive = CASE.replace('"implicit"', '"adaptive"') + "tolerance = 1e-5\n"
@@ -171,11 +155,6 @@ def test_ids_are_those_of_earlier_versions():
         "wear.lower.law": "threshold", "wear.lower.p0": 40.0,
     }  # fmt: skip
     assert case_id(base) == "62e11584012460eb"
-
-
-def test_repeated_cases_are_one(write):
-    text = GRID.replace("values = [0, 20]", "values = [0, 20, 0.0]")
-    assert len(read_study(write(text)).rows) == 6
 
 
 def test_groups_share_an_operator_longest_first(write):
@@ -208,6 +187,7 @@ method = "grid"
         ('[vary]\n"wear.lower.k" = { linear = [1, 2] }', ["count is missing", "from 2"]),
         ('[vary]\n"wear.lower.k" = { linear = [1, 2], count = 2, seed = 1 }', ["seed"]),
         ('[vary]\n"title" = { values = ["a"] }', ["title"]),
+        ('[vary]\n"stress.exclude" = { values = [0.1] }', ["stress.exclude: must not vary"]),
         (
             '[vary]\n"output.boundary" = { values = ["all"] }',
             ['output.boundary = "all"', "ringwear run"],
@@ -283,35 +263,6 @@ def test_ranges_of_any_magnitude_are_sentences(tmp_path):
         assert fault.startswith(f'study: vary."{key}": {spacing} = [')
 
 
-def test_a_case_is_told_as_such(tmp_path):
-    path = tmp_path / "case.toml"
-    path.write_text("title = 'a'\n[lower]\nyung = 1\n")
-    with pytest.raises(InputError) as raised:
-        read_study(path)
-    assert raised.value.faults == (f"{path}: is a case, not a study; ringwear run computes it",)
-
-
-def test_a_missing_case_file_is_told_with_its_study(tmp_path):
-    (tmp_path / "study.toml").write_text('case = "no.toml"\n' + GRID)
-    with pytest.raises(InputError, match=r'study.toml: case = "no.toml": \S*no.toml: cannot be'):
-        read_study(tmp_path / "study.toml")
-
-
-def test_a_list_separated_by_semicolons(write, shared_path):
-    """As spreadsheets write it where decimals have commas."""
-    (shared_path / "rows.csv").write_text("wear.lower.k;load.pressure\n1,5e-7;50\n")
-    with pytest.raises(InputError, match=r"rows.csv: columns must be separated by commas, not ;$"):
-        read_study(write('[design]\nmethod = "list"\nfile = "rows.csv"\n'))
-
-
-def test_bad_cases_are_counted(write):
-    text = f'[vary]\n"load.pressure" = {{ values = {list(range(-30, 0))} }}\n'
-    with pytest.raises(InputError) as raised:
-        read_study(write(text))
-    assert len(raised.value.faults) == 6
-    assert "25 more of 30 cases are bad" in raised.value.faults[-1]
-
-
 def test_the_same_fault_of_many_cases_is_told_once(write):
     text = (
         '[vary]\n"load.pressure" = { values = [50, -1, 60] }\n'
@@ -324,18 +275,6 @@ def test_the_same_fault_of_many_cases_is_told_once(write):
     assert told in grip
     assert "study.toml: cases 3, 6 and 9: contact.friction = -3: must be" in friction
     assert "study.toml: cases 4, 5 and 6: load.pressure = -1: must be" in pressure
-
-
-def test_cases_that_are_not_looked_at_are_counted(write, monkeypatch):
-    monkeypatch.setattr(checking, "LOOKED_AT", 7)
-    text = f'[vary]\n"load.pressure" = {{ values = {[-1, *range(1, 9)]} }}\n'
-    text += '"upper.grip" = { values = ["clampt"] }\n'
-    with pytest.raises(InputError) as raised:
-        read_study(write(text))
-    told = "\n".join(raised.value.faults)
-    assert "study.toml: case 1: load.pressure = -1" in told
-    assert "study.toml: cases 1, 2, 3 and 4 others: upper.grip" in told
-    assert raised.value.faults[-1].endswith("study.toml: 2 more of 9 cases are bad")
 
 
 def test_parameters_of_a_user_law_vary(tmp_path):
@@ -376,6 +315,7 @@ def test_tables_in_python_are_a_study(write, tmp_path):
         read_study({"case": base, "vary": {"load.pressure": {"values": [-1]}}})
 
 
+@pytest.mark.ranks
 def test_every_rank_checks_its_share_of_the_cases(write, comm, monkeypatch):
     """Each kind of case is made once by a rank that has one, and the study is that of one rank."""
     text = DRAWN + '[design]\nmethod = "sobol"\ncount = 37\n'
@@ -405,6 +345,7 @@ def test_ranks_without_any_case(write, comm):
     assert comm.bcast(found).ids == read_study(path).ids
 
 
+@pytest.mark.ranks
 def test_faults_found_together_are_those_found_alone(write, comm):
     text = f'[vary]\n"load.pressure" = {{ values = {list(range(-26, 4))} }}\n'
     path = write(text)
@@ -417,7 +358,6 @@ def test_faults_found_together_are_those_found_alone(write, comm):
     assert "22 more of 30 cases are bad" in found.value.faults[-1]
 
 
-@pytest.mark.serial
 def test_all_teams_have_to_fit_into_the_machine(write, tmp_path, monkeypatch):
     """Those that assemble at once, and what every rank holds."""
     machine = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
@@ -440,21 +380,6 @@ def test_all_teams_have_to_fit_into_the_machine(write, tmp_path, monkeypatch):
     assert planned(4).memory_needed() == pytest.approx(0.4 * machine, rel=0.01)
 
 
-@pytest.mark.serial
-def test_reading_studies_and_results_starts_neither_mpi_nor_petsc_nor_numba():
-    code = """
-import sys
-import ringwear_par.studies.definition.study
-import ringwear_par.studies.storage.ensemble
-import ringwear_par.studies.pictures.figures
-print([name for name in ("mpi4py.MPI", "petsc4py.PETSc", "numba") if name in sys.modules])
-"""
-    told = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
-    )
-    assert told.stdout == "[]\n"
-
-
 def law_case(law):
     return CASE.replace('law = "threshold"', law).replace("p0 = 40.0", "")
 
@@ -472,29 +397,3 @@ def test_a_varied_k_start_below_k_is_refused_as_it_is_alone(body):
         read_study(study)
     (fault,) = refused.value.faults
     assert f"{body}.k_start = 1.5e-07: must be at least {body}.k = 2e-07" in fault
-
-
-@pytest.mark.parametrize("raises", [False, True])
-def test_a_rule_of_any_law_between_its_parameters_is_asked(monkeypatch, raises):
-    """By whichever of both ways a law may refuse them."""
-
-    def faults(cls, table, values):
-        high = values["m"] + values["n"] > 3.0
-        return [f"{table}m, {table}n: must be 3 together at most"] if high else []
-
-    def from_values(cls, values):
-        if values["m"] + values["n"] > 3.0:
-            raise InputError("m: must be 3 with n at most")
-        return cls(**values)
-
-    if raises:
-        monkeypatch.setattr(PowerLaw, "from_values", classmethod(from_values))
-    else:
-        monkeypatch.setattr(PowerLaw, "faults", classmethod(faults))
-    case = tomllib.loads(law_case('law = "power"\nm = 1.5\nn = 1.0'))
-    vary = {"wear.lower.m": {"values": [1.2, 2.0]}, "wear.lower.n": {"values": [0.8, 1.4]}}
-    with pytest.raises(InputError) as refused:
-        read_study({"case": case, "vary": vary, "design": {"method": "grid"}})
-    (fault,) = refused.value.faults
-    assert "case 4" in fault
-    assert "wear.lower.m" in fault

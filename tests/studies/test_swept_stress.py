@@ -14,8 +14,6 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.studies.analysis.surrogate import surrogate
 from ringwear_par.studies.execution.sweep import sweep
 from ringwear_par.studies.execution.teams import Team
-from ringwear_par.studies.pictures.choice import choose
-from ringwear_par.studies.pictures.effects import effects
 from ringwear_par.studies.storage.end_values import figure_columns
 from ringwear_par.studies.storage.ensemble import read_ensemble
 from ringwear_par.studies.storage.folder import SweepFolder
@@ -124,55 +122,6 @@ def test_points_of_layers_that_are_worn_through_are_blank(comm, tmp_path):
     rw.report(tmp_path / "out", tmp_path / "page.html")
 
 
-@pytest.mark.serial
-def test_points_on_an_interface_of_one_thickness_only(comm, tmp_path):
-    """Elsewhere they lie inside a material, where their side says nothing, but is kept."""
-    case = COATED.replace(
-        "[29.0, 20.0", '[30.0, 19.97, "above"], [30.0, 19.97, "below"], [29.0, 20.0'
-    )
-    case = case.replace("k = 4e-6", "k = 4e-7")
-    told = sweep(write_study(tmp_path, comm, STUDY, case), tmp_path / "out", comm)
-    assert (told.done, told.failed) == (8, 0)
-    for mine, own, _ in singles(tmp_path / "out"):
-        assert mine.point_side.values.tolist() == own.point_side.values.tolist()
-        assert own.point_side.values.tolist() == ["", "above", "below", "above"]
-        above, below = own.stress.values[-1, 1:3]
-        thick = float(mine["lower.layers[0].thickness"]) == 0.03
-        assert (np.abs(above - below).max() > 1.0) == thick
-        np.testing.assert_allclose(mine.final_mises, own.mises[-1], rtol=1e-8)
-
-
-UPPER = """
-[[upper.layers]]
-thickness = 0.01
-young = 50e3
-poisson = 0.3
-[[upper.layers]]
-thickness = 0.02
-young = 80e3
-poisson = 0.3
-"""
-
-
-@pytest.mark.parametrize("stress", [True, False])
-@pytest.mark.serial
-def test_rings_may_have_different_numbers_of_layers(stress, comm, tmp_path):
-    case = COATED.replace("[stress]", UPPER + "[stress]")
-    case = case.replace("[time]", '[wear.upper]\nlaw = "threshold"\nk = 1e-7\n[time]', 1)
-    if not stress:
-        case = case[: case.index("[stress]")]
-    told = sweep(write_study(tmp_path, comm, STUDY, case), tmp_path / "out", comm)
-    assert (told.done, told.failed) == (8, 0)
-    names = ["worn_volume_{}_layers"] + ["max_mises_{}_layers"] * stress
-    for mine, own, _ in singles(tmp_path / "out"):
-        count = int(mine.steps_stored)
-        for name in (name.format(body) for name in names for body in ("lower", "upper")):
-            stored = mine[name].values[:count]
-            at = slice(None) if name.startswith("worn") else slice(-1, None)
-            np.testing.assert_allclose(stored[at], own[name].values, rtol=1e-8)
-            assert own[name].shape[1] == (3 if "upper" in name else 2)
-
-
 LISTS = """
 [vary]
 "lower.layers" = { values = [[], [%(thin)s], [%(thin)s, %(soft)s]%(more)s] }
@@ -241,15 +190,6 @@ def test_the_same_bits_on_all_ranks(comm, shared_path):
     comm.Barrier()
 
 
-def test_ranks_that_share_a_case_have_the_same(comm, shared_path):
-    study = write_study(shared_path, comm, STUDY, COATED)
-    sweep(study, shared_path / "out", comm, ranks_per_case=comm.size)
-    if comm.rank == 0:
-        for mine, own, _ in singles(shared_path / "out"):
-            np.testing.assert_allclose(mine.final_mises, own.mises[-1], rtol=1e-7)
-    comm.Barrier()
-
-
 @pytest.mark.serial
 def test_an_interrupted_case_keeps_its_stresses(comm, tmp_path, monkeypatch):
     """Alone, with a checkpoint: its stresses so far are in the incomplete file and in the whole."""
@@ -303,31 +243,6 @@ def test_surrogates_answer_for_stresses(swept):
 
 
 @pytest.mark.serial
-def test_errors_told_of_a_grid_are_those_of_fresh_cases(swept, tmp_path):
-    """Cases left out by lot alone told less than half of them."""
-    text = """
-    [vary]
-    "lower.layers[0].thickness" = { log = [0.002, 0.04] }
-    "load.pressure" = { linear = [40, 80] }
-    [design]
-    method = "sobol"
-    count = 24
-    seed = 4
-    """
-    sweep(write_study(tmp_path, MPI.COMM_SELF, text, COATED), tmp_path / "out", MPI.COMM_SELF)
-    made = surrogate(swept)
-    with rw.open_ensemble(tmp_path / "out") as data:
-        found = made.predict({name: data[name].values for name in made.ranges})
-        expected = {
-            "penetration": data.final_penetration.values, "mises[0]": data.final_mises.values[:, 0],
-            "max_mises": data.final_max_mises.values,
-        }  # fmt: skip
-    for name, values in expected.items():
-        error = float(np.sqrt(np.mean((found[name] - values) ** 2)))
-        assert error / 1.5 < made.error[name] < 3.0 * error
-
-
-@pytest.mark.serial
 def test_figures_and_pages_show_them(swept, tmp_path):
     ensemble = read_ensemble(swept)
     done = np.ones(len(ensemble.ids), dtype=bool)
@@ -341,18 +256,3 @@ def test_figures_and_pages_show_them(swept, tmp_path):
     page = (tmp_path / "page.html").read_text()
     for words in ("largest von Mises stress (MPa)", "time through lower (s)", "; the body itself"):
         assert words in page
-
-
-@pytest.mark.serial
-def test_keys_that_are_spaced_by_logarithms_are_drawn_so(swept, tmp_path):
-    """Though they span little, and on the page too; evenly spaced ones are not."""
-    scales = {}
-    for axes in rw.plot(swept).axes:
-        if axes.get_xlabel():
-            scales.setdefault(axes.get_xlabel().partition(" ")[0], set()).add(axes.get_xscale())
-    assert scales["lower.layers[0].thickness"] == {"log"}
-    assert scales["load.pressure"] == {"linear"}
-    chosen = choose(read_ensemble(swept), None, ())
-    panels = effects(read_ensemble(swept), chosen)
-    logarithmic = {(panel.x.label.partition(" ")[0], panel.x.log) for panel in panels.values()}
-    assert logarithmic == {("lower.layers[0].thickness", True), ("load.pressure", False)}

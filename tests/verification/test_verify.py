@@ -35,7 +35,6 @@ def unworn(case, comm):
     return line, approach, p * approach
 
 
-@pytest.mark.ranks
 def test_every_check_is_passed(checks):
     failed = [c for c in checks.values() if not c.passed]
     kinds = Counter(c.kind for c in checks.values())

@@ -117,23 +117,6 @@ def test_derivatives_of_stacked_laws(laws):
             assert np.array_equal(of_all[i], laws[i].d_rate_dparameter(name, p[i], single.at[0]))
 
 
-def test_a_plain_object_serves_many_histories():
-    """Time and friction come to it as columns."""
-
-    @dataclass(frozen=True)
-    class Switched:
-        k: float
-
-        def rate(self, p, local):
-            k = np.where(local.time > 1.0, self.k, 2.0 * self.k)
-            return k * (1.0 + np.exp(-local.wear / 1e-4)) * local.friction * local.speed * p
-
-    together, alone, p = increments([complete(Switched(1e-7))] * 5)
-    for i, single in enumerate(alone):
-        assert np.array_equal(together.depth(p)[i], single.depth(p[i]))
-        assert np.array_equal(together.d_depth_dp(p)[i], single.d_depth_dp(p[i]))
-
-
 @dataclass(frozen=True)
 class Square:
     """Its complex values have negative real parts where there is no pressure."""

@@ -1,7 +1,6 @@
 """Wear laws: values, derivatives by Taylor remainders, implicit steps with memory and averages."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -163,25 +162,6 @@ def test_the_length_is_no_parameter_of_the_rate_itself():
         law.d_rate_dparameter("length", P, sliding(POWER))
 
 
-def test_laws_tell_their_formula_and_numbers():
-    assert LAWS["threshold"].describe() == (
-        "k mu max(0, p - p0) V with k = 1e-07 1/MPa, p0 = 40 MPa"
-    )
-    assert (
-        LAWS["threshold, table in time"]
-        .describe()
-        .endswith("with k = a table to 4e-07 1/MPa, p0 = 40 MPa")
-    )
-    assert "depth = 2e-05 mm" in LAWS["running-in, depth"].describe()
-    assert "distance =" not in LAWS["running-in, depth"].describe()
-    assert "length = 0.8 mm" in LAWS["non-local"].describe()
-    assert "4 of them to 9e-06 mm/s at p V = 400 MPa mm/s" in LAWS["table"].describe()
-    assert LAWS["user"].describe() == "rate(p, at) of law.py with k = 1e-07"
-    assert complete(Hardening(2e-8, 3e-5)).describe() == (
-        "Hardening.rate(p, local) with k = 2e-08, depth = 3e-05"
-    )
-
-
 def test_a_law_needs_its_rate_only():
     """What a plain object lacks is found: derivatives, memory of worn depth, its integral."""
     own, at, step = Hardening(9e-7, 1e-6), sliding(POWER, wear=np.full(5, 1e-7)), 50.0
@@ -299,13 +279,6 @@ def test_a_falling_slope_is_told_during_work():
     source = "def rate(p, at): return 1e-7 * p\ndef d_rate_dp(p, at): return -1e-7 + 0 * p\n"
     with pytest.raises(ComputationError, match=r"d_rate_dp\(\) gives -1e-07.*must not fall"):
         UserLaw("mine.py", source).d_rate_dp(P, sliding(POWER))
-
-
-def test_a_file_without_a_law():
-    assert "does not define rate" in UserLaw("a.py", "def d_rate_dp(p, at): return 1").missing()
-    assert UserLaw("a.py", "def rate(p, at): return p").missing() == ""
-    assert "cannot be run (SyntaxError" in UserLaw("a.py", "def").missing()
-    assert UserLaw(str(Path("a.py")), USER).missing() == ""
 
 
 def test_averages_that_do_not_settle_are_refused(monkeypatch):

@@ -16,9 +16,8 @@ from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh
 from ringwear_par.elasticity.geometry.sections import Body
 from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
 from ringwear_par.elasticity.stress.boundary_recovery import BoundaryRecovery
-from ringwear_par.elasticity.stress.fields import Interfaces, Largest
+from ringwear_par.elasticity.stress.fields import Interfaces, Largest, mises
 from ringwear_par.elasticity.stress.largest import Search, edges, zones_of
-from ringwear_par.elasticity.stress.measures import mises
 from ringwear_par.elasticity.stress.zone import Influence, ZoneStress
 from ringwear_par.parallel import together
 

@@ -34,8 +34,8 @@ from ringwear_par.identification.definition.fitted_parameters import (
     read_units,
     refuse_both,
     refuse_fixed,
-    refuse_order,
 )
+from ringwear_par.identification.definition.key_order import refuse_order
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
     Experiment,

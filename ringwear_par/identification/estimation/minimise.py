@@ -7,6 +7,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.contact.tao import Guard
+from ringwear_par.identification.definition.key_order import ordered_keys
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.model.histories import HistoryError, bends_within
 from ringwear_par.identification.model.noise import NuisanceProjection
@@ -130,7 +131,7 @@ class _Box:
     def of(cls, misfit: Misfit, x: FloatArray, free: BoolArray) -> "_Box":
         """Return the box of a misfit whose unknowns stay at x but for those that are free."""
         forward, low, high = np.eye(len(x)), misfit.lower.copy(), misfit.upper.copy()
-        for i, j in misfit.ordered:
+        for i, j in ordered_keys(misfit.problem.parameters):
             if free[i] and free[j]:
                 forward[i, j] = -1.0
                 low[i] = max(misfit.lower[i] - misfit.upper[j], 0.0)

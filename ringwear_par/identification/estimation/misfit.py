@@ -15,7 +15,6 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from ringwear_par.arrays import BoolArray, FloatArray, short_repr
-from ringwear_par.identification.definition.fitted_parameters import ordered_keys
 from ringwear_par.identification.definition.problem import Experiment, Prior, Problem, Series
 from ringwear_par.identification.model.histories import ROUGH_STEPS, STEPS, Histories, HistoryError
 from ringwear_par.identification.model.noise import (
@@ -83,7 +82,6 @@ class Misfit:
     censored : (n,) -1 where the true value is at most the reading, 1 where at least, else 0.
     nuisance_columns : (n, u - m) what nuisances add to the readings, by their units.
     lower, upper : (u,) bounds.
-    ordered : pairs (i, j) of unknowns of which i is never less than j.
     priors : of unknowns, by their numbers.
     noise_scale : of each series, by which its sd is multiplied.
     steps : about how many a history makes.
@@ -130,7 +128,6 @@ class Misfit:
                 self.names.append((experiment.name, series.name, nuisance.kind))
                 limits.append(list(nuisance.bounds))
         self.lower, self.upper = np.array(limits).T
-        self.ordered = ordered_keys(self.problem.parameters)
         self.nuisance_columns = np.stack(columns, axis=1) if columns else np.zeros((self.n, 0))
         self.priors = priors
 

@@ -130,8 +130,8 @@ class RandomWear:
             if entry["size"]["interval"] is None:
                 text = (
                     f"wear of {body_of_wear(key)} comes in events of {size:.2g} um, but only "
-                    f"{step:.2g} um is worn between two readings: the interval of this size is not "
-                    "known, those of the keys are"
+                    f"{step:.2g} um is worn between two readings (or blocks of them): the interval "
+                    "of this size is not known, those of the keys are"
                 )
                 values = {"size": 1e-3 * size, "step": 1e-3 * step}
                 warnings.append(ValidityWarning("coarse-wear", text, (key,), (), values))

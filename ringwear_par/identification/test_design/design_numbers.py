@@ -227,8 +227,8 @@ def name_of(test: Candidate, units: Mapping[str, str]) -> str:
         if "load.pressure" in test.keys:
             key, base = "load.pressure", "MPa"
         words.append(words_of(key, base, *test.loads))
-    if "load.omega" in test.keys:
-        words.append(words_of("load.omega", "rad/s", test.keys["load.omega"]))
+    if isinstance(omega := test.keys.get("load.omega"), float):
+        words.append(words_of("load.omega", "rad/s", omega))
     if "time.end" in units:
         words.append(words_of("time.end", "s", test.seconds))
     else:

@@ -1,12 +1,13 @@
 """Budgets of uncertainty: GUM (JCGM 100:2008) and its Monte Carlo supplement (JCGM 101:2008)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.measuring.definition.problem import Conditions, Uncertainty
 
 #: unit of specific wear rates
 SPECIFIC = "mm3/(N m)"
@@ -135,3 +136,29 @@ def shortest_interval(
     inside = int(_LEVEL * draws)
     first = int(np.argmin(drawn[inside:] - drawn[:-inside]))
     return float(drawn[first]), float(drawn[first + inside])
+
+
+def source_of(
+    known: Mapping[str, Uncertainty], name: str, value: float, unit: str, sensitivity: float
+) -> list[Source]:
+    """Return the source of type B of an input, none where nobody says how well it is known."""
+    if name not in known:
+        return []
+    return [Source(name, "B", known[name].of(value), unit, sensitivity)]
+
+
+def load_sources(
+    known: Mapping[str, Uncertainty], conditions: Conditions, relative: float
+) -> list[Source]:
+    """Return the source of the load, by force or by pressure: of its scale, where it changes.
+
+    Parameters
+    ----------
+    relative : derivative of the measurand with respect to the logarithm of the load.
+    """
+    return [
+        *source_of(known, "load.force", conditions.force, "N", relative / conditions.force),
+        *source_of(
+            known, "load.pressure", conditions.pressure, "MPa", relative / conditions.pressure
+        ),
+    ]

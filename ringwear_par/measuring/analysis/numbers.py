@@ -7,8 +7,13 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning
-from ringwear_par.measuring.analysis.budget import SPECIFIC, Estimate, Source
-from ringwear_par.measuring.analysis.sources import load_sources, source_of
+from ringwear_par.measuring.analysis.budget import (
+    SPECIFIC,
+    Estimate,
+    Source,
+    load_sources,
+    source_of,
+)
 from ringwear_par.measuring.analysis.steady_part import (
     FEWEST_BLOCKS,
     LAST_THIRD,

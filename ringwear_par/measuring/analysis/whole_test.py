@@ -6,8 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringwear_par.measuring.analysis.autoregression import extrapolate
-from ringwear_par.measuring.analysis.budget import SPECIFIC, Estimate, Source, shortest_interval
-from ringwear_par.measuring.analysis.sources import load_sources, source_of
+from ringwear_par.measuring.analysis.budget import (
+    SPECIFIC,
+    Estimate,
+    Source,
+    load_sources,
+    shortest_interval,
+    source_of,
+)
 from ringwear_par.measuring.analysis.steady_part import Blocks, Change
 from ringwear_par.measuring.definition.problem import Conditions, Problem, Test, Uncertainty
 

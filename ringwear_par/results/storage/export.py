@@ -9,8 +9,14 @@ import numpy as np
 
 from ringwear_par.cases.text import shortened
 from ringwear_par.elasticity.stress.boundary_fields import BODIES, BoundaryState
-from ringwear_par.elasticity.stress.fields import StressState
-from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES, max_shear, mises, principal
+from ringwear_par.elasticity.stress.fields import (
+    COMPONENTS,
+    SIDES,
+    StressState,
+    max_shear,
+    mises,
+    principal,
+)
 from ringwear_par.errors import InputError
 from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.results.result import Result

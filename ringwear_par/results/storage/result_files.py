@@ -13,8 +13,14 @@ import h5py
 import numpy as np
 
 from ringwear_par.elasticity.geometry.mesh import ContactLine
-from ringwear_par.elasticity.stress.fields import Interfaces, Largest, StressHistory, StressState
-from ringwear_par.elasticity.stress.measures import COMPONENTS, SIDES
+from ringwear_par.elasticity.stress.fields import (
+    COMPONENTS,
+    SIDES,
+    Interfaces,
+    Largest,
+    StressHistory,
+    StressState,
+)
 from ringwear_par.errors import ComputationError
 from ringwear_par.files.writing import check_writable
 from ringwear_par.results import variables as table

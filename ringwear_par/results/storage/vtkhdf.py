@@ -12,8 +12,13 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.stress.boundary_fields import BoundaryFields, BoundaryState
-from ringwear_par.elasticity.stress.fields import StressHistory, StressState
-from ringwear_par.elasticity.stress.measures import COMPONENTS, max_shear, mises
+from ringwear_par.elasticity.stress.fields import (
+    COMPONENTS,
+    StressHistory,
+    StressState,
+    max_shear,
+    mises,
+)
 from ringwear_par.results.storage.hdf5 import atomic_hdf5
 from ringwear_par.results.storage.stored_stresses import Interface
 

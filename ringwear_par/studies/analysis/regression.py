@@ -347,7 +347,7 @@ def _evened(table: FloatArray) -> FloatArray:
 
 def _best_forms(points: FloatArray, values: Mapping[str, FloatArray]) -> dict[str, str]:
     """Return the form of each response with the least leave-out error."""
-    tried = [(name, form) for name, array in values.items() for form in forms_for(array)]
+    tried = [(name, form) for name, array in values.items() for form in _forms_for(array)]
     tables = [_FORMS[form][0](values[name]) for name, form in tried]
     rows, cases = _left_out(points, np.concatenate(tables, axis=1), _folds(points))
     best: dict[str, tuple[float, str]] = {}
@@ -370,7 +370,7 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
-def forms_for(array: FloatArray) -> list[str]:
+def _forms_for(array: FloatArray) -> list[str]:
     """Return the forms that a response has."""
     least = float(array.min())
     possible = {"logarithm": least > 0.0, "square root": least >= 0.0}

@@ -18,9 +18,11 @@ from scipy.special import ndtri
 from scipy.stats import rankdata
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import InputError
 from ringwear_par.studies.analysis.predictions import COARSE, Surrogate, share_words
 from ringwear_par.studies.analysis.regression import Part
 from ringwear_par.studies.analysis.responses import SEED, chosen_cases, done_cases
+from ringwear_par.studies.analysis.surrogate import surrogate
 from ringwear_par.studies.definition.designs import SAMPLED
 from ringwear_par.studies.storage.end_values import figure_columns, final_name
 from ringwear_par.studies.storage.ensemble import Ensemble
@@ -69,12 +71,12 @@ class Indices:
     noise: float = 0.0
 
 
-def sensitivity_indices(ensemble: Ensemble, surrogate: Surrogate | None) -> tuple[Indices, ...]:
+def sensitivity_indices(ensemble: Ensemble, regressions: Surrogate | None) -> tuple[Indices, ...]:
     """Return the indices of outputs: of the surrogate where it is good, or else of the sample."""
     outputs = figure_columns(ensemble.final, done_cases(ensemble))
     indices: dict[str, Indices] = {}
-    if surrogate is not None and len(surrogate.parts[0].keys) > 1:
-        part = surrogate.parts[0]
+    if regressions is not None and len(regressions.parts[0].keys) > 1:
+        part = regressions.parts[0]
         errors = {n: part.responses[n].relative_error for n in outputs if n in part.responses}
         good = [name for name, error in errors.items() if 0.0 < error <= COARSE]
         indices = {of_output.output: of_output for of_output in surrogate_indices(part, good)}
@@ -227,3 +229,17 @@ def surrogate_indices(part: Part, names: Sequence[str]) -> tuple[Indices, ...]:
             words = _FIRST, "total S\N{LATIN SUBSCRIPT SMALL LETTER T}"
             indices.append(Indices(name, part.keys, source, words, of_keys["S1"], of_keys["ST"]))
     return tuple(indices)
+
+
+def surrogate_and_indices(
+    ensemble: Ensemble,
+) -> tuple[Surrogate | None, tuple[Indices, ...], str]:
+    """Return the surrogate of a sweep, its indices, and why there is no surrogate, "" for one.
+
+    Not collective.
+    """
+    try:
+        regressions = surrogate(ensemble)
+    except InputError as error:
+        return None, sensitivity_indices(ensemble, None), str(error)
+    return regressions, sensitivity_indices(ensemble, regressions), ""

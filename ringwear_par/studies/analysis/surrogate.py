@@ -1,10 +1,8 @@
-"""``rw.surrogate``: the regressions of a sweep, which are stored in ``surrogate.h5`` beside it.
+"""``rw.surrogate``: the regressions of a sweep's responses.
 
 They go over the varied keys, see ``regression``, by logarithms where the study varies them so.
 """
 
-import hashlib
-import json
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,29 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.errors import InputError, RingwearError, legible
-from ringwear_par.results.storage.hdf5 import (
-    atomic_hdf5,
-    read_array,
-    read_number,
-    read_text,
-    reading,
-)
-from ringwear_par.results.variables import Variable
-from ringwear_par.studies.analysis.predictions import COARSE, Surrogate, unit_of
-from ringwear_par.studies.analysis.regression import (
-    Part,
-    Response,
-    fit_responses,
-    forms_for,
-    places_between,
-)
-from ringwear_par.studies.analysis.responses import (
-    chosen_cases,
-    done_cases,
-    read_responses,
-    upper_limit,
-)
+from ringwear_par.errors import InputError, legible
+from ringwear_par.studies.analysis.predictions import COARSE, Surrogate
+from ringwear_par.studies.analysis.regression import Part, fit_responses, places_between
+from ringwear_par.studies.analysis.responses import chosen_cases, done_cases, read_responses
 from ringwear_par.studies.storage.end_values import MAIN_END_VALUES
 from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 
@@ -44,9 +23,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-_SURROGATE, _SOFTWARE, _KIND = "surrogate.h5", "ringwear-par surrogate 3", "a surrogate of a sweep"
-#: arrays (keys,) of a part
-_OF_KEYS = ("low", "high", "logarithmic", "stretches")
 #: most cases that are interpolated
 _MOST = 1000
 #: cases nearer to each other than this part of all ranges are one
@@ -70,8 +46,7 @@ def surrogate(
     ``largest_wear_upper`` and, where all cases have the same contact elements, the profiles
     ``wear_lower``, ``wear_upper``. At times these four need profiles of all stored steps
     (``output.profiles = "all"``). Cases that are not done are left out; of many, 1,000 are chosen
-    at random. The surrogate stays beside the results, as ``surrogate.h5``, and is made again once
-    these have changed.
+    at random.
 
     Keys that are no numbers get a surrogate for each combination of their values. Ranges are those
     of each key alone: where keys of a list vary together, errors far from all cases are unknown.
@@ -88,20 +63,7 @@ def surrogate(
         the folder holds no results.
     """
     source = _ensemble(ensemble)
-    instants = None if times is None else _times(times)
-    identity, path = _identity(source, instants), source.path.with_name(_SURROGATE)
-    regressions = None
-    if path.exists():
-        try:
-            regressions = _read(path, identity)
-        except InputError as error:
-            log.warning("%s; it is made again", error)
-    if regressions is None:
-        regressions = _fit(source, instants)
-        try:
-            _write(path, regressions, identity)
-        except (OSError, RingwearError) as error:
-            log.warning("%s: the surrogate is not kept: %s", path, error)
+    regressions = _fit(source, None if times is None else _times(times))
     _warn_of_coarse(regressions)
     return regressions
 
@@ -148,22 +110,6 @@ def _times(times: Sequence[float]) -> FloatArray:
     if instants.ndim != 1 or not len(instants) or not np.isfinite(instants).all():
         raise InputError(f"times = {legible(str(times))}: must be a list of numbers, s")
     return instants
-
-
-def _identity(ensemble: Ensemble, times: FloatArray | None) -> str:
-    """Return a hash of these results and times."""
-    digest = hashlib.sha256()
-    numbers = [ensemble.in_study, ensemble.steps_stored, *ensemble.final.values()]
-    words = [ensemble.ids, ensemble.status, tuple(ensemble.varied)]
-    for values in ensemble.varied.values():
-        (numbers if values.dtype.kind == "f" else words).append(values)
-    if times is not None:
-        numbers.append(times)
-    for texts in (*words, [str(ensemble.attributes.get("study"))]):
-        digest.update("\0".join(texts).encode() + b"\n")
-    for array in numbers:
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
 
 
 def _fit(ensemble: Ensemble, times: FloatArray | None) -> Surrogate:
@@ -249,79 +195,3 @@ def _part(
             "cases in which each varies by itself"
         ) from None
     return Part(tuple(texts), tuple(keys), low, high, logarithmic, points, stretches, responses)
-
-
-def _write(path: Path, regressions: Surrogate, identity: str) -> None:
-    """Write a surrogate of results of an identity, by rename."""
-    with atomic_hdf5(path) as (file, _):
-        file.attrs.update({
-            "software": _SOFTWARE, "results": identity, "cases": regressions.cases,
-            "done": regressions.done, "text_keys": json.dumps(regressions.text_keys),
-            "parts": len(regressions.parts),
-        })  # fmt: skip
-        for number, part in enumerate(regressions.parts):
-            group = file.create_group(f"part_{number}")
-            group.attrs.update(keys=json.dumps(part.keys), texts=json.dumps(part.texts))
-            for name in _OF_KEYS:
-                group[name] = getattr(part, name).astype(float)
-            group["points"] = part.points
-            for name, response in part.responses.items():
-                group[name] = response.values
-                group[name].attrs.update(
-                    form=response.form, error=response.error, form_error=response.form_error,
-                    shape=json.dumps(response.shape), units=unit_of(name),
-                )  # fmt: skip
-            group.attrs["responses"] = json.dumps(list(part.responses))
-
-
-def _read(path: Path, identity: str) -> Surrogate | None:
-    """Return the surrogate of a file; None if it is one of other results.
-
-    Raises
-    ------
-    InputError : the file is damaged.
-    """
-    with reading(path, _SOFTWARE, _KIND) as file:
-        if read_text(file.attrs["results"]) != identity:
-            return None
-        parts = []
-        for number in range(int(read_number(file.attrs["parts"]))):
-            group = file[f"part_{number}"]
-            keys = _words(group.attrs["keys"])
-            sizes = {"key": len(keys)}
-            low, high, logarithmic, stretches = (
-                _finite(group, name, ("key",), sizes) for name in _OF_KEYS
-            )
-            points = _finite(group, "points", ("case", "key"), sizes)
-            responses = {}
-            for name in _words(group.attrs["responses"]):
-                about = group[name].attrs
-                response = Response(
-                    _finite(group, name, ("case", f"column of {name}"), sizes),
-                    read_text(about["form"]), float(read_number(about["error"])),
-                    float(read_number(about["form_error"])),
-                    tuple(map(int, json.loads(read_text(about["shape"])))), upper_limit(name),
-                )  # fmt: skip
-                if response.form not in forms_for(response.values):
-                    raise ValueError(name)
-                response.values.reshape(-1, *response.shape)
-                responses[name] = response
-            texts, by_log = _words(group.attrs["texts"]), logarithmic > 0.0
-            if not (low < high).all() or not (low[by_log] > 0.0).all():
-                raise ValueError("low")
-            parts.append(Part(texts, keys, low, high, by_log, points, stretches, responses))
-        return Surrogate(
-            _words(file.attrs["text_keys"]), parts, int(read_number(file.attrs["cases"])),
-            int(read_number(file.attrs["done"])),
-        )  # fmt: skip
-
-
-def _words(value: Any) -> tuple[str, ...]:
-    return tuple(map(read_text, json.loads(read_text(value))))
-
-
-def _finite(group: Any, name: str, dimensions: tuple[str, ...], sizes: dict[str, int]) -> Any:
-    array = read_array(group, Variable(name, dimensions, "", ""), sizes)
-    if not np.isfinite(array).all():
-        raise ValueError(name)
-    return array

@@ -23,7 +23,7 @@ from ringwear_par.studies.definition.checking import (
     refuse_bad_cases,
 )
 from ringwear_par.studies.definition.designs import Draft, read_draft
-from ringwear_par.studies.definition.texts import Frame, Texts, joined
+from ringwear_par.studies.definition.texts import Frame
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -99,38 +99,32 @@ class Study:
 
     def case(self, number: int) -> Case:
         """Return one case."""
-        return self.cases_and_texts([number])[0][0]
+        return self.cases_of([number])[0]
 
     def keys(self, number: int) -> dict[str, Any]:
         """Return the dotted keys and raw values of one case."""
         return self.cases.keys(number)
 
-    def cases_and_texts(self, numbers: Sequence[int] | IntArray) -> tuple[list[Case], Texts]:
-        """Return some cases, and their texts by templates."""
+    def cases_of(self, numbers: Sequence[int] | IntArray) -> list[Case]:
+        """Return some cases, with their texts."""
         numbers = np.asarray(numbers, dtype=np.int64)
         rows, kinds = self.cases.part(numbers), self.cases.kinds[numbers]
         written = {i: rows.columns[i].by_case(toml_value) for i in rows.numbers.values()}
         cases = np.empty(len(kinds), dtype=object)
-        values = np.empty(len(kinds), dtype=object)
-        frame_of = np.zeros(len(kinds), dtype=np.int64)
-        frames: list[tuple[str, ...]] = []
         for number, of_kind in by_kind(kinds):
             kind = self._kind(number, int(numbers[of_kind[0]]))
             places = of_kind.tolist()
             columns = [[written[c][i] for i in places] for c in kind.frame.columns]
             filled = list(zip(*columns, strict=True)) if columns else [()] * len(places)
-            texts = [joined(kind.frame.pieces, words) for words in filled]
+            texts = list(map(kind.frame.filled, filled))
             floats = {n: v.tolist() for n, v in self.cases.floats(numbers[of_kind]).items()}
-            copies = with_numbers(kind.case, floats, texts)
-            for i, copy, words in zip(places, copies, filled, strict=True):
-                cases[i], values[i] = copy, words
-            frame_of[of_kind] = len(frames)
-            frames.append(kind.frame.pieces)
-        return cases.tolist(), Texts(tuple(frames), tuple(frame_of.tolist()), tuple(values))
+            for i, case in zip(places, with_numbers(kind.case, floats, texts), strict=True):
+                cases[i] = case
+        return cases.tolist()
 
     def texts(self, numbers: Sequence[int] | IntArray) -> list[str]:
         """Return the texts of some cases."""
-        return [case.text for case in self.cases_and_texts(numbers)[0]]
+        return [case.text for case in self.cases_of(numbers)]
 
     def _kind(self, kind: int, number: int) -> _Kind:
         """Return the kind of a case, made of it if it is not at hand."""

@@ -110,9 +110,7 @@ def _side_by_side(plan: Plan, group: int, pair: ContactPair, alone: float) -> fl
     tried, case = min(len(numbers), most), plan.study.case(int(numbers[0]))
     if tried < 2 or plan.request.ranks_per_case > 1 or not is_batchable(case):
         return alone
-    cases, _ = plan.study.cases_and_texts(
-        numbers[np.linspace(0, len(numbers) - 1, tried).astype(int)]
-    )
+    cases = plan.study.cases_of(numbers[np.linspace(0, len(numbers) - 1, tried).astype(int)])
     begun = time.perf_counter()
     done = list(computed(cases, pair, stop=lambda: time.perf_counter() > begun + _TRIAL_SECONDS))
     return (time.perf_counter() - begun) / tried if done else alone

@@ -18,7 +18,6 @@ from ringwear_par.files.folders import refuse_others
 from ringwear_par.history.validity.case_limits import memory_needed
 from ringwear_par.studies.definition.case_columns import Groups
 from ringwear_par.studies.definition.study import Study
-from ringwear_par.studies.definition.texts import Texts
 from ringwear_par.studies.storage.blocks import DONE, FAILED
 from ringwear_par.studies.storage.case_index import EMPTY, CaseIndex
 from ringwear_par.studies.storage.folder import SweepFolder, locked
@@ -86,17 +85,15 @@ class CaseSet(NamedTuple):
     ----------
     cases : the cases.
     ids : of each.
-    texts : of each as a case file.
     """
 
     cases: Sequence[Case]
     ids: Sequence[str]
-    texts: Texts
 
     def part(self, places: Sequence[int]) -> "CaseSet":
         """Return some of them."""
         cases, ids = [self.cases[i] for i in places], [self.ids[i] for i in places]
-        return CaseSet(cases, ids, self.texts.part(places))
+        return CaseSet(cases, ids)
 
 
 @dataclass(frozen=True)
@@ -151,9 +148,8 @@ class Plan:
     def cases(self, group: int, first: int, count: int) -> CaseSet:
         """Return some cases of a group that are to be computed, from a place on."""
         numbers = self.todo[group][first : first + count]
-        cases, texts = self.study.cases_and_texts(numbers)
         ids: list[str] = self.study.identities[numbers].astype(str).tolist()
-        return CaseSet(cases, ids, texts)
+        return CaseSet(self.study.cases_of(numbers), ids)
 
     @property
     def left(self) -> list[int]:

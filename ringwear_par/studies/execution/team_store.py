@@ -67,9 +67,8 @@ class TeamStore:
             first = columns.offsets[:-1]
             steps = np.arange(len(columns.steps)) - np.repeat(first, np.diff(columns.offsets))
         deep = case.output.profiles == "all"
-        block = Block.of(
-            columns, case.line, cases.ids, cases.texts, __version__, deep=deep, steps=steps
-        )
+        texts = [case.text for case in cases.cases]
+        block = Block.of(columns, case.line, cases.ids, texts, __version__, deep=deep, steps=steps)
 
         def store() -> None:
             assert self._shard is not None

@@ -109,9 +109,14 @@ class Key:
         return words
 
 
+def raw_words(text: str) -> str:
+    """Return a raw value of a key, as studies store it, in few words."""
+    return in_words(parse_value(text)) if text else "none"
+
+
 def _categories(texts: Sequence[str]) -> list[str]:
     """Return raw values in few words, numbered where these are the same."""
-    words = [in_words(parse_value(text)) if text else "none" for text in texts]
+    words = [raw_words(text) for text in texts]
     numbers = [words[: i + 1].count(word) for i, word in enumerate(words)]
     return [
         f"{word} ({number})" if words.count(word) > 1 else word

@@ -30,7 +30,6 @@ from ringwear_par.files.ordinary import open_ordinary
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.results.storage.hdf5 import UnreadableError
 from ringwear_par.results.variables import LINE
-from ringwear_par.studies.definition.texts import Texts
 from ringwear_par.studies.storage.stored_variables import FIELDS, shape_of, sizes_of
 
 #: a case's status is a place in this
@@ -48,10 +47,12 @@ BY_STATE, BY_CASE, SHARED = "state", "case", "block"
 #: with which each packed block begins: no text, and not in numbers but by chance
 MARKER = bytes.fromhex("d2ff5257b10c0a1a8e5be0c4f3079d61")
 _HEAD = struct.Struct("<16sIIQI")
-_TEXTS = "toml"
+#: the texts of all cases, compressed, and what is between them: no text of a case has it
+_TEXTS, _BETWEEN = "toml", "\0"
 #: the errors of reading a damaged file
 DAMAGE = (
     RuntimeError, LookupError, AttributeError, TypeError, ValueError, OverflowError, InputError,
+    zlib.error,
 )  # fmt: skip
 
 
@@ -156,14 +157,14 @@ class Block:
     ----------
     cases, kinds, axes : see ``CaseBlock``.
     columns : by name.
-    texts : of the cases.
+    texts : of the cases, as case files.
     """
 
     cases: Any
     kinds: tuple[Kind, ...]
     axes: Mapping[str, str]
     columns: Mapping[str, Any]
-    texts: Texts
+    texts: Sequence[str]
 
     @classmethod
     def of(
@@ -171,7 +172,7 @@ class Block:
         histories: HistoryColumns,
         line: ContactLine,
         ids: Sequence[str],
-        texts: Texts,
+        texts: Sequence[str],
         version: str,
         *,
         deep: bool,
@@ -217,10 +218,10 @@ class Block:
             name: np.ascontiguousarray(values, dtype=_dtype(name)).tobytes()
             for name, values in self.columns.items()
         }
-        data[_TEXTS] = self.texts.packed().encode()
+        data[_TEXTS] = zlib.compress(_BETWEEN.join(self.texts).encode(), 1)
         words = {
             "sizes": sizes_of(self.columns),
-            "longest": self.texts.longest,
+            "longest": max(len(text.encode()) for text in self.texts),
             "kinds": self.kinds,
             "columns": {
                 name: (self.axes.get(name, SHARED), len(part), zlib.crc32(part))
@@ -268,7 +269,10 @@ class PackedBlock(CaseBlock):
         """Return the TOML texts of some of the cases."""
         packed = self._bytes([_TEXTS])[_TEXTS]
         with reporting_damage(self.path):
-            return Texts.unpacked(packed.decode(), len(self.cases)).of_cases(places)
+            texts = zlib.decompress(packed).decode().split(_BETWEEN)
+            if len(texts) != len(self.cases):
+                raise ValueError(_TEXTS)
+            return [texts[place] for place in places]
 
     def check(self) -> None:
         """Raise DamagedError if any of the data is damaged."""

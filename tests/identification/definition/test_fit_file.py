@@ -1,14 +1,12 @@
 """Fit files: what they may say, and every fault of theirs, told together before any work."""
 
 import copy
-from pathlib import Path
 
 import numpy as np
 import pytest
-from laboratory import CASE, FITTED, PEN, PROF, K, changed, fit_tables, write_tests
+from laboratory import CASE, FITTED, PEN, PROF, K, changed
 
 from ringwear_par.errors import InputError
-from ringwear_par.identification.definition import fit_file
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.fitted_parameters import refuse_fixed
 from ringwear_par.identification.definition.problem import FittedParameter
@@ -102,13 +100,6 @@ def test_every_key(tmp_path):
     assert len(problem.hashes) == 3
 
 
-@pytest.fixture(scope="module")
-def good(tmp_path_factory):
-    """A folder of measurements, and the fit file as a dict."""
-    folder = tmp_path_factory.mktemp("laboratory")
-    return fit_tables(folder, write_tests(folder), starts=1)
-
-
 def test_a_key_without_derivatives_is_refused_once(good):
     problem = read_fit(good)
     parameter = FittedParameter("load.displacement", 0.01, (0.001, 0.1))
@@ -129,9 +120,7 @@ def test_a_key_without_derivatives_is_refused_once(good):
         (("case",), None, "case is missing"),
         (("case",), "nowhere.toml", 'fit: case = "nowhere.toml": nowhere.toml: cannot be read'),
         (("experiment",), [], "must be tables, [[experiment]]"),
-        (("experiment",), {"name": "a"}, "must be tables, [[experiment]]"),
         (("experiment", 1, "name"), "test 1", "is there twice"),
-        (("experiment", 1, "name"), None, "experiment 2: name is missing"),
         (("experiment", 0, "data"), None, "data is missing: must be tables"),
         (("experiment", 0, "sett"), {}, "sett: unknown key (did you mean set?)"),
         (("experiment", 0, "set", "load.presure"), 1, "did you mean load.pressure?"),
@@ -145,11 +134,9 @@ def test_a_key_without_derivatives_is_refused_once(good):
             'must be among k, p0 (m is of law = "power")',
         ),
         (("fit", "parameters", "upper.r"), {"start": 1}, "cannot be fitted"),
-        (("fit", "parameters", "time.end"), {"start": 1}, "cannot be fitted"),
         (("fit", "parameters", "wear.upper.k"), FITTED["wear.lower.k"], "wear.upper.law is missi"),
         ((*K, "start"), 1e-4, "start = 0.0001: must be within its bounds, 1e-09 to 1e-05"),
         ((*K, "start"), None, "start is missing"),
-        ((*K, "start"), "much", 'start = "much": must be a finite number'),
         ((*K, "bounds"), [1e-5, 1e-9], "bounds = [1e-05, 1e-09]: must be two increasing numbers"),
         (
             (*K[:-1], "wear.lower.p0", "bounds"), ["0 s", "10 s"],
@@ -175,16 +162,13 @@ def test_a_key_without_derivatives_is_refused_once(good):
         ((*PEN, "units"), {"time": "min"}, "is in s by its name; must be the same unit"),
         ((*PEN, "units"), {"value": "mm"}, "is in um by its name; must be the same unit"),
         ((*PEN, "at"), 10.0, "must be absent beside file"),
-        ((*PEN, "value"), 10.0, "value = 10.0: must be absent beside file"),
         ((*PEN, "sd"), None, "sd is missing"),
         ((*PEN, "sd"), 0.0, "sd = 0.0: must be a finite number > 0"),
-        ((*PEN, "sd"), -1.0, "sd = -1.0: must be a finite number > 0"),
         ((*PEN, "sd"), "noise", 'sd = "noise": must be a number, "fit", { relative = x } or a'),
         ((*PROF, "sd"), {"relative": 0.01}, "must be in the data's unit where readings are near"),
         ((*PEN, "sd"), {"relative": -1}, "must be { relative = x }, a number > 0"),
         ((*PEN, "nuisance"), {"level": {}}, "nuisance.level: must be one of offset, drift"),
         ((*PEN, "nuisance"), {"drift": {"prior": 1}}, "prior = 1: must be { normal"),
-        ((*PEN, "nuisance"), {"drift": {"bounds": [1, 0]}}, "must be two increasing numbers"),
         ((*PEN, "exclude"), [[2, 1]], "must be a list of increasing pairs"),
         ((*PEN, "exclude"), [[0, 1000]], "has no readings"),
         ((*PEN, "densty"), 1.0, "densty: unknown key"),
@@ -275,17 +259,3 @@ def test_what_is_planned_and_left_out_may_have_units(good):
         read_fit(given, plans=True)
     assert "exclude" in str(error.value)
     assert "time.end" in str(error.value)
-
-
-def test_no_more_cases_are_read_than_faults_are_told(tmp_path, monkeypatch):
-    """A file of very many tables is refused as soon as it is known to be wrong."""
-    checks = []
-    monkeypatch.setattr(fit_file, "check_case", lambda *_: checks.append(1))
-    case = Path(__file__).parents[3] / "scripts/cases/paper.toml"
-    keys = '"wear.lower.k" = { start = 1e-7, bounds = [1e-9, 1e-5] }'
-    tables = "\n".join(f'[[experiment]]\nname = "{i}"' for i in range(400))
-    path = tmp_path / "fit.toml"
-    path.write_text(f'case = "{case}"\n[fit.parameters]\n{keys}\n{tables}\n')
-    with pytest.raises(InputError, match="and 300 faults more"):
-        read_fit(path)
-    assert 0 < len(checks) <= 100

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from laboratory import PEN, PROF, changed, fit_tables, write_table, write_tests
+from laboratory import PEN, PROF, changed, write_table
 
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
@@ -15,12 +15,7 @@ from ringwear_par.identification.fit import expected_result, fit
 from ringwear_par.identification.model.histories import Histories
 from ringwear_par.identification.summary import prediction
 
-
-@pytest.fixture(scope="module")
-def good(tmp_path_factory):
-    """A folder of measurements, and the fit file as a dict."""
-    folder = tmp_path_factory.mktemp("laboratory")
-    return fit_tables(folder, write_tests(folder), starts=1)
+pytestmark = pytest.mark.serial
 
 
 @pytest.mark.parametrize(
@@ -74,19 +69,6 @@ def test_times_that_end_long_before_the_test(good, tmp_path):
     assert not read_fit(tables).experiments[0].series[0].assumptions
 
 
-def test_radii_in_another_unit(good, tmp_path):
-    write_table(tmp_path / "d.csv", ("r", "d_um"), (28.0, 30.0, 32.0), (0.0, 1.0, 0.0))
-    tables = changed(good, (*PROF, "file"), str(tmp_path / "d.csv"))
-    tables["experiment"][0]["data"][1] |= {
-        "columns": {"value": "d_um"}, "units": {"r": "m"}
-    }  # fmt: skip
-    with pytest.raises(InputError) as caught:
-        read_fit(tables)
-    first, _ = caught.value.faults
-    assert "r = 28000 mm (and 2 more readings): must be on the lower body" in first
-    assert "a thousand times too large" in first
-
-
 def test_noise_in_another_unit_than_its_readings(good, tmp_path):
     columns = (1.0, 2.0, 3.0), (1.0, 2.0, 3.0), (2e-4, 2e-4, 2e-4)
     write_table(tmp_path / "z.csv", ("t_s", "z_um", "noise_mm"), *columns)
@@ -94,17 +76,6 @@ def test_noise_in_another_unit_than_its_readings(good, tmp_path):
     tables["experiment"][0]["data"][0]["sd"] = "noise_mm"
     with pytest.raises(InputError, match=r'sd = "noise_mm": .* in mm by its name; must be in um'):
         read_fit(tables)
-
-
-def test_records_of_a_spreadsheet(good, tmp_path):
-    """With its first line, decimal commas and clock times."""
-    rows = "".join(f"0:{t // 60:02d}:{t % 60:02d};{t / 10:g}\n" for t in range(2, 99, 2))
-    (tmp_path / "z.csv").write_text("sep=;\ntime;z_um\n" + rows.replace(".", ","))
-    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
-    tables["experiment"][0]["data"][0]["columns"] = {"value": "z_um"}
-    record = read_fit(tables).experiments[0].series[0]
-    assert record.x == pytest.approx(np.arange(2.0, 99.0, 2.0))
-    assert record.value == pytest.approx(1e-4 * record.x)
 
 
 def test_the_same_readings_twice(good):
@@ -141,24 +112,6 @@ def test_columns_in_units_of_something_else(quantity, column, good, tmp_path):
     assert "or units.value must be given" in str(caught.value)
 
 
-def test_a_table_of_names_only(good, tmp_path):
-    write_table(tmp_path / "z.csv", ("t_s", "z_um"), (), ())
-    for sd in ({"relative": 0.01}, 0.1):
-        tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
-        table = tables["experiment"][0]["data"][0]
-        table |= {"columns": {"time": "t_s", "value": "z_um"}, "sd": sd}
-        with pytest.raises(InputError, match="has no readings; must have one at least"):
-            read_fit(tables)
-
-
-def test_noise_in_a_unit_of_something_else(good, tmp_path):
-    write_table(tmp_path / "z.csv", ("t_s", "z_um", "sd_N"), *[(1.0, 2.0, 3.0)] * 3)
-    tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
-    tables["experiment"][0]["data"][0]["sd"] = "sd_N"
-    with pytest.raises(InputError, match="the column is in N by its name; must be in um"):
-        read_fit(tables)
-
-
 def test_what_is_taken_for_a_unit_is_told(good, tmp_path, comm):
     data = good["experiment"][0]["data"][0]
     x, y = np.genfromtxt(data["file"], delimiter=",", skip_header=1).T
@@ -186,18 +139,6 @@ def test_what_is_taken_for_a_unit_is_told(good, tmp_path, comm):
     assert f"warning: {sentence}" in prediction(expected_result(read_fit(tables), comm))
     with pytest.raises(InputError, match=r"the column t / min of .* is in min by its name"):
         assumptions("t / min", "z / mm", time="s")
-
-
-def test_clock_times_with_seconds_need_no_unit(good, tmp_path):
-    for clock, told in (("0:{:02d}:00", False), ("{}:00", True)):
-        rows = "".join(f"{clock.format(t)};{t / 10:g}\n" for t in range(1, 31))
-        (tmp_path / "z.csv").write_text("time;z_um\n" + rows)
-        tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
-        tables["experiment"][0]["data"][0]["columns"] = {"value": "z_um"}
-        tables["experiment"] = tables["experiment"][:1]
-        tables["experiment"][0]["set"]["time.end"] = 1800.0
-        del tables["experiment"][0]["data"][1]
-        assert bool(read_fit(tables).experiments[0].series[0].assumptions) is told
 
 
 @pytest.mark.parametrize("entry", [PEN, PROF])
@@ -283,15 +224,6 @@ def test_a_torque_that_falls_is_no_wrong_sign(good, tmp_path, comm):
     problem = read_fit(tables)
     misfit = Misfit(problem, Histories(problem, comm))
     refuse_reversed(misfit, misfit.with_best_nuisances(list(problem.start.values())))
-
-
-def test_a_quantity_that_does_not_respond(good, comm):
-    tables = copy.deepcopy(good)
-    tables["experiment"][0]["data"].append(
-        {"quantity": "mass.upper", "value": 0.0, "unit": "mg", "density": 7.8e-3, "sd": 0.1}
-    )
-    with pytest.raises(InputError, match=r"mass.upper: does not respond to any parameter"):
-        fit(tables, comm)
 
 
 def test_a_logger_s_file_as_it_is(good, tmp_path):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from laboratory import PEN, PROF, changed, fit_tables, write_tests
+from laboratory import PEN, PROF, changed
 from mpi4py import MPI
 
 from ringwear_par.errors import InputError
@@ -13,12 +13,7 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.user_units import specific_wear_rate
 from ringwear_par.identification.fit import expected_result
 
-
-@pytest.fixture(scope="module")
-def good(tmp_path_factory):
-    """A folder of measurements, and the fit file as a dict."""
-    folder = tmp_path_factory.mktemp("laboratory")
-    return fit_tables(folder, write_tests(folder), starts=1)
+pytestmark = pytest.mark.serial
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-from laboratory import FITTED, fit_tables, write_tests
+from laboratory import FITTED, fit_tables
 from scipy.stats import truncnorm
 
 from ringwear_par.errors import ComputationError
@@ -17,13 +17,6 @@ from ringwear_par.identification.estimation.intervals import estimates
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.estimation.posterior import sample_posterior
 from ringwear_par.identification.fit import expected_result, fit, fit_problem
-
-
-@pytest.fixture(scope="module")
-def laboratory(tmp_path_factory):
-    """Two tests with noise, and their folder."""
-    folder = tmp_path_factory.mktemp("posterior")
-    return folder, write_tests(folder)
 
 
 class LinearHistories:
@@ -136,16 +129,6 @@ def test_samples_keep_to_a_bound(linear, comm):
 
 
 @pytest.mark.serial
-def test_priors_count(linear, comm):
-    """A prior as wide as what the readings tell halves the variance."""
-    _, covariance, _, _ = linear(comm)
-    sd = float(np.sqrt(covariance[1, 1]))
-    _, _, unknowns, drawn = linear(comm, **{"wear.lower.p0": {"prior": Prior(25.0, sd)}})
-    error = 4.0 / np.sqrt(drawn.effective)
-    assert unknowns[:, 1].std() == pytest.approx(sd / np.sqrt(2.0), rel=error)
-
-
-@pytest.mark.serial
 def test_a_prior_is_that_of_the_value_on_a_logarithmic_scale(linear, comm):
     """Where the readings tell nothing, samples of k are those of its prior."""
     mean, sd = 1.3e-7, 0.5e-7
@@ -158,15 +141,6 @@ def test_a_prior_is_that_of_the_value_on_a_logarithmic_scale(linear, comm):
     assert error < 0.15
     assert drawn.samples[:, 0].mean() == pytest.approx(expected.mean(), abs=error * sd)
     assert drawn.samples[:, 0].std() == pytest.approx(expected.std(), rel=error)
-
-
-@pytest.mark.serial
-def test_outliers_widen_the_student_loss_only(linear, comm):
-    """Without outliers a Student distribution tells 7/5 of the variance."""
-    _, covariance, unknowns, drawn = linear(comm, samples=1000, settings={"loss": "student"})
-    error = 4.0 / np.sqrt(drawn.effective)
-    sd = np.sqrt(np.diag(covariance))[:2]
-    assert unknowns.std(axis=0) == pytest.approx(sd, rel=error + 0.15)
 
 
 @pytest.mark.serial

@@ -1,6 +1,5 @@
 """Rounds of histories, which the first rank asks and all compute: alike, and ended together."""
 
-import copy
 import re
 import signal
 import sys
@@ -10,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from laboratory import FITTED, TRUTH, fit_tables, write_tests
+from laboratory import FITTED, TRUTH
 
 from ringwear_par.errors import ComputationError, LawError, RingwearError
 from ringwear_par.identification.definition.fit_file import read_fit
@@ -23,18 +22,6 @@ from ringwear_par.identification.model import rounds as rounds_room
 from ringwear_par.identification.model.histories import Histories, HistoryError
 from ringwear_par.identification.model.rounds import Rounds, StoppedError, side_by_side
 from ringwear_par.results.execution.stopping import StopSignals
-
-
-@pytest.fixture(scope="module")
-def tables(tmp_path_factory):
-    """A function that makes a fit file of two tests."""
-    folder = tmp_path_factory.mktemp("rounds")
-    written = write_tests(folder)
-
-    def made(**settings):
-        return fit_tables(folder, copy.deepcopy(written), **settings)
-
-    return made
 
 
 def test_histories_of_all_ranks_are_those_of_one(tables, comm):

@@ -22,6 +22,8 @@ from ringwear_par.identification.test_design.design import run_design
 from ringwear_par.identification.test_design.design_folder import FILES, next_tests
 from ringwear_par.results.execution.stopping import Stopped
 
+pytestmark = pytest.mark.serial
+
 VARY = {"load.pressure": [40.0, 96.0]}
 
 
@@ -74,7 +76,6 @@ def test_what_the_best_tests_tell_is_what_a_fit_of_them_tells(tables, comm):
     assert volumes < np.linalg.det(expected_result(read_fit(tables()), comm).covariance[:2, :2])
 
 
-@pytest.mark.serial
 def test_exchange_finds_the_best_three(tables, comm):
     """Of 15 loads all 680 triples are looked at."""
     best = {
@@ -100,10 +101,9 @@ def test_exchange_finds_the_best_three(tables, comm):
         assert found.designs[0].score == pytest.approx(scores[criterion].max(), rel=1e-5)
 
 
-@pytest.mark.serial
 def test_an_earlier_fit_counts(tables, comm, tmp_path):
     """Information of the fit and of the tests add up; draws are around its estimates."""
-    source = tables()
+    source = tables(starts=1)
     earlier = fit(source, comm, compare=False)
     folder = MPI.COMM_WORLD.bcast(str(tmp_path)) if comm.size > 1 else str(tmp_path)
     earlier.save(folder)
@@ -123,6 +123,7 @@ def test_an_earlier_fit_counts(tables, comm, tmp_path):
     assert 0.0 < gain.score < 5.0
 
 
+@pytest.mark.ranks
 def test_results_do_not_depend_on_ranks(tables, comm):
     found = rw.design(tables(), comm)
     one, other = found.to_dict(), rw.design(tables(), MPI.COMM_SELF).to_dict()
@@ -130,6 +131,7 @@ def test_results_do_not_depend_on_ranks(tables, comm):
     assert one["designs"] == other["designs"]
 
 
+@pytest.mark.ranks
 def test_experiments_may_have_operators_of_their_own(tables, comm):
     """Ranks share the tests, and assemble all operators in the same order."""
     source = tables()
@@ -140,6 +142,7 @@ def test_experiments_may_have_operators_of_their_own(tables, comm):
     )
 
 
+@pytest.mark.ranks
 def test_tests_that_cannot_be_computed_are_left_out(tables, comm):
     """Half of the ring would be worn off by the longest ones."""
     found = rw.design(tables({"time.end": [100.0, 500000.0]}, {"experiments": 1}), comm)
@@ -149,21 +152,6 @@ def test_tests_that_cannot_be_computed_are_left_out(tables, comm):
     assert "cannot be computed and are left out" in found.summary()
     with pytest.raises(rw.ComputationError, match=r"which leaves too few: .*worn off"):
         rw.design(tables({"time.end": [500000.0, 600000.0]}, {"experiments": 1}), comm)
-
-
-@pytest.mark.serial
-def test_what_a_fit_knows_of_a_product_counts(tables, comm, tmp_path):
-    """Without a torque k and friction are one number, which an earlier fit knows well."""
-    source = tables()
-    source["fit"]["parameters"]["contact.friction"] = {
-        "start": 0.1, "bounds": [0.01, 1.0], "scale": "log",
-    }  # fmt: skip
-    folder = comm.bcast(str(tmp_path))
-    fit(source, comm, compare=False).save(folder)
-    found = rw.design(source, comm, after=folder)
-    values = np.linalg.eigvalsh(found.information)
-    assert values[-1] > 1e4  # of the product
-    assert values[0] < 1e-3 * values[-1]
 
 
 def test_a_fitted_key_cannot_vary(tables, comm):
@@ -226,18 +214,9 @@ def test_instants_of_profiles_vary(tables, comm):
         rw.design(source, comm)
 
 
-def test_only_instants_may_vary(tables, comm):
-    found = rw.design(tables({"profile.at": [0.1, 1.0]}, {"experiments": 1}), comm)
-    assert (len(found.candidates), found.histories, len(found.designs)) == (10, 1 + 2, 10)
-    scores = [design.score for design in found.designs]
-    assert scores == sorted(scores, reverse=True)
-    assert scores[0] > scores[-1]
-
-
-@pytest.mark.serial
 def test_noise_that_a_fit_has_found_counts(tables, comm, tmp_path):
     """The file's is but a guess, of second differences."""
-    source = tables()
+    source = tables(starts=1)
     for experiment in source["experiment"]:
         experiment["data"][0]["sd"] = "fit"
     before = rw.design(source, comm)
@@ -251,25 +230,6 @@ def test_noise_that_a_fit_has_found_counts(tables, comm, tmp_path):
     assert before.problem.experiments[0].series[0].sd != pytest.approx(
         found.problem.experiments[0].series[0].sd
     )
-
-
-def test_three_tests_are_told(tables, comm):
-    found = rw.design(tables(budget={"experiments": 3}), comm)
-    assert len(found.designs[0].tests) == len(found.to_dict()["designs"][0]["experiments"]) == 3
-    best = found.designs[0].tests
-    assert found.summary().splitlines()[2].count(" MPa, ") == 3 == len(best)
-    assert found.single_scores.shape == (15,)
-
-
-def test_keys_without_unit_have_no_brackets(tables, comm):
-    """In the map, whose colours tell the sd of each key."""
-    source = tables()
-    sought = source["fit"]["parameters"]
-    sought["contact.friction"] = {"start": 0.1, "bounds": [0.01, 1.0],
-                                  "prior": {"normal": [0.1, 0.01]}}  # fmt: skip
-    labels = [axes.get_ylabel() for axes in rw.design(source, comm).plot().axes]
-    assert "predicted sd of contact.friction" in labels
-    assert "predicted sd of wear.lower.p0 (MPa)" in labels
 
 
 def test_candidates_keep_to_their_ranges(tables):
@@ -321,7 +281,6 @@ def test_what_cannot_be_is_refused(tables, change, told, comm):
         rw.design(tables(**change), comm)
 
 
-@pytest.mark.serial
 def test_the_folder_holds_what_to_do_next(tables, laboratory, tmp_path, comm, capsys, monkeypatch):
     folder, _ = laboratory
     from ringwear_par.cases.text import toml_value
@@ -371,7 +330,6 @@ def test_the_folder_holds_what_to_do_next(tables, laboratory, tmp_path, comm, ca
     assert not (tmp_path / "later").exists()
 
 
-@pytest.mark.serial
 def test_next_tests_have_the_noise_of_the_readings_that_they_are_measured_as(tables, comm):
     """Of two records of one quantity each its own, of profiles that of the last one."""
     source = tables()
