@@ -56,7 +56,9 @@ def run_fit(
     def clear() -> None:
         if overwrite:
             stored.remove()
-        elif not restart:
+        elif restart:
+            StoredStarts(folder, problem.key).refuse_others()
+        else:
             fit_folder.refuse_interrupted(folder)
         announce_replacement(folder / FIT)
 
