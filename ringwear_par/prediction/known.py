@@ -180,10 +180,13 @@ def doubts_of(known: Known, case: Case, of: str) -> tuple[ValidityWarning, ...]:
     values = known.values
     if of == NEXT and not len(values.scattering):
         text = (
-            "the fit has no scatter: the next specimen differs more from those tested "
+            "the fit has no scatter: the band is of the specimens tested, the next one differs more "
             '(scatter = "fit" where there are repeats)'
         )
         doubts.append(ValidityWarning("no-scatter", text))
+    elif of != MATERIAL and not len(values.scattering):
+        text = f"the fit has no scatter: its specimens share one value, {legible(of)} has none of its own"
+        doubts.append(ValidityWarning("one-value", text))
     means = conditions_of(case, values.keys)
     for (name, unit), value, tests in zip(
         CONDITIONS.items(), means.tolist(), values.conditions.T, strict=True

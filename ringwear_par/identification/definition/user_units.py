@@ -11,6 +11,7 @@ from ringwear_par.cases.schema import base_unit
 from ringwear_par.cases.units import factor
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
+from ringwear_par.wear.laws.threshold import AboveThreshold
 
 #: unit of specific wear rates, and how many of it a 1/MPa is
 SPECIFIC, _PER_MPA = "mm3/(N m)", 1e3
@@ -26,10 +27,13 @@ def unit_scale(parameter: FittedParameter) -> float:
     return factor(parameter.unit, base_unit(parameter.key)) if parameter.unit else 1.0
 
 
-def in_users_unit(parameter: FittedParameter, entry: Entry) -> dict[str, Any] | None:
+def in_users_unit(
+    parameter: FittedParameter, entry: Entry, case: Case
+) -> dict[str, Any] | None:
     """Return the numbers of a key in the user's unit; None where that is the case's.
 
-    Its ``scale`` is how much the unit is in the case's.
+    Its ``scale`` is how much the unit is in the case's; ``per`` is "friction energy" for wear
+    coefficients k of laws whose specific wear rate is k mu.
 
     Parameters
     ----------
@@ -46,6 +50,9 @@ def in_users_unit(parameter: FittedParameter, entry: Entry) -> dict[str, Any] | 
 
     names = ("estimate", "sd", "interval", "next")
     unit = {"unit": parameter.unit, "scale": scale}
+    law = case.laws_by_table.get(parameter.key.rpartition(".")[0])
+    if isinstance(law, AboveThreshold) and base_unit(parameter.key) == "1/MPa":
+        unit["per"] = "friction energy"
     return {**unit, **{name: converted(entry.get(name)) for name in names}}
 
 
