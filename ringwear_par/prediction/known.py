@@ -115,12 +115,12 @@ def _known(name: str, outcome: Mapping[str, Any], values: FittedValues) -> Known
     )  # fmt: skip
 
 
-def check_predicted(known: Known, case: Case, name: str, of: str) -> None:
+def check_predicted(known: Known, case: Case, name: str, of: str, dashes: str = "") -> None:
     """Refuse what a fit cannot predict.
 
     Parameters
     ----------
-    name : what messages call the case.
+    name : what messages call the case; dashes : before the options of the command.
 
     Raises
     ------
@@ -129,7 +129,9 @@ def check_predicted(known: Known, case: Case, name: str, of: str) -> None:
     values, faults = known.values, []
     if of not in (NEXT, MATERIAL, *values.specimens):
         names = ", ".join(f'"{legible(n)}"' for n in dict.fromkeys(values.specimens))
-        faults.append(f'of = "{legible(of)}": must be "{NEXT}", "{MATERIAL}" or one of {names}')
+        faults.append(
+            f'{dashes}of = "{legible(of)}": must be "{NEXT}", "{MATERIAL}" or one of {names}'
+        )
     faults += [
         f"{known.name}: {key} is {verdict.replace('at', 'at its')}: there is no distribution to "
         "draw it from; must be identified, or set in the case and not fitted"
@@ -180,12 +182,12 @@ def doubts_of(known: Known, case: Case, of: str) -> tuple[ValidityWarning, ...]:
     values = known.values
     if of == NEXT and not len(values.scattering):
         text = (
-            "the fit has no scatter: the band is of the specimens tested, the next one differs more "
+            "the fit has no scatter: the next specimen differs more from those tested "
             '(scatter = "fit" where there are repeats)'
         )
         doubts.append(ValidityWarning("no-scatter", text))
     elif of != MATERIAL and not len(values.scattering):
-        text = f"the fit has no scatter: its specimens share one value, {legible(of)} has none of its own"
+        text = f"the fit has no scatter: {legible(of)} and its other specimens share one value"
         doubts.append(ValidityWarning("one-value", text))
     means = conditions_of(case, values.keys)
     for (name, unit), value, tests in zip(

@@ -12,13 +12,14 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Output, Overrides
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.files.writing import closing_line
 from ringwear_par.identification.definition.problem import Experiment
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.model.histories import cases_at, step_times
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together
 from ringwear_par.prediction.draws import draw_paces, draw_values
-from ringwear_par.prediction.folder import prepare
+from ringwear_par.prediction.folder import FILES, prepare
 from ringwear_par.prediction.known import Known, check_predicted, doubts_of, known_of, sources_of
 from ringwear_par.prediction.prediction import QUANTITIES, Prediction
 from ringwear_par.results.result import Result
@@ -94,7 +95,7 @@ def run_predict(
     """Predict and write the outcome to a folder. Collective on comm."""
 
     def read() -> _Job:
-        job = _job(fit, case, overrides, of, draws, seed)
+        job = _job(fit, case, overrides, of, draws, seed, "--")
         prepare(folder)
         return job
 
@@ -104,6 +105,7 @@ def run_predict(
     on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:
         print(result.summary())
+        print(closing_line(folder, FILES))
 
 
 def _job(
@@ -113,8 +115,9 @@ def _job(
     of: str,
     draws: int,
     seed: int,
+    dashes: str = "",
 ) -> _Job:
-    """Return the job of all ranks, with its draws. On one rank.
+    """Return the job of all ranks, with its draws; ``dashes`` of the command's. On one rank.
 
     Raises
     ------
@@ -122,11 +125,11 @@ def _job(
     """
     for name, number, least in (("draws", draws, 1), ("seed", seed, 0)):
         if isinstance(number, bool) or not isinstance(number, int) or number < least:
-            raise InputError(f"{name} = {number!r}: must be a whole number >= {least}")
+            raise InputError(f"{dashes}{name} = {number!r}: must be a whole number >= {least}")
     known = known_of(fit)
     name = str(case) if isinstance(case, Path | str) else "case"
     case = case if isinstance(case, Case) else read_case(case, overrides)
-    check_predicted(known, case, name, of)
+    check_predicted(known, case, name, of, dashes)
     random = np.random.default_rng(seed)
     return _Job(known, case, of, seed, *draw_values(known.values, of, draws, random))
 

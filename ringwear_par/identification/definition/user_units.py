@@ -27,9 +27,7 @@ def unit_scale(parameter: FittedParameter) -> float:
     return factor(parameter.unit, base_unit(parameter.key)) if parameter.unit else 1.0
 
 
-def in_users_unit(
-    parameter: FittedParameter, entry: Entry, case: Case
-) -> dict[str, Any] | None:
+def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[str, Any] | None:
     """Return the numbers of a key in the user's unit; None where that is the case's.
 
     Its ``scale`` is how much the unit is in the case's; ``per`` is "friction energy" for wear

@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
+from ringwear_par.files.writing import announce_replacement
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
@@ -77,6 +78,8 @@ def run_case(
         def note_signals(snapshot: Snapshot) -> bool:
             """Stop after a step, not at once, as soon as there is a state: an observer."""
             if not signals.noted:
+                if before is None and not overwrite and comm.rank == 0:
+                    announce_replacement(output)  # now that the case is known to be good
                 handlers.enter_context(signals)
             return False
 
