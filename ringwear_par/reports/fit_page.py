@@ -41,6 +41,7 @@ from ringwear_par.reports.blocks import (
     checks_tile,
     software,
 )
+from ringwear_par.results.instants import time_words
 from ringwear_par.results.storage.hdf5 import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
 
@@ -299,14 +300,21 @@ def _alternatives(outcome: Mapping[str, Any]) -> Table:
 
 
 def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
-    keys = list(outcome["parameters"])
-    rows = []
-    for number, one in enumerate(outcome["designs"], start=1):
-        rows.append([str(number), one["name"], f"{one['seconds']:g}",
-                     *(_number(one["sd"][key], 3) for key in keys)])  # fmt: skip
-    rows.append(["fit file", "its own tests", _DASH,
-                 *(_number(outcome["fit_file"]["sd"][key], 3) for key in keys)])  # fmt: skip
-    header = ["design", "tests", "seconds", *(f"sd of {key}" for key in keys)]
+    scales = {key: outcome["sd_scales"][key] for key in outcome["parameters"]}
+
+    def deviations(of: Mapping[str, Any]) -> list[str]:
+        return [
+            _DASH if of["sd"][key] is None else f"{scale['factor'] * of['sd'][key]:.3g}"
+            for key, scale in scales.items()
+        ]
+
+    rows = [
+        [str(number), one["name"], time_words(one["seconds"], one["seconds"]), *deviations(one)]
+        for number, one in enumerate(outcome["designs"], start=1)
+    ]
+    rows.append(["fit file", "its own tests", _DASH, *deviations(outcome["fit_file"])])
+    units = (f"sd of {key} ({in_signs(of['unit'])})" for key, of in scales.items())
+    header = ["design", "tests", "duration", *units]
     blocks: list[Block] = [
         Lines([f"{outcome['candidates']} candidate tests, criterion {outcome['criterion']}, "
                f"measured as in {outcome['measured_as']}"]),
