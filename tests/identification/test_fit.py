@@ -292,7 +292,7 @@ def test_other_laws_are_told_not_to_fit(tables, comm):
     assert list(told["parameters"]) == ["wear.lower.k"]
     (line,) = (line for line in found.summary().splitlines() if line.startswith("  archard: "))
     k = other.parameters[0]
-    assert f"wear.lower.k = {k.estimate:.5g} +- {k.sd:.2g} 1/MPa; does not fit" in line
+    assert f"wear.lower.k = {k.estimate:.5g} 1/MPa (u = {k.sd:.2g}); does not fit" in line
 
 
 @pytest.mark.serial

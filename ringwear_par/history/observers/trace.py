@@ -40,13 +40,13 @@ class Trace:
         ------
         StopIteration : there is none.
         """
-        every = (*self.states, *(one(snapshot.state, 0) for snapshot in self.passing))
-        return next(s for s in every if abs(s.time - time) <= SAME_TIME * time)
+        states = (snapshot.state for snapshot in (*self.snapshots, *self.passing))
+        return next(one(s, 0) for s in states if abs(s.time[0] - time) <= SAME_TIME * time)
 
     @property
     def last(self) -> State:
         """The last state."""
-        return self.states[-1]
+        return one(self.snapshots[-1].state, 0)
 
     @property
     def steps(self) -> int:

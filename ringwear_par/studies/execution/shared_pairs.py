@@ -10,10 +10,15 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
+from ringwear_par.elasticity import pair_cache
+from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.elasticity.bem.pair import ContactPair
+from ringwear_par.elasticity.stress.recovery import load_stress_kernels
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.files.writing import atomic_write
+from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.pairs import assemble, from_stacked, to_stacked
+from ringwear_par.history.lockstep import must_run_alone
 from ringwear_par.parallel import on_first_rank, together
 from ringwear_par.studies.execution.plan import Plan
 from ringwear_par.studies.execution.summary import Timings
@@ -30,6 +35,39 @@ class StorageError(ComputationError):
 
 class StoppedError(RingwearError):
     """All are to stop, and there is no pair yet."""
+
+
+def load_kernels_of(plan: Plan, comm: MPI.Comm) -> None:
+    """Load what assembles and recovers stresses, where cases need it. Collective.
+
+    By all ranks together, not by each team when it needs them.
+    """
+
+    def known() -> bool:
+        cases = (plan.study.case(int(plan.todo[group][0])) for group in plan.left)
+        return all(not must_run_alone(c) and pair_cache.has(operator_key(c)) for c in cases)
+
+    if not on_first_rank(comm, known):
+        load_kernels(comm)
+    if plan.cases_left and plan.study.case(int(plan.todo.cases[0])).stress is not None:
+        load_stress_kernels(comm)
+
+
+def provide_all_pairs(plan: Plan, comm: MPI.Comm, timings: Timings) -> None:
+    """Provide the pairs of all groups that are left, by all ranks. Collective.
+
+    Raises
+    ------
+    ComputationError : the disk.
+    """
+    try:
+        for group in plan.left:
+            provide_pair(plan, group, comm, timings)
+    except StorageError as error:
+        on_first_rank(comm, plan.folder.drop_operators)
+        ended = f"{plan.done + plan.failed} of {plan.total} cases are stored"
+        raise ComputationError(f"{error}; {ended}, and the same command goes on") from error
+    comm.Barrier()
 
 
 def provide_pair(plan: Plan, group: int, comm: MPI.Comm, timings: Timings) -> None:

@@ -16,12 +16,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from ringwear_par.elasticity import pair_cache
-from ringwear_par.elasticity.bem.assembly import load_kernels
-from ringwear_par.elasticity.stress.recovery import load_stress_kernels
-from ringwear_par.errors import ComputationError, RingwearError
-from ringwear_par.history.elastic.bodies import operator_key
-from ringwear_par.history.lockstep import must_run_alone
+from ringwear_par.errors import RingwearError
 from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads
 from ringwear_par.results.execution.progress import SweepProgress
 from ringwear_par.results.execution.stopping import StopSignals
@@ -30,7 +25,7 @@ from ringwear_par.studies.execution.case_queue import SharedQueue
 from ringwear_par.studies.execution.estimate import estimate
 from ringwear_par.studies.execution.merging import merge_if_well
 from ringwear_par.studies.execution.plan import Plan, Request, make_plan
-from ringwear_par.studies.execution.shared_pairs import StorageError, provide_pair
+from ringwear_par.studies.execution.shared_pairs import load_kernels_of, provide_all_pairs
 from ringwear_par.studies.execution.summary import Summary, Timings, trouble_of
 from ringwear_par.studies.execution.team_store import TeamStore
 from ringwear_par.studies.execution.teams import Team
@@ -143,17 +138,10 @@ def _sweep(
 def _compute(
     plan: Plan, started: float, comm: MPI.Intracomm, team: MPI.Comm
 ) -> tuple[Summary, RingwearError | None]:
-    def known() -> bool:
-        cases = (plan.study.case(int(plan.todo[group][0])) for group in plan.left)
-        return all(not must_run_alone(c) and pair_cache.has(operator_key(c)) for c in cases)
-
-    if not on_first_rank(comm, known):
-        load_kernels(comm)  # by all ranks together, not by each team when it needs them
-    if plan.cases_left and plan.study.case(int(plan.todo.cases[0])).stress is not None:
-        load_stress_kernels(comm)
+    load_kernels_of(plan, comm)
     timings = Timings()
     if plan.all_assemble:
-        _assemble_all(plan, comm, timings)
+        provide_all_pairs(plan, comm, timings)
 
     def group_ended(group: int) -> None:
         with suppress(OSError):  # or else at the end
@@ -209,15 +197,3 @@ def _compute(
             troubles.append(error)
     summary = replace(summary, seconds=time.perf_counter() - started)
     return summary, trouble_of(plan, summary, counted, troubles, received, comm)
-
-
-def _assemble_all(plan: Plan, comm: MPI.Intracomm, timings: Timings) -> None:
-    """Provide all operators, by all ranks. Collective."""
-    try:
-        for group in plan.left:
-            provide_pair(plan, group, comm, timings)
-    except StorageError as error:
-        on_first_rank(comm, plan.folder.drop_operators)
-        ended = f"{plan.done + plan.failed} of {plan.total} cases are stored"
-        raise ComputationError(f"{error}; {ended}, and the same command goes on") from error
-    comm.Barrier()
