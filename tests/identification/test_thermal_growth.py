@@ -121,7 +121,7 @@ def test_coverage(warm):
     for _ in range(40):
         truth[2:] = [1.0, GROWTH, rng.normal(1500.0, 480.0)] * 2
         truth[2:] = np.clip(truth, misfit.lower, misfit.upper)[2:]
-        misfit.data = response[:, 0] + misfit.nuisance_part(truth)[0]
+        misfit.data = response[:, 0] + misfit.nuisance_readings(truth)
         misfit.data = misfit.data + misfit.sd * rng.standard_normal(misfit.n)
         best = minimise(misfit, misfit.with_best_nuisances(list(problem.start.values())))
         assert best.converged

@@ -42,8 +42,8 @@ class MarginalLikelihood:
             self._prior_rows[row, j] = 1.0 / prior.sd
             self._prior_values[row] = prior.mean / prior.sd
         self._priors = [(j, prior) for j, prior in misfit.priors if j < m]
-        added, columns = misfit.nuisance_part(x)
-        self._data = misfit.data - (added - columns @ x[m:])
+        columns = misfit.nuisance_derivatives(x)
+        self._data = misfit.data - (misfit.nuisance_readings(x) - columns @ x[m:])
         self._columns = misfit.whitened(columns)
         # without weights that change it is the same for all samples
         ones = np.ones(misfit.n)

@@ -284,19 +284,22 @@ class Misfit:
         slopes = [self.problem.slopes(v) for v in self.values_of_tests(x, test_unknowns)]
         derivatives = self._response(x, test_unknowns)[:, 1 : 1 + self._m]
         key_columns = derivatives * np.repeat(slopes, counts, axis=0)
-        return np.concatenate([key_columns, self.nuisance_part(x)[1]], axis=1)
+        return np.concatenate([key_columns, self.nuisance_derivatives(x)], axis=1)
 
-    def nuisance_part(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what nuisances of unknowns (u,) add to the readings (n,), and by what, (n, u - m).
-
-        The latter are the derivatives.
-        """
-        values, columns = x[self._m :], self.nuisance_columns
+    def nuisance_derivatives(self, x: FloatArray) -> FloatArray:
+        """Return derivatives (n, u - m) of the readings with respect to nuisances, at unknowns."""
+        columns = self.nuisance_columns
         if self._growths:
             columns = columns.copy()
             for (experiment, series, rows), places in self._growths:
-                columns[rows, places] = nuisance_columns(series, experiment.case, values[places])
-        return columns @ np.where(self._times, 0.0, values), columns
+                values = x[self._m :][places]
+                columns[rows, places] = nuisance_columns(series, experiment.case, values)
+        return columns
+
+    def nuisance_readings(self, x: FloatArray) -> FloatArray:
+        """Return the nuisances of unknowns as they are in the readings, (n,)."""
+        added: FloatArray = self.nuisance_derivatives(x) @ np.where(self._times, 0.0, x[self._m :])
+        return added
 
     def evaluate(
         self,
@@ -317,7 +320,7 @@ class Misfit:
         HistoryError : there is no history.
         """
         values, response = self.values(x), self._response(x, test_unknowns)
-        model = response[:, 0] + self.nuisance_part(x)[0] + random_part
+        model = response[:, 0] + self.nuisance_readings(x) + random_part
         rows = np.concatenate(
             [(model - self.data)[:, None], self.columns(x, test_unknowns)], axis=1
         )

@@ -38,7 +38,7 @@ def record_warnings(
 ) -> tuple[ValidityWarning, ...]:
     """Return warnings about single records of a fit, whose unknowns are x at the optimum."""
     return (
-        *_oppositions(misfit, evaluation.model - misfit.nuisance_part(x)[0]),
+        *_oppositions(misfit, evaluation.model - misfit.nuisance_readings(x)),
         *_trends(misfit, evaluation),
         *_alike(misfit, x),
     )

@@ -284,6 +284,6 @@ def fill_planned(misfit: Misfit) -> None:
         return
     start = misfit.problem.unknowns(list(misfit.problem.start.values()))
     x = np.concatenate([start, misfit.expected_nuisances])
-    expected = misfit.model_readings(x) + misfit.nuisance_part(x)[0]
+    expected = misfit.model_readings(x) + misfit.nuisance_readings(x)
     for part, _ in plans:
         misfit.data[part] = expected[part]
