@@ -95,16 +95,19 @@ def series_rows(outcome: Outcome) -> Iterator[SeriesRow]:
         for name, entry in series.items():
             unit = entry["unit"]
             nuisances = ", ".join(
-                f"{kind} not identified"
-                if nuisance["sd"] is None
-                else kind
-                + " "
-                + _with_sd(nuisance["estimate"], nuisance["sd"], 3, f" {unit}{_PER.get(kind, '')}")
+                _nuisance(kind, nuisance, f"{unit}{_PER.get(kind, '')}")
                 for kind, nuisance in fitted.get(name, {}).items()
             )
             yield SeriesRow(
                 experiment, name, entry["n"], entry["chi2"], unit, entry.get("sd"), nuisances
             )
+
+
+def _nuisance(kind: str, entry: Outcome, unit: str) -> str:
+    if entry["sd"] is None:
+        return f"{kind} not identified"
+    words = f"{kind} {_with_sd(entry['estimate'], entry['sd'], 3, f' {unit}')}"
+    return f"{words} in {_nuisance('time', entry['time'], 's')}" if "time" in entry else words
 
 
 def law_rows(outcome: Outcome) -> list[LawRow]:

@@ -169,7 +169,7 @@ def start_points(misfit: Misfit, histories: Histories) -> FloatArray:
         return first
     drawn = case_points(misfit, _LOT * lots)
     values = np.array([misfit.values(x) for x in drawn])
-    marginal = MarginalLikelihood(misfit)
+    marginal = MarginalLikelihood(misfit, np.append(first[0], misfit.expected_nuisances))
     moves, improbable = np.zeros((len(drawn), m)), np.full(len(drawn), np.inf)
     for i, response in enumerate(histories.responses(values, ROUGH_STEPS, exact=misfit.exact)):
         if not isinstance(response, Exception):
@@ -282,12 +282,8 @@ def fill_planned(misfit: Misfit) -> None:
     plans = [(part, series) for _, series, part in misfit.records if series.planned]
     if not plans:
         return
-    m = len(misfit.problem.parameters)
     start = misfit.problem.unknowns(list(misfit.problem.start.values()))
-    x = np.concatenate([start, np.zeros(len(misfit.names) - m)])
-    for j, prior in misfit.priors:
-        if j >= m:
-            x[j] = prior.mean
-    expected = misfit.model_readings(x) + misfit.nuisance_columns @ x[m:]
+    x = np.concatenate([start, misfit.expected_nuisances])
+    expected = misfit.model_readings(x) + misfit.nuisance_readings(x)
     for part, _ in plans:
         misfit.data[part] = expected[part]
