@@ -19,6 +19,7 @@ from ringwear_par.identification.summary import (
     counted,
     goodness,
     law_rows,
+    limits,
     of_specimens,
     process_lines,
     scatter_lines,
@@ -151,9 +152,13 @@ def _tiles(outcome: Mapping[str, Any]) -> Tiles:
         entry = one.get("told") or one
         known = one["verdict"] != "not identified" and None not in entry["interval"]
         low, high = entry["interval"]
-        note = f"{low:.4g} to {high:.4g} ({percent})" if known else ""
+        value, note = f"{entry['estimate']:.4g}", str(one["verdict"])
+        if known:
+            note = f"{low:.4g} to {high:.4g} ({percent})"
+        elif (low is None) != (high is None):
+            value, note = limits(entry["interval"], 4), f"{percent}, {note}"
         unit = in_signs(str(entry["unit"])) if entry["unit"] not in ("1", "-") else ""
-        tiles.append(Tile(key, f"{entry['estimate']:.4g}", unit, note or str(one["verdict"])))
+        tiles.append(Tile(key, value, unit, note))
     return Tiles([*tiles, checks_tile(len(outcome["warnings"]))])
 
 
