@@ -42,6 +42,7 @@ from ringwear_par.reports.blocks import (
     checks_tile,
     software,
 )
+from ringwear_par.results.instants import time_words
 from ringwear_par.results.storage.hdf5 import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
 
@@ -304,14 +305,24 @@ def _alternatives(outcome: Mapping[str, Any]) -> Table:
 
 
 def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
-    keys = list(outcome["parameters"])
-    rows = []
-    for number, one in enumerate(outcome["designs"], start=1):
-        rows.append([str(number), one["name"], f"{one['seconds']:g}",
-                     *(_number(one["sd"][key], 3) for key in keys)])  # fmt: skip
-    rows.append(["fit file", "its own tests", _DASH,
-                 *(_number(outcome["fit_file"]["sd"][key], 3) for key in keys)])  # fmt: skip
-    header = ["design", "tests", "seconds", *(f"sd of {key}" for key in keys)]
+    scales = outcome["sd_scales"]
+
+    def sds(one: Mapping[str, Any]) -> list[str]:
+        """Return the standard deviations of a design."""
+        known = {key: sd for key, sd in one["sd"].items() if sd is not None}
+        return [
+            f"{scale['factor'] * known[key]:.3g}" if key in known else _DASH
+            for key, scale in scales.items()
+        ]
+
+    rows = [
+        [str(number), one["name"], time_words(one["seconds"], one["seconds"]), *sds(one)]
+        for number, one in enumerate(outcome["designs"], start=1)
+    ]
+    rows.append(["fit file", "its own tests", _DASH, *sds(outcome["fit_file"])])
+    units = {key: f" ({in_signs(scale['unit'])})" * bool(scale["unit"])
+             for key, scale in scales.items()}  # fmt: skip
+    header = ["design", "tests", "duration", *(f"sd of {key}{units[key]}" for key in scales)]
     blocks: list[Block] = [
         Lines([f"{outcome['candidates']} candidate tests, criterion {outcome['criterion']}, "
                f"measured as in {outcome['measured_as']}"]),
