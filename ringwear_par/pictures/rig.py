@@ -179,7 +179,7 @@ def _draw_load(axes: Any, case: Case, foot: float, length: float, radius: float)
 
 
 def pressing(case: Case) -> str:
-    """Return what presses the bodies together."""
+    """Return the load in words: a force with its mean pressure, or a displacement."""
     load = case.load
     if load.force is not None:
         words = f"F = {_range(load.force, 'N')}"
@@ -191,7 +191,7 @@ def pressing(case: Case) -> str:
 
 
 def turning(case: Case) -> str:
-    """Return how fast the upper body turns."""
+    """Return the speed in words."""
     omega = case.load.omega
     words = f"\N{GREEK SMALL LETTER OMEGA} = {_range(omega, 'rad/s')}"
     if isinstance(omega, float):
