@@ -19,6 +19,7 @@ from ringwear_par.identification.summary import (
     counted,
     goodness,
     law_rows,
+    limits,
     of_specimens,
     process_lines,
     scatter_lines,
@@ -152,9 +153,13 @@ def _tiles(outcome: Mapping[str, Any]) -> Tiles:
         entry = one.get("told") or one
         known = one["verdict"] != "not identified" and None not in entry["interval"]
         low, high = entry["interval"]
-        note = f"{low:.4g} to {high:.4g} ({percent})" if known else ""
+        value, note = f"{entry['estimate']:.4g}", str(one["verdict"])
+        if known:
+            note = f"{low:.4g} to {high:.4g} ({percent})"
+        elif (low is None) != (high is None):
+            value, note = limits(entry["interval"], 4), f"{percent}, {note}"
         unit = in_signs(str(entry["unit"])) if entry["unit"] not in ("1", "-") else ""
-        tiles.append(Tile(key, f"{entry['estimate']:.4g}", unit, note or str(one["verdict"])))
+        tiles.append(Tile(key, value, unit, note))
     return Tiles([*tiles, checks_tile(len(outcome["warnings"]))])
 
 
@@ -300,21 +305,24 @@ def _alternatives(outcome: Mapping[str, Any]) -> Table:
 
 
 def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
-    scales = {key: outcome["sd_scales"][key] for key in outcome["parameters"]}
+    scales = outcome["sd_scales"]
 
-    def deviations(of: Mapping[str, Any]) -> list[str]:
+    def sds(one: Mapping[str, Any]) -> list[str]:
+        """Return the standard deviations of a design."""
+        known = {key: sd for key, sd in one["sd"].items() if sd is not None}
         return [
-            _DASH if of["sd"][key] is None else f"{scale['factor'] * of['sd'][key]:.3g}"
+            f"{scale['factor'] * known[key]:.3g}" if key in known else _DASH
             for key, scale in scales.items()
         ]
 
     rows = [
-        [str(number), one["name"], time_words(one["seconds"], one["seconds"]), *deviations(one)]
+        [str(number), one["name"], time_words(one["seconds"], one["seconds"]), *sds(one)]
         for number, one in enumerate(outcome["designs"], start=1)
     ]
-    rows.append(["fit file", "its own tests", _DASH, *deviations(outcome["fit_file"])])
-    units = (f"sd of {key} ({in_signs(of['unit'])})" for key, of in scales.items())
-    header = ["design", "tests", "duration", *units]
+    rows.append(["fit file", "its own tests", _DASH, *sds(outcome["fit_file"])])
+    units = {key: f" ({in_signs(scale['unit'])})" * bool(scale["unit"])
+             for key, scale in scales.items()}  # fmt: skip
+    header = ["design", "tests", "duration", *(f"sd of {key}{units[key]}" for key in scales)]
     blocks: list[Block] = [
         Lines([f"{outcome['candidates']} candidate tests, criterion {outcome['criterion']}, "
                f"measured as in {outcome['measured_as']}"]),

@@ -11,6 +11,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError, RingwearError, reason_of
+from ringwear_par.files.folders import PROGRESS
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.identification.estimation.likelihood import MarginalLikelihood
@@ -23,8 +24,6 @@ log = logging.getLogger(__name__)
 
 #: of the largest derivative of any point: below it a parameter moves nothing
 _STILL = 1e-6
-#: folder in that of the outcome, until this is whole
-PROGRESS = "progress"
 _SEED = 0
 #: points of which a start is the best
 _LOT = 8
