@@ -12,14 +12,13 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Output, Overrides
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.writing import closing_line
 from ringwear_par.identification.definition.problem import Experiment
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.model.histories import cases_at, step_times
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together
 from ringwear_par.prediction.draws import draw_paces, draw_values
-from ringwear_par.prediction.folder import FILES, prepare
+from ringwear_par.prediction.folder import files_line, prepare
 from ringwear_par.prediction.known import Known, check_predicted, doubts_of, known_of, sources_of
 from ringwear_par.prediction.prediction import QUANTITIES, Prediction
 from ringwear_par.results.result import Result
@@ -105,7 +104,7 @@ def run_predict(
     on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:
         print(result.summary())
-        print(closing_line(folder, FILES))
+        print(files_line(folder))
 
 
 def _job(

@@ -94,7 +94,7 @@ def _page(source: Result | str | Path) -> Page:
 
 
 def _other_file(path: Path) -> str:
-    """Return what a file is that is no result, and what to do with it; "" of others."""
+    """Return the fault of a file of another kind, with the command for it; "" of results."""
     if path.suffix == ".toml" and path.is_file():
         kinds = {"[[experiment]]": "a fit file; ringwear fit", "[vary": "a study; ringwear sweep",
                  "[[test]]": "a measure file; ringwear measure"}  # fmt: skip

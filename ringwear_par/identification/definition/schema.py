@@ -92,13 +92,13 @@ def _prior() -> Values:
     return Values("any", read, "{ normal = [mean, sd] }, two numbers, sd > 0")
 
 
-def _scatter_size(what: str = "number") -> Values:
+def _scatter_size(kind: str = "number") -> Values:
     """Return standard deviations, and the word that has them fitted."""
 
     def read(value: Any) -> float | str:
         return value if value == "fit" else number(0.0).read(value)
 
-    return Values("any", read, f'"fit", or a {what} > 0')
+    return Values("any", read, f'"fit", or a {kind} > 0')
 
 
 def _half_t() -> Values:
