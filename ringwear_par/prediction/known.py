@@ -141,13 +141,19 @@ def check_predicted(known: Known, case: Case, name: str, of: str, dashes: str = 
     other_laws = {f"wear.{body}.": law for body, present, law in laws if present != law}
     has = differentiable(case)
     for key in values.keys:
-        law = next((law for table, law in other_laws.items() if key.startswith(table)), None)
-        if law is not None:
-            faults.append(f'{name}: has another law than "{law}", of which the fit found {key}')
+        table = next((table for table in other_laws if key.startswith(table)), None)
+        if table is not None:
+            law = getattr(case.laws_by_table.get(table[:-1]), "name", "")
+            state = f'is "{law}"' if law else "is missing"
+            of_law = ", ".join(k for k in values.keys if k.startswith(table))
+            faults.append(
+                f'{name}: {table}law {state}: must be "{other_laws[table]}", of which the fit '
+                f"found {of_law}"
+            )
         elif key not in has:
             faults.append(f"{name}: has no {key}, which the fit found; must have it")
     if faults:
-        raise InputError(*faults)
+        raise InputError(*dict.fromkeys(faults))
 
 
 def sources_of(known: Known, of: str, sizes: FloatArray) -> tuple[str, ...]:

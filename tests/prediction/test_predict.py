@@ -137,7 +137,12 @@ def test_what_is_refused(found, case, tmp_path):
         (design, case, {}, "holds a design of tests, but no fit"),
         (interrupted, case, {}, "was interrupted (ringwear fit --restart completes it)"),
         (folder, tmp_path / "no.toml", {}, "no.toml"),
-        (folder, other, {}, 'another law than "threshold", of which the fit found wear.lower.k'),
+        (
+            folder,
+            other,
+            {},
+            'wear.lower.law is "archard": must be "threshold", of which the fit found wear.lower.k',
+        ),
         (fit, case, {"of": "S9"}, '"material" or one of "test 1", "test 2"'),
         (fit, case, {"draws": 0}, "draws = 0: must be a whole number >= 1"),
         (fit, case, {"seed": -1}, "seed = -1"),

@@ -409,7 +409,7 @@ def test_a_run_with_little_stored_has_a_page(tmp_path):
         ("run.h5", "page.pdf", "page.pdf: its ending must be one of .html, .htm"),
         ("run.h5", "away/page.html", "its folder"),
         ("nothing.h5", "page.html", "nothing.h5: does not exist; must be a result file"),
-        ("paper.toml", "page.html", "paper.toml: is not a result file of ringwear"),
+        ("paper.toml", "page.html", "paper.toml: is a case file; ringwear run computes it"),
         ("empty", "page.html", "empty: holds none of fit.json, design.json, measure"),
         ("rough", "page.html", "measure.json: is not the outcome of ringwear measure, or is dam"),
         ("torn", "page.html", "design.json: is not the outcome of ringwear design, or is damaged"),
