@@ -9,7 +9,6 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import InputError, ValidityWarning, legible
 from ringwear_par.files.folders import DESIGN, FIT, READINGS
 from ringwear_par.files.text import parse_json, read_text
@@ -35,7 +34,7 @@ _A_FIT = "must be the folder of a fit that is done (ringwear fit -o)"
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class FitKnowledge:
     """What a fit knows.
 
     Parameters
@@ -58,7 +57,7 @@ class Known:
         return len({*self.values.specimens})
 
 
-def known_of(fit: FitResult | Path | str) -> Known:
+def fit_knowledge(fit: FitResult | Path | str) -> FitKnowledge:
     """Return the knowledge of a fit, or of the fit of a folder. Not collective.
 
     Raises
@@ -66,7 +65,7 @@ def known_of(fit: FitResult | Path | str) -> Known:
     InputError : a folder of anything else, or of a fit that is not done.
     """
     if isinstance(fit, FitResult):
-        return _known("fit", fit.to_dict(), fitted_values(fit))
+        return _knowledge("fit", fit.to_dict(), fitted_values(fit))
     if not isinstance(fit, Path | str):
         raise InputError(
             f"fit: a fit or its folder is needed, not {type(fit).__name__}; rw.fit returns one"
@@ -82,7 +81,7 @@ def known_of(fit: FitResult | Path | str) -> Known:
             )
         values = read_values(file)
     try:
-        return _known(str(folder), parse_json(read_text(folder / FIT)), values)
+        return _knowledge(str(folder), parse_json(read_text(folder / FIT)), values)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise InputError(f"{folder / FIT}: is not the outcome of a fit, or is damaged") from error
 
@@ -98,7 +97,7 @@ def _fault(folder: Path) -> str:
     return f"holds no {FIT}"
 
 
-def _known(name: str, outcome: Mapping[str, Any], values: FittedValues) -> Known:
+def _knowledge(name: str, outcome: Mapping[str, Any], values: FittedValues) -> FitKnowledge:
     """Return the knowledge of an outcome and its values.
 
     Raises
@@ -108,14 +107,14 @@ def _known(name: str, outcome: Mapping[str, Any], values: FittedValues) -> Known
     parameters = outcome["parameters"]
     if tuple(parameters) != values.keys:
         raise ValueError(name)
-    return Known(
+    return FitKnowledge(
         name, values, {key: str(p["unit"]) for key, p in parameters.items()},
         {key: str(p["verdict"]) for key, p in parameters.items()},
         len(outcome["warnings"]),
     )  # fmt: skip
 
 
-def check_predicted(known: Known, case: Case, name: str, of: str) -> None:
+def check_predicted(known: FitKnowledge, case: Case, name: str, of: str) -> None:
     """Refuse what a fit cannot predict.
 
     Parameters
@@ -136,8 +135,8 @@ def check_predicted(known: Known, case: Case, name: str, of: str) -> None:
         for key, verdict in known.verdicts.items()
         if verdict != "identified"
     ]
-    laws = zip(BODIES, law_names(case), values.laws, strict=True)
-    other_laws = {f"wear.{body}.": law for body, present, law in laws if present != law}
+    has_laws = law_names(case)
+    other_laws = {f"{t}.": law for t, law in values.laws.items() if has_laws.get(t, "") != law}
     has = differentiable(case)
     for key in values.keys:
         law = next((law for table, law in other_laws.items() if key.startswith(table)), None)
@@ -149,7 +148,7 @@ def check_predicted(known: Known, case: Case, name: str, of: str) -> None:
         raise InputError(*faults)
 
 
-def sources_of(known: Known, of: str, sizes: FloatArray) -> tuple[str, ...]:
+def sources_of(known: FitKnowledge, of: str, sizes: FloatArray) -> tuple[str, ...]:
     """Return sentences about what was drawn.
 
     Parameters
@@ -167,6 +166,8 @@ def sources_of(known: Known, of: str, sizes: FloatArray) -> tuple[str, ...]:
             sentences = [f"specimen {legible(of)} in the light of {tested}"]
     else:
         how = "covariance" if values.samples is None else "posterior samples"
+        if len(values.weights) > 1:
+            how = "mixture over sizes of random wear"
         sentences = [f"{how} of the fit to {tested}"]
     if sizes.any():
         size = 1e6 * float(np.median(sizes.max(axis=0)))
@@ -174,7 +175,7 @@ def sources_of(known: Known, of: str, sizes: FloatArray) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def doubts_of(known: Known, case: Case, of: str) -> tuple[ValidityWarning, ...]:
+def doubts_of(known: FitKnowledge, case: Case, of: str) -> tuple[ValidityWarning, ...]:
     """Return the doubts about a prediction."""
     doubts = []
     values = known.values

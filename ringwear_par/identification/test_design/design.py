@@ -217,8 +217,8 @@ def run_design(
 
     on_first_rank(comm, check)
     result = design(source, comm, after=after, criterion=criterion)
-    with together(comm):
-        reject_unused_options()
     on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:
         print(result.summary())
+    with together(comm):
+        reject_unused_options()
