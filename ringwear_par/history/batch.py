@@ -261,7 +261,8 @@ class Batch:
         pace = ensemble.pace(self.numbers, before.progress.steps)
         if pace is not None:
             physics, state = before.physics.at_pace(pace), before.state
-            rates = physics.rates_at(state.time, state.wear, state.contact.pressure)
+            with together(ensemble.comm):
+                rates = physics.rates_at(state.time, state.wear, state.contact.pressure)
             before = replace(before, physics=physics, state=replace(state, rates=rates))
         control, physics, contacts = before.control, before.physics, before.contacts
         self._warm = contacts.warm

@@ -93,8 +93,9 @@ class WearIncrement:
     local: bool = field(init=False, repr=False)
     #: whether any body has layers, whose laws may differ from element to element
     layered: bool = field(init=False, repr=False)
-    #: of laws that remember, by identity, the last pressures and the local state after the step
-    _after: dict[int, tuple[FloatArray, LocalState]] = field(
+    #: of laws that remember, by identity: the last pressures, and the local states before and after
+    #: the step; one law may serve both bodies
+    _after: dict[int, tuple[FloatArray, LocalState, LocalState]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
@@ -169,8 +170,10 @@ class WearIncrement:
         ------
         ComputationError : it does not settle: the rate grows with worn depth too fast.
         """
-        if id(law) in self._after and np.array_equal(self._after[id(law)][0], p):
-            return self._after[id(law)][1]
+        if id(law) in self._after:
+            pressure, before_step, after = self._after[id(law)]
+            if np.array_equal(pressure, p) and np.array_equal(before_step.wear, at.wear):
+                return after
         depth = np.zeros_like(p)
         before: Any = np.inf
         settled: Any = np.zeros(p.shape[:-1], dtype=bool)
@@ -190,7 +193,7 @@ class WearIncrement:
             settled = (largest <= _ROUND_OFF) | ((before <= largest) & (largest <= _NOISE))
             if settled if p.ndim == 1 else settled.all():
                 after = replace(at, wear=at.wear + depth)
-                self._after[id(law)] = p, after
+                self._after[id(law)] = p.copy(), at, after
                 return after
             before = largest
         raise ComputationError(self._unsettled(at, np.unravel_index(e, p.shape)))

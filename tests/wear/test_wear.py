@@ -286,3 +286,12 @@ def test_averages_that_do_not_settle_are_refused(monkeypatch):
     r = np.linspace(28.5, 31.5, 12)
     with pytest.raises(ComputationError, match=r"averages over 0.5 mm keep constants to .* only"):
         averaging(r, r, 0.5)
+
+
+def test_bodies_that_share_a_law_remember_their_own_wear():
+    law = RunningInLaw(k=1e-7, k_start=1e-6, depth=0.01)
+    at = tuple(sliding(POWER, wear=np.full_like(P, depth)) for depth in (0.0, 0.05))
+    both = WearIncrement((law, law), at, 5.0).depths(P)
+    for depth, body in zip(both, at, strict=True):
+        assert depth == pytest.approx(WearIncrement((law, None), (body, body), 5.0).depths(P)[0])
+    assert (both[1][1:] < both[0][1:]).all()

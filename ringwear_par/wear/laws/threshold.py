@@ -33,8 +33,7 @@ class AboveThreshold(Law):
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s."""
         rise, p0 = self._line(local)
-        excess = p - p0
-        return rise * np.maximum(excess, 0.0, out=excess)
+        return rise * np.maximum(p - p0, 0.0)
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
