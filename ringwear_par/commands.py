@@ -26,6 +26,7 @@ _TASKS = (
     ("sweep", "ringwear sweep STUDY.toml -o DIR", "many, over any keys of a case"),
     ("fit", "ringwear fit FIT.toml -o DIR", "a wear law from measurements, with intervals"),
     ("plan", "ringwear design FIT.toml -o DIR", "the most informative next tests"),
+    ("predict", "ringwear predict DIR CASE.toml -o DIR", "other cases, as a fit knows them"),
     ("measure", "ringwear measure W.csv --case RIG.toml -o DIR", "wear rates without a model"),
 )
 #: flags and options of ``add_argument``

@@ -24,6 +24,8 @@ _WITH_UNIT = re.compile(rf"\s*({_NUMBER})\s*((?:[^\W\d_]|[%°µμ(]|1\s*/).*)", 
 _MICROMETRES = re.compile(r"(?<![^\W\d_])[uµμ]m(?![^\W\d_])")
 _POWERS = re.compile(r"(?<=[^\W\d_])\^?([23])(?![\w.])")
 _RAISED = {"2": "\N{SUPERSCRIPT TWO}", "3": "\N{SUPERSCRIPT THREE}"}
+#: of specific wear rates: the usual unit, and that of bearings
+SPECIFIC, CUSTOMARY = "mm3/(N m)", "in3 min/(ft lbf h)"
 #: units of mass that are typed for forces
 _FORCES = {"kg": "kgf", "lb": "lbf", "lbs": "lbf", "g": "gf", "t": "tf", "oz": "ozf"}
 #: a unit in a text, behind its number, with what it is divided by

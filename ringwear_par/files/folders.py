@@ -11,6 +11,8 @@ from ringwear_par.files.writing import atomic_write, check_writable
 
 #: of a fit: its outcome, which is written the last, its readings and two figures
 FIT, READINGS, CURVES, ESTIMATES = "fit.json", "results.h5", "fit.png", "parameters.png"
+#: folder of an interrupted fit, what a restart goes on from
+PROGRESS = "progress"
 #: of a fit with scatter: the values of specimens
 SPECIMENS = "specimens.png"
 #: of a design: its outcome, which is written the last, the best tests and the map of all
@@ -23,8 +25,8 @@ PREDICTION, DRAWS, BAND = "prediction.json", "prediction.h5", "prediction.png"
 
 #: by what commands leave in their folders; a fit and the design after it may share one
 _COMMANDS = {
-    FIT: "fit", DESIGN: "fit", "cases.csv": "sweep", "shards": "sweep", MEASURE: "measure",
-    PREDICTION: "predict",
+    FIT: "fit", DESIGN: "fit", PROGRESS: "fit", "cases.csv": "sweep", "shards": "sweep",
+    MEASURE: "measure", PREDICTION: "predict",
 }  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from ringwear_par.files.folders import (
     CURVES,
     ESTIMATES,
     FIT,
+    PROGRESS,
     READINGS,
     SPECIMENS,
     json_bytes,
@@ -23,7 +24,6 @@ from ringwear_par.files.folders import (
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import BASE, Problem, body_of_wear
-from ringwear_par.identification.estimation.starts import PROGRESS
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.fitted_values import fitted_values, write_values
 from ringwear_par.pictures.style import picture

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.identification.definition.fitted_parameters import units_of
+from ringwear_par.identification.definition.problem import GROWTH_TIME
 from ringwear_par.identification.definition.user_units import in_users_unit, specific_wear_rate
 from ringwear_par.identification.estimation.conditions import conditional_verdicts
 from ringwear_par.identification.estimation.intervals import (
@@ -373,7 +374,10 @@ class FitResult(Outcome, Solution):
 
     @property
     def nuisances(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Estimate and sd of each nuisance, by experiment and series, in the data's unit."""
+        """Estimate and sd of each nuisance, by experiment and series, in the data's unit.
+
+        That of thermal growth has the ``time`` constant's, s.
+        """
         nuisances: dict[str, Any] = {}
         idle, sds = self.misfit.idle, self.standard_deviations
         for i, name in enumerate(self.misfit.names):
@@ -382,7 +386,11 @@ class FitResult(Outcome, Solution):
             experiment, series, kind = name
             known = not idle[i] and np.isfinite(sds[i])
             entry = {"estimate": float(self.x[i]), "sd": float(sds[i]) if known else None}
-            nuisances.setdefault(experiment, {}).setdefault(series, {})[kind] = entry
+            of_series = nuisances.setdefault(experiment, {}).setdefault(series, {})
+            if kind == GROWTH_TIME:
+                of_series["thermal"]["time"] = entry
+            else:
+                of_series[kind] = entry
         return nuisances
 
     def plot_parameters(self) -> "Figure":

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ringwear_par.cases.units import CUSTOMARY
 from ringwear_par.errors import warning_lines
 from ringwear_par.identification.definition.problem import body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
-from ringwear_par.identification.definition.user_units import CUSTOMARY
 
 if TYPE_CHECKING:
     from ringwear_par.identification.estimation.posterior import Posterior
@@ -96,16 +96,19 @@ def series_rows(outcome: Outcome) -> Iterator[SeriesRow]:
         for name, entry in series.items():
             unit = entry["unit"]
             nuisances = ", ".join(
-                f"{kind} not identified"
-                if nuisance["sd"] is None
-                else kind
-                + " "
-                + _with_sd(nuisance["estimate"], nuisance["sd"], 3, f" {unit}{_PER.get(kind, '')}")
+                _nuisance(kind, nuisance, f"{unit}{_PER.get(kind, '')}")
                 for kind, nuisance in fitted.get(name, {}).items()
             )
             yield SeriesRow(
                 experiment, name, entry["n"], entry["chi2"], unit, entry.get("sd"), nuisances
             )
+
+
+def _nuisance(kind: str, entry: Outcome, unit: str) -> str:
+    if entry["sd"] is None:
+        return f"{kind} not identified"
+    words = f"{kind} {_with_sd(entry['estimate'], entry['sd'], 3, f' {unit}')}"
+    return f"{words} in {_nuisance('time', entry['time'], 's')}" if "time" in entry else words
 
 
 def law_rows(outcome: Outcome) -> list[LawRow]:
@@ -309,21 +312,21 @@ def _parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
             text += " of the material"
         by = ", likelihood profile" * (estimate["interval_of"] == "likelihood profile")
         if estimate["verdict"] != "not identified":
-            text += f"  {_limits(estimate['interval'])} ({100 * level:g} %{by})"
+            text += f"  {limits(estimate['interval'])} ({100 * level:g} %{by})"
         lines.append(f"  {key.ljust(width)}  {text}  {estimate['verdict']}")
         lines += [f"  {' ' * width}  {line}" for line in unit_lines(estimate)]
         lines += [f"    {line}" for line in scatter_lines(estimate, level)]
     return lines
 
 
-def _limits(interval: Sequence[float | None]) -> str:
+def limits(interval: Sequence[float | None], digits: int = 5) -> str:
     """Return an interval in words."""
     low, high = interval
     if low is not None and high is not None:
-        return f"from {low:.5g} to {high:.5g}"
+        return f"from {low:.{digits}g} to {high:.{digits}g}"
     if low is None and high is None:
         return "no limit within its bounds"
-    return f"less than {high:.5g}" if high is not None else f"more than {low:.5g}"
+    return f"more than {low:.{digits}g}" if high is None else f"less than {high:.{digits}g}"
 
 
 def unit_lines(estimate: Mapping[str, Any]) -> list[str]:
@@ -337,14 +340,14 @@ def unit_lines(estimate: Mapping[str, Any]) -> list[str]:
     if (converted := estimate.get("told")) is not None:
         lines.append(f"= {converted['estimate']:.5g} {converted['unit']}")
         if identified:
-            lines[-1] += f"  {_limits(converted['interval'])}"
+            lines[-1] += f"  {limits(converted['interval'])}"
         if converted["next"] is not None:
-            lines[-1] += f"; the next specimen: {_limits(converted['next'])}"
+            lines[-1] += f"; the next specimen: {limits(converted['next'])}"
     if identified and (rate := estimate.get("specific_wear_rate")) is not None:
         product = f"k mu at mu = {rate['mu']:.4g}" if "mu" in rate else "k"
-        limits = "" if rate["interval"] == [None, None] else f"  {_limits(rate['interval'])}"
+        ends = "" if rate["interval"] == [None, None] else f"  {limits(rate['interval'])}"
         lines.append(
-            f"specific wear rate {rate['estimate']:.4g} {rate['unit']}{limits}; "
+            f"specific wear rate {rate['estimate']:.4g} {rate['unit']}{ends}; "
             f"{rate[CUSTOMARY]:.4g} {CUSTOMARY} ({product})"
         )
     return lines

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ringwear_par.cases.units import CUSTOMARY, SPECIFIC
 from ringwear_par.errors import warning_lines
 from ringwear_par.measuring.analysis.budget import COVERAGE
 from ringwear_par.measuring.measure_result import MeasureResult
@@ -49,7 +50,7 @@ class Quantity:
         return estimate_text(value, self.of(entry, "u") or 0.0 if self.measured else 0.0)
 
 
-_SPECIFIC, _WEAR, _CUSTOMARY = "specific_wear_rate", "wear_rate", "in3 min/(ft lbf h)"
+_RATE, _WEAR = "specific_wear_rate", "wear_rate"
 LOAD = Quantity("load", "N", ("conditions", "force"))
 SPEED = Quantity("sliding speed", "m/s", ("conditions", "speed"), 1e-3)
 FRICTION = Quantity("friction", "1", ("friction",), measured=True)
@@ -68,14 +69,14 @@ QUANTITIES = (
     Quantity("steady from", "h", ("steady_from", "value"), 1.0 / 3600.0),
     Quantity("wear rate", "um/h", (_WEAR,), 3.6e6, measured=True),
     Quantity("wear rate", "in/h", (_WEAR, "in/h")),
-    Quantity("specific wear rate", "mm3/(N m)", (_SPECIFIC,), measured=True),
-    Quantity("specific wear rate", _CUSTOMARY, (_SPECIFIC, "us"), measured=True),
+    Quantity("specific wear rate", SPECIFIC, (_RATE,), measured=True),
+    Quantity("specific wear rate", CUSTOMARY, (_RATE, "us"), measured=True),
     FRICTION,
     Quantity("mass lost", "mg", ("whole", "mass_loss"), measured=True),
     Quantity("volume lost by weighing", "mm3", ("whole", "volume"), measured=True),
     Quantity("volume lost by displacement", "mm3", ("whole", "volume_by_displacement"),
              measured=True),
-    Quantity("specific wear rate of the whole test", "mm3/(N m)", ("whole", _SPECIFIC),
+    Quantity("specific wear rate of the whole test", SPECIFIC, ("whole", _RATE),
              measured=True),
 )  # fmt: skip
 
@@ -120,9 +121,9 @@ def repeats_text(repeats: Mapping[str, Any]) -> str:
     rate, names = repeats["specific_wear_rate"], ", ".join(repeats["tests"])
     low, high = rate["interval"]
     return (
-        f"{rate['mean']:.3g} mm3/(N m) from {low:.3g} to {high:.3g} (95 %, {len(repeats['tests'])} "
-        f"specimens: {names}); between specimens {100 * rate['s_r']:.2g} %, repeatability r = "
-        f"{100 * rate['r']:.2g} %"
+        f"{rate['mean']:.3g} {SPECIFIC} from {low:.3g} to {high:.3g} (95 %, "
+        f"{len(repeats['tests'])} specimens: {names}); between specimens "
+        f"{100 * rate['s_r']:.2g} %, repeatability r = {100 * rate['r']:.2g} %"
     )
 
 
@@ -162,7 +163,7 @@ def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
     )
     steady, whole = steady_text(entry), entry["whole"]
     if specific is not None:
-        yield f"{entry_text(specific)}, {specific[_CUSTOMARY]:.3g} {_CUSTOMARY}; {steady}"
+        yield f"{entry_text(specific)}, {specific[CUSTOMARY]:.3g} {CUSTOMARY}; {steady}"
     numbers = []
     if rate is not None:
         numbers.append(f"wear rate {entry_text(rate, 3.6e6, 'um/h')}")

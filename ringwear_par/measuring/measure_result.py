@@ -4,11 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
 from ringwear_par.measuring.analysis.budget import Estimate
 from ringwear_par.measuring.analysis.numbers import (
-    IN3_MIN_PER_FT_LBF_H,
     PSI_FT_MIN,
-    US_SPECIFIC,
     TestNumbers,
 )
 from ringwear_par.measuring.analysis.repeats import Repeats
@@ -119,10 +118,10 @@ def _wear_rate(rate: Estimate | None) -> dict[str, Any] | None:
 def _specific(rate: Estimate | None) -> dict[str, Any] | None:
     if rate is None:
         return None
-    customary = rate.scaled(1.0 / IN3_MIN_PER_FT_LBF_H, US_SPECIFIC)
+    customary = rate.scaled(factor(SPECIFIC, None) / factor(CUSTOMARY, None), CUSTOMARY)
     return {
-        **rate.to_dict(), "of": "specimen", US_SPECIFIC: customary.value,
-        "us": {"unit": US_SPECIFIC, "value": customary.value, "u": customary.u,
+        **rate.to_dict(), "of": "specimen", CUSTOMARY: customary.value,
+        "us": {"unit": CUSTOMARY, "value": customary.value, "u": customary.u,
                "interval": list(customary.interval)},
     }  # fmt: skip
 

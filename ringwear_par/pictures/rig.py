@@ -26,7 +26,7 @@ _BODY_FILLS = ("#cfe3f1", "#f6dcc8")
 _LAYER_FILLS = ("#7fb2d5", "#b3a2c8", "#8fc9b3")
 _CONTACT = "#c1121f"
 _INK = "0.15"
-_GRIPS = {"clamped": "clamped", "platen": "on a platen"}
+GRIPS = {"clamped": "clamped", "platen": "on a platen"}
 #: letters of a line of words beside the bodies
 _LETTERS = 32
 
@@ -174,11 +174,12 @@ def _draw_load(axes: Any, case: Case, foot: float, length: float, radius: float)
         arrowprops={"arrowstyle": "-|>", "color": _INK, "linewidth": 1.1, "mutation_scale": 9.0},
     )  # fmt: skip
     words = {"ha": "right", "va": "center", "color": _INK, "fontsize": 8.0}
-    axes.text(-0.05 * radius, foot + 0.92 * length, _pressing(case), **words)
-    axes.text(-0.22 * radius, foot + 0.42 * length, _turning(case), **words)
+    axes.text(-0.05 * radius, foot + 0.92 * length, pressing(case), **words)
+    axes.text(-0.22 * radius, foot + 0.42 * length, turning(case), **words)
 
 
-def _pressing(case: Case) -> str:
+def pressing(case: Case) -> str:
+    """Return the load in words: a force with its mean pressure, or a displacement."""
     load = case.load
     if load.force is not None:
         words = f"F = {_range(load.force, 'N')}"
@@ -189,7 +190,8 @@ def _pressing(case: Case) -> str:
     return f"displacement {_range(load.displacement, 'mm')}"
 
 
-def _turning(case: Case) -> str:
+def turning(case: Case) -> str:
+    """Return the speed in words."""
     omega = case.load.omega
     words = f"\N{GREEK SMALL LETTER OMEGA} = {_range(omega, 'rad/s')}"
     if isinstance(omega, float):
@@ -266,7 +268,7 @@ def _body_words(case: Case, number: int, law: str) -> list[str]:
     name = ("lower, stands still", "upper, turns")[number]
     (inner, outer), (low, high) = ring.r, ring.z
     words = [
-        f"{name}, {_GRIPS[ring.grip]}",
+        f"{name}, {GRIPS[ring.grip]}",
         f"r {inner:.6g} to {outer:.6g} mm, {high - low:.6g} mm high",
     ]
     for index, layer in enumerate(ring.layers):

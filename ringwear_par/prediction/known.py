@@ -10,10 +10,9 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import InputError, ValidityWarning, legible
-from ringwear_par.files.folders import DESIGN, FIT, READINGS
+from ringwear_par.files.folders import DESIGN, FIT, PROGRESS, READINGS
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.history.derivatives.numbers import differentiable
-from ringwear_par.identification.estimation.starts import PROGRESS
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.fitted_values import (
     CONDITIONS,

@@ -48,11 +48,16 @@ class Tiles:
     kind = "tiles"
 
 
-def checks_tile(doubts: int, note: str = "") -> Tile:
-    """Return the tile about what speaks against the results."""
-    if doubts:
-        return Tile("checks", f"{doubts} warning{'s' * (doubts > 1)}", note=note, good=False)
-    return Tile("checks", "passed", note=note, good=True)
+def checks_tile(doubts: int, note: str = "", wrong: int = 0) -> Tile:
+    """Return the tile about what speaks against the results.
+
+    Parameters
+    ----------
+    doubts, wrong : numbers of warnings, and of balances that are wrong.
+    """
+    words = [f"{doubts} warning{'s' * (doubts > 1)}"] if doubts else []
+    words += [f"{wrong} wrong"] if wrong else []
+    return Tile("checks", ", ".join(words) or "passed", note=note, good=not words)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from ringwear_par.identification.summary import (
     counted,
     goodness,
     law_rows,
+    limits,
     of_specimens,
     process_lines,
     scatter_lines,
@@ -41,6 +42,7 @@ from ringwear_par.reports.blocks import (
     checks_tile,
     software,
 )
+from ringwear_par.results.instants import time_words
 from ringwear_par.results.storage.hdf5 import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
 
@@ -151,9 +153,13 @@ def _tiles(outcome: Mapping[str, Any]) -> Tiles:
         entry = one.get("told") or one
         known = one["verdict"] != "not identified" and None not in entry["interval"]
         low, high = entry["interval"]
-        note = f"{low:.4g} to {high:.4g} ({percent})" if known else ""
+        value, note = f"{entry['estimate']:.4g}", str(one["verdict"])
+        if known:
+            note = f"{low:.4g} to {high:.4g} ({percent})"
+        elif (low is None) != (high is None):
+            value, note = limits(entry["interval"], 4), f"{percent}, {note}"
         unit = in_signs(str(entry["unit"])) if entry["unit"] not in ("1", "-") else ""
-        tiles.append(Tile(key, f"{entry['estimate']:.4g}", unit, note or str(one["verdict"])))
+        tiles.append(Tile(key, value, unit, note))
     return Tiles([*tiles, checks_tile(len(outcome["warnings"]))])
 
 
@@ -299,14 +305,24 @@ def _alternatives(outcome: Mapping[str, Any]) -> Table:
 
 
 def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
-    keys = list(outcome["parameters"])
-    rows = []
-    for number, one in enumerate(outcome["designs"], start=1):
-        rows.append([str(number), one["name"], f"{one['seconds']:g}",
-                     *(_number(one["sd"][key], 3) for key in keys)])  # fmt: skip
-    rows.append(["fit file", "its own tests", _DASH,
-                 *(_number(outcome["fit_file"]["sd"][key], 3) for key in keys)])  # fmt: skip
-    header = ["design", "tests", "seconds", *(f"sd of {key}" for key in keys)]
+    scales = outcome["sd_scales"]
+
+    def sds(one: Mapping[str, Any]) -> list[str]:
+        """Return the standard deviations of a design."""
+        known = {key: sd for key, sd in one["sd"].items() if sd is not None}
+        return [
+            f"{scale['factor'] * known[key]:.3g}" if key in known else _DASH
+            for key, scale in scales.items()
+        ]
+
+    rows = [
+        [str(number), one["name"], time_words(one["seconds"], one["seconds"]), *sds(one)]
+        for number, one in enumerate(outcome["designs"], start=1)
+    ]
+    rows.append(["fit file", "its own tests", _DASH, *sds(outcome["fit_file"])])
+    units = {key: f" ({in_signs(scale['unit'])})" * bool(scale["unit"])
+             for key, scale in scales.items()}  # fmt: skip
+    header = ["design", "tests", "duration", *(f"sd of {key}{units[key]}" for key in scales)]
     blocks: list[Block] = [
         Lines([f"{outcome['candidates']} candidate tests, criterion {outcome['criterion']}, "
                f"measured as in {outcome['measured_as']}"]),

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ringwear_par.cases.units import in_signs, with_signs
+from ringwear_par.cases.units import SPECIFIC, in_signs, with_signs
 from ringwear_par.errors import legible
 from ringwear_par.files import folders
 from ringwear_par.measuring.measure_numbers import (
@@ -103,20 +103,20 @@ def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
 
 def _tiles(outcome: Mapping[str, Any]) -> Tiles:
     """Return the specific wear rates: means of repeats, and tests that are none."""
-    rates = {
-        f"of {len(one['tests'])} specimens": (one["specific_wear_rate"]["mean"], one)
+    rates = [
+        (", ".join(one["tests"]), one["specific_wear_rate"]["mean"], one["specific_wear_rate"])
         for one in outcome["repeats"]
-    }
+    ]
     repeated = {name for one in outcome["repeats"] for name in one["tests"]}
     for name, entry in outcome["tests"].items():
         if name not in repeated and (rate := entry["specific_wear_rate"]) is not None:
-            rates[f"of {name}"] = rate["value"], {"specific_wear_rate": rate}
+            rates.append((name, rate["value"], rate))
     tiles = [
         Tile(
-            f"specific wear rate {name}", f"{value:.3g}", "mm\u00b3/(N m)",
-            "{:.3g} to {:.3g} (95 %)".format(*one["specific_wear_rate"]["interval"]),
+            f"specific wear rate of {names}", f"{value:.3g}", in_signs(SPECIFIC),
+            "{:.3g} to {:.3g} (95 %)".format(*rate["interval"]),
         )
-        for name, (value, one) in rates.items()
+        for names, value, rate in rates
     ]  # fmt: skip
     doubts = sum(len(entry["doubts"]) for entry in outcome["tests"].values())
     return Tiles([*tiles[:_MOST_TILES], checks_tile(doubts)])

@@ -60,7 +60,8 @@ def run_page(result: Result) -> Page:
     if title:
         del lines[0]
     doubts = [line for line in lines if line.startswith("warning")]
-    blocks: list[Block] = [_tiles(numbers, len(doubts), checks(result))]
+    rig, case = case_words(result)
+    blocks: list[Block] = [_tiles(numbers, len(doubts), *checks(result)), *rig]
     if doubts:
         blocks.append(Lines(doubts, warning=True))
     blocks.append(Lines([line for line in lines if line not in doubts], folded="Summary in full"))
@@ -76,13 +77,13 @@ def run_page(result: Result) -> Page:
     )
     sections.append(Section("Histories", [histories(result), _history_table(result)]))
     sections += _stresses(result)
-    sections.append(Section("The case", case_words(result)))
+    sections.append(Section("The case", case))
     sections.append(Section("Balances", [_errors(result)]))
     sections.append(_reproduced(result))
     return Page("Wear history of a test", title or "Run without a title", sections)
 
 
-def _tiles(numbers: Iterable[KeyNumber], doubts: int, errors: str) -> Tiles:
+def _tiles(numbers: Iterable[KeyNumber], doubts: int, wrong: list[KeyNumber], errors: str) -> Tiles:
     """Return the answers of a run."""
     known, tiles = {number.name: number for number in numbers}, []
     bodies = [body for body in BODIES if f"{body}_worn_volume" in known]
@@ -98,7 +99,8 @@ def _tiles(numbers: Iterable[KeyNumber], doubts: int, errors: str) -> Tiles:
         number = known.get(name)
         if number is not None and not math.isnan(number.value):
             tiles.append(Tile(label, number.short, in_signs(number.unit)))
-    return Tiles([*tiles, checks_tile(doubts, with_signs(errors.partition("(")[2].rstrip(")")))])
+    note = with_signs("; ".join([*map(str, wrong), errors]))
+    return Tiles([*tiles, checks_tile(doubts, note, len(wrong))])
 
 
 def histories(result: Result) -> Charts:

@@ -28,7 +28,7 @@ from ringwear_par.results.instants import number_words
 from ringwear_par.studies.analysis.responses import done_cases
 from ringwear_par.studies.analysis.sensitivity import Indices, surrogate_and_indices
 from ringwear_par.studies.definition.variations import own_key
-from ringwear_par.studies.pictures.choice import Choice, choose, raw_words
+from ringwear_par.studies.pictures.choice import Choice, Key, choose, raw_words
 from ringwear_par.studies.pictures.effects import effects, index_panels, pointed_cases
 from ringwear_par.studies.pictures.histories import case_words, histories
 from ringwear_par.studies.storage.end_values import (
@@ -217,12 +217,11 @@ def _cases(ensemble: Ensemble) -> Table:
     caption = f"{len(cases)} cases"
     if len(tabulated) < len(cases):
         caption = f"The first {len(tabulated)} of {len(cases)} cases; cases.csv has all"
-    header = ["case", "status", *ensemble.varied]
-    finals = ensemble.final
-    header += [
-        f"{name.replace('_', ' ')} ({in_signs(end_value_of(name)[0].stored.unit)})"
-        for name in finals
-    ]
+    keys = [Key.of(name, column, unit=ensemble.unit(name))
+            for name, column in ensemble.varied.items()]  # fmt: skip
+    displays = {name: display_of(name) for name in ensemble.final}
+    header = ["case", "status", *(key.label for key in keys)]
+    header += [display.label for display in displays.values()]
     remarks = {
         "flags": [", ".join(flags).replace("_", " ") for flags in ensemble.flags],
         "error": ensemble.error,
@@ -231,13 +230,13 @@ def _cases(ensemble: Ensemble) -> Table:
     header += remarks
     rows = []
     for i in tabulated.tolist():
-        keys = [
-            _number(column[i]) if column.dtype.kind == "f" else raw_words(column[i])
-            for column in ensemble.varied.values()
+        values = [
+            raw_words(column[i]) if key.categories else _number(key.values[i])
+            for key, column in zip(keys, ensemble.varied.values(), strict=True)
         ]
-        ends = [_number(values[i]) for values in finals.values()]
+        ends = [_number(d.factor * ensemble.final[name][i]) for name, d in displays.items()]
         words = [texts[i] for texts in remarks.values()]
-        rows.append((ensemble.ids[i], ensemble.status[i], *keys, *ends, *words))
+        rows.append((ensemble.ids[i], ensemble.status[i], *values, *ends, *words))
     return Table(f"{caption}; headers sort", header, rows, sortable=True)
 
 

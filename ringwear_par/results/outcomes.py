@@ -83,5 +83,5 @@ def save(outcome: Outcome, path: str | Path) -> None:
 
 def _checked(outcome: Outcome, verb: str) -> Outcome:
     if not isinstance(outcome, Outcome):
-        raise TypeError(f"{verb}: {type(outcome).__name__}: must be the outcome of a run or a fit")
+        raise TypeError(f"{verb}: {type(outcome).__name__}: must be an outcome")
     return outcome

@@ -51,10 +51,13 @@ def summary(result: Result, verbose: bool = False) -> str:
     if verbose:
         return _in_full(result, numbers, result.checkpoint)
     warnings = [*_unfinished(result.attributes, result.checkpoint), *result.doubts]
+    wrong, errors = checks(result)
+    words = [f"{len(warnings)} warning{'s' * (len(warnings) > 1)}, above"] if warnings else []
+    words += [f"wrong: {', '.join(map(str, wrong))}"] if wrong else []
     lines = [
         *warning_lines(warnings),
         *labelled(_answers(result, {number.name: number for number in numbers})),
-        *labelled([("checks", checks(result, len(warnings)))]),
+        *labelled([("checks", f"{'; '.join(words) or 'ok'} ({errors})")]),
     ]
     return "\n".join(legible(line, LONGEST_SENTENCE) for line in lines)
 
@@ -98,15 +101,10 @@ def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple
     )
 
 
-def checks(result: Result, warnings: int = 0) -> str:
-    """Return whether the computation is what its equations say, and its largest errors."""
+def checks(result: Result) -> tuple[list[KeyNumber], str]:
+    """Return balances that are not what the equations say, and the largest errors in words."""
     groups = in_groups(check_numbers(result))
-    wrong = [str(number) for number in groups.get(BALANCES, ()) if number.value > _MOST_ERROR]
-    words = []
-    if warnings:
-        words.append(f"{warnings} warning{'s' * (warnings > 1)}, above")
-    words += [f"wrong: {', '.join(wrong)}"] if wrong else []
-    words += ["ok"] if not words else []
+    wrong = [number for number in groups.get(BALANCES, ()) if number.value > _MOST_ERROR]
     errors = {
         "balances to": max((n.value for n in groups.get(BALANCES, ())), default=0.0),
         "mesh to": max((n.value for n in groups[MESH_BALANCES]), default=0.0),
@@ -116,7 +114,7 @@ def checks(result: Result, warnings: int = 0) -> str:
         error, adaptive = groups[TIME_STEPS][0], result.attributes["scheme"] == "adaptive"
         extent = "in all" if adaptive else "each"
         details.append(f"time steps to {error.text} {error.unit} {extent}")
-    return f"{'; '.join(words)} ({', '.join(details)})"
+    return wrong, ", ".join(details)
 
 
 def _in_full(result: Result, numbers: list[KeyNumber], last: Checkpoint) -> str:

@@ -1,6 +1,7 @@
 """The page of a measurement: the answer, the tables of both standards, budgets."""
 
 import html
+import json
 import re
 
 import pytest
@@ -31,6 +32,18 @@ def test_the_answer_and_the_doubts(page):
     assert "falls in total: taken as a position" in text
     assert "W1: skipped 5 empty cells" in text
     assert not {"+-", "±"} & set(text.split())
+
+
+def test_conditions_with_equally_many_repeats_have_a_tile_each(page, tmp_path):
+    page[0].save(tmp_path / "out")
+    path = tmp_path / "out/measure.json"
+    outcome = json.loads(path.read_text())
+    outcome["repeats"].append({**outcome["repeats"][0], "tests": ["X1", "X2", "X3"]})
+    path.write_text(json.dumps(outcome))
+    rw.report(tmp_path / "out", tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    for names in ("W1, W2, W3", "X1, X2, X3", "W4"):
+        assert f"specific wear rate of {names}<" in text
 
 
 def test_the_tables_of_both_standards(page):

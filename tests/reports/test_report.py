@@ -139,7 +139,8 @@ def folder(tmp_path_factory):
         "case": str(folder / "paper.toml"),
         "vary": {
             "wear.lower.k": {"log": [1e-8, 1e-6], "count": 5},
-            "load.pressure": {"values": [50.0, 100.0, 1e9]},  # the last of which cannot be
+            # the last of which cannot be
+            "load.pressure": {"values": ["5e4 kPa", "1e5 kPa", "1e12 kPa"]},
             "upper.grip": {"values": ["clamped", "platen"]},
         },
     }
@@ -191,6 +192,16 @@ def test_a_run_is_told_in_the_numbers_of_its_summary(folder, pages):
     assert held[0] == f"{result.balances['force']:.1e}"
 
 
+def test_a_wrong_balance_has_not_passed(folder, tmp_path):
+    result = rw.open_result(folder / "run.h5")
+    result.attributes["balance_residual"] = 1e-2
+    rw.report(result, tmp_path / "page.html")
+    text = Read((tmp_path / "page.html").read_text()).text
+    note = r"contact conditions \(KKT\) 1\.0e-02; balances to 1e-02, "
+    assert re.search(rf"checks\s*1 wrong\s*{note}", text)
+    assert "wrong: contact conditions (KKT) 1.0e-02 (balances to 1e-02, " in result.summary()
+
+
 def test_charts_of_a_run_hold_what_is_stored(folder, pages):
     result, charts = rw.open_result(folder / "run.h5"), pages["run"].charts
     drawn = HISTORY_PANELS.keys() - {"through"}  # of layers
@@ -231,10 +242,13 @@ def test_a_sweep_is_told_with_its_failures(folder, pages):
     assert f"{failed} of {len(ids)} cases failed" in page.text
     rows = page.rows("status")
     assert list(rows) == list(ids)
+    (table,) = (table for table in page.tables if "status" in table[0])
+    assert table[0][3:6] == ["load.pressure (kPa)", "upper.grip", "penetration (\N{MICRO SIGN}m)"]
+    assert {row[2] for row in rows.values()} == {"5e+04", "1e+05", "1e+12"}
     for case, state, depth in zip(ids, status, final, strict=True):
         assert rows[case][0] == state
-        assert rows[case][4] == (f"{depth:.4g}" if np.isfinite(depth) else "")
-    assert page.rows("values")["load.pressure"][2:] == ["50", "1e+09", "3"]
+        assert rows[case][4] == (f"{1e3 * depth:.4g}" if np.isfinite(depth) else "")
+    assert page.rows("values")["load.pressure"][2:] == ["5e+04", "1e+12", "3"]
     assert page.rows("values")["upper.grip"][2:] == ["clamped", "platen", "2"]
     assert {row[3] for row in rows.values()} == {"clamped", "platen"}
 
@@ -307,6 +321,8 @@ def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
     told = json.loads((tmp_path / "fit/fit.json").read_text())
     one = {"verdict": "not identified", "sd": None, "interval": [None, None], "direction": "as k"}
     told["parameters"]["wear.lower.p0"] |= one
+    one = {"verdict": "at bound", "interval": [None, 1.25e-7]}
+    told["parameters"]["wear.lower.k"] |= one
     told["warnings"], told["p_value"] = ["p0 is a guess"], None
     told["covariance"][1][1] = None
     told["alternatives"]["power"] = {"error": "no history"}
@@ -331,6 +347,7 @@ def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
         dash, "MPa", dash, dash, "not identified"
     ]  # fmt: skip
     assert f"Not determined by the readings {dash} wear.lower.p0: as k" in page.text
+    assert re.search(r"wear.lower.k\s*less than 1.25e-07 1/MPa\s*95 %, at bound", page.text)
     assert ("p", {"class": "warning"}) in page.elements
     assert page.rows("AIC above the smallest")["power"][-1] == "failed: no history"
     assert page.rows("tests")["1"] == ["30 then 90 MPa", "10 h", "1", dash]

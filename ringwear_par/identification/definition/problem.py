@@ -121,16 +121,27 @@ def reflected(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArr
     return np.where(beyond > high, 2.0 * high - beyond, beyond)
 
 
+#: kind of the time constant of "thermal", which it follows; the only one that is not linear
+GROWTH_TIME = "thermal time"
+
+
 @dataclass(frozen=True)
 class Nuisance:
-    """Something linear that a measurement has besides what is measured."""
+    """Something that a measurement has besides what is measured."""
 
-    #: "offset", "drift" (in total over the test), "compliance" (per kN), "level" or "tilt" (per mm
-    #: of radius)
+    #: "offset", "drift" (in total over the test), "compliance" (per kN), "level", "tilt" (per mm
+    #: of radius), "thermal" (the growth of a warm rig in the end), or its time constant
     kind: str
-    #: in the measurement's unit
+    #: in the measurement's unit; s of a time constant
     prior: Prior | None = None
     bounds: tuple[float, float] = (-np.inf, np.inf)
+    #: s, of a time constant
+    start: float = 0.0
+
+    @property
+    def expected(self) -> float:
+        """What it is without any reading."""
+        return self.start if self.prior is None else self.prior.mean
 
     @property
     def free(self) -> bool:

@@ -35,8 +35,8 @@ from ringwear_par.identification.definition.problem import (
 QUANTITIES = get_args(Quantity)
 #: nuisances that a quantity may have
 NUISANCES = {
-    "penetration": ("offset", "drift", "compliance"),
-    "approach": ("offset", "drift", "compliance"),
+    "penetration": ("offset", "drift", "compliance", "thermal"),
+    "approach": ("offset", "drift", "compliance", "thermal"),
     "torque": ("offset", "drift"),
     "profile": ("level", "tilt"),
     "mass": ("offset",),
@@ -286,6 +286,21 @@ KEYS: tuple[Key, ...] = (
         "what is known of the nuisance without these readings: a normal distribution", None),
     Key("experiment.data.nuisance.KIND.bounds", *_BOUNDS, "KIND's",
         "smallest and largest value of the nuisance", (-math.inf, math.inf)),
+    Key("experiment.data.nuisance.thermal", *anything("a table of time and amplitude"), "-",
+        "growth of rig and rings that warm up, amplitude (1 - exp(-t/time)), t from the start of "
+        f"the test (for {_quantities_with('thermal')})", None),
+    Key("experiment.data.nuisance.thermal.amplitude", *anything("a table of prior and bounds"),
+        "data's", "growth in the end, negative where rings grow; default: nothing is known of it",
+        None),
+    Key("experiment.data.nuisance.thermal.time", *anything("a table of start, prior and bounds"),
+        "s", "time constant of the growth; needs start, and prior or bounds"),
+    Key("experiment.data.nuisance.thermal.time.start", *number(0.0), "s",
+        "time constant at which the search begins"),
+    Key("experiment.data.nuisance.thermal.time.prior", *_prior(), "s",
+        "what is known of the time constant without these readings: a normal distribution", None),
+    Key("experiment.data.nuisance.thermal.time.bounds", *pair(0.0), "s",
+        "smallest and largest time constant, > 0; default: four sd of the prior from its mean, and "
+        "at least a hundredth of that", None),
     Key("compare.NAME.set", *_CASE_KEYS, "-",
         "case keys of another law for the same readings, fitted with --compare", None),
     Key("compare.NAME.parameters", *anything("as fit.parameters"), "-",
@@ -300,13 +315,17 @@ KEYS: tuple[Key, ...] = (
     Key("design.budget.experiments", *whole(1, _MOST_EXPERIMENTS), "-", "number of next tests",
         _SPACE.experiments),
 )  # fmt: skip
-FIT, PARAMETER, SCATTER, PROCESS, EXPERIMENT, DATA, SD, NUISANCE, DESIGN, VARY, BUDGET = (
+(
+    FIT, PARAMETER, SCATTER, PROCESS, EXPERIMENT, DATA, SD, NUISANCE, THERMAL, THERMAL_TIME, DESIGN,
+    VARY, BUDGET,
+) = (
     keys_of_table(KEYS, table)
     for table in (
         "fit", "fit.parameters.KEY", "fit.parameters.KEY.scatter", "fit.process.KEY",
         "experiment",
         "experiment.data",
         "experiment.data.sd",
-        "experiment.data.nuisance.KIND", "design", "design.vary", "design.budget",
+        "experiment.data.nuisance.KIND", "experiment.data.nuisance.thermal",
+        "experiment.data.nuisance.thermal.time", "design", "design.vary", "design.budget",
     )
 )  # fmt: skip

@@ -14,8 +14,20 @@ from ringwear_par.errors import legible
 from ringwear_par.files.measurements import and_more
 from ringwear_par.identification.definition.censoring import read_censored
 from ringwear_par.identification.definition.data_sources import read_noise, read_readings
-from ringwear_par.identification.definition.problem import Nuisance, Quantity, Series
-from ringwear_par.identification.definition.schema import DATA, DENSITIES, NUISANCE, NUISANCES
+from ringwear_par.identification.definition.problem import (
+    GROWTH_TIME,
+    Nuisance,
+    Quantity,
+    Series,
+)
+from ringwear_par.identification.definition.schema import (
+    DATA,
+    DENSITIES,
+    NUISANCE,
+    NUISANCES,
+    THERMAL,
+    THERMAL_TIME,
+)
 
 #: of the test: noise that is correlated for longer is an offset
 _LONGEST_CORRELATION = 100.0
@@ -23,6 +35,8 @@ _LONGEST_CORRELATION = 100.0
 _RECORD, _SHORT_RECORD = 3, 0.1
 #: of the test: times that are rounded, in minutes, say, may be so much later than its end
 _ROUNDED = 2e-4
+#: sd of a prior, from its mean, between which a time constant is sought
+_PRIOR_REACH = 4.0
 #: units of densities, in g/mm3
 _OTHER_UNITS = {"g/cm3": 1e-3, "kg/m3": 1e-6, "kg/mm3": 1e3, "t/mm3": 1e6}
 
@@ -130,15 +144,45 @@ def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisa
         if name not in NUISANCES[kind]:
             reader.fault(f"nuisance.{legible(name)}: must be one of {', '.join(NUISANCES[kind])}")
             continue
-        entry_reader = TableReader(
-            f"{reader.place}: nuisance.{name}", entry, reader.faults, NUISANCE
-        )
+        place = f"{reader.place}: nuisance.{name}"
+        if name == "thermal":
+            nuisances += _growth(place, entry, reader.faults)
+            continue
+        entry_reader = TableReader(place, entry, reader.faults, NUISANCE)
         bounds, prior = entry_reader.read("bounds"), entry_reader.read("prior")
         nuisances.append(Nuisance(name, prior, bounds))
         entry_reader.finish()
         if name == "compliance" and case is not None and case.load.force is None:
             entry_reader.fault('needs load.control = "force"')
     return tuple(nuisances)
+
+
+def _growth(place: str, entry: Any, faults: list[str]) -> list[Nuisance]:
+    """Return the growth of a warm rig, and its time constant, s."""
+    before, reader = len(faults), TableReader(place, entry, faults, THERMAL)
+    amplitude = TableReader(f"{place}.amplitude", reader.raw("amplitude", {}), faults, NUISANCE)
+    grown = Nuisance("thermal", amplitude.read("prior"), amplitude.read("bounds"))
+    amplitude.finish()
+    time = TableReader(f"{place}.time", reader.raw("time", {}), faults, THERMAL_TIME)
+    start, prior, bounds = (time.read(name) for name in ("start", "prior", "bounds"))
+    time.finish()
+    reader.finish()
+    if len(faults) > before:
+        return []
+    if bounds is None and prior is None:
+        time.fault("has neither prior nor bounds; must have one of them at least")
+        return []
+    if prior is not None and prior.mean <= 0.0:
+        time.wrong("prior", "must have a mean > 0 (s)")
+        return []
+    if bounds is None:
+        reach = _PRIOR_REACH * prior.sd
+        bounds = max(prior.mean - reach, 0.01 * prior.mean), prior.mean + reach
+    elif bounds[0] == 0.0:
+        time.wrong("bounds", "must be two increasing numbers > 0 (s)")
+    if not bounds[0] <= start <= bounds[1]:
+        time.wrong("start", f"must be within its bounds, {bounds[0]:g} to {bounds[1]:g} s")
+    return [grown, Nuisance(GROWTH_TIME, prior, bounds, start)]
 
 
 def density_of(reader: TableReader, quantity: str, case: Case | None) -> float | None:

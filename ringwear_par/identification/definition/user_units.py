@@ -8,14 +8,10 @@ from scipy.stats import norm
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import base_unit
-from ringwear_par.cases.units import factor
+from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
 
-#: unit of specific wear rates, and how many of it a 1/MPa is
-SPECIFIC, _PER_MPA = "mm3/(N m)", 1e3
-#: another one, of bearings
-CUSTOMARY = "in3 min/(ft lbf h)"
 _FRICTION = "contact.friction"
 
 Entry = Mapping[str, Any]
@@ -65,7 +61,7 @@ def specific_wear_rate(
     share = _share_of_friction(problem, body, entries) if body in BODIES else None
     if share is None or entry["sd"] is None:
         return None
-    scale, i = _PER_MPA * share, problem.keys.index(key)
+    scale, i = share / factor(SPECIFIC, None), problem.keys.index(key)
     estimate = scale * entry["estimate"]
     rate: dict[str, Any] = {"unit": SPECIFIC, "estimate": estimate}
     relative = entry["sd"] / entry["estimate"]
@@ -81,7 +77,7 @@ def specific_wear_rate(
             linear = entry["interval_of"] == "linear model" and None not in entry["interval"]
             rate["interval"] = [estimate / reach, estimate * reach] if linear else [None, None]
     rate["sd"] = relative * estimate
-    rate[CUSTOMARY] = estimate / (_PER_MPA * factor(CUSTOMARY, "1/MPa"))
+    rate[CUSTOMARY] = estimate * factor(SPECIFIC, None) / factor(CUSTOMARY, None)
     return rate
 
 

@@ -1,7 +1,7 @@
 """The likelihood of all readings at values of the fitted keys, at the best nuisances.
 
 As nuisances are linear, that is the same as integrating over them where noise is Gaussian and they
-have no bounds.
+have no bounds. Thermal growth is linearised.
 """
 
 import numpy as np
@@ -23,9 +23,10 @@ class MarginalLikelihood:
     Parameters
     ----------
     misfit : the least squares problem, with its noise.
+    x : (u,) unknowns at which thermal growth is linearised.
     """
 
-    def __init__(self, misfit: Misfit) -> None:
+    def __init__(self, misfit: Misfit, x: FloatArray) -> None:
         self._misfit = misfit
         problem, m = misfit.problem, len(misfit.problem.parameters)
         self._student = problem.settings.loss == "student"
@@ -41,14 +42,16 @@ class MarginalLikelihood:
             self._prior_rows[row, j] = 1.0 / prior.sd
             self._prior_values[row] = prior.mean / prior.sd
         self._priors = [(j, prior) for j, prior in misfit.priors if j < m]
-        self._columns = misfit.whitened(misfit.nuisance_columns)
+        columns = misfit.nuisance_derivatives(x)
+        self._data = misfit.data - (misfit.nuisance_readings(x) - columns @ x[m:])
+        self._columns = misfit.whitened(columns)
         # without weights that change it is the same for all samples
         ones = np.ones(misfit.n)
         self._inverse = None if self._student or not self._free else self._inverse_of(ones)
 
     def __call__(self, values: FloatArray, readings: FloatArray) -> float:
         """Return it for values (m,) of the keys and the model's readings (n,)."""
-        unadjusted = self._misfit.whitened(readings - self._misfit.data)
+        unadjusted = self._misfit.whitened(readings - self._data)
         weights = np.ones(len(unadjusted))
         noise, rest = unadjusted, -self._prior_values
         for _ in range(_REWEIGHTED if self._student else 1):

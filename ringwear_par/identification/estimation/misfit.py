@@ -3,7 +3,7 @@
 Unknowns are those of the fitted keys, then the nuisances of all series. Histories give each test's
 readings with their derivatives, (n, 1 + m); these are compared with the data, whitened, and weighed
 by the loss, which makes residuals in units of their noise; those of all priors follow. Nuisances
-are linear, so that they cost no histories.
+cost no histories, and all but the time constants of thermal growth are linear.
 """
 
 import logging
@@ -12,10 +12,16 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import lsq_linear
+from scipy.optimize import least_squares, lsq_linear
 
 from ringwear_par.arrays import BoolArray, FloatArray, short_repr
-from ringwear_par.identification.definition.problem import Experiment, Prior, Problem, Series
+from ringwear_par.identification.definition.problem import (
+    GROWTH_TIME,
+    Experiment,
+    Prior,
+    Problem,
+    Series,
+)
 from ringwear_par.identification.model.histories import ROUGH_STEPS, STEPS, Histories, HistoryError
 from ringwear_par.identification.model.noise import (
     censored_rows,
@@ -80,7 +86,9 @@ class Misfit:
     names : (u,) of the unknowns: keys, then (experiment, series, kind) of nuisances.
     data : (n,) the readings.
     censored : (n,) -1 where the true value is at most the reading, 1 where at least, else 0.
-    nuisance_columns : (n, u - m) what nuisances add to the readings, by their units.
+    expected_nuisances : (u - m,) by their priors, or 0; the start of a time constant.
+    nuisance_columns : (n, u - m) what nuisances add to the readings, by their units, linearised
+        where they are expected.
     lower, upper : (u,) bounds.
     priors : of unknowns, by their numbers.
     noise_scale : of each series, by which its sd is multiplied.
@@ -117,7 +125,13 @@ class Misfit:
             (j, p.prior) for j, p in enumerate(self.problem.parameters) if p.prior is not None
         ]
         columns = []
-        for experiment, series, rows in self.records:
+        # series with thermal growth, and their nuisances among all
+        self._growths: list[tuple[Record, slice]] = []
+        for record in self.records:
+            experiment, series, rows = record
+            first = len(self.names) - self._m
+            if any(nuisance.kind == GROWTH_TIME for nuisance in series.nuisances):
+                self._growths.append((record, slice(first, first + len(series.nuisances))))
             series_columns = nuisance_columns(series, experiment.case)
             for nuisance, values in zip(series.nuisances, series_columns.T, strict=True):
                 column = np.zeros(self.n)
@@ -130,6 +144,12 @@ class Misfit:
         self.lower, self.upper = np.array(limits).T
         self.nuisance_columns = np.stack(columns, axis=1) if columns else np.zeros((self.n, 0))
         self.priors = priors
+        nuisances = [nuisance for r in self.records for nuisance in r.series.nuisances]
+        self.expected_nuisances = np.array([nuisance.expected for nuisance in nuisances])
+        # (u - m,) which are growths and which time constants, and how large these are at first
+        kinds = np.array([nuisance.kind for nuisance in nuisances], dtype=object)
+        self._grown, self._times = kinds == "thermal", kinds == GROWTH_TIME
+        self._first_times = np.array([nuisance.start for nuisance in nuisances])
 
     @property
     def sd(self) -> FloatArray:
@@ -264,7 +284,22 @@ class Misfit:
         slopes = [self.problem.slopes(v) for v in self.values_of_tests(x, test_unknowns)]
         derivatives = self._response(x, test_unknowns)[:, 1 : 1 + self._m]
         key_columns = derivatives * np.repeat(slopes, counts, axis=0)
-        return np.concatenate([key_columns, self.nuisance_columns], axis=1)
+        return np.concatenate([key_columns, self.nuisance_derivatives(x)], axis=1)
+
+    def nuisance_derivatives(self, x: FloatArray) -> FloatArray:
+        """Return derivatives (n, u - m) of the readings with respect to nuisances, at unknowns."""
+        columns = self.nuisance_columns
+        if self._growths:
+            columns = columns.copy()
+            for (experiment, series, rows), places in self._growths:
+                values = x[self._m :][places]
+                columns[rows, places] = nuisance_columns(series, experiment.case, values)
+        return columns
+
+    def nuisance_readings(self, x: FloatArray) -> FloatArray:
+        """Return the nuisances of unknowns as they are in the readings, (n,)."""
+        added: FloatArray = self.nuisance_derivatives(x) @ np.where(self._times, 0.0, x[self._m :])
+        return added
 
     def evaluate(
         self,
@@ -285,7 +320,7 @@ class Misfit:
         HistoryError : there is no history.
         """
         values, response = self.values(x), self._response(x, test_unknowns)
-        model = response[:, 0] + self.nuisance_columns @ x[self._m :] + random_part
+        model = response[:, 0] + self.nuisance_readings(x) + random_part
         rows = np.concatenate(
             [(model - self.data)[:, None], self.columns(x, test_unknowns)], axis=1
         )
@@ -375,13 +410,19 @@ class Misfit:
         return float(-0.5 * loss @ loss - scatter - values.sum() * constant)
 
     def with_best_nuisances(
-        self, values: Sequence[float] | FloatArray, test_unknowns: FloatArray | None = None
+        self,
+        values: Sequence[float] | FloatArray,
+        test_unknowns: FloatArray | None = None,
+        times_of: FloatArray | None = None,
     ) -> FloatArray:
         """Return unknowns (u,) at values of the fitted keys, with the best nuisances for them.
+
+        Time constants are the best ones only where tests have their unknowns; else at their start.
 
         Parameters
         ----------
         test_unknowns : (tests, m) unknowns of the keys in each test, see ``evaluate``.
+        times_of : (u,) unknowns whose time constants stay as they are.
 
         Raises
         ------
@@ -389,7 +430,9 @@ class Misfit:
         """
         lower, upper = self.lower[self._m :], self.upper[self._m :]
         unknowns = self.problem.unknowns(values)
-        x = np.concatenate([unknowns, np.clip(np.zeros(len(lower)), lower, upper)])
+        first = self._first_times if times_of is None else times_of[self._m :]
+        first = np.where(self._times, first, 0.0)
+        x = np.concatenate([unknowns, np.clip(first, lower, upper)])
         if len(x) == self._m:
             return x
         loss, rows = (
@@ -406,6 +449,7 @@ class Misfit:
                 roots = np.sqrt(weights(loss, evaluation.noise))
                 columns[: self.n] = roots[:, None] * evaluation.noise_jacobian[:, self._m :]
                 residuals[: self.n] = roots * evaluation.noise
+            columns[:, self._times] = 0.0
             size = np.linalg.norm(columns, axis=0)
             size[size == 0] = 1.0  # one that does nothing
             limits = ((lower - x[self._m :]) * size, (upper - x[self._m :]) * size)
@@ -413,13 +457,36 @@ class Misfit:
             x[self._m :] = np.clip(x[self._m :] + step / size, lower, upper)
             if np.abs(step).max() < _SETTLED:
                 break
+        if self._growths and test_unknowns is not None and times_of is None:
+            x[self._m :] = self._best_growth(x, test_unknowns, rows)
         return x
+
+    def _best_growth(self, x: FloatArray, test_unknowns: FloatArray, rows: BoolArray) -> FloatArray:
+        """Return the best nuisances (u - m,), time constants included, from those of x on.
+
+        Parameters
+        ----------
+        rows : of residuals that nuisances change.
+        """
+
+        def at(nuisances: FloatArray) -> Evaluation:
+            return self.evaluate(np.concatenate([x[: self._m], nuisances]), test_unknowns)
+
+        limits = self.lower[self._m :], self.upper[self._m :]
+        outcome = least_squares(
+            lambda nuisances: at(nuisances).residuals[rows], x[self._m :],
+            lambda nuisances: at(nuisances).jacobian[rows, self._m :], limits, x_scale="jac",
+        )  # fmt: skip
+        # it stays within the bounds, however close
+        best: FloatArray = np.choose(outcome.active_mask + 1, [limits[0], outcome.x, limits[1]])
+        return best
 
     @property
     def linear(self) -> BoolArray:
         """(u,) bool, unknowns on which residuals depend linearly, and which have no bounds."""
         free = np.isinf(self.lower) & np.isinf(self.upper)
         free[: self._m] = False
+        free[self._m :] &= ~self._grown
         free[self._m :] &= ~self.nuisance_columns[self.censored != 0].any(axis=0)
         return free & (self.problem.settings.loss == "gaussian")
 
@@ -430,4 +497,5 @@ class Misfit:
             np.ones(self._m, dtype=bool), np.abs(self.nuisance_columns).sum(axis=0) > 0
         )
         acts[[j for j, _ in self.priors]] = True
+        acts[self._m :] |= self._times
         return ~acts

@@ -85,7 +85,7 @@ def sample_posterior(
 
     settings, m = misfit.problem.settings, len(misfit.problem.parameters)
     low, high = misfit.lower[:m], misfit.upper[:m]
-    marginal = MarginalLikelihood(misfit)
+    marginal = MarginalLikelihood(misfit, x)
 
     def log_probability(points: FloatArray) -> FloatArray:
         """Return (w,) of unknowns (w, m)."""

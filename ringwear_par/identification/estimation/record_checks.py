@@ -5,12 +5,12 @@ from scipy.stats import f as f_distribution
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.errors import InputError, ValidityWarning, legible
-from ringwear_par.identification.definition.problem import Experiment, Series
+from ringwear_par.identification.definition.problem import GROWTH_TIME, Experiment, Nuisance, Series
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.estimation.starts import case_points
 from ringwear_par.identification.model.histories import HistoryError
 from ringwear_par.identification.model.noise import NuisanceProjection
-from ringwear_par.identification.model.readings import nuisance_columns
+from ringwear_par.identification.model.readings import growth, nuisance_columns
 
 #: blocks of a record, and readings less nuisances that it needs
 _BLOCKS, _ENOUGH = 10, 30
@@ -26,7 +26,9 @@ _POINTS = 8
 #: correlation of readings with the model below which they have the wrong sign, and at how many sd
 _OPPOSITE, _SURE = -0.5, 5.0
 #: nuisances that leave the sign of a record as it is
-_HARMLESS = ("offset", "level", "tilt")
+_HARMLESS = ("offset", "level", "tilt", "thermal")
+#: time constants that a record is shorter than where drift and growth are alike
+_ALIKE = 3.0
 #: parts of a record that are looked at for what opposes the model, each larger by a share of it
 _PARTS = 40
 
@@ -35,10 +37,10 @@ def record_warnings(
     misfit: Misfit, x: FloatArray, evaluation: Evaluation
 ) -> tuple[ValidityWarning, ...]:
     """Return warnings about single records of a fit, whose unknowns are x at the optimum."""
-    nuisances = misfit.nuisance_columns @ x[len(misfit.problem.parameters) :]
     return (
-        *_oppositions(misfit, evaluation.model - nuisances),
+        *_oppositions(misfit, evaluation.model - misfit.nuisance_readings(x)),
         *_trends(misfit, evaluation),
+        *_alike(misfit, x),
     )
 
 
@@ -49,7 +51,7 @@ def _oppositions(misfit: Misfit, model: FloatArray) -> list[ValidityWarning]:
         record = _Record(experiment, series, misfit.sd[rows], model[rows])
         if series.quantity == "torque" or series.profile or not record.opposes():
             continue
-        kinds = " and ".join(n.kind for n in series.nuisances)
+        kinds = " and ".join(n.kind for n in series.nuisances if n.kind != GROWTH_TIME)
         beside = f"apart from {kinds}, " if kinds else ""
         said = f"{series.name} ({experiment.name}): {beside}readings fall where the model rises"
         exclude = record.exclude
@@ -85,6 +87,27 @@ def _trends(misfit: Misfit, evaluation: Evaluation) -> list[ValidityWarning]:
         )
         values = {"series": series.name, "p": probability}
         warnings.append(ValidityWarning("residuals-trend", said, (), (experiment.name,), values))
+    return warnings
+
+
+def _alike(misfit: Misfit, x: FloatArray) -> list[ValidityWarning]:
+    """Return warnings about records that do not tell a drift from thermal growth."""
+    warnings = []
+    for experiment, series, _ in misfit.records:
+        no_prior = {n.kind for n in series.nuisances if n.prior is None}
+        if not {"drift", "thermal"} <= no_prior:
+            continue
+        time = float(x[misfit.names.index((experiment.name, series.name, GROWTH_TIME))])
+        last = float(series.x.max())
+        if last < _ALIKE * time:
+            said = (
+                f"{series.name} ({experiment.name}): readings until {last:.4g} s hardly tell a "
+                f"drift from thermal growth with a time constant of {time:.4g} s; give one a prior"
+            )
+            values = {"series": series.name, "time": time, "last": last}
+            warnings.append(
+                ValidityWarning("drift-or-growth", said, (), (experiment.name,), values)
+            )
     return warnings
 
 
@@ -183,7 +206,7 @@ def refuse_reversed(misfit: Misfit, start: FloatArray) -> None:
     """Refuse depths and masses that go against the model, but for their nuisances. Not collective.
 
     Those that do so only beside a drift or a compliance may be right, with a part that is not, of
-    which a warning tells at the optimum.
+    which a warning tells at the optimum; and so may be records that change as the model in total.
 
     Raises
     ------
@@ -193,7 +216,9 @@ def refuse_reversed(misfit: Misfit, start: FloatArray) -> None:
     faults = []
     for experiment, series, part in misfit.records:
         record = _Record(experiment, series, misfit.sd[part], model[part])
-        if series.quantity != "torque" and record.opposes() and record.opposes(harmless=True):
+        if series.quantity == "torque" or record.follows:
+            continue
+        if record.opposes() and record.opposes(harmless=True):
             faults.append(
                 f'{misfit.problem.name}: experiment "{legible(experiment.name)}": {series.name}: '
                 "has the wrong sign: readings fall where the model rises; must be positive where "
@@ -210,23 +235,38 @@ class _Record:
         self, experiment: Experiment, series: Series, sd: FloatArray, model: FloatArray
     ) -> None:
         self._series = series
-        self._columns = nuisance_columns(series, experiment.case) / sd[:, None]
+        columns, self._nuisances = [], []
+        of_series = nuisance_columns(series, experiment.case).T
+        for nuisance, column in zip(series.nuisances, of_series, strict=True):
+            if nuisance.kind == GROWTH_TIME:  # growth with any of some time constants
+                low, high = nuisance.bounds
+                for time in (nuisance.start, low, 0.5 * (low + high), high):
+                    columns.append(series.factor * growth(series.x, time)[0])
+                    self._nuisances.append(Nuisance("thermal"))
+            elif nuisance.kind != "thermal":
+                columns.append(column)
+                self._nuisances.append(nuisance)
+        self._columns = np.array(columns).reshape(-1, series.n).T / sd[:, None]
         self._both = np.stack([series.value, model], axis=1) / sd[:, None]
 
     def opposes(self, rows: slice = slice(None), *, harmless: bool = False) -> bool:
         """Tell whether readings fall where the model's rise, beside (harmless) nuisances."""
-        of = [
-            i for i, n in enumerate(self._series.nuisances) if not harmless or n.kind in _HARMLESS
-        ]
+        of = [i for i, n in enumerate(self._nuisances) if not harmless or n.kind in _HARMLESS]
         columns, both = self._columns[rows, of], self._both[rows]
         for column, i in enumerate(of):  # priors are one reading more, of the nuisance itself
-            prior = self._series.nuisances[i].prior
+            prior = self._nuisances[i].prior
             if prior is not None:
                 columns = np.vstack([columns, np.eye(len(of))[column] / prior.sd])
                 both = np.vstack([both, [prior.mean / prior.sd, 0.0]])
         both = NuisanceProjection(columns).rest(both)
         (data, wear), sizes = both.T, np.linalg.norm(both, axis=0)
         return bool(data @ wear < _OPPOSITE * sizes.prod() and -data @ wear > _SURE * sizes[1])
+
+    @property
+    def follows(self) -> bool:
+        """Whether readings in time change as the model does, in total."""
+        data, wear = self._both[-1] - self._both[0]
+        return not self._series.profile and data * wear > 0.0
 
     @property
     def exclude(self) -> tuple[float, float] | None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError, RingwearError, reason_of
+from ringwear_par.files.folders import PROGRESS
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.identification.estimation.likelihood import MarginalLikelihood
@@ -23,8 +24,6 @@ log = logging.getLogger(__name__)
 
 #: of the largest derivative of any point: below it a parameter moves nothing
 _STILL = 1e-6
-#: folder in that of the outcome, until this is whole
-PROGRESS = "progress"
 _SEED = 0
 #: points of which a start is the best
 _LOT = 8
@@ -169,7 +168,7 @@ def start_points(misfit: Misfit, histories: Histories) -> FloatArray:
         return first
     drawn = case_points(misfit, _LOT * lots)
     values = np.array([misfit.values(x) for x in drawn])
-    marginal = MarginalLikelihood(misfit)
+    marginal = MarginalLikelihood(misfit, np.append(first[0], misfit.expected_nuisances))
     moves, improbable = np.zeros((len(drawn), m)), np.full(len(drawn), np.inf)
     for i, response in enumerate(histories.responses(values, ROUGH_STEPS, exact=misfit.exact)):
         if not isinstance(response, Exception):
@@ -282,12 +281,8 @@ def fill_planned(misfit: Misfit) -> None:
     plans = [(part, series) for _, series, part in misfit.records if series.planned]
     if not plans:
         return
-    m = len(misfit.problem.parameters)
     start = misfit.problem.unknowns(list(misfit.problem.start.values()))
-    x = np.concatenate([start, np.zeros(len(misfit.names) - m)])
-    for j, prior in misfit.priors:
-        if j >= m:
-            x[j] = prior.mean
-    expected = misfit.model_readings(x) + misfit.nuisance_columns @ x[m:]
+    x = np.concatenate([start, misfit.expected_nuisances])
+    expected = misfit.model_readings(x) + misfit.nuisance_readings(x)
     for part, _ in plans:
         misfit.data[part] = expected[part]

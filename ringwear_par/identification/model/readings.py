@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
-from ringwear_par.identification.definition.problem import Experiment, Series
+from ringwear_par.identification.definition.problem import GROWTH_TIME, Experiment, Series
 from ringwear_par.schedules import in_time
 
 #: of a segment's length: within it steps are equal, beyond it their logarithms
@@ -174,15 +174,35 @@ def _radial(series: Series, case: Case) -> FloatArray:
     return weights
 
 
-def nuisance_columns(series: Series, case: Case) -> FloatArray:
+def growth(t: FloatArray, time: float) -> tuple[FloatArray, FloatArray]:
+    """Return the share of its growth that a warm rig has, and its derivative by ``time``, 1/s.
+
+    Parameters
+    ----------
+    t : (n,) s, since it was cold.
+    time : constant, s.
+    """
+    rest = np.exp(-t / time)
+    return 1.0 - rest, -t / time**2 * rest
+
+
+def nuisance_columns(
+    series: Series, case: Case, values: Sequence[float] | FloatArray | None = None
+) -> FloatArray:
     """Return (n, nuisances) what each nuisance of a series adds to its readings, by its unit.
 
     The offset and the level are constant; the drift grows to 1 at the end of the test; the
     compliance goes with the load in kN (of a penetration with what it has changed since the start);
-    the tilt with the distance in mm from the middle of the contact.
+    the tilt with the distance in mm from the middle of the contact. Thermal growth comes near to 1
+    after some time constants, with respect to which its column is the derivative.
+
+    Parameters
+    ----------
+    values : (nuisances,) at which growth is linearised; None: as they are expected.
     """
     columns = []
-    for nuisance in series.nuisances:
+    values = [n.expected for n in series.nuisances] if values is None else values
+    for place, nuisance in enumerate(series.nuisances):
         if nuisance.kind == "drift":
             column = series.x / case.time.end
         elif nuisance.kind == "compliance":
@@ -191,6 +211,10 @@ def nuisance_columns(series: Series, case: Case) -> FloatArray:
             column = 1e-3 * (in_time(case.load.force, series.x) - start)
         elif nuisance.kind == "tilt":
             column = series.x - 0.5 * sum(case.contact)
+        elif nuisance.kind == "thermal":
+            column = growth(series.x, values[place + 1])[0]
+        elif nuisance.kind == GROWTH_TIME:
+            column = values[place - 1] * growth(series.x, values[place])[1]
         else:
             column = np.ones(series.n)
         columns.append(series.factor * column)

@@ -7,6 +7,7 @@ hardly bounds it, and intervals at its best value hold the truth too rarely.
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -196,11 +197,19 @@ class ScatterPosterior:
         level : number of the level.
         probability : of its interval.
         """
-        without = self.solutions.tau.copy()
-        without[:, level] = 0.0
-        combinations = np.unique(without, axis=0)
-        at_zero = min(model.solve(combinations).restricted.min() for model in self.models)
-        return self._size(self.solutions.tau[:, level], at_zero, probability)
+        return self._size(self.solutions.tau[:, level], self._without_level[level], probability)
+
+    @cached_property
+    def _without_level(self) -> list[float]:
+        """Smallest restricted -2 log likelihood without the scatter of each level."""
+        least = []
+        for level in range(len(self.model.levels)):
+            tau = self.solutions.tau.copy()
+            tau[:, level] = 0.0
+            combinations = np.unique(tau, axis=0)
+            least.append(min(float(model.solve(combinations).restricted.min())
+                             for model in self.models))  # fmt: skip
+        return least
 
     def share(self, body: int, probability: float) -> SizePosterior:
         """Return the posterior of the share of the process noise of a body, see ``size``."""

@@ -72,7 +72,7 @@ def estimate_material(
             wear = RandomWear.of(misfit, x, test_unknowns, plan=sizes is not None)
         prior = _prior_of_keys(problem.parameters, x)
         if sizes is not None:
-            x[m:] = _expected_nuisances(misfit)
+            x[m:] = misfit.expected_nuisances
             evaluation = replace(evaluation, noise=np.zeros(misfit.n))
             prior = prior[0], x[:m].copy()
         linear = Linearisation(misfit, evaluation, x, test_unknowns, weighed)
@@ -138,13 +138,15 @@ def _evaluated(
     ------
     HistoryError : there is none near that either.
     """
+    # with the noise of wear, time constants are those of its last round
+    times_of = x if misfit.problem.settings.process else None
     for _ in range(_HALVINGS):
         try:
-            x = misfit.with_best_nuisances(misfit.values(x), test_unknowns)
+            x = misfit.with_best_nuisances(misfit.values(x), test_unknowns, times_of)
             return x, misfit.evaluate(x, test_unknowns), test_unknowns
         except HistoryError:
             test_unknowns = 0.5 * (before + test_unknowns)
-    x = misfit.with_best_nuisances(misfit.values(x), test_unknowns)
+    x = misfit.with_best_nuisances(misfit.values(x), test_unknowns, times_of)
     return x, misfit.evaluate(x, test_unknowns), test_unknowns
 
 
@@ -232,14 +234,6 @@ def _prior_of_keys(
             precision[key] = (slope / prior.sd) ** 2
             mean[key] = x[key] + (prior.mean - value) / slope
     return precision, mean
-
-
-def _expected_nuisances(misfit: Misfit) -> FloatArray:
-    """Return the nuisances as their priors have them, 0 without."""
-    nuisances = np.zeros(len(misfit.names))
-    for j, prior in misfit.priors:
-        nuisances[j] = prior.mean
-    return nuisances[len(misfit.problem.parameters) :]
 
 
 def _integrated(

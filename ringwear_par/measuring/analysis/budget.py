@@ -9,8 +9,6 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.measuring.definition.problem import Conditions, Uncertainty
 
-#: unit of specific wear rates
-SPECIFIC = "mm3/(N m)"
 #: coverage factor of expanded uncertainties, about 95 % of a normal distribution
 COVERAGE = 2.0
 DRAWS, _SEED, _LEVEL = 200_000, 1, 0.95

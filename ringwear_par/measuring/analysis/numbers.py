@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.units import SPECIFIC
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.measuring.analysis.budget import (
-    SPECIFIC,
     Estimate,
     Source,
     load_sources,
@@ -32,10 +32,8 @@ from ringwear_par.measuring.definition.problem import Conditions, Problem, Test,
 from ringwear_par.measuring.definition.records import Record
 from ringwear_par.schedules import in_time
 
-#: mm3/(N m) in an in3 min/(ft lbf h), and psi ft/min in a MPa m/s
-IN3_MIN_PER_FT_LBF_H = 16387.064 / 1.3558179483314004 / 60.0
+#: psi ft/min in a MPa m/s
 PSI_FT_MIN = 145.0377377 * 196.8503937
-US_SPECIFIC = "in3 min/(ft lbf h)"
 RATE = "mm/s"
 #: share by which volumes may differ whatever their uncertainties; blocks that a gap may last;
 #: share of the test below which a steady part is short; share by which loads may differ

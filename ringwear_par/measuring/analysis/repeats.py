@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from ringwear_par.measuring.analysis.budget import SPECIFIC
+from ringwear_par.cases.units import SPECIFIC
 from ringwear_par.measuring.analysis.numbers import TestNumbers
 from ringwear_par.measuring.definition.problem import Conditions
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ringwear_par.cases.units import SPECIFIC
 from ringwear_par.measuring.analysis.autoregression import extrapolate
 from ringwear_par.measuring.analysis.budget import (
-    SPECIFIC,
     Estimate,
     Source,
     load_sources,

@@ -1,0 +1,198 @@
+"""Fits of records of rigs that warm up."""
+
+import copy
+
+import numpy as np
+import pytest
+from laboratory import (
+    CASE,
+    PEN,
+    SD_PENETRATION,
+    TRUTH,
+    changed,
+    fit_tables,
+    history,
+    penetration,
+    write_table,
+)  # fmt: skip
+from linear_histories import LinearHistories
+from mpi4py import MPI
+
+import ringwear_par as rw
+from ringwear_par.errors import InputError
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.estimation.intervals import estimates
+from ringwear_par.identification.estimation.minimise import minimise
+from ringwear_par.identification.estimation.misfit import Misfit
+from ringwear_par.identification.estimation.record_checks import refuse_reversed
+from ringwear_par.identification.model.histories import STEPS, Histories
+
+K = "wear.lower.k"
+#: s, um; and the record's end and number of readings
+TIME, GROWTH = 1500.0, -3.0
+END, READINGS = 7200.0, 120
+OMEGA = 3.5 * 100.0 / END
+THERMAL = {"time": {"start": "20 min", "bounds": ["2 min", "3 h"],
+                    "prior": {"normal": ["25 min", "8 min"]}}}  # fmt: skip
+
+pytestmark = pytest.mark.serial
+
+
+@pytest.fixture(scope="module")
+def records():
+    """Times (s) and penetrations (um) of two loads, without growth and noise."""
+    times = np.linspace(END / READINGS, END, READINGS)
+    return {
+        pressure: penetration(
+            history(pressure, end=END, **{"load.omega": OMEGA}), None, times, 1e-3, 0.0
+        )
+        for pressure in (40.0, 85.0)
+    }
+
+
+@pytest.fixture
+def warm(records, tmp_path):
+    """Function that makes a fit file of tests on a warm rig, with some nuisances."""
+
+    def made(nuisance, growth=GROWTH, seed=3, **fit):
+        rng = np.random.default_rng(seed)
+        experiments = []
+        for pressure, (t, z) in records.items():
+            name = f"{pressure:g} MPa"
+            noise = 1e3 * SD_PENETRATION * rng.standard_normal(len(t))
+            grown = 1e3 * z + growth * -np.expm1(-t / TIME) + noise
+            write_table(tmp_path / f"{name}.csv", ("t_s", "z_um"), t, grown)
+            record = {"quantity": "penetration", "file": str(tmp_path / f"{name}.csv"),
+                      "columns": {"time": "t_s", "value": "z_um"}, "sd": 0.2,
+                      "nuisance": copy.deepcopy(nuisance)}  # fmt: skip
+            changes = {"load.pressure": pressure, "load.omega": OMEGA, "time.end": END}
+            experiments.append({"name": name, "set": changes, "data": [record]})
+        (tmp_path / "case.toml").write_text(CASE)
+        return copy.deepcopy(fit_tables(tmp_path, experiments, **{"starts": 1, **fit}))
+
+    return made
+
+
+def test_derivatives(warm):
+    """Those of all unknowns but the keys are differences of residuals."""
+    problem = read_fit(warm({"offset": {}, "thermal": THERMAL}))
+    misfit = Misfit(problem, Histories(problem, MPI.COMM_SELF))
+    x = misfit.with_best_nuisances(list(problem.start.values()))
+    amplitude, time = misfit.names.index(("40 MPa", "penetration", "thermal")), 4
+    assert x[time] == 1200.0
+    assert x[amplitude] != 0.0
+    x[time] = 1700.0
+    jacobian = misfit.evaluate(x).jacobian
+    for j in range(2, len(x)):
+        step = np.zeros(len(x))
+        step[j] = 1e-4 * abs(x[j])
+        change = misfit.evaluate(x + step).residuals - misfit.evaluate(x - step).residuals
+        assert change / (2.0 * step[j]) == pytest.approx(jacobian[:, j], rel=1e-6, abs=1e-9)
+
+
+def test_growth_is_no_wear(warm):
+    cold = rw.fit(warm({"offset": {}}), MPI.COMM_SELF)
+    found = rw.fit(warm({"offset": {}, "thermal": THERMAL}), MPI.COMM_SELF)
+    k = {one.key: one for one in cold.parameters}[K]
+    assert abs(k.estimate - TRUTH[K]) > 3.0 * k.sd
+    assert cold.p_value < 1e-6
+    assert found.p_value > 0.01
+    for one in found.parameters:
+        assert abs(one.estimate - TRUTH[one.key]) < 2.0 * one.sd
+    for of_test in found.to_dict()["nuisance"].values():
+        growth = of_test["penetration"]["thermal"]
+        assert abs(growth["estimate"] - GROWTH) < 3.0 * growth["sd"]
+        assert abs(growth["time"]["estimate"] - TIME) < 3.0 * growth["time"]["sd"]
+        assert growth["time"]["sd"] < 450.0  # of the prior: 480
+    assert "thermal -2.64 um (u = 0.21) in time 1.29e+03 s (u = 1.8e+02)" in found.summary()
+
+
+def test_coverage(warm):
+    """40 tests whose time constants are of the prior, of readings that are linear in the keys."""
+    tables = warm({"offset": {}, "thermal": THERMAL})
+    for key, truth in TRUTH.items():
+        tables["fit"]["parameters"][key]["start"] = truth
+    problem = read_fit(tables)
+    histories = Histories(problem, MPI.COMM_SELF)
+    (response,) = histories.responses(np.array([list(TRUTH.values())]), STEPS)
+    misfit, rng = Misfit(problem, LinearHistories(problem, response)), np.random.default_rng(5)
+    truth = misfit.with_best_nuisances(list(TRUTH.values()))
+    errors = []
+    for _ in range(40):
+        truth[2:] = [1.0, GROWTH, rng.normal(1500.0, 480.0)] * 2
+        truth[2:] = np.clip(truth, misfit.lower, misfit.upper)[2:]
+        misfit.data = response[:, 0] + misfit.nuisance_readings(truth)
+        misfit.data = misfit.data + misfit.sd * rng.standard_normal(misfit.n)
+        best = minimise(misfit, misfit.with_best_nuisances(list(problem.start.values())))
+        assert best.converged
+        covariance = estimates(misfit, best.x, best.evaluation)[1]
+        errors.append((best.x - truth) / np.sqrt(np.diag(covariance)))
+    of_keys = np.array(errors)[:, :2]  # 95 and 94 % of 400; amplitudes and times 90 to 93 %
+    assert ((np.abs(of_keys) < 1.96).mean(axis=0) >= 0.9).all()
+    assert of_keys.std(axis=0) == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize("noise", ["scatter", "process"])
+def test_growth_beside_other_noise(warm, noise):
+    """Estimates are those of the plain fit where scatter and the noise of wear are next to none."""
+    tables = warm({"offset": {}, "thermal": THERMAL})
+    plain = rw.fit(tables, MPI.COMM_SELF).to_dict()
+    if noise == "scatter":
+        tables["fit"]["parameters"][K] |= {"scatter": 1e-4}
+    else:
+        tables["fit"]["process"] = {"wear.lower": {"size": 1e-9}}
+    found = rw.fit(tables, MPI.COMM_SELF).to_dict()
+    for key, one in plain["parameters"].items():
+        assert abs(found["parameters"][key]["estimate"] - one["estimate"]) < 0.1 * one["sd"]
+    for test, one in plain["nuisance"].items():
+        growth, same = (of["penetration"]["thermal"] for of in (one, found["nuisance"][test]))
+        for entry, other in ((growth, same), (growth["time"], same["time"])):
+            assert abs(other["estimate"] - entry["estimate"]) < 0.1 * entry["sd"]
+            assert other["sd"] == pytest.approx(entry["sd"], rel=0.1)
+
+
+def test_a_drift_is_much_like_growth(warm):
+    tables = warm({"offset": {}, "drift": {}, "thermal": {"time": THERMAL["time"]}})
+    for experiment in tables["experiment"]:
+        experiment["data"][0]["exclude"] = [[3000.0, END]]
+    (doubt, _) = (d for d in rw.fit(tables, MPI.COMM_SELF).doubts if d.code == "drift-or-growth")
+    assert "readings until 2940 s hardly tell a drift from thermal growth" in doubt.text
+
+
+@pytest.mark.parametrize("nuisance", ["thermal", "offset"])
+def test_growth_that_outweighs_the_wear_is_no_wrong_sign(warm, nuisance):
+    known = {"offset": {}} | (
+        {"thermal": {"time": THERMAL["time"]}} if nuisance == "thermal" else {}
+    )
+    problem = read_fit(warm(known, growth=-60.0))
+    misfit = Misfit(problem, Histories(problem, MPI.COMM_SELF))
+    start = misfit.with_best_nuisances(list(problem.start.values()))
+    if nuisance == "offset":
+        with pytest.raises(InputError, match=r"40 MPa.* has the wrong sign"):
+            refuse_reversed(misfit, start)
+        for experiment in problem.experiments:  # in total they rise
+            experiment.series[0].value[-1] = 1.0
+    refuse_reversed(misfit, start)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        (("time",), None, "thermal.time: start is missing: must be a finite number > 0"),
+        (("time", "start"), "3 mm", 'thermal.time: start = "3 mm": must be a finite number > 0'),
+        (("time",), {"start": 1500.0}, "has neither prior nor bounds; must have one of them"),
+        (("time", "start"), 60, "start = 60: must be within its bounds, 120 to 10800 s"),
+        (("time", "bounds"), [0, 9000], "bounds = [0, 9000]: must be two increasing numbers > 0"),
+        (("time", "prior"), {"normal": [-1, 1]}, "must have a mean > 0"),
+        (("power",), True, "thermal: power: unknown key; must be one of"),
+        (("amplitude",), {"start": 1}, "thermal.amplitude: start: unknown key"),
+        (("amplitude",), {"prior": 1}, "thermal.amplitude: prior = 1: must be { normal"),
+    ],
+)
+def test_faults(warm, path, value, said):
+    tables = warm({"offset": {}, "thermal": THERMAL})
+    with pytest.raises(InputError) as caught:
+        read_fit(changed(tables, (*PEN, "nuisance", "thermal", *path), value))
+    (fault,) = caught.value.faults
+    assert said in fault
+    assert fault.startswith('fit: experiment "40 MPa": data 1 (penetration): nuisance.thermal')
