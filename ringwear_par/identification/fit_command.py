@@ -67,8 +67,6 @@ def run_fit(
         warn_of_threads(comm.size)
     try:
         result = fit_problem(problem, comm, compare=compare, folder=folder)
-        with together(comm):
-            reject_unused_options()
     except StoppedError:
         raise
     except RingwearError:  # the same command would fail again, and another one must be free to run
@@ -76,6 +74,8 @@ def run_fit(
             with suppress(OSError):
                 stored.remove()
         raise
+    with together(comm):  # starts stay: without the option, --restart goes on
+        reject_unused_options()
 
     def store() -> None:
         result.save(folder)

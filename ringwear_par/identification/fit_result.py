@@ -261,7 +261,9 @@ class FitResult(Outcome, Solution):
         else:
             covariance = self.material.unbounded.covariance
             narrowed = [one.key for one in self.parameters]
-        return tuple(conditional_verdicts(self.parameters, covariance, narrowed))
+        return tuple(
+            conditional_verdicts(self.parameters, covariance, narrowed, self.keys_at_bound)
+        )
 
     @property
     def warnings(self) -> tuple[str, ...]:

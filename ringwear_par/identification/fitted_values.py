@@ -1,6 +1,7 @@
 """What a fit knows of its keys, as predictions draw it: kept in the fit's folder, whole."""
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import h5py
@@ -14,6 +15,7 @@ from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.results.storage.hdf5 import write_variable
 from ringwear_par.results.variables import PARAMETER, Variable
 from ringwear_par.schedules import mean, mean_of_product
+from ringwear_par.wear.law import WearLaw
 
 #: group of results.h5
 GROUP = "values"
@@ -41,7 +43,7 @@ class FittedValues:
     scatters : (g, levels) sizes of the scatters; scattering : (levels,) number of the key of each.
     sizes : (g, 2) mm, of the process noise of lower and upper; 0: none.
     specimens : of the tests, by name.
-    laws : names of the laws of lower and upper, "" of a body that does not wear.
+    laws : names of the laws by table of keys, see ``law_names``.
     conditions : (tests, 5), see ``conditions_of``.
     samples : (s, m) values, of an ensemble's posterior; None: there are none.
     """
@@ -56,7 +58,7 @@ class FittedValues:
     scattering: IntArray
     sizes: FloatArray
     specimens: tuple[str, ...]
-    laws: tuple[str, str]
+    laws: Mapping[str, str]
     conditions: FloatArray
     samples: FloatArray | None = None
 
@@ -77,13 +79,19 @@ def conditions_of(case: Case, keys: Sequence[str] = ()) -> FloatArray:
     return np.where(unknown, np.nan, [numbers[name] for name in CONDITIONS])
 
 
-def law_names(case: Case) -> tuple[str, str]:
-    """Return the names of the laws of lower and upper, "" of a body that does not wear."""
-    lower, upper = (
-        "" if law is None else getattr(law, "name", "") or type(law).__name__
-        for law in (case.wear_lower, case.wear_upper)
-    )
-    return lower, upper
+def law_names(case: Case) -> dict[str, str]:
+    """Return the names of the laws of bodies and layers, "" of what does not wear, by their tables.
+
+    Those of users have the beginning of their source's SHA-256 behind it.
+    """
+    return {table: _law_name(law) for table, law in case.laws_by_table.items()}
+
+
+def _law_name(law: WearLaw | None) -> str:
+    if law is None:
+        return ""
+    name, source = getattr(law, "name", "") or type(law).__name__, getattr(law, "source", "")
+    return f"{name} {hashlib.sha256(source.encode()).hexdigest()[:12]}" if source else name
 
 
 def fitted_values(fit: FitResult) -> FittedValues:
@@ -147,7 +155,12 @@ def write_values(file: h5py.File, values: FittedValues) -> None:
     """Write a group of a file."""
     group = file.create_group(GROUP)
     group.attrs.update(
-        {"keys": list(values.keys), "specimens": list(values.specimens), "laws": list(values.laws)}
+        {
+            "keys": list(values.keys),
+            "specimens": list(values.specimens),
+            "laws": list(values.laws.values()),
+            "tables": list(values.laws),
+        }
     )
     sizes: dict[str, int] = {}
     for name, (dimensions, _) in _ARRAYS.items():
@@ -170,14 +183,14 @@ def read_values(file: h5py.File) -> FittedValues:
     KeyError, ValueError : there is none, or it is damaged.
     """
     group = file[GROUP]
-    keys, specimens, laws = (
-        tuple(map(str, group.attrs[name])) for name in ("keys", "specimens", "laws")
+    keys, specimens, laws, tables = (
+        tuple(map(str, group.attrs[name])) for name in ("keys", "specimens", "laws", "tables")
     )
     arrays = {name: group[name][()] for name in _ARRAYS}
     samples = None
     if "posterior" in file:
         samples = np.stack([file["posterior"][key][()] for key in keys], axis=1)
-    lower, upper = laws
     return FittedValues(
-        keys=keys, specimens=specimens, laws=(lower, upper), samples=samples, **arrays
-    )
+        keys=keys, specimens=specimens, laws=dict(zip(tables, laws, strict=True)),
+        samples=samples, **arrays,
+    )  # fmt: skip

@@ -11,6 +11,7 @@ import numpy as np
 
 from ringwear_par.cases.units import CUSTOMARY
 from ringwear_par.errors import warning_lines
+from ringwear_par.identification.definition.problem import body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
 
 if TYPE_CHECKING:
@@ -345,9 +346,10 @@ def unit_lines(estimate: Mapping[str, Any]) -> list[str]:
             lines[-1] += f"; the next specimen: {limits(converted['next'])}"
     if identified and (rate := estimate.get("specific_wear_rate")) is not None:
         product = f"k mu at mu = {rate['mu']:.4g}" if "mu" in rate else "k"
+        ends = "" if rate["interval"] == [None, None] else f"  {limits(rate['interval'])}"
         lines.append(
-            f"specific wear rate {rate['estimate']:.4g} {rate['unit']}  "
-            f"{limits(rate['interval'])}; {rate[CUSTOMARY]:.4g} {CUSTOMARY} ({product})"
+            f"specific wear rate {rate['estimate']:.4g} {rate['unit']}{ends}; "
+            f"{rate[CUSTOMARY]:.4g} {CUSTOMARY} ({product})"
         )
     return lines
 
@@ -385,7 +387,9 @@ def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
     if limits:
         lines[-1] += f" ({100.0 * level:g} %); {', '.join(limits)}"
     if (needed := estimate.get("specimens_for_10_percent")) is not None:
-        lines.append(f"10 % on either side of the material's value need some {needed} specimens")
+        lines.append(
+            f"an interval of +-10 % for the material needs about {counted(needed, 'specimen')}"
+        )
     return lines
 
 
@@ -393,23 +397,22 @@ def process_lines(outcome: Outcome) -> list[str]:
     """Return a sentence about each body whose wear is itself random, and what follows of it."""
     lines = []
     for key, entry in outcome.get("process", {}).items():
-        depth = f"of the {1e3 * entry['depth']:.3g} um that are worn at the end"
         size, share = entry["size"], entry["share"]
-        if "known" in share:
-            lines.append(
-                f"{key} is random: {100.0 * share['known']:.2g} % {depth}, size "
-                f"{1e6 * size['known']:.3g} nm (taken as known)"
-            )
-            continue
-        text = f"{key} is random: {100.0 * share['estimate']:.2g} % {depth}"
-        if share["interval"] is not None:
-            low, high = share["interval"]
-            text += f" ({100.0 * low:.2g} to {100.0 * high:.2g} %)"
-        text += f", size {1e6 * size['estimate']:.3g} nm"
-        if size["interval"] is not None:
-            low, high = size["interval"]
-            text += f" ({1e6 * low:.3g} to {1e6 * high:.3g} nm)"
-        lines.append(f"{text}  {entry['verdict']}")
+        known = "known" in share
+        sd = share["known" if known else "estimate"]
+        events = size["known" if known else "estimate"]
+        text = (
+            f"wear of {body_of_wear(key)} fluctuates: sd {100.0 * sd:.2g} % of the "
+            f"{1e3 * entry['depth']:.3g} um worn at the end"
+        )
+        if (ends := share.get("interval")) is not None:
+            low, high = (100.0 * end for end in ends)
+            text += f" ({100.0 * outcome['level']:g} %: {low:.2g} to {high:.2g} %)"
+        text += f"; events of {1e6 * events:.3g} nm"
+        if (ends := size.get("interval")) is not None:
+            low, high = (1e6 * end for end in ends)
+            text += f" ({low:.3g} to {high:.3g} nm)"
+        lines.append(f"{text} (taken as known)" if known else f"{text}  {entry['verdict']}")
     scatters = [
         scatter
         for estimate in outcome["parameters"].values()
@@ -417,8 +420,8 @@ def process_lines(outcome: Outcome) -> list[str]:
     ]
     if lines and any(scatter.get("verdict") == "at bound" for scatter in scatters):
         lines.append(
-            "scatter between specimens is not excluded to be none beside it: with 3 specimens or "
-            "more, scatter alone is enough for values of the material"
+            "beside it, the specimens may not differ at all: with 3 specimens or more, scatter "
+            "alone is enough for values of the material"
         )
     return lines
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import InputError, ValidityWarning, legible
 from ringwear_par.files.folders import DESIGN, FIT, PROGRESS, READINGS
 from ringwear_par.files.text import parse_json, read_text
@@ -34,7 +33,7 @@ _A_FIT = "must be the folder of a fit that is done (ringwear fit -o)"
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class FitKnowledge:
     """What a fit knows.
 
     Parameters
@@ -57,7 +56,7 @@ class Known:
         return len({*self.values.specimens})
 
 
-def known_of(fit: FitResult | Path | str) -> Known:
+def fit_knowledge(fit: FitResult | Path | str) -> FitKnowledge:
     """Return the knowledge of a fit, or of the fit of a folder. Not collective.
 
     Raises
@@ -65,7 +64,7 @@ def known_of(fit: FitResult | Path | str) -> Known:
     InputError : a folder of anything else, or of a fit that is not done.
     """
     if isinstance(fit, FitResult):
-        return _known("fit", fit.to_dict(), fitted_values(fit))
+        return _knowledge("fit", fit.to_dict(), fitted_values(fit))
     if not isinstance(fit, Path | str):
         raise InputError(
             f"fit: a fit or its folder is needed, not {type(fit).__name__}; rw.fit returns one"
@@ -81,7 +80,7 @@ def known_of(fit: FitResult | Path | str) -> Known:
             )
         values = read_values(file)
     try:
-        return _known(str(folder), parse_json(read_text(folder / FIT)), values)
+        return _knowledge(str(folder), parse_json(read_text(folder / FIT)), values)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise InputError(f"{folder / FIT}: is not the outcome of a fit, or is damaged") from error
 
@@ -97,7 +96,7 @@ def _fault(folder: Path) -> str:
     return f"holds no {FIT}"
 
 
-def _known(name: str, outcome: Mapping[str, Any], values: FittedValues) -> Known:
+def _knowledge(name: str, outcome: Mapping[str, Any], values: FittedValues) -> FitKnowledge:
     """Return the knowledge of an outcome and its values.
 
     Raises
@@ -107,14 +106,14 @@ def _known(name: str, outcome: Mapping[str, Any], values: FittedValues) -> Known
     parameters = outcome["parameters"]
     if tuple(parameters) != values.keys:
         raise ValueError(name)
-    return Known(
+    return FitKnowledge(
         name, values, {key: str(p["unit"]) for key, p in parameters.items()},
         {key: str(p["verdict"]) for key, p in parameters.items()},
         len(outcome["warnings"]),
     )  # fmt: skip
 
 
-def check_predicted(known: Known, case: Case, name: str, of: str, dashes: str = "") -> None:
+def check_predicted(known: FitKnowledge, case: Case, name: str, of: str, dashes: str = "") -> None:
     """Refuse what a fit cannot predict.
 
     Parameters
@@ -137,13 +136,13 @@ def check_predicted(known: Known, case: Case, name: str, of: str, dashes: str = 
         for key, verdict in known.verdicts.items()
         if verdict != "identified"
     ]
-    laws = zip(BODIES, law_names(case), values.laws, strict=True)
-    other_laws = {f"wear.{body}.": law for body, present, law in laws if present != law}
+    has_laws = law_names(case)
+    other_laws = {f"{t}.": law for t, law in values.laws.items() if has_laws.get(t, "") != law}
     has = differentiable(case)
     for key in values.keys:
         table = next((table for table in other_laws if key.startswith(table)), None)
         if table is not None:
-            law = getattr(case.laws_by_table.get(table[:-1]), "name", "")
+            law = has_laws.get(table[:-1], "")
             state = f'is "{law}"' if law else "is missing"
             of_law = ", ".join(k for k in values.keys if k.startswith(table))
             faults.append(
@@ -156,7 +155,7 @@ def check_predicted(known: Known, case: Case, name: str, of: str, dashes: str = 
         raise InputError(*dict.fromkeys(faults))
 
 
-def sources_of(known: Known, of: str, sizes: FloatArray) -> tuple[str, ...]:
+def sources_of(known: FitKnowledge, of: str, sizes: FloatArray) -> tuple[str, ...]:
     """Return sentences about what was drawn.
 
     Parameters
@@ -174,6 +173,8 @@ def sources_of(known: Known, of: str, sizes: FloatArray) -> tuple[str, ...]:
             sentences = [f"specimen {legible(of)} in the light of {tested}"]
     else:
         how = "covariance" if values.samples is None else "posterior samples"
+        if len(values.weights) > 1:
+            how = "mixture over sizes of random wear"
         sentences = [f"{how} of the fit to {tested}"]
     if sizes.any():
         size = 1e6 * float(np.median(sizes.max(axis=0)))
@@ -181,7 +182,7 @@ def sources_of(known: Known, of: str, sizes: FloatArray) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def doubts_of(known: Known, case: Case, of: str) -> tuple[ValidityWarning, ...]:
+def doubts_of(known: FitKnowledge, case: Case, of: str) -> tuple[ValidityWarning, ...]:
     """Return the doubts about a prediction."""
     doubts = []
     values = known.values

@@ -19,7 +19,13 @@ from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together
 from ringwear_par.prediction.draws import draw_paces, draw_values
 from ringwear_par.prediction.folder import files_line, prepare
-from ringwear_par.prediction.known import Known, check_predicted, doubts_of, known_of, sources_of
+from ringwear_par.prediction.known import (
+    FitKnowledge,
+    check_predicted,
+    doubts_of,
+    fit_knowledge,
+    sources_of,
+)
 from ringwear_par.prediction.prediction import QUANTITIES, Prediction
 from ringwear_par.results.result import Result
 from ringwear_par.studies.execution.many import results_of
@@ -38,7 +44,7 @@ Source = FitResult | Path | str
 class _Job:
     """What all ranks compute: a case at values (draws, m) of the fit's keys."""
 
-    known: Known
+    known: FitKnowledge
     case: Case
     of: str
     seed: int
@@ -99,12 +105,12 @@ def run_predict(
         return job
 
     result = _predicted(on_first_rank(comm, read), comm)
-    with together(comm):
-        reject_unused_options()
     on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:
         print(result.summary())
         print(files_line(folder))
+    with together(comm):
+        reject_unused_options()
 
 
 def _job(
@@ -125,7 +131,7 @@ def _job(
     for name, number, least in (("draws", draws, 1), ("seed", seed, 0)):
         if isinstance(number, bool) or not isinstance(number, int) or number < least:
             raise InputError(f"{dashes}{name} = {number!r}: must be a whole number >= {least}")
-    known = known_of(fit)
+    known = fit_knowledge(fit)
     name = str(case) if isinstance(case, Path | str) else "case"
     case = case if isinstance(case, Case) else read_case(case, overrides)
     check_predicted(known, case, name, of, dashes)

@@ -88,3 +88,6 @@ def test_options_that_nobody_reads_are_refused(write, ringwear):
     assert status == 2
     assert "-identify_nonsense: no solver" in told
     assert not Path("out/fit.json").exists()
+    status, told = ringwear("fit.toml", "-o", "out", "--restart")  # starts were not lost
+    assert status == 0, told
+    assert Path("out/fit.json").exists()

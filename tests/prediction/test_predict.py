@@ -11,8 +11,9 @@ from mpi4py import MPI
 
 import ringwear_par as rw
 from ringwear_par.errors import InputError
+from ringwear_par.identification.fitted_values import law_names
 from ringwear_par.prediction import predict as module
-from ringwear_par.prediction.known import known_of
+from ringwear_par.prediction.known import fit_knowledge, sources_of
 
 FACTORS = (0.8, 1.0, 1.1, 1.3)
 K = "wear.lower.k"
@@ -88,11 +89,13 @@ def test_predictions_are_about_somebody(found, case):
 
 @pytest.mark.serial
 def test_without_scatter_the_band_is_of_the_specimens_tested(found, case, monkeypatch):
-    known = known_of(found[1])
+    known = fit_knowledge(found[1])
     values = dataclasses.replace(
         known.values, scattering=known.values.scattering[:0], scatters=known.values.scatters[:, :0]
     )
-    monkeypatch.setattr(module, "known_of", lambda _: dataclasses.replace(known, values=values))
+    monkeypatch.setattr(
+        module, "fit_knowledge", lambda _: dataclasses.replace(known, values=values)
+    )
     both = [rw.predict(found[1], case, of=of, draws=2, comm=MPI.COMM_SELF)
             for of in ("next specimen", "test 2")]  # fmt: skip
     assert [one.whose for one in both] == ["the specimens tested", "test 2"]
@@ -106,12 +109,12 @@ def test_random_wear_spreads_a_prediction(found, case, monkeypatch):
     """Variance of worn depth: size times depth, where values are known."""
     _, fit = found
     size = 2e-5
-    known = known_of(fit)
+    known = fit_knowledge(fit)
     parts = {name: getattr(known.values, name)[:1] for name in ("means", "scatters")}
     parts |= {"weights": np.ones(1), "covariances": 0.0 * known.values.covariances[:1]}
     parts |= {"sizes": np.array([[size, 0.0]])}
     known = dataclasses.replace(known, values=dataclasses.replace(known.values, **parts))
-    monkeypatch.setattr(module, "known_of", lambda _: known)
+    monkeypatch.setattr(module, "fit_knowledge", lambda _: known)
     noisy = rw.predict(fit, case, of="test 2", draws=500, comm=MPI.COMM_SELF)
     depth = noisy.histories["worn_volume_lower"][:, [20, 40, -1]] / case.area
     parts["sizes"] = np.zeros((1, 2))
@@ -121,6 +124,10 @@ def test_random_wear_spreads_a_prediction(found, case, monkeypatch):
     assert depth.mean(axis=0) == pytest.approx(mean, rel=0.04)
     assert depth.var(axis=0) == pytest.approx(size * mean, rel=0.27)
     assert "size 20 nm" in noisy.summary()
+    parts = {"weights": np.full(2, 0.5), "scattering": np.zeros(0, int)}
+    known = dataclasses.replace(known, values=dataclasses.replace(known.values, **parts))
+    (source,) = sources_of(known, "next specimen", np.zeros((2, 1)))
+    assert source == "mixture over sizes of random wear of the fit to 4 specimens"
 
 
 @pytest.mark.serial
@@ -151,6 +158,23 @@ def test_what_is_refused(found, case, tmp_path):
         with pytest.raises(InputError) as error:
             rw.predict(found_, case_, comm=MPI.COMM_SELF, **options)
         assert said in str(error.value)
+
+
+@pytest.mark.serial
+def test_names_tell_laws_of_layers_and_users_apart(case, tmp_path):
+    layer = {"thickness": 2e-3, "young": 1e5, "poisson": 0.3, "wear": {"law": "archard", "k": 3e-9}}
+    names = []
+    for power in "12":
+        (tmp_path / "law.py").write_text(f"def rate(p, v, k):\n    return k * p**{power} * v\n")
+        law = {
+            "wear.lower.law": "user",
+            "wear.lower.file": str(tmp_path / "law.py"),
+            "wear.lower.p0": None,
+        }
+        names.append(law_names(case.replace(law | {"lower.layers": [layer]})))
+    assert [name["lower.layers[0].wear"] for name in names] == ["archard", "archard"]
+    assert names[0]["wear.lower"].split()[0] == names[1]["wear.lower"].split()[0] == "user"
+    assert names[0] != names[1]
 
 
 @pytest.mark.serial

@@ -121,7 +121,7 @@ def test_a_signal_to_any_rank_ends_the_wait_for_an_operator(shared_path, comm):
     """That another team was to provide: nobody draws any more."""
     plan = SimpleNamespace(
         folder=SimpleNamespace(operator=lambda group: shared_path / f"{group}.npy"),
-        cases=lambda *stretch: CaseSet([None], ["a"], None),
+        cases=lambda *stretch: CaseSet([None], ["a"]),
         all_assemble=True,
     )
     signals = StopSignals()

@@ -53,6 +53,7 @@ def check_censored(
                 continue
             rules = {
                 "must be absent with loss = \"student\"": settings.loss == "student",
+                "must be absent with process": bool(settings.process),
                 "must be absent with correlation_time": series.correlation_time > 0.0,
                 'needs sd as a number where all readings are: must not be "fit"':
                     series.sd_fitted and series.censored.all(),

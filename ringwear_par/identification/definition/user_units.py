@@ -76,9 +76,11 @@ def specific_wear_rate(
         if _FRICTION in problem.keys:
             j, mu = problem.keys.index(_FRICTION), share
             variance = relative**2 + covariance[j][j] / mu**2
-            relative = math.sqrt(variance + 2.0 * covariance[i][j] / (mu * entry["estimate"]))
+            variance += 2.0 * covariance[i][j] / (mu * entry["estimate"])
+            relative = math.sqrt(max(variance, 0.0))
             reach = math.exp(relative * norm.ppf(0.5 + 0.5 * problem.settings.level))
-            rate["interval"] = [estimate / reach, estimate * reach]
+            linear = entry["interval_of"] == "linear model" and None not in entry["interval"]
+            rate["interval"] = [estimate / reach, estimate * reach] if linear else [None, None]
     rate["sd"] = relative * estimate
     rate[CUSTOMARY] = estimate * factor(SPECIFIC, None) / factor(CUSTOMARY, None)
     return rate

@@ -38,7 +38,10 @@ def growths_of_sd(
 
 
 def conditional_verdicts(
-    estimates: Sequence[ParameterEstimate], covariance: FloatArray, narrowed: Collection[str]
+    estimates: Sequence[ParameterEstimate],
+    covariance: FloatArray,
+    narrowed: Collection[str],
+    keys_at_bound: Collection[str],
 ) -> list[ValidityWarning]:
     """Return warnings about keys that are identified only while others are at their bounds.
 
@@ -46,9 +49,12 @@ def conditional_verdicts(
     ----------
     covariance : (m, m) of the keys' unknowns, as if there were no bounds.
     narrowed : keys whose intervals are those with the others within their bounds.
+    keys_at_bound : those whose estimate is one; others may have a limit on one side only.
     """
     known = [j for j in range(len(estimates)) if np.isfinite(covariance[j, j])]
-    at_bounds = [j for j in known if estimates[j].verdict == "at bound"]
+    at_bounds = [
+        j for j in known if estimates[j].verdict == "at bound" and estimates[j].key in keys_at_bound
+    ]
     warnings = []
     part = covariance[np.ix_(known, known)]
     growths = growths_of_sd(part, [known.index(i) for i in at_bounds])

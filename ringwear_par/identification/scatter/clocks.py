@@ -8,6 +8,7 @@ g_i g_j min(S_i, S_j). Long records are averaged in blocks for it.
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,6 +40,8 @@ class Blocks:
         number = np.minimum(number, MOST_READINGS - 1)
         for low, _ in series.excluded:  # no block on both sides of one
             number += MOST_READINGS * (series.x > low)
+        if series.correlation_time:  # the first reading alone tells the level
+            number[0] = -0.5
         first = np.flatnonzero(np.diff(number, prepend=-1.0))
         size = np.sqrt(np.add.reduceat(sd**-2, first))
         counts = np.diff(np.append(first, series.n))
@@ -54,10 +57,55 @@ class Blocks:
         share = self.share.reshape(-1, *(1,) * (rows.ndim - 1))
         return np.add.reduceat(share * rows, self.first, axis=0)
 
-    def mean(self, values: FloatArray) -> FloatArray:
-        """Return the weighted means of values (n, ...) of readings."""
-        share = (self.share**2).reshape(-1, *(1,) * (values.ndim - 1))
-        return np.add.reduceat(share * values, self.first, axis=0)
+
+class _Responses(NamedTuple):
+    """How blocks respond to the clock of a body, in units of noise without its correlation.
+
+    That is the same whatever the clock does between the ends of blocks, but for a variance.
+    """
+
+    #: (b,) mm, depths at the ends of the block before and of its own
+    low: FloatArray
+    high: FloatArray
+    #: (b,) a mm: to what is worn too much until low, and within the block
+    before: FloatArray
+    within: FloatArray
+    #: (b,) variance by what the clock does within the block, for a size of 1 mm
+    between: FloatArray
+
+    def of_growth(self, at_low: FloatArray, at_high: FloatArray) -> FloatArray:
+        """Return the responses to clocks (..., b) at low and high."""
+        return self.before * at_low + self.within * (at_high - at_low)
+
+    def covariance(self, points: FloatArray) -> FloatArray:
+        """Return the covariance (b, p) of blocks and the clock at depths (p,), size 1 mm."""
+        ends = (np.minimum.outer(points, end) for end in (self.low, self.high))
+        return self.of_growth(*ends).T
+
+
+def _responses(
+    series: Series, blocks: Blocks, roots: FloatArray, answer: FloatArray, depth: FloatArray
+) -> _Responses:
+    """Return how the blocks of a series respond to a clock.
+
+    Parameters
+    ----------
+    roots, depth : (n,) of its readings, see ``TestClocks``.
+    answer : (n,) of a reading over its noise, a mm.
+    """
+    last = blocks.first + blocks.counts - 1
+    low, high = depth[np.maximum(blocks.first - 1, 0)], depth[last]
+    white = roots[:, None] * whitened(series, np.column_stack([answer, answer * depth]))
+    before, by_depth = blocks.combine(white).T
+    grown = high - low
+    within = np.divide(by_depth - before * low, grown, out=before.copy(), where=grown > 0.0)
+    # a step of the clock is in its own reading, not in the one before, and in all later ones
+    even = np.arange(series.n) % 2 == 0
+    present = whitened(series, answer * even) * even + whitened(series, answer * ~even) * ~even
+    following = np.cumsum(blocks.share * white[:, 0])
+    of_step = np.repeat(following[last], blocks.counts) - following + blocks.share * roots * present
+    uneven = (of_step - np.repeat(within, blocks.counts)) ** 2 * np.diff(depth, prepend=depth[0])
+    return _Responses(low, high, before, within, np.add.reduceat(uneven, blocks.first))
 
 
 class TestClocks:
@@ -81,22 +129,19 @@ class TestClocks:
     ) -> None:
         ends = np.cumsum([0, *(one.n for one in series)]).tolist()
         self._parts = [slice(low, high) for low, high in itertools.pairwise(ends)]
-        self._series, self._sd, self._roots, self._depths = series, sd, roots, depths
+        self._depths = depths
         self._blocks = [
             Blocks.of(one, sd[part] / roots[part])
             for one, part in zip(series, self._parts, strict=True)
         ]
         self._ends = np.cumsum([len(blocks.first) for blocks in self._blocks])[:-1]
-        #: (b, bodies) of blocks
-        self._answers, self._at = (
-            np.concatenate(
-                [
-                    blocks.mean(v[part])
-                    for blocks, part in zip(self._blocks, self._parts, strict=True)
-                ]
-            )
-            for v in (answers, depths)
-        )
+        self._responses = []
+        for answer, depth in zip((answers / sd[:, None]).T, depths.T, strict=True):
+            of_series = [
+                _responses(one, blocks, roots[part], answer[part], depth[part])
+                for one, blocks, part in zip(series, self._blocks, self._parts, strict=True)
+            ]
+            self._responses.append(_Responses(*map(np.concatenate, zip(*of_series, strict=True))))
 
     def combine(self, rows: FloatArray) -> FloatArray:
         """Return the rows of blocks of those (n, ...) of readings, both in units of noise."""
@@ -116,43 +161,14 @@ class TestClocks:
             ]
         )
 
-    def _in_noise(self, rows: FloatArray) -> FloatArray:
-        """Return rows (b, c) of blocks in units of their noise, without its correlation."""
-        scaled = []
-        for rows_of_series, series, part, blocks in zip(
-            np.split(rows, self._ends), self._series, self._parts, self._blocks, strict=True
-        ):
-            sd, roots = self._sd[part], self._roots[part]
-            if len(blocks.first) == series.n:
-                white = whitened(series, rows_of_series / sd[:, None])
-                scaled.append(roots[:, None] * white)
-            else:  # what a unit of all readings does
-                unit = blocks.combine(roots * whitened(series, 1.0 / sd))
-                scaled.append(unit[:, None] * rows_of_series)
-        return np.concatenate(scaled)
-
     @property
     def kernels(self) -> tuple[FloatArray, ...]:
         """(b, b) of each body, covariance of the blocks for a size of 1 mm, in units of noise."""
         kernels = []
-        for answer, at, depth in zip(self._answers.T, self._at.T, self._depths.T, strict=True):
-            shared = np.minimum.outer(at, at) - np.diag(self._within(depth))
-            half = self._in_noise(answer[:, None] * shared * answer)
-            kernel = self._in_noise(half.T)
-            kernels.append(0.5 * (kernel + kernel.T))
+        for of in self._responses:
+            kernel = of.of_growth(of.covariance(of.low), of.covariance(of.high))
+            kernels.append(0.5 * (kernel + kernel.T) + np.diag(of.between))
         return tuple(kernels)
-
-    def _within(self, depth: FloatArray) -> FloatArray:
-        """Return by how much (b,) the mean of a block varies less than a reading at its depth.
-
-        A sixth of the depth that is worn in it, for many equal steps.
-        """
-        within = []
-        for part, blocks in zip(self._parts, self._blocks, strict=True):
-            last = blocks.first + blocks.counts - 1
-            growth = np.abs(depth[part][last] - depth[part][blocks.first])
-            within.append(growth * (1.0 + 1.0 / blocks.counts) / 6.0)
-        return np.concatenate(within)
 
     def smoothed(
         self, sizes: FloatArray, rest: FloatArray, precision: FloatArray
@@ -167,11 +183,9 @@ class TestClocks:
         precision : (b, b) that inverse, less what model and nuisances take.
         """
         excesses, sds = [], []
-        for size, answer, at, depth in zip(
-            sizes, self._answers.T, self._at.T, self._depths.T, strict=True
-        ):
-            points = np.unique(at)
-            across = size * self._in_noise(answer[:, None] * np.minimum.outer(at, points))
+        for size, of, depth in zip(sizes, self._responses, self._depths.T, strict=True):
+            points = np.unique(of.high)
+            across = size * of.covariance(points)
             variance = size * points - np.einsum(
                 "ij,ik,kj->j", across, precision, across, optimize=True
             )

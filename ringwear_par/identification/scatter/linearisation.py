@@ -102,7 +102,8 @@ class Linearisation:
         noise = roots[:, 0] * self._evaluation.noise[rows]
         jacobian = roots * self._evaluation.noise_jacobian[rows]
         records = [r for r in misfit.records if r.experiment is misfit.problem.experiments[number]]
-        volume = 2.0 * float(np.log(misfit.sd[rows]).sum())
+        values = misfit.censored[rows] == 0  # limits have no density
+        volume = 2.0 * float(np.log(misfit.sd[rows][values]).sum())
         volume += 2.0 * sum(log_volume(record.series) for record in records)
         kernels: tuple[FloatArray, ...] = ()
         if self.clocks:

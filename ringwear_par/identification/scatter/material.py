@@ -72,7 +72,7 @@ class Material:
     excess: FloatArray
     excess_sd: FloatArray
     #: keys that readings do not tell from drifts, and which these are
-    lost: Mapping[str, str]
+    confounded_with_drift: Mapping[str, str]
 
     @property
     def n_fitted_sizes(self) -> int:
@@ -120,8 +120,8 @@ class Material:
         parameter, mixture, unknown = self.parameters[key], self.material(key), self.x[key]
         value, sd, (low, high) = parameter.value(unknown), mixture.sd, mixture.interval(self.level)
         natural = sd * parameter.slope(value)
-        if parameter.key in self.lost:
-            direction = f"{parameter.key} against {self.lost[parameter.key]}"
+        if parameter.key in self.confounded_with_drift:
+            direction = f"{parameter.key} against {self.confounded_with_drift[parameter.key]}"
             return ParameterEstimate(
                 parameter.key, value, natural, (None, None), "not identified", direction
             )

@@ -1,6 +1,6 @@
 """Sizes of the random part of wear: as shares of depths while they are sought, and as reported."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -158,27 +158,28 @@ def _prior_width(level: float) -> float:
     return float(np.log(high / low))
 
 
-def lost_in_drift(problem: Problem) -> dict[str, str]:
+def confounded_with_drift(problem: Problem) -> dict[str, str]:
     """Return the keys of wear that free drifts hide in the noise of wear, and which drift each.
 
     Where no test has a weighing or a profile of the body, its wear could be all of the drift.
     """
-    lost: dict[str, str] = {}
+    confounded: dict[str, str] = {}
     for of_wear in problem.settings.process:
         body = body_of_wear(of_wear)
-        drifts = [_free_drift(experiment.series, body) for experiment in problem.experiments]
-        if all(drifts):
+        tests = [
+            (one.name, series)
+            for one in problem.experiments
+            if (series := [s for s in one.series if s.tells_wear(body)])
+        ]
+        # a test without one series that does not drift
+        drifting = [(name, s[0].name) for name, s in tests if all(map(_drifts, s))]
+        if len(drifting) == len(tests):
+            name, record = drifting[0]
             keys = [key for key in problem.keys if key.startswith(f"{of_wear}.")]
-            lost |= dict.fromkeys(keys, f"drift of {drifts[0]} ({problem.experiments[0].name})")
-    return lost
+            confounded |= dict.fromkeys(keys, f"drift of {record} ({name})")
+    return confounded
 
 
-def _free_drift(series: Sequence[Series], body: str) -> str:
-    """Return the record of a test whose drift is free, "" where a series without tells its wear."""
-    name = ""
-    for one in series:
-        if one.tells_wear(body):
-            if not any(n.kind == "drift" and n.free for n in one.nuisances):
-                return ""
-            name = name or one.name
-    return name
+def _drifts(series: Series) -> bool:
+    """Tell whether the drift of a record is free."""
+    return any(nuisance.kind == "drift" and nuisance.free for nuisance in series.nuisances)

@@ -14,7 +14,6 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.problem import (
     GROUPS,
     FittedParameter,
-    Loss,
     Prior,
     Problem,
 )
@@ -22,13 +21,13 @@ from ringwear_par.identification.definition.scatter import group_numbers
 from ringwear_par.identification.estimation.intervals import is_vague
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.model.histories import HistoryError
-from ringwear_par.identification.model.noise import log_constant, student_loss, weights
+from ringwear_par.identification.model.noise import log_constant, weights
 from ringwear_par.identification.scatter.clocks import projected_precision
 from ringwear_par.identification.scatter.likelihood import Level, MixedModel
 from ringwear_par.identification.scatter.linearisation import Linearisation
 from ringwear_par.identification.scatter.material import Material
 from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size, integrate
-from ringwear_par.identification.scatter.random_wear import RandomWear, lost_in_drift
+from ringwear_par.identification.scatter.random_wear import RandomWear, confounded_with_drift
 from ringwear_par.identification.scatter.reduction import ReducedTest, uncorrelated, with_fixed
 
 #: sd by which no test's unknowns move any more, and most rounds until then
@@ -98,9 +97,7 @@ def estimate_material(
         if distance > _STILL:
             test_unknowns = test_unknowns + np.clip(share * move, -longest, longest)
     alone, alone_sd = _alone(problem.parameters, mixed)
-    constant = 2.0 * misfit.n * log_constant(problem.settings.loss) + _loss_of_weights(
-        problem.settings.loss, smoothed.evaluation.noise
-    )
+    constant = _loss_beyond_squares(misfit, smoothed.evaluation)
     return Material(
         problem.parameters, mixed.free, mixed.posterior, mixed.unbounded, tuple(scatters),
         tuple(names), alone, alone_sd, problem.settings.level,
@@ -108,12 +105,12 @@ def estimate_material(
         _covariance(linear, mixed, x), misfit.sd * np.sqrt(smoothed.leverage),
         float(mixed.posterior.solutions.marginal.min()) + constant, converged,
         smoothed.effective_number, wear, smoothed.leverage, smoothed.excess, smoothed.excess_sd,
-        lost_in_drift(problem),
+        confounded_with_drift(problem),
     )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class _Mixed:
+class MixedRound:
     """The mixed model of one round."""
 
     #: numbers of the keys that are not at their bounds
@@ -160,7 +157,7 @@ def _solve(
     prior: tuple[FloatArray, FloatArray],
     sizes: Sequence[Size],
     wear: RandomWear,
-) -> _Mixed:
+) -> MixedRound:
     """Return the mixed model, in which keys that would leave their bounds stay at them.
 
     Those that scatter stay free: it is the material's mean that has no bound.
@@ -196,7 +193,9 @@ def _solve(
         of_tests[i, free] = posterior.unknowns(i)
         sds[i, free] = [posterior.of_test(i, place).sd for place in range(len(free))]
     means = np.array([{**material, **at_bounds}[j] for j in range(len(low))])
-    return _Mixed(tuple(free), posterior, unbounded, of_process[0], reduced, means, of_tests, sds)
+    return MixedRound(
+        tuple(free), posterior, unbounded, of_process[0], reduced, means, of_tests, sds
+    )
 
 
 def _models(
@@ -214,11 +213,12 @@ def _models(
     ]
 
 
-def _loss_of_weights(loss: Loss, noise: FloatArray) -> float:
-    """Return the loss of residuals, less the weighed squares that stand for it."""
-    if loss == "gaussian":
-        return 0.0
-    return float(student_loss(noise).sum() - weights(loss, noise) @ noise**2)
+def _loss_beyond_squares(misfit: Misfit, evaluation: Evaluation) -> float:
+    """Return -2 log likelihood of readings, less the weighed squares that stand for it."""
+    loss, noise = misfit.problem.settings.loss, evaluation.noise
+    beyond = evaluation.residuals[: misfit.n] ** 2 - weights(loss, noise) * noise**2
+    values = np.count_nonzero(misfit.censored == 0)
+    return float(beyond.sum()) + 2.0 * values * log_constant(loss)
 
 
 def _prior_of_keys(
@@ -272,7 +272,7 @@ def _smoothed(
     evaluation: Evaluation,
     test_unknowns: FloatArray,
     linear: Linearisation,
-    mixed: _Mixed,
+    mixed: MixedRound,
 ) -> _Smoothed:
     m, posterior = len(misfit.problem.parameters), mixed.posterior
     leverage, free = np.zeros(misfit.n), list(mixed.free)
@@ -310,7 +310,9 @@ def _smoothed(
     return _Smoothed(x, evaluation, leverage, float(fitted), excess, excess_sd)
 
 
-def _alone(parameters: Sequence[FittedParameter], mixed: _Mixed) -> tuple[FloatArray, FloatArray]:
+def _alone(
+    parameters: Sequence[FittedParameter], mixed: MixedRound
+) -> tuple[FloatArray, FloatArray]:
     """Return estimate and sd (tests, m) of each unknown by one test, the others as estimated.
 
     NaN and infinity where a test does not tell it.
@@ -330,7 +332,7 @@ def _alone(parameters: Sequence[FittedParameter], mixed: _Mixed) -> tuple[FloatA
     return estimate, sd
 
 
-def _covariance(linear: Linearisation, mixed: _Mixed, x: FloatArray) -> FloatArray:
+def _covariance(linear: Linearisation, mixed: MixedRound, x: FloatArray) -> FloatArray:
     """Return the covariance (u, u) of the unknowns.
 
     Nuisances follow the keys of their test; those of different tests are given as independent.

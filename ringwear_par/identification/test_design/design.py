@@ -213,8 +213,6 @@ def run_design(
     files = (DESIGN, NEXT, MAP)
     on_first_rank(comm, lambda: check_folder(folder, files, "fit"))
     result = design(source, comm, after=after, criterion=criterion)
-    with together(comm):
-        reject_unused_options()
 
     def save() -> None:
         announce_replacement(folder / DESIGN)
@@ -224,3 +222,5 @@ def run_design(
     if comm.rank == 0:
         print(result.summary())
         print(closing_line(folder, files))
+    with together(comm):
+        reject_unused_options()

@@ -280,7 +280,12 @@ def test_a_wear_coefficient_of_friction_energy_is_told_as_a_specific_wear_rate(p
     problem = replace(problem, parameters=(problem.parameters[0], friction))
     k, mu, rk, rm, rho = 1e-7, 0.2, 0.1, 0.05, -0.6
     entries = {
-        "wear.lower.k": {"estimate": k, "sd": rk * k, "interval": [k / 1.2, 1.2 * k]},
+        "wear.lower.k": {
+            "estimate": k,
+            "sd": rk * k,
+            "interval": [k / 1.2, 1.2 * k],
+            "interval_of": "linear model",
+        },
         "contact.friction": {"estimate": mu},
     }
     both = rho * rk * k * rm * mu
@@ -290,3 +295,6 @@ def test_a_wear_coefficient_of_friction_energy_is_told_as_a_specific_wear_rate(p
     sd = np.sqrt(rk**2 + rm**2 + 2.0 * rho * rk * rm)
     assert rate["sd"] == pytest.approx(sd * rate["estimate"])
     assert np.log(rate["interval"][1] / rate["estimate"]) == pytest.approx(1.959964 * sd)
+    entries["wear.lower.k"]["interval_of"] = "scatter integrated"  # no normal distribution
+    rate = specific_wear_rate(problem, "wear.lower.k", entries, covariance)
+    assert rate["interval"] == [None, None]

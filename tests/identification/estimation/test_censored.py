@@ -64,6 +64,10 @@ def test_limits_of_a_record(tables):
     k = outcome["parameters"][K]
     assert k["interval"][0] < TRUTH[K] < k["interval"][1]
     assert outcome["p_value"] > 1e-3
+    # scatter that is next to none: limits count as much
+    mixed = copy.deepcopy(tables)
+    mixed["fit"]["parameters"][K] = {**mixed["fit"]["parameters"][K], "scatter": 1e-6}
+    assert rw.fit(mixed, MPI.COMM_SELF).aic == pytest.approx(outcome["aic"], abs=0.05)
     few = copy.deepcopy(tables)
     data = few["experiment"][0]["data"][0]
     del data["censored"]

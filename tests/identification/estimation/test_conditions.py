@@ -17,8 +17,9 @@ def test_an_interval_that_another_key_s_bound_makes():
         ParameterEstimate("p0", 10.0, 1.0, (8.0, 12.0), "identified"),
     ]
     covariance = np.array([[4.0, 1.8, 0.0], [1.8, 1.0, 0.1], [0.0, 0.1, 1.0]])
-    (warning,) = conditional_verdicts(estimates, covariance, ["k", "distance", "p0"])
+    (warning,) = conditional_verdicts(estimates, covariance, ["k", "distance", "p0"], ["distance"])
     assert warning.keys == ("k", "distance")
     assert warning.values["growth_of_sd"] == pytest.approx(1.0 / np.sqrt(1.0 - 0.9**2))
     assert "only if distance = 20000, its bound" in warning.text
-    assert conditional_verdicts(estimates, covariance, ["p0"]) == []
+    assert conditional_verdicts(estimates, covariance, ["p0"], ["distance"]) == []
+    assert conditional_verdicts(estimates, covariance, ["k"], []) == []  # a limit of readings

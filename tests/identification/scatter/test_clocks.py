@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ringwear_par.identification.definition.problem import Series
+from ringwear_par.identification.model.noise import whitened
 from ringwear_par.identification.scatter.clocks import Blocks, projected_precision
 from ringwear_par.identification.scatter.clocks import TestClocks as Clocks
 from ringwear_par.identification.scatter.reduction import LinearisedTest, reduce_test
@@ -52,6 +53,26 @@ def test_series_share_a_clock_beside_noise_in_time():
     (kernel,) = clocks.kernels
     white = np.linalg.slogdet(np.eye(31) + SIZE * kernel)[1]
     assert white == pytest.approx(np.linalg.slogdet(whole)[1] - np.linalg.slogdet(noise)[1])
+
+
+@pytest.mark.parametrize("correlation_time", [0.0, 0.5, 20.0])
+def test_blocks_have_the_covariance_of_their_readings(correlation_time):
+    """1,500 readings in 500 blocks, whatever the noise, beside a weighing."""
+    n, rng = 1500, np.random.default_rng(4)
+    both = [record(n, correlation_time), replace(record(1), x=np.array([50.0]))]
+    answer, depth = rates(n + 1, rng)
+    depth[n] = depth[749]
+    sd, roots = rng.uniform(0.1, 0.3, n + 1), rng.uniform(0.5, 1.0, n + 1)
+    clocks = Clocks(both, sd, roots, answer, depth)
+
+    def of_blocks(rows):
+        white = np.concatenate([whitened(both[0], rows[:n]), rows[n:]])
+        return clocks.combine(roots[:, None] * white)
+
+    half = of_blocks(answer / sd[:, None] * np.minimum.outer(depth[:, 0], depth[:, 0]))
+    kernel = of_blocks((half * answer[:, 0] / sd).T)
+    assert len(kernel) == 501 + (correlation_time > 0.0)
+    assert clocks.kernels[0] == pytest.approx(kernel, rel=1e-9, abs=1e-12 * kernel.max())
 
 
 def linearised(series, clocks, jacobian, z):

@@ -93,7 +93,7 @@ def test_k_and_the_size_of_wear_s_noise(tables, tmp_path, comm):
             excess, sd = (file["1_penetration"][f"excess_lower{end}"][()] for end in ("", "_sd"))
         assert np.abs(excess).max() > 3e-5
         assert (sd < 0.1 * SHARE).all()
-        assert "wear.lower is random: " in fit.summary()
+        assert "wear of lower fluctuates: sd " in fit.summary()
 
 
 @pytest.mark.serial
@@ -133,8 +133,9 @@ def test_noise_of_sensors_is_fitted_beside_it(tables):
 
 @pytest.mark.serial
 def test_a_free_drift_hides_k(tables):
-    hidden = of_k(tables, tests=1)
-    (experiment,) = hidden["experiment"]
+    hidden = of_k(tables, tests=2)
+    experiment, torque = hidden["experiment"]
+    torque["data"] = [{"quantity": "torque", "value": 300.0, "unit": "N m", "sd": 300.0, "at": 9}]
     del experiment["data"][1]
     experiment["data"][0]["nuisance"]["drift"] = {}
     k = rw.fit(hidden, MPI.COMM_SELF).to_dict()["parameters"]["wear.lower.k"]
@@ -215,6 +216,10 @@ def test_readings_that_cannot_tell_it_are_refused(tables):
     slow["experiment"][0]["data"][0]["correlation_time"] = 20.0
     with pytest.raises(InputError, match=r"= 20: cannot be told from wear's own noise \(fit.pro"):
         read_fit(slow)
+    limit = of_k(tables, tests=1)
+    limit["experiment"][0]["data"][1]["censored"] = "below"
+    with pytest.raises(InputError, match="censored: must be absent with process"):
+        read_fit(limit)
     torque = of_k(tables, tests=1)
     torque["experiment"][0]["data"] = [
         {"quantity": "torque", "value": 1.0, "unit": "N m", "sd": 0.1, "at": at} for at in (1, 2)
