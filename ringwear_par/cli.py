@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from typing import Any
 
-from ringwear_par.commands import COMMANDS, UNWRITTEN, check_command, overview, parser
+from ringwear_par.commands import COMMANDS, UNWRITTEN, check_command, overview, parsed
 from ringwear_par.errors import LONGEST_SENTENCE, InputError, RingwearError, legible
 from ringwear_par.results.execution.stopping import (
     StopAtOnce,
@@ -198,7 +198,7 @@ def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
             print(overview())
             return 0
         check_command(words[0])
-        arguments = vars(parser().parse_args(words[:cut]))
+        arguments = parsed(words[:cut])
         name = arguments.pop("command")
         command = COMMANDS[name]
         _check_launch(comm.size)

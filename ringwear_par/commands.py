@@ -8,7 +8,7 @@ import argparse
 import difflib
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -313,6 +313,21 @@ def check_command(word: str) -> None:
     raise InputError(
         f"{legible(word)}: unknown command{hint}; must be one of {', '.join(COMMANDS)}"
     )
+
+
+def parsed(words: Sequence[str]) -> dict[str, Any]:
+    """Return the arguments of a command line.
+
+    Raises
+    ------
+    InputError : they are none; with the command whose help has its options.
+    """
+    whole = parser()
+    arguments, unknown = whole.parse_known_args(words)
+    if unknown:
+        whole.prog = f"{whole.prog} {arguments.command}"
+        whole.error(f"unrecognized arguments: {' '.join(unknown)}")
+    return vars(arguments)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -144,6 +144,7 @@ class Case:
     ----------
     stress : what stresses are stored; None: none.
     text : the TOML text as run, overrides included; "" for a case that was constructed.
+    with_units : keys whose numbers were written with a unit.
     rebuild : makes a changed case of the text; None where the text does not tell this case, for it
         was constructed or changed as a dataclass.
     """
@@ -160,6 +161,7 @@ class Case:
     stress: Stress | None = None
     title: str = ""
     text: str = field(default="", compare=False, repr=False)
+    with_units: frozenset[str] = field(default=frozenset(), compare=False, repr=False)
     rebuild: Callable[[str, Overrides], "Case"] | None = field(
         default=None, init=False, compare=False, repr=False
     )

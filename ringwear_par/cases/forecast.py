@@ -90,6 +90,8 @@ def unit_question(case: Case, wear: FloatArray) -> str:
         ]
         if coefficients and depth > DEEP * (ring.z[1] - ring.z[0]):
             k, key = max(coefficients)
+            if key in case.with_units:
+                return ""
             return f'. {key} = {k:g} is in 1/MPa: if it is in mm3/(N m), write "{k:g} mm3/(N m)"'
     return ""
 

@@ -124,7 +124,11 @@ def keys_of_table(keys: Iterable[Key], table: str) -> dict[str, Key]:
 
 
 def name_unknown_keys(
-    place: str, names: Iterable[str], known: Sequence[str], faults: list[str]
+    place: str,
+    names: Iterable[str],
+    known: Sequence[str],
+    faults: list[str],
+    fault: str = "unknown key",
 ) -> None:
     """Add a fault for each name that is not known, with the nearest one that is.
 
@@ -138,7 +142,7 @@ def name_unknown_keys(
             near = difflib.get_close_matches(name.lower(), known, n=1) if few else []
             hint = f" (did you mean {near[0]}?)" if near else ""
             faults.append(
-                f"{place}: {legible(name)}: unknown key{hint}; must be one of {', '.join(known)}"
+                f"{place}: {legible(name)}: {fault}{hint}; must be one of {', '.join(known)}"
             )
 
 

@@ -6,8 +6,9 @@ import logging
 import os
 import re
 import secrets
+import shlex
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -120,9 +121,16 @@ def check_writable(path: Path) -> None:
 
 
 def announce_replacement(path: Path) -> None:
-    """Say that a finished outcome will be replaced, before any work. On one rank."""
+    """Say that a finished outcome will be replaced. On one rank."""
     if path.exists():
         log.info("%s is there already: it will be replaced", path)
+
+
+def closing_line(folder: Path, names: Sequence[str]) -> str:
+    """Return the line about what was written to a folder, and about the command to type next."""
+    present = ", ".join(str(folder / name) for name in names if (folder / name).exists())
+    source, page = (shlex.quote(str(path)) for path in (folder, f"{folder}.html"))
+    return f"written: {present}; next: ringwear report {source} -o {page}"
 
 
 def unwritable(path: Path, error: OSError) -> RingwearError:

@@ -101,8 +101,7 @@ def _fit_law(
     law : its name in progress messages; "" of the first.
     expected : whether the optimum is the start.
     """
-    hint = "; the same command with --restart goes on" if stored.is_stored else ""
-    rounds = Rounds(problem, comm, signals, hint)
+    rounds = Rounds(problem, comm, signals, lambda: stored.hint)
     misfit = Misfit(problem, rounds)
     if not expected:
         with together(comm):

@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.files.folders import FIT, check_folder
-from ringwear_par.files.writing import announce_replacement
+from ringwear_par.files.writing import announce_replacement, closing_line
 from ringwear_par.identification import fit_folder
 from ringwear_par.identification.definition.fit_file import read_complete, read_fit
 from ringwear_par.identification.estimation.starts import StoredStarts
@@ -56,7 +56,9 @@ def run_fit(
     def clear() -> None:
         if overwrite:
             stored.remove()
-        elif not restart:
+        elif restart:
+            StoredStarts(folder, problem.key).refuse_others()
+        else:
             fit_folder.refuse_interrupted(folder)
         announce_replacement(folder / FIT)
 
@@ -82,6 +84,7 @@ def run_fit(
     on_first_rank(comm, store)
     if comm.rank == 0:
         print(result.summary())
+        print(closing_line(folder, fit_folder.FILES))
         if problem.alternatives and not compare:
             log.info(
                 "laws of [compare] were not fitted: --compare fits %s",

@@ -351,7 +351,8 @@ class FitResult(Outcome, Solution):
         covariance = self.natural_covariance.tolist()
         for parameter in problem.parameters:
             entry = entries[parameter.key]
-            if (numbers := in_users_unit(parameter, entry)) is not None:
+            case = problem.experiments[0].case
+            if (numbers := in_users_unit(parameter, entry, case)) is not None:
                 entry["told"] = numbers
             rate = specific_wear_rate(problem, parameter.key, entries, covariance)
             if rate is not None:

@@ -338,7 +338,8 @@ def unit_lines(estimate: Mapping[str, Any]) -> list[str]:
     """
     lines, identified = [], estimate["verdict"] != "not identified"
     if (converted := estimate.get("told")) is not None:
-        lines.append(f"= {converted['estimate']:.5g} {converted['unit']}")
+        per = f" per {converted['per']}" if "per" in converted else ""
+        lines.append(f"= {converted['estimate']:.5g} {converted['unit']}{per}")
         if identified:
             lines[-1] += f"  {limits(converted['interval'])}"
         if converted["next"] is not None:

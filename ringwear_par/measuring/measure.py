@@ -11,7 +11,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.folders import check_folder
-from ringwear_par.files.writing import announce_replacement
+from ringwear_par.files.writing import announce_replacement, closing_line
 from ringwear_par.measuring.analysis.numbers import coverage_fault, numbers_of
 from ringwear_par.measuring.analysis.repeats import repeats_of
 from ringwear_par.measuring.definition.measure_file import read_measure, tables_of
@@ -76,12 +76,16 @@ def run_measure(
     files = [path for path in sources if path.suffix.lower() == _TOML]
     if files and len(sources) > 1:
         raise InputError(f"{files[0]}: a measure file must be the only file of the command")
+    for option, path in (("--case", case), ("--masses", masses)):
+        if path is not None and not path.is_file():
+            fault = "is not a file" if path.exists() else "cannot be read: no such file"
+            raise InputError(f"{option} {legible(str(path))}: {fault}")
     problem = _problem(files[0] if files else sources, case, masses)
     check_folder(folder, FILES, "measure")
-    announce_replacement(folder / FILES[0])
     result = measure_problem(problem)
+    announce_replacement(folder / FILES[0])
     result.save(folder)
-    return result.summary()
+    return f"{result.summary()}\n{closing_line(folder, FILES)}"
 
 
 def _problem(source: Source, case: Any, masses: str | Path | None) -> Problem:

@@ -41,5 +41,5 @@ def plot(prediction: Prediction) -> Figure:
     """Return the figure of ``panel``."""
     with matplotlib.rc_context(STYLE):
         chart = NotebookFigure(figsize=_SIZE, layout="constrained")
-        panel_grid(chart, [[panel(prediction.time, prediction.quantiles(), prediction.of)]])
+        panel_grid(chart, [[panel(prediction.time, prediction.quantiles(), prediction.whose)]])
     return chart

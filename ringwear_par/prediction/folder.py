@@ -12,7 +12,7 @@ from ringwear_par.files.folders import (
     new_files,
     write_contents,
 )
-from ringwear_par.files.writing import announce_replacement
+from ringwear_par.files.writing import announce_replacement, closing_line
 from ringwear_par.pictures.style import picture
 from ringwear_par.prediction.prediction import Prediction
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
@@ -29,6 +29,11 @@ def prepare(folder: Path) -> None:
     """
     check_folder(folder, FILES, "predict")
     announce_replacement(folder / PREDICTION)
+
+
+def files_line(folder: Path) -> str:
+    """Return the line about the files of a folder, and about the command to type next."""
+    return closing_line(folder, FILES)
 
 
 def save(prediction: Prediction, folder: Path) -> None:

@@ -113,12 +113,12 @@ def _knowledge(name: str, outcome: Mapping[str, Any], values: FittedValues) -> F
     )  # fmt: skip
 
 
-def check_predicted(known: FitKnowledge, case: Case, name: str, of: str) -> None:
+def check_predicted(known: FitKnowledge, case: Case, name: str, of: str, dashes: str = "") -> None:
     """Refuse what a fit cannot predict.
 
     Parameters
     ----------
-    name : what messages call the case.
+    name : what messages call the case; dashes : before the options of the command.
 
     Raises
     ------
@@ -127,7 +127,9 @@ def check_predicted(known: FitKnowledge, case: Case, name: str, of: str) -> None
     values, faults = known.values, []
     if of not in (NEXT, MATERIAL, *values.specimens):
         names = ", ".join(f'"{legible(n)}"' for n in dict.fromkeys(values.specimens))
-        faults.append(f'of = "{legible(of)}": must be "{NEXT}", "{MATERIAL}" or one of {names}')
+        faults.append(
+            f'{dashes}of = "{legible(of)}": must be "{NEXT}", "{MATERIAL}" or one of {names}'
+        )
     faults += [
         f"{known.name}: {key} is {verdict.replace('at', 'at its')}: there is no distribution to "
         "draw it from; must be identified, or set in the case and not fitted"
@@ -184,6 +186,9 @@ def doubts_of(known: FitKnowledge, case: Case, of: str) -> tuple[ValidityWarning
             '(scatter = "fit" where there are repeats)'
         )
         doubts.append(ValidityWarning("no-scatter", text))
+    elif of != MATERIAL and not len(values.scattering):
+        text = f"the fit has no scatter: {legible(of)} and its other specimens share one value"
+        doubts.append(ValidityWarning("one-value", text))
     means = conditions_of(case, values.keys)
     for (name, unit), value, tests in zip(
         CONDITIONS.items(), means.tolist(), values.conditions.T, strict=True

@@ -18,7 +18,7 @@ from ringwear_par.identification.model.histories import cases_at, step_times
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together
 from ringwear_par.prediction.draws import draw_paces, draw_values
-from ringwear_par.prediction.folder import prepare
+from ringwear_par.prediction.folder import files_line, prepare
 from ringwear_par.prediction.known import (
     FitKnowledge,
     check_predicted,
@@ -100,7 +100,7 @@ def run_predict(
     """Predict and write the outcome to a folder. Collective on comm."""
 
     def read() -> _Job:
-        job = _job(fit, case, overrides, of, draws, seed)
+        job = _job(fit, case, overrides, of, draws, seed, "--")
         prepare(folder)
         return job
 
@@ -108,6 +108,7 @@ def run_predict(
     on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:
         print(result.summary())
+        print(files_line(folder))
     with together(comm):
         reject_unused_options()
 
@@ -119,8 +120,9 @@ def _job(
     of: str,
     draws: int,
     seed: int,
+    dashes: str = "",
 ) -> _Job:
-    """Return the job of all ranks, with its draws. On one rank.
+    """Return the job of all ranks, with its draws; ``dashes`` of the command's. On one rank.
 
     Raises
     ------
@@ -128,11 +130,11 @@ def _job(
     """
     for name, number, least in (("draws", draws, 1), ("seed", seed, 0)):
         if isinstance(number, bool) or not isinstance(number, int) or number < least:
-            raise InputError(f"{name} = {number!r}: must be a whole number >= {least}")
+            raise InputError(f"{dashes}{name} = {number!r}: must be a whole number >= {least}")
     known = fit_knowledge(fit)
     name = str(case) if isinstance(case, Path | str) else "case"
     case = case if isinstance(case, Case) else read_case(case, overrides)
-    check_predicted(known, case, name, of)
+    check_predicted(known, case, name, of, dashes)
     random = np.random.default_rng(seed)
     return _Job(known, case, of, seed, *draw_values(known.values, of, draws, random))
 

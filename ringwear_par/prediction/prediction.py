@@ -78,6 +78,12 @@ class Prediction(Outcome):
     def __repr__(self) -> str:
         return f"<Prediction of {self.of}: {len(self.values)} draws to {self.time[-1]:g} s>"
 
+    @property
+    def whose(self) -> str:
+        """Of whom the band is: without scatter, a fit knows of no other specimens than its own."""
+        known = all(doubt.code != "no-scatter" for doubt in self.doubts)
+        return self.of if known else "the specimens tested"
+
     def quantiles(
         self, quantity: str = "penetration", probabilities: Sequence[float] = PROBABILITIES
     ) -> FloatArray:

@@ -29,7 +29,7 @@ def summary(prediction: Prediction) -> str:
         first, last, middle = (f"{factor * value:.4g}" for value in (low, high, median))
         spread = "" if first == last else f"  from {first} to {last} {unit}"
         lines.append(f"{words}  {middle} {unit}{spread}")
-    lines[0] = f"{lines[0]} (95 %, {prediction.of}, after {time_words(end, end)})"
+    lines[0] = f"{lines[0]} (95 %, {prediction.whose}, after {time_words(end, end)})"
     lines.append(f"{len(prediction.values)} draws: {'; '.join(prediction.sources)}")
     if prediction.failed:
         lines.append(f"{prediction.failed} draws were left out: they have no history")
@@ -41,6 +41,7 @@ def to_dict(prediction: Prediction) -> dict[str, Any]:
     """Return the contents of prediction.json."""
     return {
         "of": prediction.of,
+        "whose": prediction.whose,
         "fit": prediction.fit,
         "draws": len(prediction.values),
         "failed": prediction.failed,

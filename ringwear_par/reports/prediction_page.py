@@ -35,7 +35,7 @@ def prediction_page(folder: Path) -> Page:
         warnings = [line.removeprefix(_WARNING) for line in lines if line.startswith(_WARNING)]
         answer = [line for line in lines if not line.startswith(_WARNING)]
         quantiles = np.array(outcome["quantiles"]["penetration"]["values"], dtype=float).T
-        band = panel(np.array(outcome["time"], dtype=float), quantiles, outcome["of"])
+        band = panel(np.array(outcome["time"], dtype=float), quantiles, outcome["whose"])
         label = "Penetration over time: median, and bands that hold 50 and 95 % of the draws"
         header = ("at the end", "unit", *(f"{100 * p:g} %" for p in outcome["probabilities"]))
         rows = [

@@ -63,6 +63,8 @@ def _check(output: Path) -> None:
 
 
 def _page(source: Result | str | Path) -> Page:
+    if not isinstance(source, Result) and (fault := _other_file(Path(source))):
+        raise InputError(f"{source}: {fault}")
     if isinstance(source, Result) or not Path(source).is_dir():
         from ringwear_par.reports.run_page import run_page
 
@@ -89,6 +91,19 @@ def _page(source: Result | str | Path) -> Page:
         f"{folders.PREDICTION} and {RESULTS}; must be a result file, or a folder that ringwear "
         "sweep (without --slice), fit, design, predict or measure has completed"
     )
+
+
+def _other_file(path: Path) -> str:
+    """Return the fault of a file of another kind, with the command for it; "" of results."""
+    if path.suffix == ".toml" and path.is_file():
+        kinds = {"[[experiment]]": "a fit file; ringwear fit", "[vary": "a study; ringwear sweep",
+                 "[[test]]": "a measure file; ringwear measure"}  # fmt: skip
+        text = path.read_text(errors="replace")
+        kind = next((k for word, k in kinds.items() if word in text), "a case file; ringwear run")
+        return f"is {kind} computes it"
+    if path.suffix == ".json" and path.is_file():
+        return f"is a file of a folder; ringwear report {path.parent} makes the page of it"
+    return ""
 
 
 def _html(page: Page) -> str:

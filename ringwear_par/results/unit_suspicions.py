@@ -54,21 +54,26 @@ def unit_suspicions(case: Case) -> tuple[ValidityWarning, ...]:
         )
     fast = dict(_too_fast(case))
     return (
-        *(ValidityWarning(_FLAG, text) for text in texts),
-        *_keyed(_too_thin(case)),
-        *_keyed(fast.items()),
+        *(ValidityWarning(_FLAG, _asking(case, text.split()[0], text)) for text in texts),
+        *_keyed(case, _too_thin(case)),
+        *_keyed(case, fast.items()),
         *(warning for warning in deep_wear(case) if fast.keys().isdisjoint(warning.keys)),
-        *_keyed(_in_gigapascals(case)),
+        *_keyed(case, _in_gigapascals(case)),
     )
 
 
-def _keyed(faults: Iterable[tuple[str, str]]) -> list[ValidityWarning]:
-    return [ValidityWarning(_FLAG, text, (key,)) for key, text in faults]
+def _keyed(case: Case, faults: Iterable[tuple[str, str]]) -> list[ValidityWarning]:
+    return [ValidityWarning(_FLAG, _asking(case, key, text), (key,)) for key, text in faults]
+
+
+def _asking(case: Case, key: str, text: str) -> str:
+    """Return a sentence without its question for a unit where the user wrote one."""
+    return text.partition("; if it is in")[0] if key in case.with_units else text
 
 
 def deep_wear(case: Case) -> list[ValidityWarning]:
     """Return the wear coefficients that are to wear off much of a body. Not collective."""
-    return _keyed(_too_deep(case))
+    return _keyed(case, _too_deep(case))
 
 
 def smallest_modulus(case: Case) -> float:

@@ -61,8 +61,11 @@ def test_only_a_fit_that_keeps_its_starts_can_go_on(tables, written, comm, monke
     with pytest.raises(ComputationError, match="stopped by SIGTERM") as caught:
         fit(tables(), comm)
     assert "--restart" not in str(caught.value)
-    with pytest.raises(ComputationError, match="with --restart goes on"):
+    with pytest.raises(ComputationError, match="; nothing written"):
         run_fit(*written, comm)
+    (written[1] / "progress").mkdir(parents=True)
+    (written[1] / "progress" / "0-0.json").write_text("{}")
+    assert starts_room.StoredStarts(written[1], "").hint.endswith("with --restart goes on")
 
 
 @pytest.fixture
@@ -164,6 +167,10 @@ def test_a_fit_goes_on_with_the_starts_that_are_kept(written, comm, monkeypatch)
     assert len(list((folder / "progress").iterdir())) == 1
     with pytest.raises(InputError, match="interrupted; --restart goes on with it, --overwrite"):
         run_fit(path, folder, comm)
+    other = path.with_name("other.toml")
+    other.write_text("# another\n" + path.read_text())
+    with pytest.raises(InputError, match="interrupted fit of another file"):
+        run_fit(other, folder, comm, restart=True)
     run_fit(path, folder, comm, restart=True)
     told = json.loads((folder / "fit.json").read_text())
     assert not (folder / "progress").exists()

@@ -157,7 +157,24 @@ def test_repeats(laboratory):
     assert repeats.s_r == pytest.approx(np.log(rates).std(ddof=1))
     assert repeats.r == pytest.approx(2.8 * repeats.s_r)
     half = np.log(repeats.interval[1] / repeats.mean)
-    assert half == pytest.approx(4.30265 * repeats.s_r / np.sqrt(3.0), rel=1e-4)
+    scatter = 4.30265 * repeats.s_r / np.sqrt(3.0)
+    budgets = [t.specific_wear_rate for t in result.tests if t.part.steady]
+    shared = np.mean([np.sqrt(sum(s.contribution**2 for s in one.sources if s.type == "B"))
+                      / one.value for one in budgets])  # fmt: skip
+    assert half == pytest.approx(np.hypot(scatter, 2.0 * shared), rel=1e-4)
+
+
+def test_a_copy_of_a_record_adds_nothing(laboratory, tmp_path):
+    folder, _, _ = laboratory
+    copy = tmp_path / "copy.csv"
+    copy.write_bytes((folder / "W1.csv").read_bytes())
+    result = rw.measure([folder / "W1.csv", copy], case=folder / "rig.toml")
+    (repeats,), (first, second) = result.repeats, result.tests
+    rate, low = first.specific_wear_rate, repeats.interval[0]
+    assert np.log(repeats.mean / low) == pytest.approx(2.0 * rate.u_of("B") / rate.value)
+    assert rate.u_of("B") > 0.0
+    assert not [d for d in first.doubts if d.code == "same-file"]
+    assert ["W1.csv and " in d.text for d in second.doubts if d.code == "same-file"] == [True]
 
 
 def test_only_equal_conditions_are_repeats(laboratory):

@@ -88,6 +88,21 @@ def test_predictions_are_about_somebody(found, case):
 
 
 @pytest.mark.serial
+def test_without_scatter_the_band_is_of_the_specimens_tested(found, case, monkeypatch):
+    known = fit_knowledge(found[1])
+    values = dataclasses.replace(
+        known.values, scattering=known.values.scattering[:0], scatters=known.values.scatters[:, :0]
+    )
+    monkeypatch.setattr(module, "fit_knowledge", lambda _: dataclasses.replace(known, values=values))
+    both = [rw.predict(found[1], case, of=of, draws=2, comm=MPI.COMM_SELF)
+            for of in ("next specimen", "test 2")]  # fmt: skip
+    assert [one.whose for one in both] == ["the specimens tested", "test 2"]
+    assert "(95 %, the specimens tested, after" in both[0].summary()
+    assert both[0].plot().axes[0].get_title(loc="left") == "the specimens tested"
+    assert [one.doubts[0].code for one in both] == ["no-scatter", "one-value"]
+
+
+@pytest.mark.serial
 def test_random_wear_spreads_a_prediction(found, case, monkeypatch):
     """Variance of worn depth: size times depth, where values are known."""
     _, fit = found

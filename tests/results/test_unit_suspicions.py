@@ -36,8 +36,8 @@ def test_a_thickness_in_metres_is_doubted():
 @pytest.mark.parametrize(
     ("law", "k", "most"),
     [
-        ("archard", "1e-7 m3/(N m)", "0.1 mm3/(N m)"),
-        ("threshold", "1e-5 m3/(N m)", "1 mm3/(N m)"),  # over friction, 0.1
+        ("archard", 0.1, "0.1 mm3/(N m)"),
+        ("threshold", 10.0, "1 mm3/(N m)"),  # over friction, 0.1
     ],
 )
 def test_a_k_in_another_unit_is_doubted(law, k, most):
@@ -110,6 +110,11 @@ def test_a_run_that_fails_by_deep_wear_asks_for_the_unit(scheme):
     )
     assert str(failure.value).endswith(question)
     assert "more than half of its height" in str(failure.value)
+    case = rw.read_case(PAPER, keys | {"wear.lower.k": "1.2e-3 mm3/(N m)"})
+    with pytest.raises(rw.ComputationError) as failure:
+        simulate_one(case, MPI.COMM_SELF)
+    assert "more than half of its height" in str(failure.value)
+    assert "mm3/(N m)" not in str(failure.value) + str(unit_suspicions(case))
 
 
 @pytest.mark.serial

@@ -11,7 +11,7 @@ import numpy as np
 from ringwear_par.cases.files.faults import LOADS, unread_keys
 from ringwear_par.cases.files.traces import read_trace
 from ringwear_par.cases.laws import law_keys
-from ringwear_par.cases.layers import LAYERS, changed_layers, layers_in_full
+from ringwear_par.cases.layers import LAYERS, changed_layers, expanded, layers_in_full
 from ringwear_par.cases.schema import BY_PATH, TABLES, key_of
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import has_unit, number_and_unit
@@ -111,6 +111,11 @@ def written_units(case: Any, folder: Path) -> dict[str, str]:
         if isinstance(entries := keys[table], dict):
             keys |= {f"{table}.{name}": value for name, value in entries.items()}
     return {key: number_and_unit(value)[1] for key, value in keys.items() if has_unit(value)}
+
+
+def keys_with_units(keys: Mapping[str, Any]) -> frozenset[str]:
+    """Return the dotted keys whose numbers are written with a unit, those of layers too."""
+    return frozenset(path for path, value in expanded(keys).items() if has_unit(value))
 
 
 def kinds(tables: Mapping[str, Any]) -> set[str]:

@@ -17,6 +17,7 @@ from ringwear_par.cases.files.key_values import read_values
 from ringwear_par.cases.files.keys import (
     flatten,
     in_full,
+    keys_with_units,
     naming,
     override,
     parse_overrides,
@@ -60,7 +61,7 @@ def read_case(source: str | Path | Mapping[str, Any], overrides: Overrides = ())
     keys_of_source = flatten(source, "case")
     with naming("case:"):
         keys = override({}, in_full(keys_of_source, Path()))
-    return _changed(keys, "case", overrides, None)
+    return _changed(keys, "case", overrides, None, keys_with_units(keys_of_source))
 
 
 def parse_case(text: str, name: str, overrides: Overrides = (), folder: Path | None = None) -> Case:
@@ -75,19 +76,31 @@ def parse_case(text: str, name: str, overrides: Overrides = (), folder: Path | N
     keys = read_keys(text, name)
     with naming(f"{name}:"):
         complete = in_full(keys, folder) if folder is not None else keys
-    return _changed(complete, name, overrides, text if complete == keys else None)
+    own_text = text if complete == keys else None
+    return _changed(complete, name, overrides, own_text, keys_with_units(keys))
 
 
-def _changed(keys: Mapping[str, Any], name: str, overrides: Overrides, text: str | None) -> Case:
+def _changed(
+    keys: Mapping[str, Any],
+    name: str,
+    overrides: Overrides,
+    text: str | None,
+    with_units: frozenset[str],
+) -> Case:
+    """Make a case of dotted keys and overrides; ``with_units``: which of these keys had units."""
     if isinstance(overrides, Mapping):
         setting, changes = "override", flatten(overrides, "overrides")
     else:
         setting, changes = "--set", flatten(parse_overrides(overrides), "--set")
     if not changes:
-        return make_case(keys, name, text)
-    with naming(setting):
-        merged = override(keys, in_full(changes, Path()))
-    return make_case(merged, Origin(name, frozenset(changes), setting))
+        case = make_case(keys, name, text)
+    else:
+        with naming(setting):
+            merged = override(keys, in_full(changes, Path()))
+        case = make_case(merged, Origin(name, frozenset(changes), setting))
+    with_units = (with_units - changes.keys()) | keys_with_units(changes)
+    object.__setattr__(case, "with_units", with_units)  # a copy by replace has no rebuild
+    return case
 
 
 def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = None) -> Case:

@@ -84,7 +84,7 @@ def read_units(said: str, table: Any, parameters: Any, faults: list[str]) -> dic
         return {}
     fitted = unnested(parameters) if isinstance(parameters, Mapping) else {}
     units = flat_texts(table)
-    name_unknown_keys(said, units, list(fitted), faults)
+    name_unknown_keys(said, units, list(fitted), faults, "is not fitted")
     for key, unit in units.items():
         if key not in fitted:
             continue

@@ -43,7 +43,8 @@ def read_process(said: str, table: Any, faults: list[str]) -> dict[str, ProcessN
 def _read_entry(said: str, value: Any, faults: list[str]) -> ProcessNoise | None:
     before = len(faults)
     if not isinstance(value, Mapping) and value != "fit":
-        faults.append(f'{said}: must be "fit", or a table of size or share, and prior')
+        rule = 'must be "fit", or a table of size or share, and prior'
+        faults.append(f"{said} = {shortened(value)}: {rule}")
         return None
     reader = TableReader(said, {"size": "fit"} if value == "fit" else value, faults, PROCESS)
     size, share, scale = (reader.read(name) for name in PROCESS)

@@ -92,13 +92,13 @@ def _prior() -> Values:
     return Values("any", read, "{ normal = [mean, sd] }, two numbers, sd > 0")
 
 
-def _scatter_size() -> Values:
+def _scatter_size(kind: str = "number") -> Values:
     """Return standard deviations, and the word that has them fitted."""
 
     def read(value: Any) -> float | str:
         return value if value == "fit" else number(0.0).read(value)
 
-    return Values("any", read, '"fit", or a number > 0')
+    return Values("any", read, f'"fit", or a {kind} > 0')
 
 
 def _half_t() -> Values:
@@ -194,7 +194,7 @@ KEYS: tuple[Key, ...] = (
     Key("fit.process.KEY", *anything('"fit", or a table'), "-",
         "noise of the wear itself, KEY is wear.lower or wear.upper: worn depth grows at random "
         "(gamma process), with a variance of size times mean depth", None),
-    Key("fit.process.KEY.size", *_scatter_size(), "mm",
+    Key("fit.process.KEY.size", *_scatter_size("length"), "mm",
         "size of the noise of wear: variance of the worn depth over its mean, or \"fit\"", None),
     Key("fit.process.KEY.share", *number(0.0, 1.0), "1",
         "instead of size: standard deviation of the worn depth over its mean, at the end of the "

@@ -11,6 +11,7 @@ from ringwear_par.cases.schema import base_unit
 from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
+from ringwear_par.wear.laws.threshold import AboveThreshold
 
 _FRICTION = "contact.friction"
 
@@ -22,10 +23,11 @@ def unit_scale(parameter: FittedParameter) -> float:
     return factor(parameter.unit, base_unit(parameter.key)) if parameter.unit else 1.0
 
 
-def in_users_unit(parameter: FittedParameter, entry: Entry) -> dict[str, Any] | None:
+def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[str, Any] | None:
     """Return the numbers of a key in the user's unit; None where that is the case's.
 
-    Its ``scale`` is how much the unit is in the case's.
+    Its ``scale`` is how much the unit is in the case's; ``per`` is "friction energy" for wear
+    coefficients k of laws whose specific wear rate is k mu.
 
     Parameters
     ----------
@@ -42,6 +44,9 @@ def in_users_unit(parameter: FittedParameter, entry: Entry) -> dict[str, Any] | 
 
     names = ("estimate", "sd", "interval", "next")
     unit = {"unit": parameter.unit, "scale": scale}
+    law = case.laws_by_table.get(parameter.key.rpartition(".")[0])
+    if isinstance(law, AboveThreshold) and base_unit(parameter.key) == "1/MPa":
+        unit["per"] = "friction energy"
     return {**unit, **{name: converted(entry.get(name)) for name in names}}
 
 

@@ -68,9 +68,29 @@ class StoredStarts:
         self._folder, self._key, self._law = folder, key, law
 
     @property
-    def is_stored(self) -> bool:
-        """Whether outcomes are stored."""
-        return self._folder is not None
+    def hint(self) -> str:
+        """What the message of a fit that is stopped says of its outcomes."""
+        if self._folder is None:
+            return ""
+        progress = self._folder / PROGRESS
+        stored = progress.is_dir() and any(progress.iterdir())
+        return "; the same command with --restart goes on" if stored else "; nothing written"
+
+    def refuse_others(self) -> None:
+        """Refuse a folder whose outcomes are of another fit. Not collective.
+
+        Raises
+        ------
+        InputError : they are.
+        """
+        if self._folder is None:
+            return
+        numbers = [int(path.stem[2:]) for path in (self._folder / PROGRESS).glob("0-*.json")]
+        if numbers and not any(map(self.read, numbers)):
+            raise InputError(
+                f"{self._folder}: holds an interrupted fit of another file, data or version; "
+                "--restart needs the same, --overwrite starts anew"
+            )
 
     @property
     def chain(self) -> Path | None:

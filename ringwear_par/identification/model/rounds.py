@@ -120,11 +120,15 @@ class Rounds(Histories):
     problem : the problem.
     comm : of the ranks.
     signals : that end a job before its next round, on whichever rank they come.
-    hint : what is added to the sentence that says so.
+    hint : returns what is added to the sentence that says so.
     """
 
     def __init__(
-        self, problem: Problem, comm: MPI.Intracomm, signals: StopSignals, hint: str = ""
+        self,
+        problem: Problem,
+        comm: MPI.Intracomm,
+        signals: StopSignals,
+        hint: Callable[[], str] = str,
     ) -> None:
         with together(comm):
             super().__init__(problem, comm)
@@ -217,4 +221,4 @@ class Rounds(Histories):
         return [entry for part, _, _ in gathered for entry in part]
 
     def _stopped(self, received: int) -> StoppedError:
-        return StoppedError(f"stopped by {name_of(received)}{self._hint}{remark(received)}")
+        return StoppedError(f"stopped by {name_of(received)}{self._hint()}{remark(received)}")

@@ -16,7 +16,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.folders import DESIGN, MAP, NEXT, check_folder
-from ringwear_par.files.writing import announce_replacement
+from ringwear_par.files.writing import announce_replacement, closing_line
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Criterion, Problem
 from ringwear_par.identification.test_design.candidates import (
@@ -210,15 +210,17 @@ def run_design(
     criterion: Criterion | None = None,
 ) -> None:
     """Find the next tests and write them to a folder. Collective on comm."""
-
-    def check() -> None:
-        check_folder(folder, (DESIGN, NEXT, MAP), "fit")
-        announce_replacement(folder / DESIGN)
-
-    on_first_rank(comm, check)
+    files = (DESIGN, NEXT, MAP)
+    on_first_rank(comm, lambda: check_folder(folder, files, "fit"))
     result = design(source, comm, after=after, criterion=criterion)
-    on_first_rank(comm, lambda: result.save(folder))
+
+    def save() -> None:
+        announce_replacement(folder / DESIGN)
+        result.save(folder)
+
+    on_first_rank(comm, save)
     if comm.rank == 0:
         print(result.summary())
+        print(closing_line(folder, files))
     with together(comm):
         reject_unused_options()

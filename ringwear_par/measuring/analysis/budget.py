@@ -61,7 +61,12 @@ class Estimate:
     @property
     def u(self) -> float:
         """Combined standard uncertainty, of sources that do not depend on each other."""
-        return float(np.sqrt(sum(source.contribution**2 for source in self.sources)))
+        return self.u_of("AB")
+
+    def u_of(self, types: str) -> float:
+        """Return the standard uncertainty by the sources of one type, "A" or "B", or of "AB"."""
+        parts = (source.contribution for source in self.sources if source.type in types)
+        return float(np.sqrt(sum(part**2 for part in parts)))
 
     @property
     def interval(self) -> tuple[float, float]:

@@ -228,6 +228,11 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[ValidityWarning]:
                 f"{balance.value:.4g} mm3: look for thermal growth of the rings, debris or drift"
             )
             doubts.append(ValidityWarning("displacement-against-weighing", text))
+    before = problem.tests[: problem.tests.index(numbers.test)]
+    for other in before:
+        if other.record.sha256 == record.sha256:
+            text = f"{other.record.file} and {record.file} are the same file: no repeats"
+            doubts.append(ValidityWarning("same-file", text))
     return doubts + _gaps(record)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from ringwear_par.cases.units import SPECIFIC
+from ringwear_par.measuring.analysis.budget import COVERAGE
 from ringwear_par.measuring.analysis.numbers import TestNumbers
 from ringwear_par.measuring.definition.problem import Conditions
 
@@ -24,7 +25,8 @@ class Repeats:
     Parameters
     ----------
     tests : their names.
-    mean : mm3/(N m), of logarithms; interval : of the mean, 95 %, by Student's t.
+    mean : mm3/(N m), of logarithms; interval : of the mean, 95 %: Student's t, and in squares what
+        all tests share, as they have one rig.
     s_r : standard deviation of the logarithms.
     """
 
@@ -70,9 +72,10 @@ def _same(one: Conditions, other: Conditions) -> bool:
 
 
 def _repeats(tests: Sequence[TestNumbers]) -> Repeats:
-    rates = [test.specific_wear_rate.value for test in tests if test.specific_wear_rate]
-    logarithms, n = np.log(rates), len(rates)
+    rates = [test.specific_wear_rate for test in tests if test.specific_wear_rate]
+    logarithms, n = np.log([rate.value for rate in rates]), len(rates)
     s_r = float(logarithms.std(ddof=1))
-    half = float(student.ppf(_LEVEL, n - 1)) * s_r / np.sqrt(n)
+    shared = float(np.mean([rate.u_of("B") / rate.value for rate in rates]))
+    half = np.hypot(student.ppf(_LEVEL, n - 1) * s_r / np.sqrt(n), COVERAGE * shared)
     low, middle, high = np.exp(logarithms.mean() + half * np.array([-1.0, 0.0, 1.0])).tolist()
     return Repeats(tuple(test.name for test in tests), middle, (low, high), s_r)

@@ -74,9 +74,12 @@ def prepare(
             faults += error.faults
     if faults or case is None:
         raise InputError(*faults)
-    if before is None and not overwrite:
-        announce_replacement(output)
     return case, before
+
+
+def announce(output: Path) -> None:
+    """Say that a file will be replaced, once a case is known to have a history. On one rank."""
+    announce_replacement(output)
 
 
 def _interrupted(output: Path, case: Case, restart: bool) -> Result | None:

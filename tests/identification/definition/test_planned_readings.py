@@ -12,6 +12,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.user_units import specific_wear_rate
 from ringwear_par.identification.fit import expected_result
+from ringwear_par.identification.summary import unit_lines
 
 pytestmark = pytest.mark.serial
 
@@ -243,18 +244,22 @@ def test_keys_are_told_in_the_users_unit(plan):
     entry = expected(tables)
     assert entry["told"]["unit"] == "mm3/(N m)"
     assert entry["told"]["next"] is None
+    assert entry["told"]["per"] == "friction energy"
+    assert "= 0.00013 mm3/(N m) per friction energy  from" in unit_lines(entry)[0]
     assert entry["told"]["estimate"] == pytest.approx(1.3e-4)
     for name in ("estimate", "sd", "interval"):
         assert entry["told"][name] == pytest.approx(1e3 * np.array(entry[name]))
     assert "specific_wear_rate" not in entry  # there is a threshold
     tables["fit"]["units"] = {"wear.lower.k": "um2/N", "wear.lower.p0": "bar"}
     assert expected(tables)["told"]["unit"] == "um2/N"
-    assert expected(tables, "wear.lower.p0")["told"]["estimate"] == pytest.approx(200.0)
+    p0 = expected(tables, "wear.lower.p0")["told"]
+    assert p0["estimate"] == pytest.approx(200.0)
+    assert "per" not in p0
     tables["fit"]["units"] = {"wear.lower.k": "mm", "wear.lower.q": "MPa"}
     with pytest.raises(InputError) as caught:
         read_fit(tables, plans=True)
     unknown, wrong = caught.value.faults
-    assert "fit.units: wear.lower.q: unknown key (did you mean wear.lower.k?)" in unknown
+    assert "fit.units: wear.lower.q: is not fitted (did you mean wear.lower.k?)" in unknown
     assert 'fit.units."wear.lower.k" = "mm": must be a unit of 1/MPa' in wrong
 
 
