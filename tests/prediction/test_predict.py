@@ -93,7 +93,9 @@ def test_without_scatter_the_band_is_of_the_specimens_tested(found, case, monkey
     values = dataclasses.replace(
         known.values, scattering=known.values.scattering[:0], scatters=known.values.scatters[:, :0]
     )
-    monkeypatch.setattr(module, "fit_knowledge", lambda _: dataclasses.replace(known, values=values))
+    monkeypatch.setattr(
+        module, "fit_knowledge", lambda _: dataclasses.replace(known, values=values)
+    )
     both = [rw.predict(found[1], case, of=of, draws=2, comm=MPI.COMM_SELF)
             for of in ("next specimen", "test 2")]  # fmt: skip
     assert [one.whose for one in both] == ["the specimens tested", "test 2"]
