@@ -158,6 +158,8 @@ def _tiles(outcome: Mapping[str, Any]) -> Tiles:
             note = f"{low:.4g} to {high:.4g} ({percent})"
         elif (low is None) != (high is None):
             value, note = limits(entry["interval"], 4), f"{percent}, {note}"
+        if "per" in entry:
+            note = f"per {entry['per']}; {note}"
         unit = in_signs(str(entry["unit"])) if entry["unit"] not in ("1", "-") else ""
         tiles.append(Tile(key, value, unit, note))
     return Tiles([*tiles, checks_tile(len(outcome["warnings"]))])
