@@ -1,5 +1,6 @@
 """The page of a prediction, from what its folder holds."""
 
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from ringwear_par.reports.blocks import (
     software,
 )
 from ringwear_par.reports.fit_page import stored_outcome
+from ringwear_par.results.variables import DISPLAY_UNITS
 
 _WARNING = "warning: "
 
@@ -40,16 +42,22 @@ def prediction_page(folder: Path) -> Page:
         )
         label = "Penetration over time: median, and bands that hold 50 and 95 % of the draws"
         header = ("at the end", "unit", *(f"{100 * p:g} %" for p in outcome["probabilities"]))
-        rows = [
-            [name.replace("_", " "), in_signs(entry["unit"]),
-             *(f"{value:.4g}" for value in entry["values"][-1])]
-            for name, entry in outcome["quantiles"].items()
-        ]  # fmt: skip
+        rows = []
+        for name, entry in outcome["quantiles"].items():
+            unit, scale = DISPLAY_UNITS.get(name, (entry["unit"], 1.0))
+            values = (f"{scale * value:.4g}" for value in entry["values"][-1])
+            rows.append([name.replace("_", " "), in_signs(unit), *values])
+        command = (
+            f"ringwear predict {shlex.quote(outcome['fit'])} case.toml -o DIR "
+            f"--of {shlex.quote(outcome['of'])} --draws {outcome['draws'] + outcome['failed']} "
+            f"--seed {outcome['seed']}\n"
+        )
         sections = [
             Section("Summary", [Lines(answer), *([Lines(warnings, warning=True)] * bool(warnings)),
                                 Table("Quantiles of the draws", header, rows)]),
             Section("Penetration", [Charts([Chart("band", band, label, wide=True)])]),
-            Section("How to reproduce", [Source("Case file", outcome["case"]),
+            Section("How to reproduce", [Source("Case file, as case.toml", outcome["case"]),
+                                         Source("Command", command),
                                          software(outcome["versions"])]),
         ]  # fmt: skip
     return Page("Prediction", f"Predicted: {legible(folder.resolve().name)}", sections)

@@ -193,6 +193,7 @@ def test_the_command(found, tmp_path):
     assert stored["draws"] == 4
     assert np.shape(stored["quantiles"]["penetration"]["values"]) == (len(stored["time"]), 5)
     assert "Prediction, 1 figure" in rw.report(out, tmp_path / "page.html")
+    assert "case.toml -o DIR --of" in (tmp_path / "page.html").read_text()
     refused = ringwear(*words, folder)
     assert refused.returncode == 2
     assert sentences(refused)[0].endswith("is the folder of ringwear fit (fit.json); must be "
