@@ -54,6 +54,13 @@ def relative(off: Any, exact: Any) -> Any:
     return np.divide(off, exact, out=np.zeros_like(exact), where=~(exact <= 0.0))
 
 
+def read_only(values: FloatArray) -> FloatArray:
+    """Return a view that cannot be written to."""
+    view = values.view()
+    view.flags.writeable = False
+    return view
+
+
 def short_repr(data: Any) -> str:
     """Return the repr of a dataclass with the shapes of its arrays."""
 

@@ -94,18 +94,10 @@ def _sign(number: int) -> float:
     return 1.0 - 2.0 * number
 
 
-def _contour(case: Case, number: int) -> FloatArray:
-    """Return (m, 2) mm, corners of a body: its contact face, then its held face."""
-    ring, section = case.rings[number], case.sections[number]
-    plane, far = (ring.z[1], ring.z[0]) if number == 0 else ring.z
-    face = section.points
-    face = np.stack([face[:, 0], plane + _sign(number) * face[:, 1]], axis=1)
-    return np.concatenate([face, [(ring.r[1], far), (ring.r[0], far)]])
-
-
 def _draw_body(axes: Any, case: Case, number: int, height: float) -> None:
     """Draw both halves of a body, its layers, and its grip."""
-    ring, contour = case.rings[number], _contour(case, number)
+    ring = case.rings[number]
+    contour = case.sections[number].contour(*(ring.z if number else ring.z[::-1]))
     top, bottom = contour[:-2], contour[:-3:-1]
     _draw_part(axes, top, bottom, _BODY_FILLS[number], COLOURS[number])
     for layer, fill in zip(ring.layers, itertools.cycle(_LAYER_FILLS)):

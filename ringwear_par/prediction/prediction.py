@@ -9,7 +9,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError, ValidityWarning
 from ringwear_par.results.outcomes import Outcome
-from ringwear_par.results.variables import HISTORIES, SOFTWARE, Variable
+from ringwear_par.results.variables import HISTORIES, SOFTWARE, Variable, to_dataset
 from ringwear_par.version import versions
 
 if TYPE_CHECKING:
@@ -163,17 +163,7 @@ class Prediction(Outcome):
         ------
         InputError : xarray is not installed.
         """
-        try:
-            import xarray
-        except ImportError as error:
-            raise InputError(
-                "to_xarray needs the Python package xarray; pip install 'ringwear-par[xarray]'"
-            ) from error
-        dataset = xarray.Dataset(
-            {v.name: (v.dimensions, values, v.attributes) for v, values in self.variables()},
-            attrs=self.attributes,
-        )
-        return dataset.set_coords(["time"])
+        return to_dataset(self.variables(), self.attributes, ["time"], "prediction")
 
     @property
     def attributes(self) -> dict[str, Any]:

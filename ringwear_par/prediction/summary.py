@@ -22,7 +22,7 @@ def summary(prediction: Prediction) -> str:
     lines = []
     for name, words in _ENDS.items():
         low, _, median, _, high = prediction.quantiles(name)[:, -1]
-        if high == 0.0:
+        if high == 0.0 and name != "penetration":
             continue
         unit, factor = DISPLAY_UNITS.get(name, (HISTORIES[name].unit, 1.0))
         unit = unit.replace("\N{MICRO SIGN}", "u")

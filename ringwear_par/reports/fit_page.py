@@ -166,8 +166,8 @@ def _tiles(outcome: Mapping[str, Any]) -> Tiles:
 
 
 def _estimates(caption: str, parameters: Mapping[str, Any], level: float) -> Table:
-    limits = f"{100 * level:g} %"
-    header = ["key", "estimate", "sd", "unit", f"{limits} from", f"{limits} to", "verdict"]
+    percent = f"{100 * level:g} %"
+    header = ["key", "estimate", "sd", "unit", f"{percent} from", f"{percent} to", "verdict"]
     sampled = any("posterior" in one for one in parameters.values())
     if sampled:
         header += ["posterior median", "posterior from", "posterior to"]

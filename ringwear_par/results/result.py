@@ -192,18 +192,7 @@ class Result(Outcome):
         ------
         InputError : xarray is not installed.
         """
-        try:
-            import xarray
-        except ImportError as error:
-            raise InputError(
-                f"{self.name}: to_xarray needs the Python package xarray; "
-                "pip install 'ringwear-par[xarray]'"
-            ) from error
-        dataset = xarray.Dataset(
-            {v.name: (v.dimensions, values, v.attributes) for v, values in self.variables()},
-            attrs={"software": table.SOFTWARE, **self.attributes},
-        )
-        return dataset.set_coords(self.coordinates)
+        return table.to_dataset(self.variables(), self.attributes, self.coordinates, self.name)
 
 
 @dataclass(frozen=True)

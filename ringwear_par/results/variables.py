@@ -4,15 +4,19 @@ Depths of wear are losses, so never negative: vertically downward for lower, upw
 where faces slope. Pressure is normal to the faces.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.elasticity.stress.fields import SIDES
+from ringwear_par.errors import InputError
+
+if TYPE_CHECKING:
+    import xarray
 
 #: what files say they were written by
 SOFTWARE = "ringwear-par"
@@ -68,6 +72,36 @@ class Variable:
 def variable_table(*variables: Variable) -> dict[str, Variable]:
     """Return variables by their names."""
     return {variable.name: variable for variable in variables}
+
+
+def to_dataset(
+    variables: Sequence[tuple[Variable, Any]],
+    attributes: Mapping[str, Any],
+    coordinates: Sequence[str],
+    name: str,
+) -> "xarray.Dataset":
+    """Return variables with their values as xarray has them.
+
+    Parameters
+    ----------
+    coordinates : names of those that are no dimensions.
+    name : what messages call the outcome.
+
+    Raises
+    ------
+    InputError : xarray is not installed.
+    """
+    try:
+        import xarray
+    except ImportError as error:
+        raise InputError(
+            f"{name}: to_xarray needs the Python package xarray; pip install 'ringwear-par[xarray]'"
+        ) from error
+    dataset = xarray.Dataset(
+        {v.name: (v.dimensions, values, v.attributes) for v, values in variables},
+        attrs={"software": SOFTWARE, **attributes},
+    )
+    return dataset.set_coords(coordinates)
 
 
 #: coordinate of the stored states, where they are named by the steps made ...

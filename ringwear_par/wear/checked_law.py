@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import FloatArray, IntArray, read_only
 from ringwear_par.errors import ComputationError, LawError
 from ringwear_par.schedules import Quantity
 from ringwear_par.wear.derivatives import derivative
@@ -19,13 +19,6 @@ from ringwear_par.wear.local_state import LocalState
 #: functions of a law that may be the user's
 UserFunction = Literal["rate", "d_rate_dp", "d_rate_dwear", "d_rate_dparameter"]
 _SIGNED = ("d_rate_dwear", "d_rate_dparameter")
-
-
-def read_only(values: FloatArray) -> FloatArray:
-    """Return a view that cannot be written to."""
-    view = values.view()
-    view.flags.writeable = False
-    return view
 
 
 def read_only_state(local: LocalState, **changes: Any) -> LocalState:

@@ -14,6 +14,7 @@ from ringwear_par.cases.layers import LAYERS, expanded, layer_tables, of_refused
 from ringwear_par.cases.schema import KEYS, TABLES, key_of, keys_of_layer
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.values import RejectedError
+from ringwear_par.elasticity.geometry.sections import Section
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
 
 
@@ -64,7 +65,7 @@ class Outline(NamedTuple):
     Parameters
     ----------
     contour : (m, 2) float, mm, r and z of the corners around the unworn body; the contact face
-        from the inner to the outer radius comes first, two corners of the held face last.
+        from the inner to the outer radius comes first, two corners of the fixed face last.
     interfaces : (l,) float, mm, heights between layers, from the contact face on.
     plane : mm, height of the contact plane, which depths of the face count from.
     """
@@ -97,12 +98,11 @@ def outlines(text: str, name: str) -> tuple[Outline, Outline]:
     for ring, sign in (("lower", 1.0), ("upper", -1.0)):
         r, z = values[f"{ring}.r"], values[f"{ring}.z"]
         plane, fixed = (z[1], z[0]) if ring == "lower" else z
-        face = np.array(faces[ring] or [(r[0], 0.0), (r[1], 0.0)])
-        face = np.stack([face[:, 0], plane + sign * face[:, 1]], axis=1)
+        section = Section(tuple(r), z[1] - z[0], faces[ring])
         thicknesses = [layer["thickness"] for layer in keys.get(f"{ring}.layers", ())]
         sections.append(
             Outline(
-                np.concatenate([face, [(r[1], fixed), (r[0], fixed)]]),
+                section.contour(plane, fixed),
                 plane - sign * np.cumsum(thicknesses),
                 plane,
             )

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import FloatArray, IntArray, read_only
 from ringwear_par.elasticity.geometry.sections import Body, Section, corners
 from ringwear_par.errors import InputError
 
@@ -52,6 +52,8 @@ class ContactLine:
     Parameters
     ----------
     edges : (n+1,) float, mm, increasing radii of the element ends.
+
+    Cases share the arrays that are worked out once: these cannot be written to.
     """
 
     edges: FloatArray
@@ -63,7 +65,7 @@ class ContactLine:
     @cached_property
     def r(self) -> FloatArray:
         """(n,) mm, mid-points."""
-        return _read_only(0.5 * (self.edges[1:] + self.edges[:-1]))
+        return read_only(0.5 * (self.edges[1:] + self.edges[:-1]))
 
     @property
     def gap_point(self) -> FloatArray:
@@ -78,7 +80,7 @@ class ContactLine:
     @cached_property
     def area(self) -> FloatArray:
         """(n,) mm^2, annular areas ``m`` on the contact plane, so that the force is ``m . p``."""
-        return _read_only(2.0 * np.pi * self.r * self.width)
+        return read_only(2.0 * np.pi * self.r * self.width)
 
     @property
     def arm(self) -> FloatArray:
@@ -93,7 +95,7 @@ class ContactLine:
     @cached_property
     def uniform_arm(self) -> FloatArray:
         """(n,) mm, Int r^2 dr / Int r dr: lever arm of a constant traction."""
-        return _read_only(2.0 / 3.0 * np.diff(self.edges**3) / np.diff(self.edges**2))
+        return read_only(2.0 / 3.0 * np.diff(self.edges**3) / np.diff(self.edges**2))
 
     @property
     def n(self) -> int:
@@ -104,12 +106,6 @@ class ContactLine:
         """Return the elements in which radii (mm) lie, the line's ends included; -1 off it."""
         element: IntArray = np.where(r == self.edges[0], 0, np.searchsorted(self.edges, r) - 1)
         return np.where(element < self.n, element, -1)
-
-
-def _read_only(array: FloatArray) -> FloatArray:
-    """Return an array that all cases on a contact line share, which nobody may change."""
-    array.setflags(write=False)
-    return array
 
 
 def graded(start: float, end: float, n: int, first: float, last: float) -> FloatArray:

@@ -89,6 +89,19 @@ class Section:
             z = np.where(inside, spline(r), z)
         return z
 
+    def contour(self, plane: float, fixed: float) -> FloatArray:
+        """Return (m, 2) mm, r and z of the corners, in the frame of the case.
+
+        The contact face from the inner to the outer radius, then two corners of the fixed face.
+
+        Parameters
+        ----------
+        plane, fixed : mm, heights of the contact plane and of the fixed face.
+        """
+        r, z = self.points.T
+        face = np.stack([r, plane + np.sign(plane - fixed) * z], axis=1)
+        return np.concatenate([face, [(self.r[1], fixed), (self.r[0], fixed)]])
+
     @property
     def face_description(self) -> str:
         """The shape that the contact face is computed with, in words."""
