@@ -17,7 +17,7 @@ from ringwear_par.cases.numbers import Number, needs_reading, with_numbers
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import ComputationError, InputError, reason_of
-from ringwear_par.history.derivatives.elastic_numbers import is_elastic
+from ringwear_par.history.derivatives.keys import is_elastic
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.interpolated_pairs import InterpolatedPairs, interpolate
 from ringwear_par.history.elastic.pairs import assemble
