@@ -74,10 +74,12 @@ class CaseInputs:
         ------
         InputError : all faults but those of single cases.
         """
-        if not isinstance(values, Mapping):
+        try:
+            values = dict(values)  # of a table of pandas its columns
+        except (TypeError, ValueError) as error:
             raise InputError(
                 f"function: {shortened(values)}: must be a dict of {', '.join(self.names)}"
-            )
+            ) from error
         faults: list[str] = []
         name_unknown_keys("function", map(str, values), self.names, faults)
         faults += [f"function: {name}: is missing" for name in self.names if name not in values]
@@ -164,7 +166,7 @@ def _name_faults(case: Case, keys: Mapping[str, Any], names: Sequence[str]) -> I
 
 def _value(case: Case, keys: Mapping[str, Any], name: str) -> Any:
     """Return the value of a key in a case, of a force as its pressure too; None for none."""
-    value, force = value_of(keys, name), case.load.force
-    if value is None and is_number(force) and name in ("load.force", "load.pressure"):
-        return force / case.area if name == "load.pressure" else force
-    return value
+    force: Any = case.load.force
+    if is_number(force):
+        keys = {"load.force": force, "load.pressure": force / case.area, **keys}
+    return value_of(keys, name)

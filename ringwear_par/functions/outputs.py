@@ -54,7 +54,7 @@ class Output(NamedTuple):
         """Return it of values whose last axis is that of the stored states, at some times (s)."""
         if self.whole:
             return values
-        row = np.searchsorted(times, self.time * (1.0 - 2.0 * SAME_TIME))
+        row = int(np.searchsorted(times, self.time * (1.0 - 2.0 * SAME_TIME)))
         return values[..., min(row, len(times) - 1)]
 
 
@@ -78,7 +78,8 @@ def read_outputs(case: Case, texts: Sequence[str], derivatives: bool) -> tuple[O
     variables = HISTORIES | {name: LAYER_HISTORIES[name] for name in of_layers}
     if derivatives:
         variables = {n: v for n, v in variables.items() if derivative_of(v).name in D_HISTORIES}
-    outputs, faults = [], []
+    outputs: list[Output] = []
+    faults: list[str] = []
     for text in texts:
         name, at, word = (part.strip() for part in text.partition("@"))
         if name not in variables:
