@@ -60,9 +60,9 @@ def test_readings_between_operators_are_those_of_one_rank(tables, comm):
     problem = read_fit(tables(2))
     points = np.outer([0.9, 1.1], list(problem.start.values()))
     rounds, alone = Rounds(problem, comm, StopSignals()), Histories(problem, MPI.COMM_SELF)
-    rounds.interpolate(problem, comm)
-    alone.interpolate(problem, MPI.COMM_SELF)
-    assert rounds.are_interpolated
+    rounds.operators.interpolate(comm)
+    alone.operators.interpolate(MPI.COMM_SELF)
+    assert rounds.operators.are_interpolated
     together = rounds.lead(lambda: rounds.responses(points, ROUGH_STEPS, exact=False))
     for one, other in zip(together, alone.responses(points, ROUGH_STEPS, exact=False), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -74,8 +74,8 @@ def test_operators_between_others_are_those_of_a_search_only(tables, comm):
     histories = Histories(problem, comm)
     point = 0.9 * np.array([list(problem.start.values())])
     (before,) = histories.responses(point)
-    histories.interpolate(problem, comm)
-    assert histories.are_interpolated
+    histories.operators.interpolate(comm)
+    assert histories.operators.are_interpolated
     (after,) = histories.responses(point)
     (between,) = histories.responses(point, exact=False)
     np.testing.assert_array_equal(before, after)
