@@ -7,7 +7,7 @@ from mpi4py import MPI
 
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fit import fit
-from ringwear_par.identification.model import histories as histories_room
+from ringwear_par.identification.model import operators as operators_room
 from ringwear_par.identification.model.histories import ROUGH_STEPS, Histories
 from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.results.execution.stopping import StopSignals
@@ -44,7 +44,7 @@ def test_a_search_between_operators_ends_at_the_optimum_of_exact_ones(tables, co
     between = fit(tables(2), comm)
     assert between.n_at_best == len(between.starts) == 2
     assert all(start.converged for start in between.starts)
-    monkeypatch.setattr(histories_room, "interpolate", lambda *_: None)
+    monkeypatch.setattr(operators_room, "interpolate", lambda *_: None)
     exact = fit(tables(1), comm)
     (estimates, sds), (expected, expected_sds) = numbers(between), numbers(exact)
     assert (np.abs(estimates - expected) <= 0.01 * expected_sds).all()
