@@ -3,12 +3,14 @@
 import re
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files import folders
 from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.reports.blocks import Chart, Page
+from ringwear_par.results.outcomes import Outcome
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import result_of
 from ringwear_par.studies.storage.results_file import RESULTS
@@ -19,7 +21,7 @@ _ENDINGS = (".html", ".htm")
 _NUMERIC = re.compile(r"[-+\N{MINUS SIGN}]?\d[\d.]*(?:e[-+]?\d+)?(?: %)?")
 
 
-def report(source: Result | str | Path, output: str | Path) -> str:
+def report(source: Outcome | str | Path, output: str | Path) -> str:
     """Write a page of stored results; return what was written. On one rank.
 
     It is one HTML file: pictures, charts that can be zoomed and their program are in it, and it
@@ -27,8 +29,8 @@ def report(source: Result | str | Path, output: str | Path) -> str:
 
     Parameters
     ----------
-    source : a result, its file, or the folder of a sweep, a fit, a design, a prediction or a
-        measurement.
+    source : a result or another outcome, the file of a result, or the folder of a sweep, a fit, a
+        design, a prediction or a measurement.
     output : the page's file, .html.
 
     Raises
@@ -38,7 +40,13 @@ def report(source: Result | str | Path, output: str | Path) -> str:
     """
     output = Path(output)
     _check(output)
-    page = _page(source)
+    if isinstance(source, Outcome) and not isinstance(source, Result):
+        with TemporaryDirectory() as folder:  # pages are made of what is stored
+            stored = Path(folder) / output.stem
+            source.save(stored)
+            page = _page(stored)
+    else:
+        page = _page(source)
     try:
         with atomic_write(output) as temporary:
             temporary.write_text(_html(page), encoding="utf-8")
@@ -62,7 +70,7 @@ def _check(output: Path) -> None:
         ) from error
 
 
-def _page(source: Result | str | Path) -> Page:
+def _page(source: Outcome | str | Path) -> Page:
     if not isinstance(source, Result) and (fault := _other_file(Path(source))):
         raise InputError(f"{source}: {fault}")
     if isinstance(source, Result) or not Path(source).is_dir():
