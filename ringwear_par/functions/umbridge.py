@@ -34,9 +34,11 @@ log = logging.getLogger(__name__)
 HOST, MODEL, _VERSION = "127.0.0.1", "forward", 1.0
 #: names of this machine under which programs may ask
 _NAMES = ("127.0.0.1", "localhost", "[::1]")
-#: bytes of a request, cases of a batch, s that the first of them waits for others and that a
-#: program may take to send a request
-_LARGEST, _MOST, _GATHER, _PATIENCE = 2**20, 1024, 0.005, 30.0
+#: bytes of a request, and cases of a batch
+_LARGEST, _MOST = 2**20, 1024
+#: s: how long the first of a batch waits for others, a program may take to send a request, and the
+#: main thread waits before it looks for signals
+_GATHER, _PATIENCE, _NAP = 0.005, 30.0, 0.2
 #: what can be computed, and the vector that a request for it holds
 _VECTORS = {"Evaluate": "", "Gradient": "sens", "ApplyJacobian": "vec"}
 
@@ -130,9 +132,12 @@ class Model:
         return Request(point, task, _vector(name, body.get(name), names))
 
     def compute(self) -> None:
-        """Wait for a request, gather others for some ms, and answer them. In the main thread."""
-        batch, end = [self.waiting.get()], time.monotonic() + _GATHER
+        """Wait a little for a request, gather others, and answer them. In the main thread."""
+        batch: list[Request] = []
         with suppress(Empty):
+            # not for ever: a signal just before does not end the wait
+            batch.append(self.waiting.get(timeout=_NAP))
+            end = time.monotonic() + _GATHER
             while len(batch) < _MOST:
                 batch.append(self.waiting.get(timeout=max(end - time.monotonic(), 0.0)))
         for task in ("Evaluate", ""):

@@ -40,13 +40,13 @@ def report(source: Outcome | str | Path, output: str | Path) -> str:
     """
     output = Path(output)
     _check(output)
-    if isinstance(source, Outcome) and not isinstance(source, Result):
+    if isinstance(source, Result | str | Path):
+        page = _page(source)
+    else:
         with TemporaryDirectory() as folder:  # pages are made of what is stored
             stored = Path(folder) / output.stem
             source.save(stored)
             page = _page(stored)
-    else:
-        page = _page(source)
     try:
         with atomic_write(output) as temporary:
             temporary.write_text(_html(page), encoding="utf-8")
@@ -70,7 +70,7 @@ def _check(output: Path) -> None:
         ) from error
 
 
-def _page(source: Outcome | str | Path) -> Page:
+def _page(source: Result | str | Path) -> Page:
     if not isinstance(source, Result) and (fault := _other_file(Path(source))):
         raise InputError(f"{source}: {fault}")
     if isinstance(source, Result) or not Path(source).is_dir():

@@ -132,13 +132,16 @@ def test_the_command(functions):
     with subprocess.Popen(
         words, env=SHELL_ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        lines = [process.stdout.readline() for _ in range(4)]
-        assert lines[0] == "inputs: wear.lower.k (1/MPa), load.pressure (MPa)\n"
-        model = umbridge.HTTPModel(lines[3].partition(": UM-Bridge")[0], MODEL)
-        expected = functions[0](dict(zip(KEYS, POINT, strict=True)))
-        assert model([POINT]) == [[expected[name] for name in NAMES]]
-        process.send_signal(signal.SIGINT)
-        out, errors = process.communicate(timeout=60)
+        try:
+            lines = [process.stdout.readline() for _ in range(4)]
+            assert lines[0] == "inputs: wear.lower.k (1/MPa), load.pressure (MPa)\n"
+            model = umbridge.HTTPModel(lines[3].partition(": UM-Bridge")[0], MODEL)
+            expected = functions[0](dict(zip(KEYS, POINT, strict=True)))
+            assert model([POINT]) == [[expected[name] for name in NAMES]]
+            process.send_signal(signal.SIGINT)
+            out, errors = process.communicate(timeout=60)
+        finally:
+            process.kill()
     assert (process.returncode, out, errors) == (0, "ringwear serve: ended\n", "")
 
 
