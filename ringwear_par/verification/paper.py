@@ -14,6 +14,7 @@ from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.start import first_contact
+from ringwear_par.schedules import in_time
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, Check, checks_of
 from ringwear_par.verification.half_space import pressure_at
@@ -49,10 +50,10 @@ def paper_checks(comm: MPI.Comm) -> Iterator[Check]:
     for n in sizes:
         case = paper_case(Mesh(n), pressure=50.0)
         contact, line = first_contact(case, comm), case.line
-        p = contact.pressure
+        p, mu = contact.pressure, in_time(case.friction, 0.0)
         values.append(
             [contact.approach / reference.PAPER_APPROACH - 1.0,
-             case.friction * (line.area * line.arm) @ p / reference.PAPER_TORQUE - 1.0]
+             mu * (line.area * line.arm) @ p / reference.PAPER_TORQUE - 1.0]
             + [pressure_at(line, p, r) / v - 1.0 for r, v in pressures.items()]
         )  # fmt: skip
     names = ["approach", "torque", *(f"p({r:g})" for r in pressures)]
@@ -90,8 +91,9 @@ def tao_checks(comm: MPI.Comm) -> Iterator[Check]:
     physics = Physics.of([case] * len(_HEIGHTS), assemble(case, comm))
     roughness = np.multiply.outer(_HEIGHTS, np.random.default_rng(1).random(_ELEMENTS))
     every, unworn = np.ones(len(_HEIGHTS)), np.zeros((2, len(_HEIGHTS), _ELEMENTS))
-    increment = physics.increment(_WEAR_STEP * every, OMEGA * every, unworn, _WEAR_STEP * every)
-    inputs = physics.contact_inputs(_WEAR_STEP * every, unworn, increment)
+    time = _WEAR_STEP * every
+    increment = physics.increment(time, physics.sliding(time), unworn, time)
+    inputs = physics.contact_inputs(time, unworn, increment)
 
     def solution(tao_type: str) -> ContactState:
         compliances = physics.compliances.scaled()
