@@ -11,7 +11,6 @@ from ringwear_par.cases.case import Stepping
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.history.observers.trace import Trace, trace
-from ringwear_par.schedules import in_time
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import SIZES, Check, checks_of, identity
 from ringwear_par.verification.fine import (
@@ -200,7 +199,7 @@ def steady_rows(
         before, last = (state.contact for state in history.states[-2:])
         rate = (last.approach - before.approach) / _STEADY.step
         torque = float(history.physics.torque(last.pressure)[0])
-        oblique = in_time(case.friction, 0.0) * c / math.cos(math.radians(rings.degrees))
+        oblique = case.friction_at(0.0) * c / math.cos(math.radians(rings.degrees))
         errors.append(
             (
                 float(np.abs(last.pressure * pair.line.arm / c - 1.0).max()),

@@ -34,7 +34,6 @@ from ringwear_par.elasticity.stress.recovery import (
 from ringwear_par.elasticity.stress.zone import ZoneStress
 from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.history.start import first_contact
-from ringwear_par.schedules import in_time
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, checks_of, converging
 from ringwear_par.verification.paper import paper_case
@@ -201,6 +200,6 @@ def _paper_stresses(n: int, comm: MPI.Comm) -> list[float]:
         (StressPoints(points, np.zeros(len(points))), StressPoints(np.empty((0, 2)), np.empty(0))),
         0.1, comm,
     )  # fmt: skip
-    stress: FloatArray = recovery.stresses(pressure, in_time(case.friction, 0.0))[0].points
+    stress: FloatArray = recovery.stresses(pressure, case.friction_at(0.0))[0].points
     measures = {"von Mises": mises(stress), "largest shear": max_shear(stress)}
     return [float(measures[name][i]) for i, (name, _) in enumerate(keys)]

@@ -14,7 +14,6 @@ from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.start import first_contact
-from ringwear_par.schedules import in_time
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, Check, checks_of
 from ringwear_par.verification.half_space import pressure_at
@@ -50,7 +49,7 @@ def paper_checks(comm: MPI.Comm) -> Iterator[Check]:
     for n in sizes:
         case = paper_case(Mesh(n), pressure=50.0)
         contact, line = first_contact(case, comm), case.line
-        p, mu = contact.pressure, in_time(case.friction, 0.0)
+        p, mu = contact.pressure, case.friction_at(0.0)
         values.append(
             [contact.approach / reference.PAPER_APPROACH - 1.0,
              mu * (line.area * line.arm) @ p / reference.PAPER_TORQUE - 1.0]

@@ -18,7 +18,6 @@ from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.start import first_contact
-from ringwear_par.schedules import in_time
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, checks_of, converging, identity
 from ringwear_par.verification.edges import both_wear, rows_against, steady_rows
@@ -83,7 +82,7 @@ def _fine_rows(name: str, comm: MPI.Comm) -> Iterator[Check]:
     yield from rows_against(name, [fine.on(Mesh(n)) for n in SIZES], histories)
     first, physics = histories[-1].states[0].contact, histories[-1].physics
     n, line = physics.line.n, physics.line
-    flat = in_time(physics.case.friction, 0.0) * (line.area * line.arm) @ first.pressure
+    flat = physics.case.friction_at(0.0) * (line.area * line.arm) @ first.pressure
     error = abs(
         physics.torque(first.pressure)[0] / flat * math.cos(math.radians(rings.degrees)) - 1.0
     )

@@ -8,7 +8,7 @@ from mpi4py import MPI
 from paths import CASES, PAPER
 
 import ringwear_par as rw
-from ringwear_par.history.derivatives.numbers import differentiable
+from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.results.execution.recorder import Recorder

@@ -10,7 +10,6 @@ from ringwear_par.elasticity.stress.boundary_fields import BoundaryState
 from ringwear_par.history.elastic.pairs import boundary_recovery
 from ringwear_par.history.observers.selection import Selection
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.schedules import in_time
 
 
 class BoundaryObserver:
@@ -44,7 +43,7 @@ class BoundaryObserver:
             state = instant.state
             bodies = self._recovery.fields(
                 state.contact.pressure, state.contact.approach,
-                in_time(self._case.friction, float(state.time)), state.wear, state.meshed_wear,
+                self._case.friction_at(float(state.time)), state.wear, state.meshed_wear,
             )  # fmt: skip
             self.states.append(BoundaryState(instant.steps, float(state.time), bodies))
         return False

@@ -16,7 +16,6 @@ from ringwear_par.history.elastic.bodies import bodies, operator_key
 from ringwear_par.history.observers.selection import Selection
 from ringwear_par.history.snapshots import Instant, Snapshot
 from ringwear_par.history.state import State
-from ringwear_par.schedules import in_time
 from ringwear_par.wear.layered import worn_through
 
 #: pressure, or stress, of an outermost element over that of the fourth, from which on it is
@@ -81,7 +80,7 @@ class CaseStresses:
         """
         lower, upper = (worn_through(case.layer_ends(i), wear) for i, wear in enumerate(state.wear))
         gone = lower, upper
-        friction = in_time(case.friction, float(state.time))
+        friction = case.friction_at(float(state.time))
         bodies = self._recovery.stresses(state.contact.pressure, friction, state.meshed_wear, gone)
         points = np.empty((len(self.points), 6))
         grid = np.full((*self._of_grid.shape, 6), np.nan)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, IntArray, share
 from ringwear_par.cases.case import Case
-from ringwear_par.history.derivatives.numbers import units_of
+from ringwear_par.history.derivatives.keys import units_of
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.tangent import variables as derivatives_of
 from ringwear_par.history.snapshots import Snapshot
