@@ -9,6 +9,9 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
     from sphinx.environment import BuildEnvironment
 
+#: what holds the paragraphs that say what a page, or a name of Python, is
+_WHERE = ("section", "desc_content")
+
 
 def in_order(env: "BuildEnvironment", page: str) -> Iterator[str]:
     """Yield a page and all below it, in the order of the tables of contents."""
@@ -21,8 +24,10 @@ def first_sentence(env: "BuildEnvironment", page: str) -> str:
     """Return the first sentence of a page, "" where it has none."""
     from docutils.nodes import paragraph
 
-    text = next((p.astext() for p in env.get_doctree(page).findall(paragraph)), "")
-    return re.split(r"(?<=[.:?])\s", " ".join(text.split()))[0].rstrip(":")
+    paragraphs = env.get_doctree(page).findall(paragraph)
+    # not those of notes, tables and lists
+    text = next((p.astext() for p in paragraphs if p.parent.tagname in _WHERE), "")
+    return re.split(r"(?<=[a-z0-9)][.?])\s", " ".join(text.split()))[0]
 
 
 def write(app: "Sphinx", error: Exception | None) -> None:

@@ -1,4 +1,4 @@
-"""Keys of the numbers of a case that histories have derivatives with respect to."""
+"""Keys of numbers that histories have derivatives with respect to."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,6 +13,8 @@ from ringwear_par.wear.parameters import parameters_of
 
 #: names of a factor on all rates of a body, about 1, in the place of a case's key
 RATES = tuple(f"wear.{body}" for body in BODIES)
+#: keys that stand for a factor on the whole of a table in time, about 1, where they have one
+SCHEDULES = ("contact.friction", "load.force", "load.omega")
 
 
 def elastic_numbers(case: Case) -> dict[str, str]:
@@ -48,9 +50,9 @@ def differentiable(case: Case) -> dict[str, str]:
                 units[_key_of_number(body, name)] = _unit(law, name)
         if law.length and "length" in parameters_of(type(law)):
             units[f"wear.{body}.length"] = "mm"
-    units["contact.friction"] = UNITS["contact.friction"]
     load = case.load
     for key, number in (
+        ("contact.friction", case.friction),
         ("load.pressure", load.force),
         ("load.force", load.force),
         ("load.displacement", load.displacement),
@@ -83,7 +85,7 @@ def _is_number(quantity: Any) -> bool:
 
 def units_of(case: Case, keys: Sequence[str]) -> dict[str, str]:
     """Return the units of some of these keys."""
-    units = differentiable(case) | dict.fromkeys(RATES, "1") if keys else {}
+    units = dict.fromkeys((*RATES, *SCHEDULES), "1") | differentiable(case) if keys else {}
     return {key: units[key] for key in keys}
 
 
