@@ -9,7 +9,6 @@ import numpy as np
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.results.storage.hdf5 import UnreadableError
 from ringwear_par.studies.execution.plan import Plan
-from ringwear_par.studies.execution.shared_pairs import PATIENCE_SECONDS
 from ringwear_par.studies.execution.summary import Summary
 from ringwear_par.studies.storage.blocks import DamagedError
 from ringwear_par.studies.storage.case_index import CaseIndex
@@ -21,8 +20,9 @@ from ringwear_par.version import versions
 
 log = logging.getLogger(__name__)
 
-#: s, between two looks for cases that another machine has stored
-_LATE_SECONDS = 0.2
+#: s, how long cases that another machine has stored may stay unseen (NFS: a minute by default), and
+#: between two looks for them
+_PATIENCE_SECONDS, _NAP_SECONDS = 75.0, 0.2
 
 
 @reporting_unreadable()
@@ -35,8 +35,6 @@ def merge_if_well(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
     ------
     RingwearError, OSError : the disk.
     """
-    with suppress(OSError):
-        plan.folder.drop_operators()
     if not well:
         with suppress(RingwearError, OSError):  # there is trouble enough to tell
             return plan.count(plan.folder.scan(mend=False)[0])
@@ -56,14 +54,14 @@ def merge_if_well(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
 
 def _scan(plan: Plan, awaited: int) -> CaseIndex:
     """Return the stored cases; if they are fewer than awaited, network disks may show them late."""
-    limit = time.monotonic() + PATIENCE_SECONDS
+    limit = time.monotonic() + _PATIENCE_SECONDS
     while True:
         index, notes = plan.folder.scan(mend=True)
         for note in notes:
             log.warning("%s", note)
         if notes or sum(plan.count(index)) >= awaited or time.monotonic() > limit:
             return index
-        time.sleep(_LATE_SECONDS)
+        time.sleep(_NAP_SECONDS)
 
 
 def _merge(plan: Plan, summary: Summary, index: CaseIndex) -> None:

@@ -23,6 +23,10 @@ from ringwear_par.version import __version__
 log = logging.getLogger(__name__)
 
 
+class StorageError(ComputationError):
+    """The disk; not the fault of a case."""
+
+
 class TeamStore:
     """The shard and the checkpoints of a team: a context manager. Collective on comm.
 
@@ -88,7 +92,7 @@ class TeamStore:
 
     def read_checkpoint(self, identity: str) -> Result | None:
         """Return the checkpoint of an interrupted case; None where there is no good one."""
-        if identity not in self._plan.interrupted:
+        if identity not in self._plan.checkpoints:
             return None
         path = self._plan.folder.checkpoint(identity)
 
