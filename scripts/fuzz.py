@@ -120,7 +120,7 @@ def read_an_ensemble(folder: Path, rng: random.Random) -> None:
     blocks = read_results_blocks(path)
     looks: list[Callable[[], object]] = [lambda: read_ensemble(folder)]
     for block in (blocks or [])[:1]:
-        for name in ("step", *HISTORIES):
+        for name in HISTORIES:
             looks.append(partial(block.read, [name]))
         looks.append(partial(block.texts, range(len(block.cases))))
     if rng.random() < _DRAWN:

@@ -37,7 +37,7 @@ def write(
         arrays["penetration"] = penetration[n] * share
         arrays["worn_volume_lower"] = lower[n] * share
         arrays["worn_volume_upper"] = upper[n] * share
-        arrays.update(step=np.arange(steps[n] + 1.0), r=np.ones(4), width=np.ones(4))
+        arrays.update(r=np.ones(4), width=np.ones(4))
         return StoredCase(f"{n:016x}", status=status[n], columns=arrays)
 
     with Shard(folder / "all_0000.blocks") as shard:

@@ -1,4 +1,4 @@
-"""Columns of blocks in tables that are padded with NaN, and the steps that cases have in common."""
+"""Columns of blocks in tables that are padded with NaN."""
 
 from typing import Any
 
@@ -67,27 +67,3 @@ def _run(numbers: IntArray) -> slice | IntArray:
     if last - first + 1 == len(numbers) and (np.diff(numbers) == 1).all():
         return slice(first, last + 1)
     return numbers
-
-
-class CommonSteps:
-    """Names of the stored states, as long as all cases begin with the same."""
-
-    def __init__(self) -> None:
-        self.names: FloatArray | None = np.empty(0)
-
-    def add(self, steps: Any, offsets: IntArray, places: IntArray) -> None:
-        """Compare with those of some cases of a block, None where they differ among these."""
-        if self.names is None or steps is None:
-            self.names = None
-            return
-        starts, rows = offsets[places], offsets[places + 1] - offsets[places]
-        longest = int(rows.argmax())
-        if rows[longest] > len(self.names):
-            longer = steps[starts[longest] : starts[longest] + rows[longest]]
-            if not np.array_equal(longer[: len(self.names)], self.names):
-                self.names = None
-                return
-            self.names = np.array(longer)
-        step = np.arange(rows.sum()) - np.repeat(np.cumsum(rows) - rows, rows)
-        if not np.array_equal(steps[step + np.repeat(starts, rows)], self.names[step]):
-            self.names = None

@@ -22,7 +22,6 @@ from ringwear_par.results.variables import (
     HISTORIES,
     LINE,
     POINT_SIDE,
-    STEP,
     Variable,
     edge_elements,
 )
@@ -38,10 +37,9 @@ from ringwear_par.studies.storage.case_variables import (
     write_texts,
 )
 from ringwear_par.studies.storage.end_values import BY_SOURCE, STRESS_STATES, last_with_stress
-from ringwear_par.studies.storage.padded_tables import CommonSteps, body_last, fill
+from ringwear_par.studies.storage.padded_tables import body_last, fill
 from ringwear_par.studies.storage.results_file import (
     RESULTS,
-    SAME_STEPS,
     SOFTWARE,
     TABLE,
     cases_at_once,
@@ -176,16 +174,14 @@ class _Writer:
         window = cases_at_once(8 * sum(map(math.prod, shapes.values())))
         columns: dict[str, CaseVariable] = {}
         end_values: dict[str, FloatArray] = {}
-        steps = CommonSteps()
         for start in range(0, max(count, 1), window):
             stop = min(start + window, count)
             tables = {
                 name: np.full((stop - start, *shape), np.nan) for name, shape in shapes.items()
             }
             for block, cases in self._by_block(start + np.flatnonzero(self._rows[start:stop])):
-                places, stored = self._cases["place"][cases], block.read((STEP.name, *variables))
-                steps.add(stored.pop(STEP.name, None), block.offsets, places)
-                for name, values in stored.items():
+                places = self._cases["place"][cases]
+                for name, values in block.read(variables).items():
                     if has_layers(variables[name]):
                         values = body_last(values, tables[name].shape[-1])
                     fill(tables[name], cases - start, values, block, name, places)
@@ -204,14 +200,10 @@ class _Writer:
                     kind = text_dtype(table.dtype.itemsize)
                     table = table.astype(kind)
                 if not start:
-                    columns[name] = CaseVariable(
-                        self._file, over_cases(variables[name]), kind, window, sample=table
-                    )
+                    variable = over_cases(variables[name])
+                    columns[name] = CaseVariable(self._file, variable, kind, window)
                 columns[name].write(start, table)
                 self._check_disk()
-        if steps.names is not None and len(steps.names) == len(self._file["step"]):
-            self._file["step"][:] = steps.names.astype(int)
-            self._file["step"].attrs.update({"long_name": STEP.meaning, SAME_STEPS: 1})
         return end_values
 
     def _end_values(
