@@ -50,7 +50,6 @@ from ringwear_par.results.storage.result_files import (
 )
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.definition.study import read_study
-from ringwear_par.studies.pictures.figures import plot_sweep
 from ringwear_par.studies.pictures.plot import plot_stored
 from ringwear_par.studies.storage.blocks import DamagedError
 from ringwear_par.studies.storage.ensemble import read_ensemble
@@ -124,7 +123,7 @@ def read_an_ensemble(folder: Path, rng: random.Random) -> None:
             looks.append(partial(block.read, [name]))
         looks.append(partial(block.texts, range(len(block.cases))))
     if rng.random() < _DRAWN:
-        looks.append(lambda: plot_sweep(folder, folder / "a.png"))
+        looks.append(lambda: plot_stored([folder], folder / "a.png"))
     _look(looks)
 
 

@@ -3,6 +3,7 @@
 import warnings
 
 import numpy as np
+from mpi4py import MPI
 from scipy.stats import qmc
 from stored_cases import StoredCase, block_of
 
@@ -55,7 +56,7 @@ def write(
         lambda missing: [""] * len(missing),
     )
     attributes = {"method": method, "study": "", "status": "complete", "ranks": 1}
-    write_results(folder, cases, attributes)
+    write_results(folder, cases, attributes, MPI.COMM_SELF)
     shard.path.unlink()
     return read_ensemble(folder)
 

@@ -5,6 +5,7 @@ import time
 from contextlib import suppress
 
 import numpy as np
+from mpi4py import MPI
 
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.results.storage.hdf5 import UnreadableError
@@ -26,10 +27,10 @@ _PATIENCE_SECONDS, _NAP_SECONDS = 75.0, 0.2
 
 
 @reporting_unreadable()
-def merge_if_well(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
+def merge_if_well(plan: Plan, summary: Summary, well: bool, comm: MPI.Comm) -> tuple[int, int]:
     """Merge if all is well and this is no slice; return how many cases are stored, done and failed.
 
-    On one rank.
+    On rank 0 of comm, which the others help, see ``parallel.results_of_tasks``.
 
     Raises
     ------
@@ -44,7 +45,7 @@ def merge_if_well(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
         index = _scan(plan, awaited)
         try:
             if not plan.folder.part:
-                _merge(plan, summary, index)
+                _merge(plan, summary, index, comm)
         except DamagedError as error:
             log.warning("%s", plan.folder.mend(error.path))
             awaited = 0  # the cases in it will not come to light
@@ -64,8 +65,8 @@ def _scan(plan: Plan, awaited: int) -> CaseIndex:
         time.sleep(_NAP_SECONDS)
 
 
-def _merge(plan: Plan, summary: Summary, index: CaseIndex) -> None:
-    """Write results.h5 and cases.csv of all that is stored, then drop the shards. On one rank.
+def _merge(plan: Plan, summary: Summary, index: CaseIndex, comm: MPI.Comm) -> None:
+    """Write results.h5 and cases.csv of all that is stored, then drop the shards. On rank 0.
 
     Raises
     ------
@@ -99,6 +100,6 @@ def _merge(plan: Plan, summary: Summary, index: CaseIndex) -> None:
         "ranks": ranks,
         **versions(),
     }
-    write_results(folder.path, cases, attributes)
+    write_results(folder.path, cases, attributes, comm)
     if ended >= summary.done + summary.failed:  # else they may yet come to light
         folder.forget_shards()

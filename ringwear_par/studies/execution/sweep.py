@@ -16,7 +16,7 @@ from typing import Any
 from mpi4py import MPI
 
 from ringwear_par.errors import RingwearError
-from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads
+from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads, with_help_of_all
 from ringwear_par.results.execution.progress import SweepProgress
 from ringwear_par.results.execution.stopping import StopSignals
 from ringwear_par.studies.definition.study import Study, read_study_together
@@ -178,7 +178,9 @@ def _compute(
         )
         counted = summary.done, summary.failed
         try:
-            done, failed = on_first_rank(comm, lambda: merge_if_well(plan, summary, not troubles))
+            done, failed = with_help_of_all(
+                comm, lambda: merge_if_well(plan, summary, not troubles, comm)
+            )
             merged = not troubles and not plan.folder.part
             summary = replace(summary, done=done, failed=failed, merged=merged)
         except RingwearError as error:  # of the disk

@@ -68,6 +68,9 @@ class DamagedError(ComputationError):
         super().__init__(f"{path}: is damaged")
         self.path = path
 
+    def __reduce__(self) -> tuple[type["DamagedError"], tuple[Path]]:
+        return type(self), (self.path,)
+
 
 @contextmanager
 def reporting_damage(path: Path) -> Iterator[None]:
