@@ -6,7 +6,7 @@ import mmap
 import os
 import resource
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -42,7 +42,9 @@ def on_first_rank(comm: "MPI.Comm", action: Callable[[], T]) -> T:
     return result
 
 
-def results_of_tasks(comm: "MPI.Comm", tasks: Iterable[Callable[[], T]]) -> Iterator[T]:
+def results_of_tasks(
+    comm: "MPI.Comm", tasks: Iterable[Callable[[], T]]
+) -> Generator[T, None, None]:
     """Yield the results of tasks, which all ranks work on, in their order. On rank 0 of comm.
 
     Within ``with_help_of_all``. Tasks and results are
@@ -66,7 +68,11 @@ def results_of_tasks(comm: "MPI.Comm", tasks: Iterable[Callable[[], T]]) -> Iter
 
 
 def with_help_of_all(comm: "MPI.Comm", action: Callable[[], T]) -> T:
-    """Return what an action returns that needs ``results_of_tasks``, as ``on_first_rank``."""
+    """Return the result of an action on rank 0, see ``on_first_rank``, whose tasks all work on.
+
+    The action uses ``results_of_tasks`` in a ``closing`` block: where it fails, others may still be
+    sending results. Collective on comm.
+    """
 
     def act() -> T:
         try:

@@ -48,7 +48,7 @@ class CaseWindow:
     of_texts: Chunks
 
     def fill(self) -> FilledWindow:
-        """Return what is written of the cases. Not collective.
+        """Return the chunks and end values of the cases. Not collective.
 
         Raises
         ------

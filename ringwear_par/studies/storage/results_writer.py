@@ -6,6 +6,7 @@ with NaN; ``steps_stored`` and ``elements`` say how much is there. Both files ap
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -191,14 +192,15 @@ class _Writer:
             for part in _stretches(count, window)
         )
         end_values: dict[str, FloatArray] = {}
-        filled = results_of_tasks(comm, (each.fill for each in windows))
-        for part, of_window in zip(_stretches(count, window), filled, strict=True):
-            for name, packed in of_window.chunks.items():
-                columns[name].write(part.start, packed)
-            for name, values in of_window.end_values.items():
-                whole = end_values.setdefault(name, np.full((count, *values.shape[1:]), np.nan))
-                whole[part] = values
-            self._check_disk()
+        with closing(results_of_tasks(comm, (cases.fill for cases in windows))) as filled:
+            for part, of_window in zip(_stretches(count, window), filled, strict=True):
+                for name, packed in of_window.chunks.items():
+                    columns[name].write(part.start, packed)
+                for name, values in of_window.end_values.items():
+                    if not part.start:
+                        end_values[name] = np.full((count, *values.shape[1:]), np.nan)
+                    end_values[name][part] = values
+                self._check_disk()
         return end_values
 
     def _blocks_of(self, cases: slice) -> dict[int, CaseBlock]:
