@@ -39,7 +39,7 @@ def test_another_version_does_not_mix_with_the_first(swept, shared_path, comm, m
     for word in (f"2 by {mine}", "this is 99.0", "must be a new folder"):
         assert word in told
     with pytest.raises(InputError, match="2 by"):
-        swept("0, 20, 40, 60", part=(1, 2))
+        swept("0, 20, 40, 60", part=(2, 2))
     assert swept("40").computed == 1  # the others are no longer of the study
     versions = dict.fromkeys(["0", "20"], mine) | {"40": "99.0"}
     rows = table(shared_path / "out")
