@@ -5,6 +5,7 @@ import re
 import shutil
 import tomllib
 from functools import partial
+from importlib.util import find_spec
 
 import h5py
 import numpy as np
@@ -112,6 +113,15 @@ def test_units_of_the_table_stand_beside_it(write, shared_path, comm):
     assert units["penetration"] == "mm"
     assert units["worn_volume_lower"] == "mm3"
     assert units["status"] is None
+    if find_spec("pyarrow") is None:
+        return
+    from pyarrow import parquet
+
+    whole = parquet.read_table(shared_path / "out" / "cases.parquet")
+    assert whole.column_names == list(columns)
+    assert whole["case"].to_pylist() == [row["case"] for row in rows]
+    assert whole["penetration"].to_pylist() == [float(row["penetration"]) for row in rows]
+    assert whole.schema.field("penetration").metadata[b"unitText"] == b"mm"
 
 
 def test_ten_geometries_cost_ten_assemblies(write, shared_path, comm, monkeypatch):

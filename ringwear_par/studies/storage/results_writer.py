@@ -30,7 +30,12 @@ from ringwear_par.results.variables import (
 from ringwear_par.studies.definition.variations import Column
 from ringwear_par.studies.storage.blocks import STATUS, CaseBlock, Kind
 from ringwear_par.studies.storage.case_index import ENTRY, CaseIndex
-from ringwear_par.studies.storage.case_table import TABLE_MEANINGS, CaseTable, extended
+from ringwear_par.studies.storage.case_table import (
+    TABLE_MEANINGS,
+    CaseTable,
+    extended,
+    write_parquet,
+)
 from ringwear_par.studies.storage.case_variables import (
     WINDOW,
     CaseVariable,
@@ -111,6 +116,7 @@ def write_results(
         file.attrs.update({"software": SOFTWARE, **attributes})
         table.write_csv(rows)
         meanings.write_text(table.meanings(file), encoding="utf-8")
+    write_parquet(folder)
 
 
 class _Writer:
