@@ -7,6 +7,7 @@ Softw. 8, 4748. The model "forward" has one vector of inputs and one of outputs.
 import json
 import logging
 import math
+import re
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
@@ -206,10 +207,11 @@ class _Handler(BaseHTTPRequestHandler):
     def _reply(self) -> None:
         try:
             self._check_sender()
-            answer, status = self.server.model.answer(self.path.strip("/"), self._body()), 200
+            self._send(200, self.server.model.answer(self.path.strip("/"), self._body()))
         except RefusedError as refused:
-            answer, status = _error_json(refused.kind, str(refused)), refused.status
-        self._send(status, answer)
+            self._send(refused.status, _error_json(refused.kind, str(refused)))
+        except RecursionError:
+            self._send(400, _error_json("InvalidInput", "is nested too deeply"))
 
     def _check_sender(self) -> None:
         """Refuse what is asked by a page of the browser, or of another name than this machine's."""
@@ -221,17 +223,14 @@ class _Handler(BaseHTTPRequestHandler):
     def _body(self) -> Mapping[str, Any]:
         """Return the object of a request, {} for none."""
         length = self.headers.get("Content-Length", "0")
-        if not (
-            length.isascii() and length.isdigit() and len(length) < 9 and int(length) <= _LARGEST
-        ):
+        in_parts = "Transfer-Encoding" in self.headers
+        if in_parts or not (re.fullmatch("[0-9]{1,9}", length) and int(length) <= _LARGEST):
             self.close_connection = True
-            _refuse(f"Content-Length = {legible(length)}: must be at most {_LARGEST} bytes")
-        text = self.rfile.read(int(length))
+            _refuse(f"Content-Length = {legible(length)}: must be there, at most {_LARGEST} bytes")
         try:
-            body = json.loads(text or "{}")
-        except (ValueError, RecursionError) as error:
-            reason = error if isinstance(error, ValueError) else "nested too deeply"
-            _refuse(f"is no JSON: {legible(str(reason))}")
+            body = json.loads(self.rfile.read(int(length)) or "{}")
+        except ValueError as error:
+            _refuse(f"is no JSON: {legible(str(error))}")
         if not isinstance(body, dict):
             _refuse(f"{shortened(body)}: must be an object")
         return body

@@ -111,8 +111,16 @@ def test_what_it_is_and_what_is_wrong(functions):
             ("Evaluate", '{"name": "forward", "input": [[NaN, 1e999]]}', {}, 400, "InvalidInput"),
             ("Evaluate", "{", {}, 400, "InvalidInput"),
             ("Evaluate", "[" * 100000, {}, 400, "InvalidInput"),
+            (
+                "Evaluate",
+                f'{{"name": "forward", "input": {"[" * 900}{"]" * 900}}}',
+                {},
+                400,
+                "InvalidInput",
+            ),
             ("Evaluate", "[1]", {}, 400, "InvalidInput"),
             ("Evaluate", "", {"Content-Length": "99999999"}, 400, "InvalidInput"),
+            ("Evaluate", "0\r\n\r\n", {"Transfer-Encoding": "chunked"}, 400, "InvalidInput"),
             ("Evaluate", good, {"Host": "evil.example"}, 403, "InvalidInput"),
             ("Evaluate", good, {"Origin": "http://evil.example"}, 403, "InvalidInput"),
         ):
