@@ -120,11 +120,12 @@ def _fit_law(
                 covariance=material.covariance,
             )  # fmt: skip
         solution = replace(solution, histories=rounds.count)
-        misfit.keep_only(solution.x, None if material is None else material.test_unknowns)
+        test_unknowns = None if material is None else material.test_unknowns
+        misfit.responses.keep_only(misfit.values_of_tests(solution.x, test_unknowns))
         return solution, material, *(getattr(misfit, name) for name in _CHANGED)
 
     solution, material, *state = rounds.lead(lead)
     for name, value in zip(_CHANGED, state, strict=True):
         setattr(misfit, name, value)
-    misfit.part_from_histories()
+    misfit.responses.part_from_histories()
     return FitResult(**vars(solution), misfit=misfit, material=material, versions=versions())

@@ -15,9 +15,10 @@ from ringwear_par.files import folders
 from ringwear_par.files.ordinary import read_bytes
 from ringwear_par.files.text import parse_json
 from ringwear_par.files.text import read_text as read_file
-from ringwear_par.identification.summary import (
+from ringwear_par.identification.fit_rows import (
     counted,
     goodness,
+    key_rows,
     law_rows,
     limits,
     of_specimens,
@@ -119,28 +120,17 @@ def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:
 
 def _summary(outcome: Mapping[str, Any]) -> list[Block]:
     parameters, level = outcome["parameters"], float(outcome["level"])
-    warnings = list(outcome["warnings"])
     lines = [
         f"{counted(outcome['n_data'], 'reading')}, {counted(len(parameters), 'parameter')}, "
         f"{outcome['histories']} histories by {outcome['method']}, loss {outcome['loss']}",
         goodness(outcome),
     ]
     blocks: list[Block] = [_tiles(outcome)]
-    if warnings:
-        blocks.append(Lines([*map(with_signs, warnings)], warning=True))
-    blocks += [Lines(lines), _estimates("Estimates", parameters, level), *_scatter(outcome)]
+    if doubts := [with_signs(doubt["text"]) for doubt in outcome["doubts"]]:
+        blocks.append(Lines(doubts, warning=True))
+    blocks += [Lines(lines), _estimates(parameters, level), *_scatter(outcome)]
     if random_wear := process_lines(outcome):
         blocks.append(Lines([*map(with_signs, random_wear)]))
-    unidentified = [
-        f"{key}: {one['direction']}" for key, one in parameters.items() if one.get("direction")
-    ]
-    everything = ["All fitted keys are identified: the readings determine each of them."]
-    if unidentified:
-        blocks.append(
-            Lines([f"Not determined by the readings \N{EN DASH} {line}" for line in unidentified])
-        )
-    elif all(one["verdict"] == "identified" for one in parameters.values()):
-        blocks.append(Lines(everything))
     if len(parameters) > 1:
         blocks.append(_correlations(outcome))
     return blocks
@@ -149,54 +139,34 @@ def _summary(outcome: Mapping[str, Any]) -> list[Block]:
 def _tiles(outcome: Mapping[str, Any]) -> Tiles:
     """Return the answers of a fit."""
     percent, tiles = f"{100 * outcome['level']:g} %", []
-    for key, one in outcome["parameters"].items():
-        entry = one.get("told") or one
-        known = one["verdict"] != "not identified" and None not in entry["interval"]
-        low, high = entry["interval"]
-        value, note = f"{entry['estimate']:.4g}", str(one["verdict"])
-        if known:
-            note = f"{low:.4g} to {high:.4g} ({percent})"
-        elif (low is None) != (high is None):
-            value, note = limits(entry["interval"], 4), f"{percent}, {note}"
-        if "per" in entry:
-            note = f"per {entry['per']}; {note}"
-        unit = in_signs(str(entry["unit"])) if entry["unit"] not in ("1", "-") else ""
-        tiles.append(Tile(key, value, unit, note))
-    return Tiles([*tiles, checks_tile(len(outcome["warnings"]))])
+    for key, entry in outcome["parameters"].items():
+        row = key_rows(key, entry)[0]
+        unlimited = [end is None for end in row.interval]
+        value, note = f"{row.estimate:.4g}", row.verdict
+        if not any(unlimited):
+            note = f"{limits(row.interval, 4)} ({percent})"
+        elif not all(unlimited):
+            value, note = limits(row.interval, 4), f"{percent}, {note}"
+        tiles.append(Tile(key, value, in_signs(row.unit), note))
+    return Tiles([*tiles, checks_tile(len(outcome["doubts"]))])
 
 
-def _estimates(caption: str, parameters: Mapping[str, Any], level: float) -> Table:
-    percent = f"{100 * level:g} %"
-    header = ["key", "estimate", "sd", "unit", f"{percent} from", f"{percent} to", "verdict"]
-    sampled = any("posterior" in one for one in parameters.values())
+def _estimates(parameters: Mapping[str, Any], level: float) -> Table:
+    percent, header = f"{100 * level:g} %", ["key", "estimate", "sd", "unit"]
+    header += [f"{percent} from", f"{percent} to", "verdict"]
+    sampled = any("posterior" in entry for entry in parameters.values())
     if sampled:
         header += ["posterior median", "posterior from", "posterior to"]
     rows = []
-    for key, one in parameters.items():
-        low, high = one["interval"]
-        row = [
-            key, _number(one["estimate"], 5), _number(one["sd"], 2), in_signs(str(one["unit"])),
-            _number(low, 5), _number(high, 5), str(one["verdict"]),
-        ]  # fmt: skip
-        if sampled:
-            posterior = one["posterior"]
-            row += [_number(v, 5) for v in (posterior["median"], *posterior["interval"])]
-        rows.append(row)
-        rows += _other_units(one, len(header))
-    return Table(caption, header, rows)
-
-
-def _other_units(one: Mapping[str, Any], columns: int) -> list[list[str]]:
-    """Return rows of a key in the unit that the user writes, and as a specific wear rate."""
-    rows = []
-    for name, label in (("told", ""), ("specific_wear_rate", "specific wear rate")):
-        if (entry := one.get(name)) is not None:
-            row = [
-                label, _number(entry["estimate"], 5), _number(entry["sd"], 2),
-                in_signs(str(entry["unit"])), *(_number(end, 5) for end in entry["interval"]),
+    for key, entry in parameters.items():
+        for row in key_rows(key, entry):
+            cells = [
+                row.label, _number(row.estimate, 5), _number(row.sd, 2), in_signs(row.unit),
+                *(_number(end, 5) for end in row.interval), row.verdict or with_signs(row.note),
             ]  # fmt: skip
-            rows.append([*row, *[""] * (columns - len(row))])
-    return rows
+            posterior = [_number(value, 5) for value in row.posterior] or [""] * 3
+            rows.append(cells + posterior * sampled)
+    return Table("Estimates", header, rows)
 
 
 def _scatter(outcome: Mapping[str, Any]) -> list[Block]:

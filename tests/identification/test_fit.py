@@ -160,7 +160,7 @@ def test_friction_and_coefficient_are_one_number_without_torque(tables, comm):
     assert by_key["wear.lower.p0"].verdict == "identified"
     product = by_key["contact.friction"].estimate * by_key["wear.lower.k"].estimate
     assert product == pytest.approx(0.1 * TRUTH["wear.lower.k"], rel=0.02)
-    assert any("only contact.friction x wear.lower.k" in s for s in found.warnings)
+    assert any("only contact.friction x wear.lower.k" in doubt.text for doubt in found.doubts)
 
 
 @pytest.mark.serial
@@ -186,7 +186,6 @@ def test_residuals_that_trend_are_a_doubt(share, tables, comm, tmp_path):
     assert mu.estimate == pytest.approx(0.1, rel=0.1 if share else 0.01)
     for doubt in doubts:
         assert doubt["experiments"] == ("test 1",)
-        assert doubt["text"] in found.warnings
         assert "readings of test 1, torque, trend away from the model" in doubt["text"]
         assert "intervals are too narrow" in doubt["text"]
 
@@ -347,7 +346,7 @@ def test_readings_that_cannot_be_are_named(tables, comm):
     lines[40] = f"{r},{float(depth) + 40.0}"
     path.write_text("\n".join(lines) + "\n")
     try:
-        told = "\n".join(fit(given, comm).warnings)
+        told = "\n".join(doubt.text for doubt in fit(given, comm).doubts)
     finally:
         path.write_text(whole)
     assert "the model does not fit" in told

@@ -323,7 +323,7 @@ def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
     told["parameters"]["wear.lower.p0"] |= one
     one = {"verdict": "at bound", "interval": [None, 1.25e-7]}
     told["parameters"]["wear.lower.k"] |= one
-    told["warnings"], told["p_value"] = ["p0 is a guess"], None
+    told["doubts"], told["p_value"] = [{"text": "p0 is a guess"}], None
     told["covariance"][1][1] = None
     told["alternatives"]["power"] = {"error": "no history"}
     (tmp_path / "fit/fit.json").write_text(json.dumps(told))
@@ -346,7 +346,7 @@ def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
     assert page.rows("95 % from")["wear.lower.p0"][1:] == [
         dash, "MPa", dash, dash, "not identified"
     ]  # fmt: skip
-    assert f"Not determined by the readings {dash} wear.lower.p0: as k" in page.text
+    assert "p0 is a guess" in page.text
     assert re.search(r"wear.lower.k\s*less than 1.25e-07 1/MPa\s*95 %, at bound", page.text)
     assert ("p", {"class": "warning"}) in page.elements
     assert page.rows("AIC above the smallest")["power"][-1] == "failed: no history"

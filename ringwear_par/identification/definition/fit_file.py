@@ -1,5 +1,6 @@
 """Fit files: a base case, the keys sought, and experiments with their measurements."""
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -110,7 +111,10 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     _check_counts(name, parameters, experiments, faults)
     check_scatter(name, parameters, experiments, settings, faults)
     check_censored(name, settings, experiments, faults)
+    before = len(faults)
     check_process(name, settings.process, experiments, settings.intervals, faults)
+    # what is wrong with it whatever the law is said once
+    process_of_laws = settings.process if len(faults) == before else {}
     alternatives = {}
     for law, (changes, law_parameters) in laws.items():
         alternatives[law] = Problem(
@@ -122,7 +126,7 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
         linear = replace(settings, intervals=("linear",))
         check_scatter(f"{name}: compare.{law}", law_parameters, experiments, linear, faults)
         changed = alternatives[law].experiments
-        check_process(alternatives[law].name, settings.process, changed, ("linear",), faults)
+        check_process(alternatives[law].name, process_of_laws, changed, ("linear",), faults)
     if faults:
         raise InputError(*faults)
     return Problem(
@@ -342,8 +346,12 @@ def _named(series: list[Series]) -> tuple[Series, ...]:
     """Return series with names that differ."""
     counts: dict[str, int] = {}
     named = []
+    several = [quantity for quantity, n in Counter(s.quantity for s in series).items() if n > 1]
     for one in series:
-        name = one.quantity if one.at is None else f"{one.quantity} at {one.at:g} s"
+        at = one.at
+        if at is None and one.n == 1 and one.quantity in several:  # weighings
+            at = float(one.x[0])
+        name = one.quantity if at is None else f"{one.quantity} at {at:g} s"
         counts[name] = counts.get(name, 0) + 1
         if counts[name] > 1:
             name = f"{name} ({counts[name]})"

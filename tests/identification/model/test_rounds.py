@@ -153,9 +153,9 @@ def test_a_limit_that_is_not_found_is_told(tables, comm, monkeypatch):
     monkeypatch.setattr(profile_room, "_CLOSE", -1.0)
     found = fit(tables(starts=1, intervals=["profile"]), comm)
     assert set(found.inexact_limits) == set(TRUTH)
-    assert any(
-        "likelihood-profile interval is approximate" in sentence for sentence in found.warnings
-    )
+    assert {doubt.keys for doubt in found.doubts if doubt.code == "inexact-limit"} == {
+        (key,) for key in TRUTH
+    }
 
 
 @pytest.mark.serial
