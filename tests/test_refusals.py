@@ -40,6 +40,7 @@ def ringwear(shared_path, comm, monkeypatch, capfd):
         ([PAPER, "-o", "a.h5", "--set", "wear.lower.K=1"], "did you mean wear.lower.k?"),
         ([PAPER, "-o", "a.h5", "--set", "time.tolerance=1e-5"], 'needs time.scheme = "adaptive"'),
         ([PAPER, "-o", "no/a.h5"], "its folder no does not exist"),
+        ([PAPER, "-o", "a.txt"], "a.txt: its ending must be one of .h5, .hdf5, .nc; ringwear exp"),
         ([PAPER, "-o", "taken.h5"], "not a result file of ringwear"),
         ([PAPER, "-o", "a.h5", "--plot", "no/a.png"], "its folder no does not exist"),
         ([PAPER, "-o", "a.h5", "--plot", "a.xyz"], "its ending must be one of"),

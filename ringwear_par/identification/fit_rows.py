@@ -42,7 +42,12 @@ class KeyRow:
 
 @dataclass(frozen=True)
 class SeriesRow:
-    """A series of readings and its misfit; ``noise`` is None unless it was fitted."""
+    """A series of readings and its misfit; ``noise`` is None unless it was fitted.
+
+    Parameters
+    ----------
+    limits : readings of which only a limit is known.
+    """
 
     experiment: str
     name: str
@@ -51,6 +56,12 @@ class SeriesRow:
     unit: str
     noise: float | None
     nuisances: str
+    limits: int = 0
+
+    @property
+    def of_limits(self) -> str:
+        """How many of its readings are limits, "" for none."""
+        return f", {counted(self.limits, 'limit')}" if self.limits else ""
 
 
 @dataclass(frozen=True)
@@ -136,8 +147,9 @@ def series_rows(outcome: Entry) -> Iterator[SeriesRow]:
                 for kind, nuisance in fitted.get(name, {}).items()
             )
             yield SeriesRow(
-                experiment, name, entry["n"], entry["chi2"], unit, entry.get("sd"), nuisances
-            )
+                experiment, name, entry["n"], entry["chi2"], unit, entry.get("sd"), nuisances,
+                entry.get("censored", 0),
+            )  # fmt: skip
 
 
 def _nuisance(kind: str, entry: Entry, unit: str) -> str:

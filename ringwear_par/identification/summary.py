@@ -51,7 +51,8 @@ def summary(fit: "FitResult") -> str:
     for row in series_rows(outcome):
         noise = "" if row.noise is None else f", noise {row.noise:.3g} {row.unit}"
         lines.append(
-            f"  {row.experiment}, {row.name}: {counted(row.n, 'reading')}, chi2 {row.chi2:.4g}"
+            f"  {row.experiment}, {row.name}: {counted(row.n, 'reading')}{row.of_limits}, "
+            f"chi2 {row.chi2:.4g}"
             f"{noise}{row.nuisances and ', ' + row.nuisances}"
         )
     lines += _correlation_lines(fit)

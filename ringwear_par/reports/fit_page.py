@@ -204,8 +204,8 @@ def _correlations(outcome: Mapping[str, Any]) -> Table:
 
 def _series_table(outcome: Mapping[str, Any]) -> Table:
     rows = [
-        (f"{row.experiment}, {row.name}", str(row.n), f"{row.chi2:.4g}", in_signs(row.unit),
-         _number(row.noise, 3), with_signs(row.nuisances))
+        (f"{row.experiment}, {row.name}", f"{row.n}{row.of_limits}", f"{row.chi2:.4g}",
+         in_signs(row.unit), _number(row.noise, 3), with_signs(row.nuisances))
         for row in series_rows(outcome)
     ]  # fmt: skip
     header = ("series", "readings", "chi2", "unit", "fitted noise", "nuisances")
@@ -230,9 +230,11 @@ def _series_of(group: h5py.Group, level: float) -> fits.Series:
     data, model, sd, band = (scale * group[n][()] for n in ("data", "model", "sd", "band"))
     x, residuals = group["r" if "r" in group else "time"][()], group["residual"][()]
     edges = tuple(group.attrs["contact"].tolist())
+    censored = group["censored"][()] if "censored" in group else np.zeros(len(x), dtype=int)
     return fits.Series(
-        experiment, name, quantity, unit, x, data, model, sd, band, residuals, level, edges
-    )
+        experiment, name, quantity, unit, x, data, model, sd, band, residuals, level, edges,
+        censored.astype(int),
+    )  # fmt: skip
 
 
 def _series_charts(every: Sequence[fits.Series]) -> list[Chart]:
