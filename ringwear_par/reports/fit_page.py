@@ -12,7 +12,6 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import factor, in_signs, with_signs
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files import folders
-from ringwear_par.files.ordinary import read_bytes
 from ringwear_par.files.text import parse_json
 from ringwear_par.files.text import read_text as read_file
 from ringwear_par.identification.fit_rows import (
@@ -34,7 +33,6 @@ from ringwear_par.reports.blocks import (
     Charts,
     Lines,
     Page,
-    Picture,
     Section,
     Source,
     Table,
@@ -85,19 +83,6 @@ def stored_outcome(path: Path, kind: str) -> Iterator[dict[str, Any]]:
         yield content
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise InputError(fault) from error
-
-
-def stored_picture(title: str, path: Path, alt: str) -> Picture:
-    """Return a picture of the folder.
-
-    Raises
-    ------
-    InputError : it cannot be read.
-    """
-    try:
-        return Picture(title, read_bytes(path), "image/png", alt)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:

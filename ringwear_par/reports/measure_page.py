@@ -8,6 +8,7 @@ from typing import Any
 from ringwear_par.cases.units import SPECIFIC, in_signs, with_signs
 from ringwear_par.errors import legible
 from ringwear_par.files import folders
+from ringwear_par.measuring.figures import panels
 from ringwear_par.measuring.measure_numbers import (
     FRICTION,
     LOAD,
@@ -23,6 +24,8 @@ from ringwear_par.measuring.measure_numbers import (
 )
 from ringwear_par.reports.blocks import (
     Block,
+    Chart,
+    Charts,
     Lines,
     Page,
     Section,
@@ -33,7 +36,7 @@ from ringwear_par.reports.blocks import (
     checks_tile,
     software,
 )
-from ringwear_par.reports.fit_page import stored_outcome, stored_picture
+from ringwear_par.reports.fit_page import stored_outcome
 
 _DASH = "\N{EN DASH}"
 #: what the forms of standards have and no file of a rig tells
@@ -59,7 +62,7 @@ def measure_page(folder: Path) -> Page:
     with stored_outcome(folder / folders.MEASURE, "the outcome of ringwear measure") as outcome:
         sections = [
             Section("Summary", list(_summary(outcome))),
-            *_records(folder),
+            Section("Records", [_records(outcome)]),
             Section("Wear, in the form of ASTM C808", _wear(outcome)),
             Section("Friction, in the form of ASTM G115", _friction(outcome)),
             Section("Budgets of uncertainty", [_method(), *_budgets(outcome)]),
@@ -122,16 +125,13 @@ def _tiles(outcome: Mapping[str, Any]) -> Tiles:
     return Tiles([*tiles[:_MOST_TILES], checks_tile(doubts)])
 
 
-def _records(folder: Path) -> list[Section]:
-    picture = folder / folders.RECORDS
-    if not picture.exists():
-        return []
-    alt = (
-        "Worn depth and friction coefficient of each test over time, with block means and the part "
-        "that gives the numbers in the table above"
-    )
-    title = "Readings, block means and steady parts"
-    return [Section("Records", [stored_picture(title, picture, alt)])]
+def _records(outcome: Mapping[str, Any]) -> Charts:
+    """Return the charts of all records."""
+    return Charts([
+        Chart(f"{channel}-{number}", panel, f"Line chart: {panel.y.label} over time, {panel.title}")
+        for number, (name, entry) in enumerate(outcome["tests"].items(), start=1)
+        for channel, panel in panels(name, entry).items()
+    ])  # fmt: skip
 
 
 def _wear(outcome: Mapping[str, Any]) -> list[Block]:
