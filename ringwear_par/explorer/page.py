@@ -38,8 +38,6 @@ _FOLDED = ("Shape",)
 #: what the page asks for at first
 _START: dict[str, Any] = {"n": 0, "values": {}, "instant": 1.0, "menu": "volume",
                           "moving": False}  # fmt: skip
-#: s; histories that take longer are sketched while a slider moves
-_SLOW = 0.05
 #: s between messages on how far a history is
 _PROGRESS = 0.2
 _BAD_WISH = "the page sent a wish that cannot be read; load it again"
@@ -94,7 +92,6 @@ class Page:
         self._first: Result | None = None
         #: why the last wish could not be computed
         self._faults: tuple[str, ...] = ()
-        self._sketched, self._slow = False, False
         #: by numbers that stay theirs
         self._laid: dict[int, Laid] = {}
         self._numbers = count()
@@ -141,8 +138,7 @@ class Page:
         self._wanted = wanted
         if self._busy:
             return
-        known = self._drawn is not None and wanted["values"] == self._drawn["values"]
-        if known and (wanted.get("moving") or not self._sketched):
+        if self._drawn is not None and wanted["values"] == self._drawn["values"]:
             self._draw(wanted["n"])
         else:
             self._start()
@@ -158,13 +154,10 @@ class Page:
             return
         wanted, started = self._wanted, time.perf_counter()
         self._computing, self._progress_time = wanted, started
-        sketch = bool(wanted.get("moving")) and self._slow
         outcome: Explored | tuple[str, ...] | None
         try:
             values = wanted["values"]
-            outcome = self._exploration.compute(
-                values, self._assembling, sketch=sketch, stops=self._stops
-            )
+            outcome = self._exploration.compute(values, self._assembling, stops=self._stops)
         except InputError as error:
             outcome = error.faults
         except RingwearError as error:
@@ -173,7 +166,7 @@ class Page:
             log.exception("a history failed unexpectedly")
             outcome = (f"failed unexpectedly: {reason_of(error)}",)
         seconds = time.perf_counter() - started
-        self._later(lambda: self._computed(wanted, outcome, seconds, sketch))
+        self._later(lambda: self._computed(wanted, outcome, seconds))
 
     def _assembling(self) -> None:
         """Say that the bodies are assembled. In the main thread."""
@@ -184,7 +177,6 @@ class Page:
         wanted: dict[str, Any],
         outcome: Explored | tuple[str, ...] | None,
         seconds: float,
-        sketch: bool,
     ) -> None:
         self._busy = False
         if outcome is None:  # stopped: nobody is there, or wants something else
@@ -193,9 +185,7 @@ class Page:
             return
         if isinstance(outcome, Explored):
             self._explored, self._drawn, self._faults = outcome, wanted, ()
-            self._sketched, self._seconds = sketch, seconds
-            if not sketch:
-                self._slow = seconds > _SLOW
+            self._seconds = seconds
             if self._first is None and not wanted["values"]:
                 self._first = outcome.result
         else:
@@ -282,7 +272,6 @@ class Page:
                 "worn": [] if worn is None else [worn.header, *worn.rows],
                 "chosen": drawing.chosen_time, "charts": drawing.columns(), "laid": columns,
                 "laid_fault": ". ".join(dict.fromkeys(faults)), "seconds": self._seconds,
-                "sketch": self._sketched and not self._faults,
             }
         )  # fmt: skip
 
