@@ -68,7 +68,7 @@ class Exploration:
         texts: Mapping[str, str],
         assembling: Callable[[], None] = lambda: None,
         *,
-        stops: Callable[[float], bool] = lambda share: False,
+        stops: Callable[[float], bool] = lambda fraction: False,
     ) -> Explored | None:
         """Return the history of other numbers; None: it was stopped.
 
@@ -76,7 +76,7 @@ class Exploration:
         ----------
         texts : by the names of controls, perhaps with units.
         assembling : called before bodies are assembled.
-        stops : called after every step with the share of the time that is done; whether to stop.
+        stops : called after every step with the fraction of the time that is done; whether to stop.
 
         Raises
         ------

@@ -22,7 +22,7 @@ from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError, RingwearError, reason_of
 from ringwear_par.explorer.exploring import Exploration, Explored
 from ringwear_par.explorer.figures import MENU, Drawing, figures
-from ringwear_par.explorer.measured import LARGEST, Laid, read_table
+from ringwear_par.explorer.measured import LARGEST, MeasuredColumn, read_table
 from ringwear_par.explorer.sliders import Control
 from ringwear_par.pictures.rig import rig_address
 from ringwear_par.reports.run_page import key_rows, worn_table
@@ -93,7 +93,7 @@ class Page:
         #: why the last wish could not be computed
         self._faults: tuple[str, ...] = ()
         #: by numbers that stay theirs
-        self._laid: dict[int, Laid] = {}
+        self._laid: dict[int, MeasuredColumn] = {}
         self._numbers = count()
         self._seconds = 0.0
         for root in (*figures(), self._talk):
@@ -116,7 +116,7 @@ class Page:
         session = None if context is None else context.session
         return self._gone or (session is not None and not session.connection_count)
 
-    def _stops(self, share: float) -> bool:
+    def _stops(self, fraction: float) -> bool:
         """Tell how far a history is; return whether it is of no use. In the main thread."""
         # what the page shows of the same history needs no other
         another = self._wanted["values"] != self._computing["values"]
@@ -125,7 +125,7 @@ class Page:
         now = time.perf_counter()
         if now - self._progress_time > _PROGRESS:
             self._progress_time = now
-            self._later(lambda: self._tell({"progress": share}))
+            self._later(lambda: self._tell({"progress": fraction}))
         return False
 
     # -- histories ---------------------------------------------------------------------------------
@@ -251,9 +251,8 @@ class Page:
                 faults += error.faults
             columns.append({"number": number, **_column(one, off)})
         menu = wanted["menu"] if wanted["menu"] in MENU else _START["menu"]
-        share = float(wanted["instant"])
         first = result if self._first is None else self._first
-        drawing = Drawing(result, first, explored.case, share, menu, good)
+        drawing = Drawing(result, first, explored.case, float(wanted["instant"]), menu, good)
         numbers = key_numbers(result)
         known = [] if self._first is None else key_rows(key_numbers(first))
         before = {name: value for name, value, _ in known}
@@ -303,7 +302,7 @@ def _wish_fault(wish: dict[str, Any]) -> str:
     return "" if good else _BAD_WISH
 
 
-def _column(one: Laid, off: float | None) -> dict[str, Any]:
+def _column(one: MeasuredColumn, off: float | None) -> dict[str, Any]:
     """Return the entries of the page about a column that is laid over it."""
     far = ""
     if off is not None:
