@@ -98,15 +98,26 @@ def _in_users_unit(entry: Entry) -> Entry:
 
 def key_rows(key: str, entry: Entry) -> list[KeyRow]:
     """Return the rows of a fitted key: its estimate, and the specific wear rate that this means."""
-    shown, unit = _in_users_unit(entry), ""
-    if shown["unit"] not in ("1", "-"):
-        unit = f"{shown['unit']} per {shown['per']}" if "per" in shown else str(shown["unit"])
+    in_unit, unit = _in_users_unit(entry), ""
+    if in_unit["unit"] not in ("1", "-"):
+        unit = (
+            f"{in_unit['unit']} per {in_unit['per']}" if "per" in in_unit else str(in_unit["unit"])
+        )
     posterior: tuple[float, ...] = ()
     if (sampled := entry.get("posterior")) is not None:
-        posterior = tuple(v / shown["scale"] for v in (sampled["median"], *sampled["interval"]))
+        posterior = tuple(v / in_unit["scale"] for v in (sampled["median"], *sampled["interval"]))
     verdict = entry["verdict"]
     rows = [
-        KeyRow(key, shown["estimate"], shown["sd"], unit, shown["interval"], verdict, "", posterior)
+        KeyRow(
+            key,
+            in_unit["estimate"],
+            in_unit["sd"],
+            unit,
+            in_unit["interval"],
+            verdict,
+            "",
+            posterior,
+        )
     ]
     rate = entry.get("specific_wear_rate")
     if rate is not None and verdict != "not identified":
@@ -203,11 +214,11 @@ def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
     """Return sentences about the scatter of a key, none without; ``estimate`` as in fit.json."""
     if estimate["of"] != "material":
         return []
-    log, shown = "mean" in estimate, _in_users_unit(estimate)
-    unit = "" if shown["unit"] in ("1", "-") else f" {shown['unit']}"
+    log, in_unit = "mean" in estimate, _in_users_unit(estimate)
+    unit = "" if in_unit["unit"] in ("1", "-") else f" {in_unit['unit']}"
 
     def size(value: float) -> str:
-        return f"{100.0 * value:.2g}" if log else f"{value / shown['scale']:.3g}"
+        return f"{100.0 * value:.2g}" if log else f"{value / in_unit['scale']:.3g}"
 
     unit_of_size = " %" if log else unit
     sizes = []
@@ -223,7 +234,7 @@ def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
             f"{between}{size(scatter['estimate'])}{unit_of_size} ({size(low)} to "
             f"{size(high)}{unit_of_size}{at_bound})"
         )
-    low, high = shown["next"]
+    low, high = in_unit["next"]
     lines = [f"{'; '.join(sizes)}", f"the next specimen: from {low:.4g} to {high:.4g}{unit}"]
     comparisons = [
         f"{name} {symbol} = {size(estimate[name][symbol])}{unit_of_size}"
