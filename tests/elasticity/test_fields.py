@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import xarray
 from paths import CASES, PAPER
-from stored import assert_same
 
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.stress.boundary_fields import FACES
@@ -186,26 +185,6 @@ def test_which_states_are_stored(overrides, times, shared_path, comm):
                           *overrides], comm=comm)  # fmt: skip
     if comm.rank == 0:
         assert [state.time for state in open_result(path).boundary] == times
-
-
-@pytest.mark.parametrize(
-    ("stop", "overrides"),
-    [
-        (2, ["output.boundary=last"]),
-        (5, ["output.times=[10, 50, 100]"]),
-        (2, ["output.boundary=[1, 10, 20, 30, 40, 50]", "output.every=3"]),
-        (5, ["output.boundary=all", *MOVING, "mesh.geometry_tolerance=0.004"]),
-    ],
-)
-def test_restart_equals_an_uninterrupted_run(shared_path, comm, restarted, overrides, stop):
-    case = shared_path / "case.toml"
-    if comm.rank == 0:
-        text = FIELDS.read_text()
-        case.write_text(text if "times" in overrides[0] else text.replace("times =", "# times ="))
-    comm.Barrier()
-    whole, parts = restarted(case, ["mesh.contact_elements=16", *overrides], stop, "SIGTERM")
-    if comm.rank == 0:
-        assert "boundary/upper/displacement_z" in assert_same(whole, parts)
 
 
 @pytest.mark.ranks

@@ -10,7 +10,6 @@ import random_cases
 from mpi4py import MPI
 from one_contact import OneContact
 from paths import CASES
-from stored import assert_same
 
 from ringwear_par.cases.case import Load, Stepping
 from ringwear_par.cases.files.reading import make_case, read_case
@@ -250,15 +249,6 @@ def test_histories_together_are_corrected_as_if_alone(cases, comm):
         assert errors(first.contact.pressure[i], exact, pair.line.area).max() < 1e-3
         counts.add(int(first.contact.iterations[i]))
     assert len(counts) > 1
-
-
-@pytest.mark.ranks
-def test_a_restart_goes_on_to_the_last_bit(comm, restarted):
-    time = '{scheme="explicit", step=0.1, steps=12}'
-    keys = ["mesh.contact_elements=24", f"time={time}", "wear.lower.p0=0", "upper.grip=platen"]
-    whole, parts = restarted(CHAMFER, keys, 5, "SIGTERM after step 5")
-    if comm.rank == 0:
-        assert_same(whole, parts)
 
 
 @pytest.mark.ranks

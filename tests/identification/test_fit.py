@@ -280,7 +280,6 @@ def test_other_laws_are_told_not_to_fit(tables, comm):
             "parameters": {"wear.lower.k": FITTED["wear.lower.k"]},
         }
     }
-    assert fit(given, comm).alternatives == {}
     found = fit(given, comm, compare=True)
     other = found.alternatives["archard"]
     assert other.flagged

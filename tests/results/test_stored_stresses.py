@@ -1,4 +1,4 @@
-"""Stresses in results: files, ranks, restarts, geometry that follows the wear, the summary."""
+"""Stresses in results: files, ranks, geometry that follows the wear, the summary."""
 
 import csv
 
@@ -111,29 +111,6 @@ def test_many_cases_share_what_is_integrated(times, comm, monkeypatch):
             assert (a.step, a.time) == (b.step, pytest.approx(b.time, rel=1e-12))
             np.testing.assert_allclose(a.points, b.points, rtol=1e-8, atol=1e-8)
             np.testing.assert_allclose(a.grid, b.grid, rtol=1e-8, atol=1e-8)
-
-
-@pytest.mark.parametrize(
-    ("times", "geometry"), [("last", "fixed"), ("all", "updated"), ([0.0, 60.0], "fixed")]
-)
-def test_a_run_gone_on_with_has_the_same(times, geometry, tmp_path):
-    from ringwear_par.cli import main
-
-    more = [
-        f"mesh.contact_elements={BASE['mesh.contact_elements']}", "time.step=30",
-        f"mesh.geometry={geometry}", "stress.grid.n=[4,3]", f"stress.times={times!r}",
-    ]  # fmt: skip
-    file = tmp_path / "case.toml"
-    file.write_text(rw.read_case("scripts/cases/paper.toml", BASE).text)
-    whole, parts = tmp_path / "whole.h5", tmp_path / "parts.h5"
-
-    def run(output, *words):
-        assert main(["run", str(file), "-o", str(output), *words]) == 0
-
-    run(whole, "--set", *more, "time.steps=6")
-    run(parts, "--set", *more, "time.steps=3")
-    run(parts, "--restart", "--set", *more, "time.steps=6")
-    same(rw.open_result(parts), rw.open_result(whole))
 
 
 def test_geometry_that_follows_the_wear():

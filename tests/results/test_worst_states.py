@@ -1,12 +1,10 @@
-"""Doubts are of the worst state of a history, with its time: alone, in lock step, and restarted."""
+"""Doubts are of the worst state of a history, with its time: alone and in lock step."""
 
 import tomllib
 
-import pytest
 from paths import CASES, PAPER
 
 import ringwear_par as rw
-from ringwear_par.results.execution.run import run_case
 
 
 def pressed(displacement):
@@ -97,17 +95,3 @@ def test_histories_in_lock_step_doubt_what_single_ones_do():
     for result, tables in zip(rw.simulate_all(map(rw.read_case, down)), down, strict=True):
         assert result.doubts == doubts(tables)
         assert len(result.doubts) == 2
-
-
-@pytest.mark.parametrize("scheme", ["crown", "displacement"])
-@pytest.mark.serial
-def test_a_restarted_run_doubts_what_was_before(tmp_path, comm, scheme):
-    tables = crowned(500.0) if scheme == "crown" else pressed([[0, 0.01], [20, 3.0], [40, 0.01]])
-    path, part, whole = (tmp_path / name for name in ("case.toml", "part.h5", "whole.h5"))
-    path.write_text(rw.read_case(tables).text)
-    run_case(path, whole, comm=comm)
-    run_case(path, part, ["time.steps=3"], comm=comm)
-    run_case(path, part, comm=comm, restart=True)
-    restarted = rw.open_result(part)
-    assert restarted.doubts == rw.open_result(whole).doubts
-    assert restarted.doubts
