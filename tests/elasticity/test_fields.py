@@ -197,7 +197,7 @@ def test_a_longer_history_has_another_last_state(shared_path, comm):
         assert [state.step for state in open_result(path).boundary] == [10]
 
 
-@pytest.mark.ranks
+@pytest.mark.several
 def test_the_same_on_any_number_of_ranks(shared_path, comm):
     from mpi4py import MPI
 

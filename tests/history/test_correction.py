@@ -251,7 +251,7 @@ def test_histories_together_are_corrected_as_if_alone(cases, comm):
     assert len(counts) > 1
 
 
-@pytest.mark.ranks
+@pytest.mark.several
 @pytest.mark.parametrize("number", NUMBERS[:1])
 def test_ranks_find_the_same(cases, number, comm):
     """Assembled and solved together as by one rank alone; each rank corrects by itself."""

@@ -149,6 +149,7 @@ def test_layers_of_other_thicknesses_step_together_as_alone(pair):
             np.testing.assert_array_equal(whole[name], values, err_msg=name)
 
 
+@pytest.mark.several
 def test_ranks_have_the_same_history(comm, pair):
     case = case_of(**{"time.end": 60.0})
     together, alone = trace(case, comm), trace(case, ALONE, pair=pair)

@@ -54,7 +54,7 @@ def test_a_search_between_operators_ends_at_the_optimum_of_exact_ones(tables, co
     assert between.starts[0].optimum != exact.starts[0].optimum
 
 
-@pytest.mark.ranks
+@pytest.mark.several
 def test_readings_between_operators_are_those_of_one_rank(tables, comm):
     """To the last bit: ranks share the operators at the nodes, and a search all histories."""
     problem = read_fit(tables(2))

@@ -74,6 +74,7 @@ def test_both_methods_find_the_same(tables, comm):
     assert one.chi2 == pytest.approx(other.chi2, rel=1e-6)
 
 
+@pytest.mark.several
 def test_any_number_of_ranks_finds_the_same(tables, comm):
     from mpi4py import MPI
 

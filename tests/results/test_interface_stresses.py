@@ -151,7 +151,7 @@ def comm_self():
     return MPI.COMM_SELF
 
 
-@pytest.mark.ranks
+@pytest.mark.several
 def test_the_same_on_all_ranks(result):
     alone = rw.simulate(both_bodies(stress__times="all"), comm_self())
     for one, other in zip(alone.stress.states, result.stress.states, strict=True):

@@ -77,7 +77,7 @@ def test_variables_and_file(tmp_path):
     assert (data.max_mises.values >= np.nanmax(data.mises.values[:, [0, 2]], axis=1)).all()
 
 
-@pytest.mark.ranks
+@pytest.mark.several
 def test_the_same_on_all_ranks(comm):
     from mpi4py import MPI
 

@@ -24,6 +24,7 @@ from ringwear_par.identification.model.rounds import Rounds, StoppedError, side_
 from ringwear_par.results.execution.stopping import StopSignals
 
 
+@pytest.mark.several
 def test_histories_of_all_ranks_are_those_of_one(tables, comm):
     """To the last bit, also where there are fewer of them than ranks, in every order."""
     given = tables()
@@ -83,6 +84,7 @@ def test_a_signal_to_any_rank_stops_all(tables, comm):
             rounds.lead(lambda: rounds.responses(np.array([[1e-7, 0.0]])))
 
 
+@pytest.mark.several
 def test_profiles_and_samples_are_alike_on_all_ranks(tables, comm):
     from mpi4py import MPI
 

@@ -122,7 +122,7 @@ def test_an_earlier_fit_counts(tables, comm, tmp_path):
     assert 0.0 < gain.score < 5.0
 
 
-@pytest.mark.ranks
+@pytest.mark.several
 def test_results_do_not_depend_on_ranks(tables, comm):
     found = rw.design(tables(), comm)
     one, other = found.to_dict(), rw.design(tables(), MPI.COMM_SELF).to_dict()
