@@ -38,10 +38,7 @@ def test_run_plot_and_status_0(tmp_path, ranks):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([PAPER, "-o", "a.h5", "--set", "mesh.contact_elements=1000000000"], "GB of memory"),
         ([PAPER, "-o", "a.h5", "--", "-contact_tao_typ", "tron"], "did you mean -contact_tao_type"),
-        ([PAPER, "-o", "a.h5", "--", "-contact_tao_type", "lmvm"], "must be one of python, tron"),
-        ([PAPER, "-o", "a.h5", "--", "-bem_pc_type", "nonsense"], "-bem_... options"),
         ([PAPER, "-o", "a.h5", "--", "-malloc_debug", "maybe"], "Unknown logical value: maybe"),
         ([PAPER], "the following arguments are required"),
     ],
