@@ -127,7 +127,8 @@ def _data(
     for side, name, marker in kinds:
         rows = series.censored == side
         if rows.any():
-            words = f"{rows.sum()} limits, {name}" if side else name
+            count = int(rows.sum())
+            words = f"{count} limit{'s' * (count > 1)}, {name}" if side else name
             bars = None if side or errors is None else errors[rows]
             points.append(
                 Points(x[rows], y[rows], words, GREY, size + 2.0 * abs(side), marker=marker,

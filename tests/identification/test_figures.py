@@ -44,7 +44,7 @@ def test_limits_are_arrows_to_where_the_truth_is():
         series = replace(series_at([1.0, 2, 3, 4], (), quantity), censored=np.array([0, 1, -1, 1]))
         points = fits.readings(series).points
         assert [one.marker for one in points] == markers
-        assert [one.name for one in points] == ["data", "2 limits, at least", "1 limits, at most"]
+        assert [one.name for one in points] == ["data", "2 limits, at least", "1 limit, at most"]
         assert [one.x.tolist() for one in points] == [[1.0], [2.0, 4.0], [3.0]]
 
 
