@@ -262,7 +262,7 @@ class Page:
                 "n": n, "faults": self._faults,
                 # those that cannot be computed stay as the user has them
                 "controls": {} if self._faults else _states(explored.controls.values()),
-                "doubts": [*map(with_signs, result.doubts)],
+                "doubts": [with_signs(doubt.text) for doubt in result.doubts],
                 "summary": with_signs(result.summary()), "case": explored.text,
                 # sliders that move wait for no drawing
                 "rig": "" if wanted["moving"] else rig_address(explored.case),

@@ -14,7 +14,7 @@ from ringwear_par.batched import one
 from ringwear_par.elasticity.geometry.mesh import ContactLine
 from ringwear_par.elasticity.stress.boundary_fields import BoundaryState
 from ringwear_par.elasticity.stress.fields import StressHistory
-from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.errors import InputError, RingwearError, ValidityWarning
 from ringwear_par.files.text import parse_toml
 from ringwear_par.history.state import Progress, Start, State
 from ringwear_par.results import variables as table
@@ -127,9 +127,9 @@ class Result(Outcome):
         }
 
     @property
-    def doubts(self) -> tuple[str, ...]:
-        """Warnings about the validity of the answer, a sentence each."""
-        return tuple(json.loads(self.attributes["doubts"]))
+    def doubts(self) -> tuple[ValidityWarning, ...]:
+        """Warnings about the validity of the answer."""
+        return tuple(map(ValidityWarning.of, json.loads(self.attributes["doubts"])))
 
     @property
     def user_laws(self) -> dict[str, str]:

@@ -21,7 +21,7 @@ from ringwear_par.elasticity.stress.fields import (
     StressHistory,
     StressState,
 )
-from ringwear_par.errors import ComputationError
+from ringwear_par.errors import ComputationError, ValidityWarning
 from ringwear_par.files.writing import check_writable
 from ringwear_par.results import variables as table
 from ringwear_par.results.result import Checkpoint, Result
@@ -188,7 +188,8 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
     if attributes["status"] not in ("complete", "incomplete"):
         raise ValueError("status")
     doubts, laws = json.loads(attributes["doubts"]), json.loads(attributes["user_laws"])
-    for text in (*doubts, *laws, *laws.values()):
+    texts = [ValidityWarning.of(doubt).text for doubt in doubts]
+    for text in (*texts, *laws, *laws.values()):
         read_text(text)
     return attributes
 
