@@ -149,20 +149,6 @@ def test_a_quiet_end_when_the_reader_leaves():
     assert result.stderr == ""
 
 
-def test_explicit_scheme_warns_with_the_largest_stable_step(tmp_path):
-    result = ringwear("run", PAPER, "-o", "a.h5", "--set", "time.scheme=explicit", "time.steps=9",
-                      ranks=2, cwd=tmp_path)  # fmt: skip
-    assert result.returncode == 0, result.stderr
-    assert sentences(result) == []
-    told = [line for line in result.stdout.splitlines() if line.startswith("warning: ")]
-    assert len(told) == 1
-    assert "largest stable step" in told[0]
-    limit = float(told[0].split("mesh is ")[1].split(" s ")[0])
-    result = ringwear("run", PAPER, "-o", "b.h5", "--set", "time.scheme=explicit", "time.steps=9",
-                      f"time.step={0.99 * limit}", cwd=tmp_path)  # fmt: skip
-    assert "warning" not in result.stdout
-
-
 def test_loaded_code_is_the_code_that_assembles():
     """Otherwise all ranks would compile again, at once, in the middle of the assembly."""
     program = """

@@ -3,16 +3,15 @@
 from collections.abc import Mapping
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.measuring.measure_numbers import entry_text
 from ringwear_par.measuring.measure_result import MeasureResult
-from ringwear_par.pictures.matplotlib import panel_grid
+from ringwear_par.pictures.matplotlib import panel_figure
 from ringwear_par.pictures.panels import GREY, Axis, Band, Curve, Panel, Points
-from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure
+from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.instants import time_unit
 
 #: inches of a panel, and of a legend above them all
@@ -29,11 +28,7 @@ _MICROMETRE = "\N{MICRO SIGN}m"
 def plot(result: MeasureResult) -> Figure:
     """Return a row a test: depth and friction over time, with the steady part and its numbers."""
     rows = [[*panels(name, entry).values()] for name, entry in result.to_dict()["tests"].items()]
-    size = _WIDTH * max(map(len, rows)), _HEIGHT * len(rows) + _LEGEND
-    with matplotlib.rc_context(STYLE):
-        chart = NotebookFigure(figsize=size, layout="constrained")
-        panel_grid(chart, rows)
-    return chart
+    return panel_figure(rows, (_WIDTH * max(map(len, rows)), _HEIGHT * len(rows) + _LEGEND))
 
 
 def panels(name: str, entry: Mapping[str, Any]) -> dict[str, Panel]:

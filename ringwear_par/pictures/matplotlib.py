@@ -5,12 +5,21 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from ringwear_par.pictures.panels import Axis, Cells, Curve, Label, Panel
-from ringwear_par.pictures.style import CELL_COLOURS, DASHES, number_text, plain, set_legend
+from ringwear_par.pictures.style import (
+    CELL_COLOURS,
+    DASHES,
+    STYLE,
+    NotebookFigure,
+    number_text,
+    plain,
+    set_legend,
+)
 
 #: letters of the labels in a line of a legend, with what is beside each, and its most columns
 _LETTERS, _GLYPH, _MOST_COLUMNS = 54, 5, 3
@@ -93,6 +102,21 @@ def _draw_cells(axes: Any, cells: Cells) -> None:
         bar.ax.yaxis.set_minor_locator(NullLocator())
     bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value, 6)))
     bar.set_label(plain(cells.label))
+
+
+def panel_figure(
+    rows: Sequence[Sequence[Panel]], size: tuple[float, float], heights: Sequence[float] = ()
+) -> NotebookFigure:
+    """Return a figure of rows of panels under one legend, see ``panel_grid``.
+
+    Parameters
+    ----------
+    size : inches.
+    """
+    with matplotlib.rc_context(STYLE):
+        chart = NotebookFigure(figsize=size, layout="constrained")
+        panel_grid(chart, rows, heights)
+    return chart
 
 
 def panel_grid(

@@ -39,7 +39,7 @@ from ringwear_par.reports.blocks import (
     Tile,
     Tiles,
     checks_tile,
-    software,
+    reproduced,
 )
 from ringwear_par.results.instants import time_words
 from ringwear_par.results.storage.hdf5 import read_text, reading
@@ -309,13 +309,7 @@ def _reproduced(outcome: Mapping[str, Any], text: str) -> Section:
          str(one["error"] or "")]
         for number, one in enumerate(outcome["starts"], start=1)
     ]  # fmt: skip
-    blocks: list[Block] = [Lines([first]), Source("Commands", commands), Source("Fit file", text)]
-    if outcome["data"]:
-        blocks.append(
-            Table("Data files, by their SHA-256", ("file", "hash"), [*outcome["data"].items()])
-        )
-    if starts:
-        header = ("start", "half the sum of squares, with priors", "converged", "error")
-        blocks.append(Table("Starts", header, starts))
-    blocks.append(software(outcome["versions"]))
-    return Section("How to reproduce", blocks)
+    header = ("start", "half the sum of squares, with priors", "converged", "error")
+    tables = [Table("Starts", header, starts)] if starts else []
+    source = Source("Fit file", text)
+    return reproduced(first, commands, [source], outcome["versions"], tables, outcome["data"])

@@ -20,12 +20,11 @@ from ringwear_par.reports.blocks import (
     Page,
     Picture,
     Section,
-    Source,
     Table,
     Tile,
     Tiles,
     checks_tile,
-    software,
+    reproduced,
 )
 from ringwear_par.reports.case_words import case_words
 from ringwear_par.results.instants import time_words
@@ -220,9 +219,7 @@ def _reproduced(result: Result) -> Section:
     }
     names = [name for name in about if name == "version" or name.endswith("_version")]
     used = {name: str(about[name]) for name in [*names, "mpi_library"] if name in about}
-    blocks: list[Block] = [Lines([f"{first}, then type:"]), Source("Commands", commands)]
-    blocks.append(software(used))
     rows = [("MPI ranks", str(ranks)), *((f"{k}, s", v) for k, v in seconds.items())]
     caption = "Ranks, and seconds that it took"
-    blocks.append(Table(caption, ("what", "value"), rows, folded=True))
-    return Section("How to reproduce", blocks)
+    table = Table(caption, ("what", "value"), rows, folded=True)
+    return reproduced(f"{first}, then type:", commands, [], used, [table])

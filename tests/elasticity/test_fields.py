@@ -187,16 +187,6 @@ def test_which_states_are_stored(overrides, times, shared_path, comm):
         assert [state.time for state in open_result(path).boundary] == times
 
 
-@pytest.mark.ranks
-def test_a_longer_history_has_another_last_state(shared_path, comm):
-    path = shared_path / "run.h5"
-    words = ["mesh.contact_elements=16", "output.boundary=last", "output.every=6"]
-    run_case(PAPER, path, [*words, "time.steps=8"], comm=comm)
-    run_case(PAPER, path, [*words, "time.steps=10"], comm=comm, restart=True)
-    if comm.rank == 0:
-        assert [state.step for state in open_result(path).boundary] == [10]
-
-
 @pytest.mark.several
 def test_the_same_on_any_number_of_ranks(shared_path, comm):
     from mpi4py import MPI

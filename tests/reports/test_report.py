@@ -435,7 +435,7 @@ def test_missing_packages_are_told(folder, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("ranks", on_ranks(0, 2))
+@pytest.mark.parametrize("ranks", on_ranks(2))
 def test_the_command(ranks, folder, tmp_path):
     done = ringwear("report", folder / "run.h5", "-o", tmp_path / "page.html", ranks=ranks)
     assert done.returncode == 0, done.stderr

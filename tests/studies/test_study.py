@@ -144,19 +144,6 @@ def test_id_follows_content_only():
     assert re.fullmatch("[0-9a-f]{16}", case_id(one))
 
 
-def test_ids_are_those_of_earlier_versions():
-    """Else folders of sweeps would begin anew."""
-    base = {
-        "contact.friction": 0.1, "load.omega": 3.541666666666667, "load.pressure": 50.0,
-        "lower.poisson": 0.3, "lower.r": [20.0, 40.0], "lower.young": 10000.0,
-        "lower.z": [0.0, 20.0], "mesh.contact_elements": 32, "time.scheme": "implicit",
-        "time.step": 1.0, "time.steps": 40, "upper.poisson": 0.3, "upper.r": [28.5, 31.5],
-        "upper.young": 100000.0, "upper.z": [20.0, 40.0], "wear.lower.k": 1e-07,
-        "wear.lower.law": "threshold", "wear.lower.p0": 40.0,
-    }  # fmt: skip
-    assert case_id(base) == "62e11584012460eb"
-
-
 def test_groups_share_an_operator_longest_first(write):
     text = """
 [vary]
