@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ringwear_par.cases.units import SPECIFIC, with_signs
+from ringwear_par.cases.units import SPECIFIC, in_signs, with_signs
 from ringwear_par.errors import legible
 from ringwear_par.files import folders
 from ringwear_par.measuring.figures import panels

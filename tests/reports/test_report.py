@@ -220,7 +220,7 @@ def test_the_case_is_told_in_words_and_as_text(folder, pages):
     assert words["lower body"][0].startswith("ring of radii 20 to 40 mm, height 20 mm; Young's")
     assert "contact face: flat; density 0.0078" in words["lower body"][0]
     law = rw.open_result(folder / "run.h5").attributes["law_upper"]
-    assert words["wear of upper"] == [law]
+    assert words["wear of upper"] == [f"{law} (2e-05 mm\N{SUPERSCRIPT THREE}/(N m))"]
     assert "mean pressure 80 MPa" in words["load"][0]
     assert words["time"] == ["8 implicit steps of 1 s, 8 s in all"]
     stored = rw.open_result(folder / "run.h5").case
