@@ -225,12 +225,9 @@ def test_what_is_one_with_an_unknown_is_unknown(tables, comm):
 @pytest.mark.serial
 def test_a_threshold_at_its_bound_has_an_upper_limit(comm, tmp_path):
     truth = {"wear.lower.k": 1.3e-7, "wear.lower.p0": 0.0}
-    for seed in range(1, 9):
-        written = write_tests(tmp_path, seed=seed, truth=truth)
-        found = fit(fit_tables(tmp_path, written, intervals=["profile"], starts=1), comm)
-        threshold = found.parameters[1]
-        if threshold.verdict == "at bound":
-            break
+    written = write_tests(tmp_path, truth=truth)  # whose noise leads below 0
+    found = fit(fit_tables(tmp_path, written, intervals=["profile"], starts=1), comm)
+    threshold = found.parameters[1]
     assert threshold.verdict == "at bound"
     assert threshold.estimate == 0.0
     assert threshold.interval[0] is None
