@@ -103,7 +103,7 @@ def _parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
     for key, entry in parameters.items():
         by = ", likelihood profile" * (entry["interval_of"] == "likelihood profile")
         of = " of the material" * (entry["of"] == "material")
-        row, *others = key_rows(key, entry)
+        row, *derived = key_rows(key, entry)
         text = _row_text(row, 5)
         if of or row.verdict != "not identified":
             text = f"{text}{of}  {limits(row.interval)} ({100 * level:g} %{by})"
@@ -112,7 +112,7 @@ def _parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
             median, *ends = row.posterior
             text = f"{median:.5g} {row.unit}".rstrip()
             lines.append(f"  {' ' * width}  {text}  {limits(ends)} (posterior)")
-        for other in others:
+        for other in derived:
             known = f"  {limits(other.interval)}" if other.interval != [None, None] else ""
             text = f"{other.label} {_row_text(other, 4)}{known} ({other.note})"
             lines.append(f"  {' ' * width}  {text}")
