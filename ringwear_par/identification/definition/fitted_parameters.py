@@ -15,7 +15,7 @@ from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import factor, has_unit, in_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, legible
-from ringwear_par.history.derivatives.numbers import differentiable
+from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
 from ringwear_par.identification.definition.scatter import read_scatter
 from ringwear_par.identification.definition.schema import PARAMETER
