@@ -3,7 +3,7 @@
 An ``outcome`` is the contents of fit.json (``FitResult.to_dict``), an ``entry`` those of a key.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,9 @@ Interval = Sequence[float | None]
 
 #: units of nuisances, after that of their readings
 _PER = {"compliance": "/kN", "tilt": "/mm"}
+#: headers of tables; cells are "" where there is nothing
+SERIES = ("series", "readings", "chi2", "unit", "fitted noise", "nuisances")
+LAWS = ("law", "AIC above the smallest", "BIC", "chi2", "parameters", "verdict")
 
 
 @dataclass(frozen=True)
@@ -38,42 +41,6 @@ class KeyRow:
     verdict: str = ""
     note: str = ""
     posterior: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True)
-class SeriesRow:
-    """A series of readings and its misfit; ``noise`` is None unless it was fitted.
-
-    Parameters
-    ----------
-    limits : readings of which only a limit is known.
-    """
-
-    experiment: str
-    name: str
-    n: int
-    chi2: float
-    unit: str
-    noise: float | None
-    nuisances: str
-    limits: int = 0
-
-    @property
-    def of_limits(self) -> str:
-        """How many of its readings are limits, "" for none."""
-        return f", {counted(self.limits, 'limit')}" if self.limits else ""
-
-
-@dataclass(frozen=True)
-class LawRow:
-    """A law that was compared; numbers are None where its fit failed."""
-
-    name: str
-    aic_difference: float | None
-    bic: float | None
-    chi2: float | None
-    parameters: str
-    verdict: str
 
 
 def counted(number: int, noun: str) -> str:
@@ -130,10 +97,48 @@ def key_rows(key: str, entry: Entry) -> list[KeyRow]:
     return rows
 
 
+def series_rows(outcome: Entry) -> list[tuple[str, ...]]:
+    """Return the cells of the series of all experiments, see ``SERIES``."""
+    rows = []
+    for experiment, series in outcome["experiments"].items():
+        fitted = outcome["nuisance"].get(experiment, {})
+        for name, entry in series.items():
+            unit, limits_read = entry["unit"], entry.get("censored", 0)
+            notes = [counted(limits_read, "limit")] if limits_read else []
+            notes += [
+                _nuisance(kind, nuisance, f"{unit}{_PER.get(kind, '')}")
+                for kind, nuisance in fitted.get(name, {}).items()
+            ]
+            noise = f"{entry['sd']:.3g}" if "sd" in entry else ""
+            rows.append(
+                (f"{experiment}, {name}", str(entry["n"]), f"{entry['chi2']:.4g}", unit, noise,
+                 ", ".join(notes))
+            )  # fmt: skip
+    return rows
+
+
+def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
+    """Return the cells of the laws compared, the best by AIC first, those that failed last."""
+    laws = {"this law": outcome, **outcome["alternatives"]}
+    solved = {name: law for name, law in laws.items() if "aic" in law}
+    best = min(law["aic"] for law in solved.values())
+    rows: list[tuple[str, ...]] = []
+    for name, law in sorted(solved.items(), key=lambda item: item[1]["aic"]):
+        parameters = ", ".join(_estimate_text(k, p) for k, p in law["parameters"].items())
+        verdict = "does not fit" if law["flagged"] else "fits"
+        if law["p_value"] is None:
+            verdict = "not tested: noise was fitted, or has long tails"
+        numbers = f"{law['aic'] - best:+.1f}", f"{law['bic']:.5g}", f"{law['chi2']:.5g}"
+        rows.append((name, *numbers, parameters, verdict))
+    failed = ((name, law["error"]) for name, law in laws.items() if name not in solved)
+    return rows + [(name, "", "", "", "", f"failed: {error}") for name, error in failed]
+
+
 def goodness(outcome: Entry) -> str:
     """Return chi2, degrees of freedom, p-value and information criteria in a sentence."""
     p_value = outcome["p_value"]
-    noise_fitted = any(row.noise is not None for row in series_rows(outcome))
+    every = [entry for series in outcome["experiments"].values() for entry in series.values()]
+    noise_fitted = any("sd" in entry for entry in every)
     if p_value is not None:
         test = f"p = {p_value:.2g}" + " for the readings with a given sd" * noise_fitted
     elif noise_fitted:
@@ -147,47 +152,11 @@ def goodness(outcome: Entry) -> str:
     )
 
 
-def series_rows(outcome: Entry) -> Iterator[SeriesRow]:
-    """Yield the series of all experiments, with their nuisances."""
-    for experiment, series in outcome["experiments"].items():
-        fitted = outcome["nuisance"].get(experiment, {})
-        for name, entry in series.items():
-            unit = entry["unit"]
-            nuisances = ", ".join(
-                _nuisance(kind, nuisance, f"{unit}{_PER.get(kind, '')}")
-                for kind, nuisance in fitted.get(name, {}).items()
-            )
-            yield SeriesRow(
-                experiment, name, entry["n"], entry["chi2"], unit, entry.get("sd"), nuisances,
-                entry.get("censored", 0),
-            )  # fmt: skip
-
-
 def _nuisance(kind: str, entry: Entry, unit: str) -> str:
     if entry["sd"] is None:
         return f"{kind} not identified"
     words = f"{kind} {_with_sd(entry['estimate'], entry['sd'], 3, f' {unit}')}"
     return f"{words} in {_nuisance('time', entry['time'], 's')}" if "time" in entry else words
-
-
-def law_rows(outcome: Entry) -> list[LawRow]:
-    """Return the laws that were compared, the best by AIC first, those that failed last."""
-    laws = {"this law": outcome, **outcome["alternatives"]}
-    solved = {name: law for name, law in laws.items() if "aic" in law}
-    best = min(law["aic"] for law in solved.values())
-    rows = []
-    for name, law in sorted(solved.items(), key=lambda item: item[1]["aic"]):
-        parameters = ", ".join(_estimate_text(k, p) for k, p in law["parameters"].items())
-        verdict = "does not fit" if law["flagged"] else "fits"
-        if law["p_value"] is None:
-            verdict = "not tested: noise was fitted, or has long tails"
-        rows.append(LawRow(name, law["aic"] - best, law["bic"], law["chi2"], parameters, verdict))
-    rows += [
-        LawRow(name, None, None, None, "", f"failed: {law['error']}")
-        for name, law in laws.items()
-        if name not in solved
-    ]
-    return rows
 
 
 def _estimate_text(key: str, entry: Entry) -> str:

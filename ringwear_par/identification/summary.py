@@ -48,13 +48,9 @@ def summary(fit: "FitResult") -> str:
         )
     lines += warning_lines(doubt.text for doubt in fit.doubts)
     lines.append(goodness(outcome))
-    for row in series_rows(outcome):
-        noise = "" if row.noise is None else f", noise {row.noise:.3g} {row.unit}"
-        lines.append(
-            f"  {row.experiment}, {row.name}: {counted(row.n, 'reading')}{row.of_limits}, "
-            f"chi2 {row.chi2:.4g}"
-            f"{noise}{row.nuisances and ', ' + row.nuisances}"
-        )
+    for name, n, chi2, unit, noise, notes in series_rows(outcome):
+        words = [counted(int(n), "reading"), f"chi2 {chi2}", noise and f"noise {noise} {unit}"]
+        lines.append(f"  {name}: {', '.join(filter(None, [*words, notes]))}")
     lines += _correlation_lines(fit)
     if fit.starts:
         converged = min(fit.starts, key=lambda start: start.objective).converged
@@ -147,15 +143,10 @@ def _correlation_lines(fit: "FitResult") -> list[str]:
 def _law_lines(outcome: Mapping[str, Any]) -> list[str]:
     rows = law_rows(outcome)
     lines = ["laws compared (AIC above the smallest, BIC, chi2, parameters):"]
-    for row in rows:
-        if row.aic_difference is None:
-            lines.append(f"  {row.name}: {row.verdict}")
-            continue
-        flag = "; does not fit" * (row.verdict == "does not fit")
-        lines.append(
-            f"  {row.name}: {row.aic_difference:+.1f}, {row.bic:.5g}, {row.chi2:.5g}; "
-            f"{row.parameters}{flag}"
-        )
-    if all(row.aic_difference is None or row.verdict == "does not fit" for row in rows):
+    for name, *numbers, parameters, verdict in rows:
+        flag = "; does not fit" * (verdict == "does not fit")
+        text = f"{', '.join(numbers)}; {parameters}{flag}" if parameters else verdict
+        lines.append(f"  {name}: {text}")
+    if all(row[-1] == "does not fit" or not row[1] for row in rows):
         lines.append("  none of them fits")
     return lines

@@ -15,6 +15,8 @@ from ringwear_par.files import folders
 from ringwear_par.files.text import parse_json
 from ringwear_par.files.text import read_text as read_file
 from ringwear_par.identification.fit_rows import (
+    LAWS,
+    SERIES,
     counted,
     goodness,
     key_rows,
@@ -89,7 +91,11 @@ def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:
     sections = [Section("Summary", _summary(outcome))]
     level = float(outcome["level"])
     series, samples, text = _readings(folder / folders.READINGS, level)
-    blocks = Lines(_bands(level)), Charts(_series_charts(series)), _series_table(outcome)
+    blocks = (
+        Lines(_bands(level)),
+        Charts(_series_charts(series)),
+        _cells("Series", SERIES, series_rows(outcome)),
+    )
     sections.append(Section("Data, model and residuals", blocks))
     keys = [
         Chart(f"keys-{i}-{j}", panel, f"{panel.y.label} over {panel.x.label}; numbers above")
@@ -98,7 +104,7 @@ def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:
     ]
     sections.append(Section("Likelihoods and ellipses", [Charts(keys)]))
     if outcome["alternatives"]:
-        sections.append(Section("Other laws", [_alternatives(outcome)]))
+        sections.append(Section("Other laws", [_cells("Laws compared", LAWS, law_rows(outcome))]))
     sections.append(_reproduced(outcome, text))
     return sections
 
@@ -187,14 +193,11 @@ def _correlations(outcome: Mapping[str, Any]) -> Table:
     return Table("Correlations of the estimates", ["key", *keys], rows)
 
 
-def _series_table(outcome: Mapping[str, Any]) -> Table:
-    rows = [
-        (f"{row.experiment}, {row.name}", f"{row.n}{row.of_limits}", f"{row.chi2:.4g}",
-         in_signs(row.unit), _number(row.noise, 3), with_signs(row.nuisances))
-        for row in series_rows(outcome)
-    ]  # fmt: skip
-    header = ("series", "readings", "chi2", "unit", "fitted noise", "nuisances")
-    return Table("Series", header, rows)
+def _cells(caption: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Return a table of cells of the summary, in the signs of pages."""
+    signs = [in_signs if name == "unit" else with_signs for name in header]
+    cells = [[sign(cell) or _DASH for sign, cell in zip(signs, row, strict=True)] for row in rows]
+    return Table(caption, header, cells)
 
 
 def _readings(path: Path, level: float) -> tuple[list[fits.Series], dict[str, FloatArray], str]:
@@ -251,16 +254,6 @@ def _groups(file: h5py.File) -> Iterator[h5py.Group]:
     names = [name for name in file if name.partition("_")[0].isdigit()]
     for name in sorted(names, key=lambda name: int(name.partition("_")[0])):
         yield file[name]
-
-
-def _alternatives(outcome: Mapping[str, Any]) -> Table:
-    rows = []
-    for row in law_rows(outcome):
-        difference = _DASH if row.aic_difference is None else f"{row.aic_difference:+.1f}"
-        numbers = [difference, _number(row.bic, 5), _number(row.chi2, 5)]
-        rows.append([row.name, *numbers, with_signs(row.parameters), row.verdict])
-    header = ("law", "AIC above the smallest", "BIC", "chi2", "parameters", "verdict")
-    return Table("Laws compared", header, rows)
 
 
 def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
