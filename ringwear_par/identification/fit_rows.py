@@ -131,7 +131,7 @@ def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
         numbers = f"{law['aic'] - best:+.1f}", f"{law['bic']:.5g}", f"{law['chi2']:.5g}"
         rows.append((name, *numbers, parameters, verdict))
     failed = ((name, law["error"]) for name, law in laws.items() if name not in solved)
-    return rows + [(name, "", "", "", "", f"failed: {error}") for name, error in failed]
+    return [*rows, *((name, "", "", "", "", f"failed: {error}") for name, error in failed)]
 
 
 def goodness(outcome: Entry) -> str:
