@@ -99,7 +99,7 @@ def key_rows(key: str, entry: Entry) -> list[KeyRow]:
 
 def series_rows(outcome: Entry) -> list[tuple[str, ...]]:
     """Return the cells of the series of all experiments, see ``SERIES``."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for experiment, series in outcome["experiments"].items():
         fitted = outcome["nuisance"].get(experiment, {})
         for name, entry in series.items():
