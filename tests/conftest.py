@@ -165,7 +165,7 @@ def paper_pair(comm):
     """The paper's case at 80 MPa and p0 = 40 MPa, and its contact pair."""
     from ringwear_par.elasticity.geometry.mesh import Mesh
     from ringwear_par.history.elastic.pairs import assemble
-    from ringwear_par.verification.paper import paper_case
+    from ringwear_par.verification.histories import paper_case
 
     case = paper_case(Mesh())
     return case, assemble(case, comm)

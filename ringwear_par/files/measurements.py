@@ -13,18 +13,21 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.ordinary import read_bytes
-from ringwear_par.files.stamps import (
+from ringwear_par.files.table_text import (
+    EMPTY,
+    NUMBER,
     StampError,
     across_midnight,
     ambiguous_date,
     clock_time,
+    decode,
     has_hours,
     is_clock,
     is_date,
     is_stamp,
     seconds_of,
+    table_in,
 )
-from ringwear_par.files.table_text import EMPTY, NUMBER, decode, table_in
 
 #: columns of a table: loggers have hundreds of channels, files with more are something else
 MOST_COLUMNS = 1000

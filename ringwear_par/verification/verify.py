@@ -13,9 +13,8 @@ from ringwear_par.verification.check import Check, Kind
 from ringwear_par.verification.edges import edge_checks
 from ringwear_par.verification.elasticity import elasticity_checks, stress_checks
 from ringwear_par.verification.half_space import half_space_checks, sphere_checks
-from ringwear_par.verification.histories import history_checks
+from ringwear_par.verification.histories import history_checks, paper_checks, tao_checks
 from ringwear_par.verification.layers import layer_checks
-from ringwear_par.verification.paper import paper_checks, tao_checks
 from ringwear_par.verification.slopes import slope_checks
 
 _WIDTH = 78

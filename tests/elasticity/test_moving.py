@@ -15,7 +15,7 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.history.elastic.pairs import assemble, updated_geometry
 from ringwear_par.verification.fine import SORTS, ring_case
-from ringwear_par.verification.paper import paper_case
+from ringwear_par.verification.histories import paper_case
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 pytestmark = pytest.mark.serial

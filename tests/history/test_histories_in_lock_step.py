@@ -16,7 +16,7 @@ from ringwear_par.history.lockstep import batch_key
 from ringwear_par.history.loop import simulate, simulate_one
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.schedules import Table
-from ringwear_par.verification.paper import OMEGA, paper_case
+from ringwear_par.verification.histories import OMEGA, paper_case
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.non_local import NonLocalLaw
 from ringwear_par.wear.laws.power import PowerLaw

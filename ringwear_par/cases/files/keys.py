@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from ringwear_par.cases.files.columns import read_trace
 from ringwear_par.cases.files.faults import LOADS, unread_keys
-from ringwear_par.cases.files.traces import read_trace
 from ringwear_par.cases.laws import law_keys
 from ringwear_par.cases.layers import LAYERS, changed_layers, expanded, layers_in_full
 from ringwear_par.cases.schema import BY_PATH, TABLES, key_of
