@@ -10,11 +10,10 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.schedules import Quantity, Table, largest, mean
-from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.law import Law, WearLaw
+from ringwear_par.wear.law import Law, WearLaw, parameters_of
+from ringwear_par.wear.laws import LAWS
+from ringwear_par.wear.laws.user import UserLaw
 from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.parameters import parameters_of
-from ringwear_par.wear.user import UserLaw
 
 #: wear, in heights of a body, from which on the unit of its wear coefficient is in question
 DEEP = 0.1

@@ -5,9 +5,8 @@ from typing import Any
 
 from ringwear_par.cases.schema import key_of
 from ringwear_par.errors import InputError
-from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.law import Law
-from ringwear_par.wear.parameters import parameters_of
+from ringwear_par.wear.law import Law, parameters_of
+from ringwear_par.wear.laws import LAWS
 
 
 def law_keys(table: str, law: Any) -> set[str]:

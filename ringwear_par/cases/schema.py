@@ -29,9 +29,8 @@ from ringwear_par.cases.values import (
     whole,
 )
 from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS
-from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.law import Law
-from ringwear_par.wear.parameters import Parameter, parameters_of
+from ringwear_par.wear.law import Law, Parameter, parameters_of
+from ringwear_par.wear.laws import LAWS
 
 #: most layers of a body, and most points of a grid along r or z
 MOST_LAYERS, MOST_ON_A_SIDE = 1000, 10_000

@@ -20,8 +20,8 @@ from ringwear_par.explorer.sliders import (
     quantity,
     unit_words,
 )
-from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.parameters import parameters_of
+from ringwear_par.wear.law import parameters_of
+from ringwear_par.wear.laws import LAWS
 
 _LOADS = ("load.force", "load.pressure", "load.displacement", "load.omega")
 _ENTRY = ("inner", "outer")

@@ -28,8 +28,8 @@ from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.compliances import Compliances, OperatorKey, key_of
 from ringwear_par.history.inputs import HistoryInputs
 from ringwear_par.schedules import in_time, integral
-from ringwear_par.wear.averaging import averaged_rate, averaging
 from ringwear_par.wear.increment import Closing, WearIncrement
+from ringwear_par.wear.laws.non_local import averaged_rate, averaging
 from ringwear_par.wear.layered import LayeredLaw, worn_through
 from ringwear_par.wear.local_state import LocalState
 

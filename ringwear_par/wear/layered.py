@@ -12,9 +12,8 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, columns
 from ringwear_par.schedules import Quantity, Stacked, Table
-from ringwear_par.wear.law import Law, stack_laws
+from ringwear_par.wear.law import Law, parameters_of, stack_laws
 from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.parameters import parameters_of
 
 #: share of the depth of a layer's end below which what is left above it is round-off
 _ROUND_OFF = 1e-13
@@ -267,16 +266,6 @@ class LayeredLaw(Law):
             first,
             laws=tuple(law for law in stacks if law is not None),
             ends=np.stack([law.depths for law in laws], axis=1),
-        )
-
-    def history(self, i: int) -> Self:
-        """Return the law of one of B histories."""
-        present, ends = self.present, self.ends
-        return replace(
-            self,
-            laws=tuple(law.history(i) for law in self.laws),
-            ends=ends if ends is None or ends.ndim < 3 else ends[:, i],
-            present=None if present is None else present[i],
         )
 
     def take(self, histories: IntArray) -> Self:

@@ -7,9 +7,9 @@ from typing import Protocol
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.wear.averaging import averaged
 from ringwear_par.wear.increment import WearIncrement, WearingBody, total_of
 from ringwear_par.wear.law import Law
+from ringwear_par.wear.laws.non_local import averaged
 from ringwear_par.wear.local_state import LocalState
 
 

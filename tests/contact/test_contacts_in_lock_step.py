@@ -10,10 +10,9 @@ from ringwear_par.contact.problem import KKT_TOLERANCE, WarmStart
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.errors import HistoriesError
-from ringwear_par.wear.averaging import averaging
 from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.law import stack_laws
-from ringwear_par.wear.laws.non_local import NonLocalLaw
+from ringwear_par.wear.laws.non_local import NonLocalLaw, averaging
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 from ringwear_par.wear.local_state import LocalState

@@ -23,7 +23,7 @@ from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.table import TableLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
-from ringwear_par.wear.user import UserLaw
+from ringwear_par.wear.laws.user import UserLaw
 
 ADAPTIVE = Stepping("adaptive", until=60.0)
 STEPPINGS = {

@@ -25,9 +25,8 @@ from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.start import initial_state
 from ringwear_par.results.warnings import validity_warnings
 from ringwear_par.verification.fine import CONTACT, Rings, ring_case
-from ringwear_par.wear.averaging import averaging
 from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.laws.non_local import NonLocalLaw
+from ringwear_par.wear.laws.non_local import NonLocalLaw, averaging
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 

@@ -18,11 +18,10 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.history.derivatives.elastic_numbers import compliance_change, elastic_numbers
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.compliances import key_of
-from ringwear_par.wear.averaging import d_averaging
-from ringwear_par.wear.law import Law
+from ringwear_par.wear.law import Law, parameters_of
+from ringwear_par.wear.laws.non_local import d_averaging
 from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.parameters import parameters_of
 
 #: names of a factor on all rates of a body, about 1, in the place of a case's key
 RATES = tuple(f"wear.{body}" for body in BODIES)

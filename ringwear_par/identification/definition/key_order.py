@@ -6,8 +6,8 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import key_of
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.identification.definition.problem import FittedParameter
-from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.parameters import parameters_of
+from ringwear_par.wear.law import parameters_of
+from ringwear_par.wear.laws import LAWS
 
 
 def ordered_keys(parameters: Sequence[FittedParameter]) -> list[tuple[int, int]]:

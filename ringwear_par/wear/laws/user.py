@@ -1,4 +1,4 @@
-"""A wear law from a user's Python file, and what keeps it from being one."""
+"""A wear law from a user's Python file."""
 
 import ast
 from collections.abc import Callable, Mapping, Sequence
@@ -7,28 +7,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-import numpy as np
-
-from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import InputError
 from ringwear_par.files.text import read_text
-from ringwear_par.schedules import Quantity, breakpoints, value
+from ringwear_par.schedules import Quantity, breakpoints
 from ringwear_par.schedules import stack as stack_quantities
-from ringwear_par.wear.checked_law import (
-    CheckedLaw,
-    CompletedLaw,
-    UserFunction,
-    checked_call,
-    read_only_state,
-)
-from ringwear_par.wear.law import Law, WearLaw
-from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.parameters import Parameter
-
-_BISECTIONS = 30
-#: up to which laws are tried with many histories, MPa
-_TRIED_PRESSURE = 300.0
-_PARAMETERS = "parameters."
+from ringwear_par.wear.checked_law import PARAMETERS, CheckedLaw, UserFunction
+from ringwear_par.wear.law import Parameter
 
 
 @lru_cache(maxsize=64)
@@ -127,9 +111,9 @@ class UserLaw(CheckedLaw):
         """Name of the law in messages."""
         return self.file
 
-    def defines(self, function: UserFunction) -> bool:
-        """Tell whether the file has a function; derivatives by parameters are not asked of it."""
-        return function != "d_rate_dparameter" and function in self._functions
+    def defined(self, function: UserFunction) -> Callable[..., Any] | None:
+        """Return a function of the file; derivatives by parameters are not asked of it."""
+        return None if function == "d_rate_dparameter" else self._functions.get(function)
 
     @property
     def remembers(self) -> bool:
@@ -147,15 +131,15 @@ class UserLaw(CheckedLaw):
     @property
     def numeric(self) -> tuple[str, ...]:
         """Names of the parameters: "parameters.k"."""
-        return tuple(_PARAMETERS + name for name, _ in self.parameters)
+        return tuple(PARAMETERS + name for name, _ in self.parameters)
 
     def quantity(self, name: str) -> Quantity:
         """Return a numeric parameter as it was given."""
-        return dict(self.parameters)[name.removeprefix(_PARAMETERS)]
+        return dict(self.parameters)[name.removeprefix(PARAMETERS)]
 
     def with_parameter(self, name: str, values: Any) -> Self:
         """Return the law with another number, or other values at the elements."""
-        changed = {**dict(self.parameters), name.removeprefix(_PARAMETERS): values}
+        changed = {**dict(self.parameters), name.removeprefix(PARAMETERS): values}
         return replace(self, parameters=tuple(changed.items()))
 
     def describe(self) -> str:
@@ -184,121 +168,3 @@ class UserLaw(CheckedLaw):
 
     def _with_stacks(self, change: Callable[[Any], Any]) -> Self:
         return replace(self, parameters=tuple((name, change(q)) for name, q in self.parameters))
-
-    def _call(
-        self, function: UserFunction, p: FloatArray, local: LocalState, *first: str
-    ) -> FloatArray:
-        values = {key: value(q, local.time, local.r) for key, q in self.parameters}
-        state = read_only_state(local, parameters=values)
-        called = f"{self.file}: {function}()"
-        return checked_call(called, function, self._functions[function], p, state, values.values())
-
-
-def check_object(law: object) -> None:
-    """Refuse what is no law at all, or says nonsense of itself. Not collective.
-
-    Raises
-    ------
-    InputError : what it is, and what it must be.
-    """
-    must = "must be an object with rate(p, local)"
-    if isinstance(law, type):
-        raise InputError(f"{law.__name__} is a class; {must}, as {law.__name__}(...) may be")
-    if not (isinstance(law, WearLaw) and callable(law.rate)):
-        raise InputError(f"{type(law).__name__} is no wear law; {must}")
-    for name, kind in (("length", "a number (mm)"), ("breakpoints", "a list of times (s)")):
-        try:
-            getattr(CompletedLaw(law), name)
-        except Exception as error:  # whatever a user's code may raise
-            raise InputError(f"{type(law).__name__}: {name}: {error}; must be {kind}") from error
-
-
-def check_user_law(law: CheckedLaw, at: LocalState, pressure: float) -> None:
-    """Refuse a user's law that is no law, tried at pressures up to a given one (MPa).
-
-    Not collective.
-
-    Raises
-    ------
-    InputError : it wears without pressure, gives NaN or negative rates, or rates that fall or jump.
-    """
-    p = np.linspace(0.0, 1.0, 33)[:, None] * np.full_like(at.r, pressure)
-    rates = []
-    for row in p:
-        try:
-            rates.append(law.rate(row, at))
-            law.d_rate_dp(row, at)
-            law.d_rate_dwear(row, at)
-        except ComputationError as error:
-            raise InputError(str(error)) from error
-    table = np.array(rates)
-    if table[0].any():
-        e = int(np.flatnonzero(table[0])[0])
-        raise InputError(
-            f"{law.called}: rate() gives {table[0, e]:g} without pressure (time {at.time:g} s, "
-            f"element {e}, r = {at.r[e]:.6g} mm); must be 0: no wear without contact"
-        )
-    fall = np.diff(table, axis=0) < -1e-12 * table.max(initial=0.0)
-    if fall.any():
-        i, e = (int(v[0]) for v in np.nonzero(fall))
-        raise InputError(
-            f"{law.called}: rate() falls from {table[i, e]:g} to {table[i + 1, e]:g} between "
-            f"p = {p[i, e]:.6g} and {p[i + 1, e]:.6g} MPa (time {at.time:g} s, element {e}, "
-            f"r = {at.r[e]:.6g} mm); must not fall with pressure"
-        )
-    jump = _jump(law, at, p[:, 0], table)
-    if jump:
-        raise InputError(jump)
-
-
-def serves_many(law: Law, r: FloatArray) -> bool:
-    """Tell whether a law gives many histories at once, (B, n), what it gives each by itself.
-
-    Code that was written for one history may take rows for elements, or look at all pressures at
-    once. Not collective.
-
-    Parameters
-    ----------
-    r : (n,) float, mm.
-    """
-    shares = np.linspace(0.0, 1.0, 3 * len(r)).reshape(3, -1)
-    p, wear, speed = _TRIED_PRESSURE * shares, 1e-3 * shares[::-1], np.array([[1.0], [2.0], [3.0]])
-    at = LocalState(np.arange(3.0), r, speed * r, np.array([0.1, 0.2, 0.3]), wear, 5.0 * speed * r)
-    for method in ("rate", "d_rate_dp", "d_rate_dwear"):
-        try:
-            alone = [getattr(law, method)(p[i], at.history(i)) for i in range(3)]
-        except Exception:  # nothing that company would change: its histories will tell
-            continue
-        try:
-            if not np.array_equal(getattr(law, method)(p, at), alone):
-                return False
-        except Exception:  # whatever a user's code may raise
-            return False
-    return True
-
-
-def _jump(law: CheckedLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> str:
-    """Return where the rate jumps with pressure, "" if it does not: by bisection of steep pieces.
-
-    Parameters
-    ----------
-    p : (k,) float, MPa, increasing.
-    rates : (k, n) float, mm/s, at these pressures.
-    """
-    e = int(rates[-1].argmax())
-    rise = np.diff(rates[:, e])
-    i = int(rise.argmax())
-    low, high, below, above = p[i], p[i + 1], rates[i, e], rates[i + 1, e]
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        rate = law.rate(np.full_like(at.r, middle), at)[e]
-        if rate - below > above - rate:
-            high, above = middle, rate
-        else:
-            low, below = middle, rate
-    if above - below <= 1e-3 * rise[i]:
-        return ""
-    return (
-        f"{law.called}: rate() jumps from {below:g} to {above:g} at p = {low:.6g} MPa "
-        f"(time {at.time:g} s, element {e}, r = {at.r[e]:.6g} mm); must be continuous in p"
-    )
