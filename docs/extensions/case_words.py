@@ -19,9 +19,8 @@ from matplotlib.figure import Figure
 import ringwear_par as rw
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.schema import KEYS as CASE_KEYS
-from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.units import in_signs
-from ringwear_par.files.text import parse_toml
+from ringwear_par.files.text import parse_toml, toml_value
 from ringwear_par.identification.definition.schema import KEYS as FIT_KEYS
 from ringwear_par.measuring.definition.schema import KEYS as MEASURE_KEYS
 from ringwear_par.pictures.style import COLOURS, DASHES, STYLE

@@ -11,9 +11,9 @@ from contextlib import suppress
 from typing import Any
 
 from ringwear_par.cases.schema import LAYER_LAWS, MOST_LAYERS, key_of, layer_entry
-from ringwear_par.cases.text import shortened
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
+from ringwear_par.files.text import shortened
 from ringwear_par.wear.law import parameters_of
 from ringwear_par.wear.laws import LAWS
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case, Ring, RingLayer
-from ringwear_par.cases.laws import make_law
+from ringwear_par.cases.files.key_values import make_law
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, key_of
 from ringwear_par.cases.values import Interval, magnitude_fault

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 from ringwear_par.cases.tables import Key
 from ringwear_par.cases.values import (
@@ -292,6 +293,13 @@ def key_of(name: str) -> Key | None:
     """Return the key of this name, or that of an entry of a layer; None where there is none."""
     entry = layer_entry(name)
     return BY_PATH.get(name) if entry is None else _LAYER_ENTRIES.get(entry[2])
+
+
+def law_keys(table: str, law: Any) -> set[str]:
+    """Return the keys of a body's wear table, "wear.lower", under a law; none if it is no law."""
+    if not (isinstance(law, str) and law in LAWS):
+        return set()
+    return {f"{table}.law", *(f"{table}.{name}" for name in parameters_of(LAWS[law]))}
 
 
 def base_unit(name: str) -> str | None:

@@ -9,11 +9,11 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
-from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import Interval, Kind, Reader, RejectedError
 from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS
 from ringwear_par.errors import MOST_FAULTS, legible
+from ringwear_par.files.text import shortened, toml_value
 
 
 @dataclass(frozen=True)

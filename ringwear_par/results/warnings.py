@@ -6,6 +6,13 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.unit_suspicions import (
+    MOST_PRESSED,
+    deep_wear,
+    smallest_modulus,
+    too_much_load,
+    unit_suspicions,
+)
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState, mises
 from ringwear_par.errors import ValidityWarning
@@ -21,13 +28,6 @@ from ringwear_par.history.observers.worst_states import (
 )
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.validity.stable_steps import missed_corner, stable_steps
-from ringwear_par.results.unit_suspicions import (
-    MOST_PRESSED,
-    deep_wear,
-    smallest_modulus,
-    too_much_load,
-    unit_suspicions,
-)
 from ringwear_par.schedules import largest
 
 #: share of the largest force of a history under which contact need not be resolved

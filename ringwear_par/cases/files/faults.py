@@ -7,7 +7,6 @@ from typing import Any
 
 from ringwear_par.cases.case import SAME_TIME, Case, RingLayer
 from ringwear_par.cases.schema import BY_PATH
-from ringwear_par.cases.text import shortened
 from ringwear_par.elasticity.geometry.mesh import contact_pieces
 from ringwear_par.elasticity.geometry.profiles import (
     CLOSE,
@@ -21,7 +20,7 @@ from ringwear_par.elasticity.geometry.profiles import (
 )
 from ringwear_par.elasticity.geometry.sections import Polyline, corners
 from ringwear_par.errors import InputError
-from ringwear_par.files.text import value_fault
+from ringwear_par.files.text import shortened, value_fault
 from ringwear_par.schedules import Quantity, largest, quantity_text
 
 #: of a face: more are of a trace that is not smooth

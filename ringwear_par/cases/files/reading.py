@@ -13,7 +13,7 @@ from ringwear_par.cases.files.faults import (
     joint_faults,
     layer_faults,
 )
-from ringwear_par.cases.files.key_values import read_values
+from ringwear_par.cases.files.key_values import read_law, read_values
 from ringwear_par.cases.files.keys import (
     flatten,
     in_full,
@@ -24,15 +24,13 @@ from ringwear_par.cases.files.keys import (
     read_keys,
     refuse_study,
 )
-from ringwear_par.cases.laws import read_law
 from ringwear_par.cases.layers import LAYERS, expanded, layer_tables
 from ringwear_par.cases.stress import Grid, Stress
 from ringwear_par.cases.stress_points import check_stress
-from ringwear_par.cases.text import toml_text
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.elasticity.geometry.sections import Grip, Polyline
 from ringwear_par.errors import InputError
-from ringwear_par.files.text import read_text
+from ringwear_par.files.text import read_text, toml_text
 from ringwear_par.schedules import Quantity, Table
 from ringwear_par.wear.law import Law
 

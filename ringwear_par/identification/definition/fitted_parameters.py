@@ -13,10 +13,10 @@ from ringwear_par.cases.files.suggestions import nearest_key
 from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
-from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import factor, has_unit, in_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.files.text import shortened
 from ringwear_par.history.derivatives.elastic_numbers import elastic_numbers
 from ringwear_par.history.derivatives.numbers import differentiable
 from ringwear_par.identification.definition.problem import FittedParameter, Problem

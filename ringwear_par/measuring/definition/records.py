@@ -10,11 +10,11 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.files.columns import UNITS, missing_column, unit_by_name
-from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import factor, told_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, and_more, unused_columns
+from ringwear_par.files.text import shortened
 
 #: units of channels; of a temperature the letter behind the degree
 CHANNELS = {"time": "s", "wear": "mm", "torque": "N mm", "load": "N", "temperature": "degC"}

@@ -10,6 +10,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.unit_suspicions import unit_suspicions
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Observer, Snapshot
@@ -22,7 +23,6 @@ from ringwear_par.results.execution.stopping import StopSignals, remark
 from ringwear_par.results.execution.watch import Watch
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import write_result
-from ringwear_par.results.unit_suspicions import unit_suspicions
 from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)

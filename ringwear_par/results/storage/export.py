@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.text import shortened
 from ringwear_par.elasticity.stress.boundary_fields import BODIES, BoundaryState
 from ringwear_par.elasticity.stress.fields import (
     COMPONENTS,
@@ -18,6 +17,7 @@ from ringwear_par.elasticity.stress.fields import (
     principal,
 )
 from ringwear_par.errors import InputError
+from ringwear_par.files.text import shortened
 from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import result_of

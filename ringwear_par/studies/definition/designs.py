@@ -16,10 +16,16 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import base_keys, in_full, kinds, plain
 from ringwear_par.cases.files.suggestions import unknown_key
 from ringwear_par.cases.layers import LAYERS
-from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
-from ringwear_par.files.text import parse_toml, parse_value, read_text, refuse_depth
+from ringwear_par.files.text import (
+    parse_toml,
+    parse_value,
+    read_text,
+    refuse_depth,
+    shortened,
+    toml_value,
+)
 from ringwear_par.studies.definition.schema import DESIGN, MOST_CASES
 from ringwear_par.studies.definition.variations import (
     Column,
