@@ -34,8 +34,7 @@ import numpy as np
 import scipy
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.files.ordinary import open_ordinary
-from ringwear_par.files.writing import atomic_write, remove_leftovers
+from ringwear_par.files.writing import atomic_write, open_ordinary, remove_leftovers
 from ringwear_par.parallel import blas_threads, on_first_rank
 from ringwear_par.version import __version__
 

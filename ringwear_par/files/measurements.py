@@ -12,7 +12,6 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.ordinary import read_bytes
 from ringwear_par.files.table_text import (
     EMPTY,
     NUMBER,
@@ -28,6 +27,7 @@ from ringwear_par.files.table_text import (
     seconds_of,
     table_in,
 )
+from ringwear_par.files.writing import read_bytes
 
 #: columns of a table: loggers have hundreds of channels, files with more are something else
 MOST_COLUMNS = 1000

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.ordinary import open_ordinary
+from ringwear_par.files.writing import open_ordinary
 
 #: tables and arrays within each other; a case needs six
 _DEEPEST = 32

@@ -19,15 +19,10 @@ from ringwear_par.pictures.stresses import (
     highest,
     largest,
 )
-from ringwear_par.results.instants import pressure_peak
+from ringwear_par.results.key_numbers import pressure_peak
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.export import boundary_states
-from ringwear_par.results.storage.stored_stresses import (
-    check_grid,
-    interfaces_of,
-    nearest_states,
-    stresses,
-)
+from ringwear_par.results.subsurface import check_grid, interfaces_of, nearest_states, stresses
 
 #: a panel, or a function that draws what matplotlib alone draws
 Drawing = Panel | partial[None]

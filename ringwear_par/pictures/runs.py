@@ -14,10 +14,15 @@ from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
 from ringwear_par.errors import InputError
 from ringwear_par.pictures.panels import FEW_POINTS, Axis, Curve, Label, Panel, Points
 from ringwear_par.pictures.style import COLOURS, stage_colour
-from ringwear_par.results.instants import pressure_peak, stages, time_unit, time_words
-from ringwear_par.results.key_numbers import nominal_area
-from ringwear_par.results.layer_ends import ends_near
+from ringwear_par.results.key_numbers import (
+    nominal_area,
+    pressure_peak,
+    stages,
+    time_unit,
+    time_words,
+)
 from ringwear_par.results.result import Result
+from ringwear_par.results.subsurface import ends_near
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, edge_elements
 
 RADIUS = "distance to axis (mm)"

@@ -180,9 +180,9 @@ class WearIncrement:
                 self._after[id(law)] = p.copy(), at, after
                 return after
             before = largest
-        i, e = np.unravel_index(e, (p.size // p.shape[-1], p.shape[-1]))
+        i, e = divmod(e, p.shape[-1])
         step = np.broadcast_to(self.step, p.shape).reshape(-1, p.shape[-1])[i, e]
-        at = at.history(int(i))
+        at = at.history(i)
         raise ComputationError(
             f"wear law at time {at.time:g} s: the wear of history {i}, element {e} "
             f"(r = {at.r[e]:.6g} mm) over a step of {step:g} s does not settle; the rate grows "

@@ -21,11 +21,6 @@ from ringwear_par.files.text import shortened
 from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import result_of
-from ringwear_par.results.storage.stored_stresses import (
-    Interface,
-    interfaces_of,
-    stresses,
-)
 from ringwear_par.results.storage.vtkhdf import (
     contours,
     interface_cells,
@@ -33,6 +28,7 @@ from ringwear_par.results.storage.vtkhdf import (
     surfaces,
     write_vtkhdf,
 )
+from ringwear_par.results.subsurface import Interface, interfaces_of, stresses
 from ringwear_par.results.variables import (
     HISTORIES,
     LAYER_HISTORIES,

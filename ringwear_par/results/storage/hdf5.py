@@ -21,8 +21,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
-from ringwear_par.files.ordinary import open_ordinary
-from ringwear_par.files.writing import atomic_write
+from ringwear_par.files.writing import atomic_write, open_ordinary
 from ringwear_par.results.variables import Variable
 
 log = logging.getLogger(__name__)

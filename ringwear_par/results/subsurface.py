@@ -1,5 +1,6 @@
-"""Where the layers of a result's bodies end, and which of them wear has got through."""
+"""Under the faces of a result: its stresses, interfaces, and where its layers end."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,90 @@ from ringwear_par.arrays import FloatArray, share
 from ringwear_par.cases.case import CHANGED
 from ringwear_par.cases.files.key_values import outlines
 from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
+from ringwear_par.elasticity.stress.fields import StressHistory, StressState
+from ringwear_par.errors import InputError
 from ringwear_par.results.result import Result
+
+
+def stresses(result: Result) -> StressHistory:
+    """Return the stored stresses.
+
+    Raises
+    ------
+    InputError : there are none.
+    """
+    if result.stress is None or not result.stress.states:
+        raise InputError(
+            f"{result.name}: holds no stresses; must be computed with [stress] in its case"
+        )
+    return result.stress
+
+
+def check_grid(result: Result) -> None:
+    """Refuse a result without stresses on a grid.
+
+    Raises
+    ------
+    InputError : there are none, or none on a grid.
+    """
+    if not len(stresses(result).grid[0]):
+        raise InputError(
+            f"{result.name}: holds stresses at points only; must be computed with stress.grid"
+        )
+
+
+def nearest_states(states: Sequence[StressState], times: Sequence[float]) -> list[StressState]:
+    """Return the states nearest to times (s), the last one for none."""
+    stored = np.array([state.time for state in states])
+    rows = {int(np.abs(stored - time).argmin()) for time in times} or {len(stored) - 1}
+    return [states[row] for row in sorted(rows)]
+
+
+@dataclass(frozen=True)
+class Interface:
+    """An interface of a result's bodies.
+
+    Parameters
+    ----------
+    body : 0 for lower, 1 for upper.
+    layer : number of the layer over it, towards the contact.
+    r : (m,) float, mm, mid-points of its elements.
+    z : mm, its height, unworn.
+    """
+
+    body: int
+    layer: int
+    r: FloatArray
+    z: float
+
+    @property
+    def name(self) -> str:
+        """What it is called in pictures."""
+        return f"under {BODIES[self.body]}.layers[{self.layer}], z = {self.z:.6g} mm"
+
+    def stress(self, state: StressState) -> FloatArray:
+        """Return (2, m, 6) MPa, above and below."""
+        return state.interfaces[self.body][self.layer]
+
+
+def interfaces_of(result: Result) -> list[Interface]:
+    """Return the interfaces along which a result has stresses.
+
+    Raises
+    ------
+    InputError : there are none.
+    """
+    interfaces = [
+        Interface(body, layer, line.r, float(z))
+        for body, line in enumerate(stresses(result).interfaces)
+        for layer, z in enumerate(line.z)
+    ]
+    if not interfaces:
+        raise InputError(
+            f"{result.name}: holds no stresses along interfaces; must be of a body with layers"
+        )
+    return interfaces
+
 
 #: how many times the deepest wear the end of a layer may be below the face to be drawn
 _FAR = 1.5
