@@ -13,8 +13,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.files.writing import announce_replacement, check_writable
 from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.checkpoints import restored
-from ringwear_par.results.storage.result_files import open_result, read_error, read_status
+from ringwear_par.results.storage.result_files import open_result, read_error, read_status, restored
 
 
 def reached_end(case: Case, result: Result) -> bool:

@@ -11,9 +11,8 @@ from ringwear_par.cases.unit_suspicions import but_varied
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.result import HistoryColumns, Result
-from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.storage.hdf5 import UnreadableError
-from ringwear_par.results.storage.result_files import open_result, write_result
+from ringwear_par.results.storage.result_files import open_result, restored, write_result
 from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.execution.plan import CaseSet, Plan
 from ringwear_par.studies.storage.blocks import DAMAGE, Block

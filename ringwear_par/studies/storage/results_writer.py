@@ -16,7 +16,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.storage.hdf5 import atomic_hdf5
-from ringwear_par.results.stress_variables import side_words
+from ringwear_par.results.storage.result_variables import side_words
 from ringwear_par.results.variables import (
     EDGE_ELEMENT,
     HISTORIES,
