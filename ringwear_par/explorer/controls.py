@@ -1,4 +1,4 @@
-"""Which numbers of a case have a slider, by its raw keys."""
+"""BodyName numbers of a case have a slider, by its raw keys."""
 
 import itertools
 from collections.abc import Iterator, Mapping
@@ -10,7 +10,7 @@ from ringwear_par.cases.tables import Key
 from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import Interval
 from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.elasticity.geometry.sections import BODIES
 from ringwear_par.explorer.sliders import (
     POSITIONS,
     TIMES,

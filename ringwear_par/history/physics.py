@@ -21,7 +21,8 @@ from ringwear_par.arrays import FloatArray, IntArray, columns, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactInputs
-from ringwear_par.elasticity.bem.pair import BodyCost, ContactCompliance, ContactPair
+from ringwear_par.elasticity.bem.body import BodyCost
+from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
 from ringwear_par.elasticity.geometry.mesh import ContactLine
 from ringwear_par.history.derivatives.numbers import Sensitivity
 from ringwear_par.history.elastic.bodies import young

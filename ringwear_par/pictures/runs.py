@@ -10,7 +10,7 @@ from matplotlib.colors import to_hex
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import in_signs
-from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
+from ringwear_par.elasticity.geometry.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
 from ringwear_par.pictures.panels import FEW_POINTS, Axis, Curve, Label, Panel, Points
 from ringwear_par.pictures.style import COLOURS, stage_colour
@@ -176,14 +176,14 @@ def at_all_states(result: Result, field: str) -> bool:
     return field in result.profiles and result.profiles[field].ndim == 2
 
 
-def worn_bodies(result: Result) -> list[Which]:
+def worn_bodies(result: Result) -> list[BodyName]:
     """Return the bodies whose stored profiles are drawn: those that wear, or the first."""
-    bodies: list[Which] = [body for body in BODIES if at_all_states(result, f"wear_{body}")]
+    bodies: list[BodyName] = [body for body in BODIES if at_all_states(result, f"wear_{body}")]
     return [body for body in bodies if result.profiles[f"wear_{body}"].any()] or bodies[:1]
 
 
 def worn_faces(
-    result: Result, bodies: Sequence[Which] | None = None, rows: Sequence[int] | None = None
+    result: Result, bodies: Sequence[BodyName] | None = None, rows: Sequence[int] | None = None
 ) -> Panel:
     """Return the panel of worn faces with the ends of their layers.
 
@@ -248,7 +248,7 @@ def pressure(result: Result, rows: Sequence[int] | None = None, top: float | Non
     )  # fmt: skip
 
 
-def height(result: Result, body: Which) -> FloatArray:
+def height(result: Result, body: BodyName) -> FloatArray:
     """Return the height of a worn face, um, at all stored states: lower's is below 0."""
     sign = -1e3 if body == "lower" else 1e3
     return sign * np.asarray(result.profiles[f"wear_{body}"])

@@ -9,7 +9,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import density_keys
 from ringwear_par.contact.problem import ContactState
-from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
+from ringwear_par.elasticity.geometry.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
 from ringwear_par.history.state import State
 from ringwear_par.results.result import Result
@@ -237,7 +237,7 @@ def _worn(result: Result, state: State, i: int) -> Iterator[KeyNumber]:
         yield number("specific_rate", "specific wear rate", specific, "mm3/(N m)", ".4g")
 
 
-def _mass(result: Result, body: Which, volume: float) -> Iterator[KeyNumber]:
+def _mass(result: Result, body: BodyName, volume: float) -> Iterator[KeyNumber]:
     """Give the mass that a body has lost, nothing where no density is known."""
     about, volumes = result.attributes, [volume]
     if f"worn_volume_{body}_layers" in result.layers:
@@ -257,7 +257,7 @@ def _mass(result: Result, body: Which, volume: float) -> Iterator[KeyNumber]:
     yield KeyNumber(f"{body}_mass", body, "mass lost", mass, "mg", note=note)
 
 
-def _layers(result: Result, body: Which) -> Iterator[KeyNumber]:
+def _layers(result: Result, body: BodyName) -> Iterator[KeyNumber]:
     """Give the wear of the layers of a body, nothing of one without."""
     if f"share_through_{body}" not in result.layers:
         return

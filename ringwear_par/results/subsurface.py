@@ -8,7 +8,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, share
 from ringwear_par.cases.case import CHANGED
 from ringwear_par.cases.files.key_values import outlines
-from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
+from ringwear_par.elasticity.geometry.sections import BODIES, BodyName
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.errors import InputError
 from ringwear_par.results.result import Result
@@ -111,7 +111,7 @@ class LayerEnd:
     depth : (n,) float, mm, below the unworn face, along the axis, under the contact elements.
     """
 
-    body: Which
+    body: BodyName
     layer: int
     depth: FloatArray
 
@@ -134,7 +134,7 @@ class WornThrough:
     time: float
 
 
-def layer_ends(result: Result, body: Which) -> list[LayerEnd]:
+def layer_ends(result: Result, body: BodyName) -> list[LayerEnd]:
     """Return where the layers of a body end, none where it has none. Not collective.
 
     Of a case that was changed after it was read only the innermost is known, if at all.
@@ -153,13 +153,13 @@ def layer_ends(result: Result, body: Which) -> list[LayerEnd]:
     ]
 
 
-def ends_near(result: Result, body: Which) -> list[LayerEnd]:
+def ends_near(result: Result, body: BodyName) -> list[LayerEnd]:
     """Return the ends of layers that wear, of which a profile is stored, comes near somewhere."""
     deepest = float(result.profiles[f"wear_{body}"].max())
     return [end for end in layer_ends(result, body) if end.depth.min() <= _FAR * deepest]
 
 
-def worn_through(result: Result, body: Which) -> list[WornThrough]:
+def worn_through(result: Result, body: BodyName) -> list[WornThrough]:
     """Return the layers of a body that wear has got through, as far as stored states tell.
 
     The result has its last state.

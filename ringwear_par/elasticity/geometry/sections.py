@@ -19,6 +19,9 @@ from ringwear_par.errors import InputError
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
+#: the two bodies, in the order of everything that is of both
+BodyName = Literal["lower", "upper"]
+BODIES: tuple[BodyName, BodyName] = ("lower", "upper")
 #: vertices (r, z) of a face, a tuple so that it can be hashed
 Polyline = tuple[tuple[float, float], ...]
 #: how the fixed face is gripped: "clamped" fixes u_r too, "platen" leaves it free

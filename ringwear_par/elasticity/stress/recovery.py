@@ -13,8 +13,7 @@ from ringwear_par.elasticity.bem.body import BoundaryResponse, in_case_frame
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh, zone_meshes
 from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh
-from ringwear_par.elasticity.geometry.sections import Body
-from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
+from ringwear_par.elasticity.geometry.sections import BODIES, Body, BodyName
 from ringwear_par.elasticity.stress.boundary_recovery import BoundaryRecovery
 from ringwear_par.elasticity.stress.fields import Interfaces, Largest, mises
 from ringwear_par.elasticity.stress.largest import Search, edges, zones_of
@@ -228,7 +227,9 @@ class StressRecovery:
         )  # fmt: skip
 
 
-def interfaces(body: Body, line: ContactLine, mesh: Mesh, which: Which, plane: float) -> Interfaces:
+def interfaces(
+    body: Body, line: ContactLine, mesh: Mesh, which: BodyName, plane: float
+) -> Interfaces:
     """Return where the stresses along the interfaces of a body are. Not collective.
 
     Parameters
@@ -247,7 +248,7 @@ def _at(influence: Influence, elements: IntArray) -> Influence:
 
 
 def _beside_interfaces(
-    boundaries: Sequence[BoundaryMesh], faces: Sequence[Influence], which: Which
+    boundaries: Sequence[BoundaryMesh], faces: Sequence[Influence], which: BodyName
 ) -> list[tuple[Influence, Influence]]:
     """Return the stress above and below each interface, from those on the zones' boundaries."""
     sides = []

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import key_of
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.elasticity.geometry.sections import BODIES
 from ringwear_par.identification.definition.problem import FittedParameter
 from ringwear_par.wear.law import parameters_of
 from ringwear_par.wear.laws import LAWS

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.elasticity.stress.boundary_fields import BODIES, BoundaryState
+from ringwear_par.elasticity.geometry.sections import BODIES
 from ringwear_par.elasticity.stress.fields import (
     COMPONENTS,
     SIDES,
+    BoundaryState,
     StressState,
     max_shear,
     mises,

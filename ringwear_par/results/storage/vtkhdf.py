@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.elasticity.stress.boundary_fields import BoundaryFields, BoundaryState
 from ringwear_par.elasticity.stress.fields import (
     COMPONENTS,
+    BoundaryFields,
+    BoundaryState,
     StressHistory,
     StressState,
     max_shear,
