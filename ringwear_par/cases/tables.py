@@ -18,23 +18,19 @@ from ringwear_par.files.text import shortened, toml_value
 
 @dataclass(frozen=True)
 class Key:
-    """One key of a case, study or fit file.
+    """One key of a case, study or fit file."""
 
-    Parameters
-    ----------
-    path : its dotted name.
-    kind, read, allowed, numbers : its values, see ``values.Values``.
-    unit, meaning : as ``info --schema`` prints them; "data's": a unit that the key does not tell.
-    default : ... where the key must be given.
-    """
-
+    #: its dotted name
     path: str
+    #: its values, see ``values.Values``
     kind: Kind
     read: Reader
     allowed: str
     numbers: Interval | None
+    #: as ``info --schema`` prints them; "data's": a unit that the key does not tell
     unit: str
     meaning: str
+    #: ... where the key must be given.
     default: Any = ...
 
     @property

@@ -27,19 +27,15 @@ DEEP = 0.1
 
 @dataclass(frozen=True)
 class Forecast:
-    """Wear of a body by the end of a case.
+    """Wear of a body by the end of a case."""
 
-    Parameters
-    ----------
-    body : 0 for lower, 1 for upper.
-    depth : mm.
-    table : of the law by which most of it is worn off.
-    k : its wear coefficient, 1/MPa, 0 for one without.
-    """
-
+    #: 0 for lower, 1 for upper
     body: int
+    #: mm
     depth: float
+    #: of the law by which most of it is worn off
     table: str
+    #: its wear coefficient, 1/MPa, 0 for one without
     k: float
 
 

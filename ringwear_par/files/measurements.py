@@ -41,22 +41,18 @@ _GROUPED_BY_OTHERS = re.compile(
 
 @dataclass(frozen=True)
 class Measurements:
-    """A table of measurements: columns by name, cells as texts.
+    """A table of measurements: columns by name, cells as texts."""
 
-    Parameters
-    ----------
-    name : of the file, as messages call it.
-    columns : names in the line of names.
-    lines : (rows,) int, numbers of the lines.
-    sha256 : of the file.
-    units : of the columns, in the row below their names; () where there is none.
-    """
-
+    #: of the file, as messages call it
     name: str
+    #: names in the line of names
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...] = field(repr=False)
+    #: (rows,) int, numbers of the lines
     lines: IntArray = field(repr=False)
+    #: of the file
     sha256: str = ""
+    #: of the columns, in the row below their names; () where there is none
     units: tuple[str, ...] = ()
 
     def label(self, name: str) -> str:

@@ -176,23 +176,20 @@ _UNIT = re.compile(
 
 @dataclass(frozen=True)
 class TableText:
-    """A table as texts.
+    """A table as texts."""
 
-    Parameters
-    ----------
-    delimiter : between its cells.
-    names, units : cells of the line of names, and of that of units below it; () for none.
-    rows : cells of the other lines.
-    first : number of the line of names; lines : of the rows.
-    preamble : whether there is anything above the line of names.
-    """
-
+    #: between its cells
     delimiter: str
+    #: cells of the line of names, and of that of units below it; () for none
     names: list[str]
     units: list[str]
+    #: cells of the other lines
     rows: list[list[str]]
+    #: number of the line of names
     first: int
+    #: of the rows
     lines: list[int]
+    #: whether there is anything above the line of names
     preamble: bool
 
 

@@ -21,13 +21,12 @@ from ringwear_par.errors import ComputationError, InputError, RingwearError
 _MUST = "must be an ordinary file"
 
 
-def open_ordinary(path: Path, flags: int = os.O_RDONLY, folder: int | None = None) -> BinaryIO:
+def open_ordinary(path: Path, flags: int = os.O_RDONLY) -> BinaryIO:
     """Open a file that must be an ordinary one. Not collective.
 
     Parameters
     ----------
     flags : of ``os.open``: to read, or to write as well, which makes a file that is not there.
-    folder : descriptor of the folder that ``path`` counts from.
 
     Raises
     ------
@@ -35,7 +34,7 @@ def open_ordinary(path: Path, flags: int = os.O_RDONLY, folder: int | None = Non
     """
     # O_NONBLOCK: a pipe nobody writes to is opened at once; on ordinary files it does nothing
     try:
-        handle = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, 0o666, dir_fd=folder)
+        handle = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
     except OSError as error:
         if error.errno == errno.ELOOP and flags & os.O_NOFOLLOW:
             raise OSError(error.errno, f"it is a link, {_MUST}", str(path)) from error

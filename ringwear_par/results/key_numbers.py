@@ -73,18 +73,15 @@ def pressure_limit(area: FloatArray, pressure: FloatArray, force: FloatArray) ->
 
 @dataclass(frozen=True)
 class PressurePeak:
-    """The highest contact pressure of a history, of all its stored states.
+    """The highest contact pressure of a history, of all its stored states."""
 
-    Parameters
-    ----------
-    limit : MPa, that scales end with at most, see ``pressure_limit``.
-    highest : MPa, of an element.
-    time : s, when that is; end : s, of the history.
-    """
-
+    #: MPa, that scales end with at most, see ``pressure_limit``
     limit: float
+    #: MPa, of an element
     highest: float
+    #: s, when that is
     time: float
+    #: s, of the history
     end: float
 
     def top(self, drawn: float) -> float:
@@ -123,24 +120,20 @@ _CHECKED = {
 
 @dataclass(frozen=True)
 class KeyNumber:
-    """A number of a run and how it is printed.
+    """A number of a run and how it is printed."""
 
-    Parameters
-    ----------
-    name : for programs.
-    group : the numbers that it is printed with.
-    label : its own name within the group.
-    value : in ``unit``; NaN where there is none.
-    spec : the format of the number.
-    note : what is printed in brackets after it.
-    """
-
+    #: for programs
     name: str
+    #: the numbers that it is printed with
     group: str
+    #: its own name within the group
     label: str
+    #: in ``unit``; NaN where there is none
     value: float
     unit: str = ""
+    #: the format of the number
     spec: str = ".6g"
+    #: what is printed in brackets after it
     note: str = ""
 
     @property

@@ -103,17 +103,13 @@ def _checked(outcome: Outcome, verb: str) -> Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """The last state of a history, with all that it takes to continue.
+    """The last state of a history, with all that it takes to continue."""
 
-    Parameters
-    ----------
-    start : where the history continues.
-    pending_iterations : of the contact solver since the last stored state.
-    worst : of the history so far, see ``WorstStates.history``.
-    """
-
+    #: where the history continues
     start: Start
+    #: of the contact solver since the last stored state
     pending_iterations: int
+    #: of the history so far, see ``WorstStates.history``
     worst: Mapping[str, Sequence[float]]
 
     @cached_property
@@ -252,39 +248,35 @@ class HistoryColumns:
 
     Stored states of all histories follow each other as rows: those of history i are
     ``offsets[i]`` to ``offsets[i + 1]``. A failed history has the rows before its failure.
-
-    Parameters
-    ----------
-    offsets : (B + 1,) int.
-    steps : (rows,) int, steps made.
-    histories : (rows,) each, by name, see ``variables.HISTORIES``.
-    profiles : (rows, n) each, by name, see ``variables.PROFILES``; or (B, n), where the last ones
-        are stored only: NaN where a history has none.
-    imbalance : (B,) float, the worst balance of each, see ``Balances.worst``.
-    flags : what makes each doubtful, see ``ValidityWarning.code``.
-    seconds : (B,) float, s, that each took: of those that are stepped together, its share.
-    status : "done" or "failed".
-    reason : why it failed, one line; "" for one that has not.
-    derivatives : (P, rows) each, of fields (P, rows, n) or (P, B, n), by name, see
-        ``variables.D_HISTORIES`` and ``D_PROFILES``.
-    layers : (rows,), (rows, layers + 1), (rows, n) or (B, n) each, by name, see
-        ``variables.LAYERS``.
-    stress : (rows,) or (rows, points) each, by name, see ``result_variables.stress_rows``.
-    whole : (B,) or (B, points), by name: when wear got through layers, where points are.
     """
 
+    #: (B + 1,) int
     offsets: IntArray
+    #: (rows,) int, steps made
     steps: IntArray
+    #: (rows,) each, by name, see ``variables.HISTORIES``
     histories: Mapping[str, Any]
+    #: (rows, n) each, by name, see ``variables.PROFILES``; or (B, n), where the last ones are
+    #: stored only: NaN where a history has none
     profiles: Mapping[str, FloatArray]
+    #: (B,) float, the worst balance of each, see ``Balances.worst``
     imbalance: FloatArray
+    #: what makes each doubtful, see ``ValidityWarning.code``
     flags: tuple[tuple[str, ...], ...]
+    #: (B,) float, s, that each took: of those that are stepped together, its share
     seconds: FloatArray
+    #: "done" or "failed"
     status: tuple[str, ...]
+    #: why it failed, one line; "" for one that has not
     reason: tuple[str, ...]
+    #: (P, rows) each, of fields (P, rows, n) or (P, B, n), by name, see ``variables.D_HISTORIES``
+    #: and ``D_PROFILES``
     derivatives: Mapping[str, FloatArray] = field(default_factory=dict)
+    #: (rows,), (rows, layers + 1), (rows, n) or (B, n) each, by name, see ``variables.LAYERS``
     layers: Mapping[str, FloatArray] = field(default_factory=dict)
+    #: (rows,) or (rows, points) each, by name, see ``result_variables.stress_rows``
     stress: Mapping[str, FloatArray] = field(default_factory=dict)
+    #: (B,) or (B, points), by name: when wear got through layers, where points are
     whole: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property

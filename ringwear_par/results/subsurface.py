@@ -50,19 +50,15 @@ def nearest_states(states: Sequence[StressState], times: Sequence[float]) -> lis
 
 @dataclass(frozen=True)
 class Interface:
-    """An interface of a result's bodies.
+    """An interface of a result's bodies."""
 
-    Parameters
-    ----------
-    body : 0 for lower, 1 for upper.
-    layer : number of the layer over it, towards the contact.
-    r : (m,) float, mm, mid-points of its elements.
-    z : mm, its height, unworn.
-    """
-
+    #: 0 for lower, 1 for upper
     body: int
+    #: number of the layer over it, towards the contact
     layer: int
+    #: (m,) float, mm, mid-points of its elements
     r: FloatArray
+    #: mm, its height, unworn
     z: float
 
     @property
@@ -102,35 +98,27 @@ _ON = 1e-9
 
 @dataclass(frozen=True)
 class LayerEnd:
-    """The end of a layer.
+    """The end of a layer."""
 
-    Parameters
-    ----------
-    body : of the layer.
-    layer : its number, 0 at the contact face.
-    depth : (n,) float, mm, below the unworn face, along the axis, under the contact elements.
-    """
-
+    #: of the layer
     body: BodyName
+    #: its number, 0 at the contact face
     layer: int
+    #: (n,) float, mm, below the unworn face, along the axis, under the contact elements
     depth: FloatArray
 
 
 @dataclass(frozen=True)
 class WornThrough:
-    """A layer that wear has got through.
+    """A layer that wear has got through."""
 
-    Parameters
-    ----------
-    layer : its number, 0 at the contact face.
-    share : of the contact area where nothing is left of it, at the end.
-    r : mm, where wear was deepest in the first stored state that shows it.
-    time : s, of that state.
-    """
-
+    #: its number, 0 at the contact face
     layer: int
+    #: of the contact area where nothing is left of it, at the end
     share: float
+    #: mm, where wear was deepest in the first stored state that shows it
     r: float
+    #: s, of that state
     time: float
 
 

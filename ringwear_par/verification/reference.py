@@ -282,15 +282,11 @@ def torsion_mode(k: float, layers: Sequence[tuple[float, Material]]) -> FloatArr
 
 @dataclass(frozen=True)
 class LayeredHalfSpace:
-    """A half-space with one bonded layer, loaded without shear.
+    """A half-space with one bonded layer, loaded without shear."""
 
-    Parameters
-    ----------
-    thickness : mm, of the layer.
-    layer, base : materials.
-    """
-
+    #: mm, of the layer
     thickness: float
+    #: materials
     layer: Material
     base: Material
 

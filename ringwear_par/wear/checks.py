@@ -27,18 +27,14 @@ _TRIED_PRESSURE = 300.0
 
 @dataclass(frozen=True)
 class Remainders:
-    """A Taylor test: ``|f(p + h d) - f(p) - h f'(p) d|`` at halved h falls with order 2.
+    """A Taylor test: ``|f(p + h d) - f(p) - h f'(p) d|`` at halved h falls with order 2."""
 
-    Parameters
-    ----------
-    steps : h, in the unit of what is varied.
-    remainders : largest remainder of all elements at each, relative to the largest ``|f'(p) d|``.
-    bounded : whether at the smallest h no element's remainder is more than h times what the
-        derivative changes on the way, so that kinks, and nothing else, may spoil the order.
-    """
-
+    #: h, in the unit of what is varied
     steps: tuple[float, ...]
+    #: largest remainder of all elements at each, relative to the largest ``|f'(p) d|``
     remainders: tuple[float, ...]
+    #: whether at the smallest h no element's remainder is more than h times what the derivative
+    #: changes on the way, so that kinks, and nothing else, may spoil the order
     bounded: bool
 
     @property

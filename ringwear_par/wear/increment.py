@@ -32,27 +32,20 @@ class Closing:
 
     Where the bodies around an element wear as fast as its gap closes, what it would lose in contact
     all along is gap first and wear then: ``max(0, step rate(p) - gap)``.
-
-    Parameters
-    ----------
-    gap : (..., n) float, mm, at the start of the step; 0 in contact.
-    step : (..., n) float, s, of each element.
     """
 
+    #: (..., n) float, mm, at the start of the step; 0 in contact
     gap: FloatArray
+    #: (..., n) float, s, of each element
     step: FloatArray
 
 
 class WearingBody(NamedTuple):
-    """A body that wears, at the start of a step.
+    """A body that wears, at the start of a step."""
 
-    Parameters
-    ----------
-    side : 0 of lower, 1 of upper.
-    law, at, average : as of the increment.
-    """
-
+    #: 0 of lower, 1 of upper
     side: int
+    #: as of the increment
     law: Law
     at: LocalState
     average: FloatArray | None
@@ -64,26 +57,23 @@ class WearIncrement:
 
     Of B histories with the same elements and averages. The numbers of a history are the same to the
     last bit alone and among others.
-
-    Parameters
-    ----------
-    laws : laws of lower and upper, None for a body that does not wear.
-    at : local state of lower and upper at the end of the step, with the wear before it.
-    step : s, or (B,) of them.
-    averages : (n, n) matrices of the non-local laws, None for local ones.
-    obliquity : (n,) float, 1 / cos alpha of the sloping faces, None where they are flat: laws speak
-        of what is lost along the normal, and all results here of what is lost along the axis.
-    closing : of local laws, elements that come into contact in the step; its steps are those of
-        the elements.
-    pace : (2,) or (2, B) factors on the rates of lower and upper; None: 1.
     """
 
+    #: laws of lower and upper, None for a body that does not wear
     laws: tuple[Law | None, ...]
+    #: local state of lower and upper at the end of the step, with the wear before it
     at: tuple[LocalState, ...]
+    #: s, or (B,) of them
     step: float | FloatArray
+    #: (n, n) matrices of the non-local laws, None for local ones
     averages: tuple[FloatArray | None, ...] = (None, None)
+    #: (n,) float, 1 / cos alpha of the sloping faces, None where they are flat: laws speak of what
+    #: is lost along the normal, and all results here of what is lost along the axis
     obliquity: FloatArray | None = None
+    #: of local laws, elements that come into contact in the step; its steps are those of the
+    #: elements
     closing: Closing | None = None
+    #: (2,) or (2, B) factors on the rates of lower and upper; None: 1
     pace: FloatArray | None = None
 
     #: those that wear

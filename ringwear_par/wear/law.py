@@ -41,29 +41,25 @@ from ringwear_par.wear.local_state import LocalState
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a wear law.
+    """A parameter of a wear law."""
 
-    Parameters
-    ----------
-    unit : "1" for none, "-" where it has no sense.
-    meaning : in a few words.
-    kind : a quantity is a number, a table in time or a profile along the radius; the others are
-        a number only, pairs (p V, rate), the name of a Python file, a table of quantities.
-    low, high : between which numbers may lie.
-    ends : whether they may be these too.
-    at_least : the parameter of the same law that it is never less than, "" for none.
-    local : whether the rate at a place depends on it, and has a derivative with respect to it.
-    name, default : of the field that declares it; the default is ... where it must be given.
-    """
-
+    #: "1" for none, "-" where it has no sense
     unit: str
+    #: in a few words
     meaning: str
+    #: a quantity is a number, a table in time or a profile along the radius; the others are a
+    #: number only, pairs (p V, rate), the name of a Python file, a table of quantities
     kind: Literal["quantity", "number", "rates", "file", "parameters"] = "quantity"
+    #: between which numbers may lie
     low: float = 0.0
     high: float = math.inf
+    #: whether they may be these too
     ends: bool = True
+    #: the parameter of the same law that it is never less than, "" for none
     at_least: str = ""
+    #: whether the rate at a place depends on it, and has a derivative with respect to it
     local: bool = True
+    #: of the field that declares it; the default is ... where it must be given.
     name: str = ""
     default: Any = ...
 
@@ -323,15 +319,11 @@ class Law:
 
 @dataclass(frozen=True)
 class PacedLaw(Law):
-    """A law whose rate is that of another one times a factor: wear that is random, in a step.
+    """A law whose rate is that of another one times a factor: wear that is random, in a step."""
 
-    Parameters
-    ----------
-    law : the other one.
-    pace : the factor, or (B, 1) of B histories.
-    """
-
+    #: the other one
     law: Law
+    #: the factor, or (B, 1) of B histories
     pace: float | FloatArray
 
     @property

@@ -31,17 +31,13 @@ LOADS = frozenset({"load.force", "load.pressure", "load.displacement"})
 
 @dataclass(frozen=True)
 class Origin:
-    """Where the keys of a case come from, as messages tell it.
+    """Where the keys of a case come from, as messages tell it."""
 
-    Parameters
-    ----------
-    name : the file, or what else the case is called.
-    overrides : dotted keys that were set over its own.
-    setting : what set them.
-    """
-
+    #: the file, or what else the case is called
     name: str
+    #: dotted keys that were set over its own
     overrides: frozenset[str] = frozenset()
+    #: what set them
     setting: str = "--set"
 
     def prefix(self, path: str) -> str:

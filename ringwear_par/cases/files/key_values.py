@@ -62,18 +62,14 @@ def read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any]
 
 
 class Outline(NamedTuple):
-    """What a section looks like, in the frame of the case.
+    """What a section looks like, in the frame of the case."""
 
-    Parameters
-    ----------
-    contour : (m, 2) float, mm, r and z of the corners around the unworn body; the contact face
-        from the inner to the outer radius comes first, two corners of the fixed face last.
-    interfaces : (l,) float, mm, heights between layers, from the contact face on.
-    plane : mm, height of the contact plane, which depths of the face count from.
-    """
-
+    #: (m, 2) float, mm, r and z of the corners around the unworn body; the contact face from the
+    #: inner to the outer radius comes first, two corners of the fixed face last
     contour: FloatArray
+    #: (l,) float, mm, heights between layers, from the contact face on
     interfaces: FloatArray
+    #: mm, height of the contact plane, which depths of the face count from
     plane: float
 
 

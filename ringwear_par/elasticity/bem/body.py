@@ -47,39 +47,31 @@ class BodyCost:
 
 @dataclass(frozen=True)
 class Response:
-    """Boundary values for each load, on every rank, those of one zone after those of another.
+    """Boundary values for each load, on every rank, those of one zone after those of another."""
 
-    Parameters
-    ----------
-    displacement : (wanted nodes, 3, n_loads) float, mm at E = 1.
-    traction : (wanted elements, 3, n_loads) float, MPa, unknown ones; 0 where they were given.
-    cost : what they took.
-    """
-
+    #: (wanted nodes, 3, n_loads) float, mm at E = 1
     displacement: FloatArray
+    #: (wanted elements, 3, n_loads) float, MPa, unknown ones; 0 where they were given
     traction: FloatArray
+    #: what they took
     cost: BodyCost
 
 
 @dataclass(frozen=True)
 class Compliance:
-    """Compliance of a body's contact line at Young's modulus 1.
+    """Compliance of a body's contact line at Young's modulus 1."""
 
-    Parameters
-    ----------
-    normal : (n, n) float, mm/MPa; what element i gives way along the axis, -(u_z - t u_r) with the
-        slope t, under unit pressure on element j.
-    torsion : (n, n) float, mm/MPa; circumferential displacement under unit shear.
-    force_reaction : (n,) float, mm^2; axial force on the fixed face per unit pressure. Equilibrium
-        asks for the contact element's projected area.
-    torque_reaction : (n,) float, mm^3; torque on the fixed face per unit shear.
-    cost : what they took.
-    """
-
+    #: (n, n) float, mm/MPa; what element i gives way along the axis, -(u_z - t u_r) with the slope
+    #: t, under unit pressure on element j
     normal: FloatArray
+    #: (n, n) float, mm/MPa; circumferential displacement under unit shear
     torsion: FloatArray
+    #: (n,) float, mm^2; axial force on the fixed face per unit pressure. Equilibrium asks for the
+    #: contact element's projected area.
     force_reaction: FloatArray
+    #: (n,) float, mm^3; torque on the fixed face per unit shear
     torque_reaction: FloatArray
+    #: what they took
     cost: BodyCost
 
 
@@ -116,36 +108,28 @@ def boundary_conditions(
 
 @dataclass(frozen=True)
 class Problem:
-    """Equation (5) of a body, and what is wanted of its solution.
+    """Equation (5) of a body, and what is wanted of its solution."""
 
-    Parameters
-    ----------
-    zones : the body.
-    tolerance : relative accuracy of the element integrals.
-    nodes, elements : of each zone, whose displacements and whose tractions are wanted.
-    """
-
+    #: the body
     zones: tuple[Zone, ...]
+    #: relative accuracy of the element integrals
     tolerance: float
+    #: of each zone, whose displacements and whose tractions are wanted
     nodes: tuple[IntArray, ...]
     elements: tuple[IntArray, ...]
 
 
 @dataclass(frozen=True)
 class Assembled:
-    """The assembled systems of a body.
+    """The assembled systems of a body."""
 
-    Parameters
-    ----------
-    rows : this rank's part of them.
-    problem : of which they are.
-    dofs : where its unknowns stand, one a zone.
-    seconds : wall time of the assembly.
-    """
-
+    #: this rank's part of them
     rows: Assembly
+    #: of which they are
     problem: Problem
+    #: where its unknowns stand, one a zone
     dofs: Sequence[DofMap]
+    #: wall time of the assembly
     seconds: float
 
 
@@ -231,18 +215,15 @@ class BoundaryResponse:
 
     Load j is unit pressure (components r and z) and unit circumferential traction (theta) on
     contact element j, see ``boundary_conditions``.
-
-    Parameters
-    ----------
-    boundary : the boundary elements.
-    displacement : (m, 3, n) float, mm/MPa, of every node in r, z and theta.
-    traction : (k, 3, n) float, MPa/MPa, on every element, the loads included.
-    material : of the zone, its modulus over that of the body itself.
     """
 
+    #: the boundary elements
     boundary: BoundaryMesh
+    #: (m, 3, n) float, mm/MPa, of every node in r, z and theta
     displacement: FloatArray
+    #: (k, 3, n) float, MPa/MPa, on every element, the loads included
     traction: FloatArray
+    #: of the zone, its modulus over that of the body itself
     material: Material
 
 

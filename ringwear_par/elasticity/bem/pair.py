@@ -98,30 +98,26 @@ _SHARES: dict[Entry, float] = {"thickness": 1e-3, "young": 1e-4, "poisson": 1e-4
 
 @dataclass(frozen=True)
 class ContactCompliance:
-    """Contact line of two bodies and its compliance, with their Young's moduli.
+    """Contact line of two bodies and its compliance, with their Young's moduli."""
 
-    Parameters
-    ----------
-    line : the contact elements.
-    matrix : (n, n) float, mm^3/MPa, K: ``diag(m) C`` with C = C1/E1 + C2/E2 and the areas m,
-        made symmetric (see ``reciprocity.symmetric``).
-    twist : (n,) float, mm/MPa; area mean of the circumferential displacement jump per unit
-        circumferential traction on each element.
-    symmetry_defect : largest ``|m C - (m C)'|`` over the largest ``|m C|``; vanishes with the mesh.
-    force_reaction, torque_reaction : (2, n) float, mm^2 and mm^3; force and torque on the fixed
-        faces of lower and upper per unit pressure and unit shear on each element. Equilibrium asks
-        for the area, and true area times arm; the difference vanishes with the mesh.
-    slope : (n,) float, tan alpha of the normals that pressure acts along, see ``slopes``.
-    collocated : (n, n) float, mm/MPa, the compliance C as collocation gives it.
-    """
-
+    #: the contact elements
     line: ContactLine
+    #: (n, n) float, mm^3/MPa, K: ``diag(m) C`` with C = C1/E1 + C2/E2 and the areas m, made
+    #: symmetric (see ``reciprocity.symmetric``)
     matrix: FloatArray
+    #: (n,) float, mm/MPa; area mean of the circumferential displacement jump per unit
+    #: circumferential traction on each element
     twist: FloatArray
+    #: largest ``|m C - (m C)'|`` over the largest ``|m C|``; vanishes with the mesh
     symmetry_defect: float
+    #: (2, n) float, mm^2 and mm^3; force and torque on the fixed faces of lower and upper per unit
+    #: pressure and unit shear on each element. Equilibrium asks for the area, and true area times
+    #: arm; the difference vanishes with the mesh.
     force_reaction: FloatArray
     torque_reaction: FloatArray
+    #: (n,) float, tan alpha of the normals that pressure acts along, see ``slopes``
     slope: FloatArray
+    #: (n, n) float, mm/MPa, the compliance C as collocation gives it
     collocated: FloatArray
 
     @cached_property
@@ -137,15 +133,11 @@ class ContactCompliance:
 
 @dataclass(frozen=True)
 class ComplianceChange:
-    """Derivatives of a body's compliance at Young's modulus 1 with respect to a number.
+    """Derivatives of a body's compliance at Young's modulus 1 with respect to a number."""
 
-    Parameters
-    ----------
-    normal : (n, n) float, mm/MPa over the unit of the number.
-    twist : (n,) float, mm^3/MPa over that unit, of the area integral of ``torsion``.
-    """
-
+    #: (n, n) float, mm/MPa over the unit of the number
     normal: FloatArray
+    #: (n,) float, mm^3/MPa over that unit, of the area integral of ``torsion``
     twist: FloatArray
 
 

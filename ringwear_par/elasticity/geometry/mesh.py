@@ -24,24 +24,20 @@ _AXIS_GRADING = 1.5
 
 @dataclass(frozen=True)
 class Mesh:
-    """Discretisation of a contact pair.
+    """Discretisation of a contact pair."""
 
-    Parameters
-    ----------
-    contact_elements : number of elements of the contact line.
-    grading : exponent of the grading towards the ends of the contact line and its corners; 1 is a
-        uniform mesh.
-    quadrature_tolerance : relative accuracy of the element integrals.
-    contact : radii (mm) to which the contact line is cut, None for no cut.
-    geometry : whether the elements follow the worn profile ("updated") or not ("fixed").
-    geometry_tolerance : mm of wear since the last assembly that asks for a new one.
-    """
-
+    #: number of elements of the contact line
     contact_elements: int = 64
+    #: exponent of the grading towards the ends of the contact line and its corners; 1 is a uniform
+    #: mesh
     grading: float = 2.5
+    #: relative accuracy of the element integrals
     quadrature_tolerance: float = 1e-7
+    #: radii (mm) to which the contact line is cut, None for no cut
     contact: tuple[float, float] | None = None
+    #: whether the elements follow the worn profile ("updated") or not ("fixed")
     geometry: Literal["fixed", "updated"] = "fixed"
+    #: mm of wear since the last assembly that asks for a new one
     geometry_tolerance: float = 0.005
 
 
@@ -49,13 +45,10 @@ class Mesh:
 class ContactLine:
     """Contact elements of constant pressure, from the inner to the outer edge.
 
-    Parameters
-    ----------
-    edges : (n+1,) float, mm, increasing radii of the element ends.
-
     Cases share the arrays that are worked out once: these cannot be written to.
     """
 
+    #: (n+1,) float, mm, increasing radii of the element ends
     edges: FloatArray
 
     def __repr__(self) -> str:

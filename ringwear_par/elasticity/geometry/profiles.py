@@ -44,16 +44,12 @@ def chamfer_face(chamfer: Pair, r: Pair) -> Polyline:
 
 
 class Shape(NamedTuple):
-    """A contact face by the name of its shape.
+    """A contact face by the name of its shape."""
 
-    Parameters
-    ----------
-    name : one of ``SHAPE_UNITS``.
-    numbers : what it has: radii in mm (of a fillet one or two), an angle in degrees, radii and
-        heights in mm in turns.
-    """
-
+    #: one of ``SHAPE_UNITS``
     name: str
+    #: what it has: radii in mm (of a fillet one or two), an angle in degrees, radii and heights in
+    #: mm in turns
     numbers: tuple[float, ...]
 
 

@@ -34,21 +34,17 @@ _DENSE = 6
 
 @dataclass(frozen=True)
 class Section:
-    """Meridian section in the body's own frame (mm): a rectangle but for its contact face.
+    """Meridian section in the body's own frame (mm): a rectangle but for its contact face."""
 
-    Parameters
-    ----------
-    r : inner and outer radius; inner radius 0 is a solid disc.
-    height : distance from the fixed face to the contact plane.
-    face : contact face as a polyline of (r, z) from the inner to the outer radius, z <= 0; none is
-        the flat face.
-    layers : thicknesses of bonded layers of other materials, from the contact plane downwards; the
-        face lies within the first.
-    """
-
+    #: inner and outer radius; inner radius 0 is a solid disc
     r: tuple[float, float]
+    #: distance from the fixed face to the contact plane
     height: float
+    #: contact face as a polyline of (r, z) from the inner to the outer radius, z <= 0; none is the
+    #: flat face
     face: Polyline = ()
+    #: thicknesses of bonded layers of other materials, from the contact plane downwards; the face
+    #: lies within the first
     layers: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
@@ -165,21 +161,17 @@ class Material:
 
 @dataclass(frozen=True)
 class Body:
-    """An elastic body of revolution in contact, fixed at the face away from it.
+    """An elastic body of revolution in contact, fixed at the face away from it."""
 
-    Parameters
-    ----------
-    section : meridian section, mm, in the body's own frame.
-    young : MPa, Young's modulus, under the layers.
-    poisson : Poisson's ratio, likewise.
-    grip : how the face away from the contact is fixed.
-    layers : materials of the section's layers.
-    """
-
+    #: meridian section, mm, in the body's own frame
     section: Section
+    #: MPa, Young's modulus, under the layers
     young: float
+    #: Poisson's ratio, likewise
     poisson: float
+    #: how the face away from the contact is fixed
     grip: Grip
+    #: materials of the section's layers
     layers: tuple[Material, ...] = ()
 
     def __post_init__(self) -> None:

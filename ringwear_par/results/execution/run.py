@@ -13,11 +13,12 @@ from mpi4py import MPI
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.unit_suspicions import unit_suspicions
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
+from ringwear_par.files.writing import announce_replacement
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, warn_of_threads
-from ringwear_par.results.execution.preparation import Figure, announce, prepare, reached_end
+from ringwear_par.results.execution.preparation import Figure, prepare, reached_end
 from ringwear_par.results.execution.progress import RunProgress, closing_lines, for_terminal
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.stopping import StopSignals, name_of, remark
@@ -138,7 +139,7 @@ def run_case(
             """Stop after a step, not at once, as soon as there is a state: an observer."""
             if not signals.noted:
                 if before is None and not overwrite and comm.rank == 0:
-                    announce(output)
+                    announce_replacement(output)
                 handlers.enter_context(signals)
             return False
 

@@ -192,17 +192,13 @@ def at_rows(name: str, rows: Any) -> tuple[Any, ...]:
 
 @dataclass(frozen=True)
 class LastState:
-    """The present or last states of B histories.
+    """The present or last states of B histories."""
 
-    Parameters
-    ----------
-    start : to continue from, without derivatives.
-    symmetry_defect : (B,) of the compliances.
-    finished : (B,) whether the histories have come to their ends.
-    """
-
+    #: to continue from, without derivatives
     start: Start
+    #: (B,) of the compliances
     symmetry_defect: FloatArray
+    #: (B,) whether the histories have come to their ends
     finished: BoolArray
 
     @classmethod

@@ -30,17 +30,13 @@ _POLYLINE, _QUAD = 4, 9
 
 @dataclass(frozen=True)
 class Cells:
-    """What a VTK file holds: points, cells of the same number of points, fields on both.
+    """What a VTK file holds: points, cells of the same number of points, fields on both."""
 
-    Parameters
-    ----------
-    points : (m, 3) float, mm.
-    cells : (c, q) int, points of each cell.
-    point_data, cell_data : by name, (m,), (c,) or with three columns.
-    """
-
+    #: (m, 3) float, mm
     points: FloatArray
+    #: (c, q) int, points of each cell
     cells: IntArray
+    #: by name, (m,), (c,) or with three columns
     point_data: dict[str, Any]
     cell_data: dict[str, Any]
 

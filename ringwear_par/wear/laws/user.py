@@ -50,18 +50,13 @@ class UserLaw(CheckedLaw):
     The file may define ``d_rate_dp(p, at)`` and ``d_rate_dwear(p, at)``, and a list ``breakpoints``
     of times (s) at which the rate jumps or bends, where adaptive steps end. A file that reads
     ``at.wear`` remembers worn depth, exactly, unless it says ``remembers = False``.
-
-    Parameters
-    ----------
-    file : its name.
-    source : its text.
-    parameters : pairs of name and quantity, which ``at.parameters`` holds at the time.
     """
 
     name = "user"
     one_by_one = True
     formula = "rate(p, at) of a Python file"
 
+    #: its name
     file: Annotated[
         str,
         Parameter(
@@ -70,7 +65,9 @@ class UserLaw(CheckedLaw):
             "file",
         ),
     ]
+    #: its text
     source: str
+    #: pairs of name and quantity, which ``at.parameters`` holds at the time
     parameters: Annotated[
         tuple[tuple[str, Quantity], ...],
         Parameter(
