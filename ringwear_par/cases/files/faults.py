@@ -8,17 +8,18 @@ from typing import Any
 from ringwear_par.cases.case import SAME_TIME, Case, RingLayer
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.elasticity.geometry.mesh import contact_pieces
-from ringwear_par.elasticity.geometry.profiles import (
+from ringwear_par.elasticity.geometry.sections import (
     CLOSE,
+    Polyline,
     Shape,
     chamfer_face,
     chamfer_faults,
+    corners,
     profile_face,
     profile_faults,
     shape_face,
     shape_faults,
 )
-from ringwear_par.elasticity.geometry.sections import Polyline, corners
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import shortened, value_fault
 from ringwear_par.schedules import Quantity, largest, quantity_text

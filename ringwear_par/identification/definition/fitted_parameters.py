@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.files.suggestions import nearest_key
+from ringwear_par.cases.files.key_values import nearest_key
 from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
 from ringwear_par.cases.tables import TableReader, name_unknown_keys

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.key_values import unknown_key
 from ringwear_par.cases.files.keys import base_keys, in_full, kinds, plain
-from ringwear_par.cases.files.suggestions import unknown_key
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, InputError, legible

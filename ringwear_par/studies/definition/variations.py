@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.files.key_values import unknown_key
 from ringwear_par.cases.files.keys import override
-from ringwear_par.cases.files.suggestions import unknown_key
 from ringwear_par.cases.layers import LAYERS, entries_of
 from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
 from ringwear_par.cases.tables import Key
