@@ -3,6 +3,10 @@
 A law gives the rate of wear at a contact pressure. It may know the instant, the sliding, and what
 is local memory: the depth worn off this body and the distance slid. Rates must not be negative and
 not fall with pressure, so that the implicit step is a convex problem.
+
+Its parameters are declared once, as annotations of its fields: a field
+``p0: Annotated[Quantity, Parameter("MPa", "threshold pressure")] = 0.0`` is a parameter with its
+unit, meaning and default; case files, messages and ``ringwear info --schema`` read it from there.
 """
 
 import math

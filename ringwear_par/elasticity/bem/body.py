@@ -88,7 +88,7 @@ def boundary_conditions(
 
     Parameters
     ----------
-    slope : (n,) float, tan alpha of the common normal in the body's own frame, see ``slopes``;
+    slope : (n,) float, tan alpha of the common normal in the body's own frame, see ``pair_slope``;
         None: none.
     """
     k, n = len(boundary.elements), len(boundary.contact)

@@ -1,4 +1,11 @@
-"""Two bodies in contact: everything that a wear history needs to know of their elasticity."""
+"""Two bodies in contact: everything that a wear history needs to know of their elasticity.
+
+By reciprocity ``diag(m) C`` is symmetric, m being the areas. The collocated compliance C is not
+quite: rows, the equations of elements, are right even for the tiniest; columns, the response of
+wide elements to a tiny loaded one, carry relative errors that differ from element to element, and
+exceed the tiny element's own compliance. The symmetric part alone therefore spoils the equations of
+the elements at an edge, by their whole pressure where that is regular, and however fine the mesh.
+"""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
@@ -103,7 +110,7 @@ class ContactCompliance:
     #: the contact elements
     line: ContactLine
     #: (n, n) float, mm^3/MPa, K: ``diag(m) C`` with C = C1/E1 + C2/E2 and the areas m, made
-    #: symmetric (see ``reciprocity.symmetric``)
+    #: symmetric (see ``symmetric``)
     matrix: FloatArray
     #: (n,) float, mm/MPa; area mean of the circumferential displacement jump per unit
     #: circumferential traction on each element
@@ -115,7 +122,7 @@ class ContactCompliance:
     #: arm; the difference vanishes with the mesh.
     force_reaction: FloatArray
     torque_reaction: FloatArray
-    #: (n,) float, tan alpha of the normals that pressure acts along, see ``slopes``
+    #: (n,) float, tan alpha of the normals that pressure acts along, see ``pair_slope``
     slope: FloatArray
     #: (n, n) float, mm/MPa, the compliance C as collocation gives it
     collocated: FloatArray
@@ -155,7 +162,7 @@ class ContactPair:
     twist : (2, n) float, mm^3/MPa; area integral of the circumferential displacement per unit
         circumferential traction.
     force_reaction, torque_reaction : (2, n) float, mm^2 and mm^3, as in ContactCompliance.
-    slope : (n,) float, tan alpha of the normals that pressure acts along, see ``slopes``.
+    slope : (n,) float, tan alpha of the normals that pressure acts along, see ``pair_slope``.
     key : what all this depends on, see ``pair_key``.
     cost : what it took; nothing where it was read from somewhere.
     """

@@ -1,7 +1,14 @@
-"""Discretisation of a contact pair, and the elements of its contact line.
+"""Discretisation of a contact pair, the elements of its contact line, and their slopes.
 
 The face is a polyline over the radius. Elements of the two faces over the same interval of radii
-are paired (see ``slopes``).
+are paired. Pressure acts along their common normal, and the gap is what it is along the axis: with
+the slope t = tan alpha = dz/dr in a body's own frame, the traction per area projected on the
+contact plane is (t, -1) p, and what the body gives way is -(u_z - t u_r). The axial force is the
+projected area times p; friction and wear act on the true area, which is larger by 1 / cos alpha.
+
+Both bodies need the same slope, or their compliance would not be symmetric. Where the faces differ,
+as a chamfer and a flat face do, it is the flatter one's, and none where they slope apart: the
+radial motion of a flat face closes no gap.
 """
 
 import itertools

@@ -57,7 +57,7 @@ class BoundaryRecovery:
         measured along the common normal: displacements are those of the collocated equations, and
         the top of the upper body has come down by the approach. What remains there is the
         difference between the collocated compliance and the symmetric one that the contact was
-        solved with (see ``reciprocity``), which vanishes with the mesh. All of the contact slides,
+        solved with (see ``symmetric``), which vanishes with the mesh. All of the contact slides,
         so that friction is mu p everywhere.
 
         Parameters
