@@ -120,7 +120,7 @@ def _rate(case: Case, law: WearLaw | None, pressure: float, speed: float) -> flo
         if isinstance(quantity := law.quantity(name), Table):
             law = law.with_parameter(name, _mean(case, quantity))
     long, r = np.array([np.inf]), np.array([0.5 * sum(case.overlap)])
-    local = LocalState(0.0, r, np.array([speed]), case.friction, long, long)
+    local = LocalState(0.0, r, np.array([speed]), _mean(case, case.friction), long, long)
     return float(law.rate(np.array([pressure]), local)[0])
 
 
@@ -242,7 +242,7 @@ def _too_thin(case: Case) -> Iterator[tuple[str, str]]:
 def _too_fast(case: Case) -> Iterator[tuple[str, str]]:
     """Give the wear coefficients, key and sentence, by which no material wears."""
     for table, wear in case.laws_by_table.items():
-        share = case.friction if isinstance(wear, AboveThreshold) else 1.0
+        share = largest(case.friction) if isinstance(wear, AboveThreshold) else 1.0
         names = ("k", "k_start") if isinstance(wear, AboveThreshold | ArchardLaw) else ()
         for name in names:
             k = largest(getattr(wear, name, 0.0))

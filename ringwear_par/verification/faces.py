@@ -207,7 +207,7 @@ def steady_rows(
         before, last = (state.contact for state in history.states[-2:])
         rate = (last.approach - before.approach) / _STEADY.step
         torque = float(history.physics.torque(last.pressure)[0])
-        oblique = case.friction * c / math.cos(math.radians(rings.degrees))
+        oblique = case.friction_at(0.0) * c / math.cos(math.radians(rings.degrees))
         errors.append(
             (
                 float(np.abs(last.pressure * pair.line.arm / c - 1.0).max()),
@@ -272,7 +272,7 @@ def _fine_rows(name: str, comm: MPI.Comm) -> Iterator[Check]:
     yield from rows_against(name, [fine.on(Mesh(n)) for n in SIZES], histories)
     first, physics = histories[-1].states[0].contact, histories[-1].physics
     n, line = physics.line.n, physics.line
-    flat = physics.case.friction * (line.area * line.arm) @ first.pressure
+    flat = physics.case.friction_at(0.0) * (line.area * line.arm) @ first.pressure
     error = abs(
         physics.torque(first.pressure)[0] / flat * math.cos(math.radians(rings.degrees)) - 1.0
     )
