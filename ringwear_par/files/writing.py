@@ -78,10 +78,6 @@ def _new_file(path: Path, mode: int) -> tuple[Path, int]:
 
     Its ending is not that of the other, so that who looks for files by their ending finds whole
     ones only. It is locked for as long as it is open, so that ``remove_leftovers`` leaves it.
-
-    Raises
-    ------
-    OSError : the disk or the folder; its ``filename`` is ``path``.
     """
     while True:
         name = path.with_name(f"{path.name}.tmp{secrets.token_hex(_BYTES)}")

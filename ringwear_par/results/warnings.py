@@ -325,11 +325,7 @@ def _worn_points(
     """Yield whether points of stress lie where wear has been at the last of its states.
 
     Points on faces are of the faces as they are, and points in layers that are worn through have no
-    stress: they are left out.
-
-    Parameters
-    ----------
-    wear : (2, n) mm, at the last state of stress; None where it is not known.
+    stress: they are left out. The wear, (2, n) mm, is of that state; None where it is not known.
     """
     if wear is None or not wear.any() or case.follows_wear:
         return

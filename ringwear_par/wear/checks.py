@@ -128,12 +128,9 @@ def _remainders(
     scale: float,
     noise: float = 0.0,
 ) -> Remainders:
-    """Compare values along a line, at h from its start, with their derivative.
+    """Compare values along a line, at h <= scale / 2^8 from its start, with their derivative.
 
-    Parameters
-    ----------
-    scale : 2^8 times the largest h.
-    noise : what may be round-off, relative to the largest value.
+    The noise, relative to the largest value, may be round-off.
     """
     along, start = slope(0.0), f(0.0)
     size = float(np.abs(along).max()) or 1.0
@@ -249,10 +246,7 @@ def serves_many(law: Law, r: FloatArray) -> bool:
 def _jump(law: CheckedLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> str:
     """Return where the rate jumps with pressure, "" if it does not: by bisection of steep pieces.
 
-    Parameters
-    ----------
-    p : (k,) float, MPa, increasing.
-    rates : (k, n) float, mm/s, at these pressures.
+    Rates are (k, n) mm/s, at increasing pressures, (k,) MPa.
     """
     e = int(rates[-1].argmax())
     rise = np.diff(rates[:, e])

@@ -143,12 +143,7 @@ def _read_layers(
     values: Mapping[str, Any],
     faults: list[str],
 ) -> tuple[RingLayer, ...]:
-    """Return the layers of a body as far as they are right; add to the faults.
-
-    Parameters
-    ----------
-    keys, values : dotted keys as given, and as read, layers entry by entry.
-    """
+    """Return the layers of a body as far as they are right; add to the faults."""
     layers, raw = [], expanded(keys)
     for table in layer_tables(keys):
         if table.startswith(path):

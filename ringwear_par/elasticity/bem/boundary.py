@@ -226,12 +226,7 @@ def _side(
 
 
 def _lower_face(section: Section, line: ContactLine, face: FloatArray, worn: FloatArray) -> None:
-    """Lower the contact line's part of the element ends of a face by (n+1,) mm of wear.
-
-    Raises
-    ------
-    ComputationError : more is worn than half of the body's height.
-    """
+    """Lower the contact line's part of the element ends of a face by (n+1,) mm of wear."""
     first = int(np.flatnonzero(face[:, 0] == line.edges[-1])[0])
     contact = face[first : first + line.n + 1]
     thinnest = section.height + contact[:, 1].min()

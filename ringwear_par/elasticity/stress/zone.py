@@ -88,14 +88,7 @@ def locate(boundary: BoundaryMesh, points: FloatArray) -> Located:
 
 
 class _Recipe:
-    """How the stress at points is made of integrals at samples and of stresses at mid-points.
-
-    Parameters
-    ----------
-    boundary : of the zone.
-    along : its faces.
-    points : (p, 2) float, mm.
-    """
+    """How stress at points (p, 2) is made of integrals at samples and stresses at mid-points."""
 
     def __init__(self, boundary: BoundaryMesh, along: Faces, points: FloatArray) -> None:
         self._boundary, self._faces = boundary, along

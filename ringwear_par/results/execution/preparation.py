@@ -80,10 +80,6 @@ def _interrupted(output: Path, case: Case, restart: bool) -> Result | None:
     """Return the result to go on with; refuse to lose one that was interrupted.
 
     A run that is complete, or that failed, is replaced without a question.
-
-    Raises
-    ------
-    InputError : the reason.
     """
     present = read_status(output)
     if present is None:

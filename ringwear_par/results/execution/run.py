@@ -178,14 +178,7 @@ def _log_continuation(output: Path, recorder: Recorder, before: Result) -> None:
 
 
 class _ResultFile:
-    """The result file of a history under way.
-
-    Parameters
-    ----------
-    path : of the file.
-    recorder : of the history.
-    comm : communicator of the history.
-    """
+    """The result file of a history under way."""
 
     def __init__(self, path: Path, recorder: Recorder, comm: MPI.Comm) -> None:
         self.path, self.recorder, self.comm = path, recorder, comm
@@ -219,10 +212,7 @@ class _ResultFile:
 def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) -> None:
     """Step a history to its end, or until an observer stops it. Collective.
 
-    Raises
-    ------
-    InputError : the case's own numbers do not go together, or an option for PETSc.
-    ComputationError : a step failed; the steps before it are in the file.
+    Where a step fails, the steps before it are in the file.
     """
     recorder, comm = file.recorder, file.comm
     with ExitStack() as resources:
