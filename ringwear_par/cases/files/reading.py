@@ -91,17 +91,19 @@ def _changed(
     else:
         setting, changes = "--set", flatten(parse_overrides(overrides), "--set")
     if not changes:
-        case = make_case(keys, name, text)
-    else:
-        with naming(setting):
-            merged = override(keys, in_full(changes, Path()))
-        case = make_case(merged, Origin(name, frozenset(changes), setting))
+        return make_case(keys, name, text, with_units)
+    with naming(setting):
+        merged = override(keys, in_full(changes, Path()))
     with_units = (with_units - changes.keys()) | keys_with_units(changes)
-    object.__setattr__(case, "with_units", with_units)  # a copy by replace has no rebuild
-    return case
+    return make_case(merged, Origin(name, frozenset(changes), setting), None, with_units)
 
 
-def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = None) -> Case:
+def make_case(
+    keys: Mapping[str, Any],
+    origin: Origin | str,
+    text: str | None = None,
+    with_units: frozenset[str] = frozenset(),
+) -> Case:
     """Make a case of dotted keys and raw values. Not collective.
 
     Parameters
@@ -109,6 +111,7 @@ def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = 
     keys : dotted keys and values, as TOML gives them.
     origin : what messages call the case.
     text : the case's TOML text, if it is not to be made of the keys.
+    with_units : keys whose numbers were written with a unit.
 
     Raises
     ------
@@ -123,9 +126,10 @@ def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = 
     faults += layer_faults(origin.whole, values, faces, layers)
     if faults:
         raise InputError(*faults)
-    case = _build(values, laws, faces, layers, toml_text(keys) if text is None else text)
-    if any(path.startswith("stress.") for path in keys):
-        case = replace(case, stress=_stress(values))
+    case = _build(values, laws, faces, layers)
+    stress = _stress(values) if any(path.startswith("stress.") for path in keys) else None
+    text = toml_text(keys) if text is None else text
+    case = replace(case, stress=stress, text=text, with_units=with_units)
     check_contact(origin.whole, case, values["load.displacement"])
     check_stress(origin.whole, case)
     object.__setattr__(case, "rebuild", _rebuilt)  # a copy by dataclasses.replace has none
@@ -161,7 +165,6 @@ def _build(
     laws: Sequence[Law | None],
     faces: Mapping[str, Polyline],
     layers: Mapping[str, tuple[RingLayer, ...]],
-    text: str,
 ) -> Case:
     def ring(which: str, grip: Grip) -> Ring:
         r, z, young, poisson = (values[f"{which}.{k}"] for k in ("r", "z", "young", "poisson"))
@@ -192,7 +195,6 @@ def _build(
             values["output.boundary"],
         ),
         title=values["title"],
-        text=text,
     )
     if values["load.pressure"] is not None:
         pressure, area = values["load.pressure"], case.area
