@@ -10,10 +10,9 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, read_only
+from ringwear_par.arrays import FloatArray, IntArray, derivative, read_only
 from ringwear_par.errors import ComputationError, LawError
 from ringwear_par.schedules import Quantity, value
-from ringwear_par.wear.derivatives import derivative
 from ringwear_par.wear.law import SMALL_WEAR, Law, WearLaw
 from ringwear_par.wear.local_state import LocalState
 

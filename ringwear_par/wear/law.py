@@ -26,7 +26,7 @@ from typing import (
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import COMPLEX_STEP, FloatArray, IntArray, derivative
 from ringwear_par.schedules import (
     Quantity,
     Stacked,
@@ -39,7 +39,6 @@ from ringwear_par.schedules import (
     value,
 )
 from ringwear_par.schedules import stack as stack_quantities
-from ringwear_par.wear.derivatives import COMPLEX_STEP, derivative
 from ringwear_par.wear.local_state import LocalState
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from wearing import sliding, step_wear
 
+from ringwear_par.arrays import derivative
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import Table
 from ringwear_par.wear.checked_law import complete
@@ -15,7 +16,6 @@ from ringwear_par.wear.checks import (
     taylor_test_parameter,
     taylor_test_wear,
 )
-from ringwear_par.wear.derivatives import derivative
 from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.law import Law
 from ringwear_par.wear.laws import non_local as averages

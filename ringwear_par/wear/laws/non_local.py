@@ -11,9 +11,8 @@ from typing import Annotated
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import COMPLEX_STEP, FloatArray
 from ringwear_par.errors import ComputationError
-from ringwear_par.wear.derivatives import COMPLEX_STEP
 from ringwear_par.wear.law import Law, Parameter
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 from ringwear_par.wear.local_state import LocalState
