@@ -16,7 +16,7 @@ Numbers = Any
 
 #: so small that its square is nothing
 COMPLEX_STEP = 1e-30
-#: relative step of differences in ``derivative``: their error is its square, their round-off eps over it
+#: relative step of differences: their error is its square, their round-off eps over it
 _STEP = 1e-5
 #: relative deviation from the difference at which a complex step counts as failed
 _AGREEMENT = 1e-5

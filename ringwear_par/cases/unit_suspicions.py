@@ -211,7 +211,9 @@ def _load(case: Case) -> float:
     return 0.0 if case.load.force is None else largest(case.load.force) / case.area
 
 
-def but_varied(flags: Sequence[str], case: Case, varied: Sequence[str]) -> tuple[str, ...]:
+def without_intended_numbers(
+    flags: Sequence[str], case: Case, varied: Sequence[str]
+) -> tuple[str, ...]:
     """Return flags without that of implausible numbers where a study varies all of these.
 
     Parameters

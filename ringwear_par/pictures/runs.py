@@ -24,7 +24,7 @@ from ringwear_par.results.key_numbers import (
     time_words,
 )
 from ringwear_par.results.result import Result
-from ringwear_par.results.subsurface import ends_near
+from ringwear_par.results.subsurface import layer_ends_near_wear
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, edge_elements
 from ringwear_par.schedules import in_time
 
@@ -212,7 +212,7 @@ def worn_faces(
     labels = []
     for body in bodies:
         sign = -1e3 if body == "lower" else 1e3
-        for end in ends_near(result, body):
+        for end in layer_ends_near_wear(result, body):
             name, depth = f"end of layer {end.layer}", sign * end.depth
             curves.append(Curve(r, depth, name, "#666666", 3, 1.0, legend="end of layer"))
             place = float(result.line.edges[-1]), float(depth[-1])

@@ -13,7 +13,7 @@ from ringwear_par.elasticity.geometry.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
 from ringwear_par.history.state import State
 from ringwear_par.results.result import Result
-from ringwear_par.results.subsurface import worn_through
+from ringwear_par.results.subsurface import worn_layers
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
 from ringwear_par.schedules import Quantity, Table, mean
 
@@ -283,7 +283,7 @@ def _layers(result: Result, body: BodyName) -> Iterator[KeyNumber]:
     for i, volume in enumerate(volumes):
         yield number(f"volume_layer_{i}", f"volume of layer {i}", volume, "mm3", ".6g")
     yield number("volume_under_layers", "volume of the body itself", itself, "mm3", ".6g")
-    innermost, places = len(volumes) - 1, {end.layer: end for end in worn_through(result, body)}
+    innermost, places = len(volumes) - 1, {end.layer: end for end in worn_layers(result, body)}
     for i, layer in places.items():
         if i < innermost:
             share = 100.0 * layer.share

@@ -109,7 +109,7 @@ class LayerEnd:
 
 
 @dataclass(frozen=True)
-class WornThrough:
+class WornLayer:
     """A layer that wear has got through."""
 
     #: its number, 0 at the contact face
@@ -141,13 +141,13 @@ def layer_ends(result: Result, body: BodyName) -> list[LayerEnd]:
     ]
 
 
-def ends_near(result: Result, body: BodyName) -> list[LayerEnd]:
+def layer_ends_near_wear(result: Result, body: BodyName) -> list[LayerEnd]:
     """Return the ends of layers that wear, of which a profile is stored, comes near somewhere."""
     deepest = float(result.profiles[f"wear_{body}"].max())
     return [end for end in layer_ends(result, body) if end.depth.min() <= _FAR * deepest]
 
 
-def worn_through(result: Result, body: BodyName) -> list[WornThrough]:
+def worn_layers(result: Result, body: BodyName) -> list[WornLayer]:
     """Return the layers of a body that wear has got through, as far as stored states tell.
 
     The result has its last state.
@@ -165,5 +165,5 @@ def worn_through(result: Result, body: BodyName) -> list[WornThrough]:
             deepest = int(np.where(gone[first], wear[first] - end.depth, -np.inf).argmax())
             r = float(result.line.r[deepest])
             through = share(area, gone[-1])
-            layers.append(WornThrough(end.layer, through, r, float(times[first])))
+            layers.append(WornLayer(end.layer, through, r, float(times[first])))
     return layers

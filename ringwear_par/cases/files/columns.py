@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ringwear_par.cases.tables import TableReader
-from ringwear_par.cases.units import factor, in_unit_where_right, told_unit
+from ringwear_par.cases.units import factor, in_unit_where_right, named_unit
 from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, read_measurements
@@ -116,7 +116,7 @@ def unit_by_name(table: Measurements, column: str, base: str, hint: str = "") ->
     InputError : it is in a unit of something else.
     """
     try:
-        return told_unit(table.label(column), base)
+        return named_unit(table.label(column), base)
     except RejectedError as reason:
         raise InputError(
             f"{table.name}: the column {legible(column)} {reason}; must be in the unit of "

@@ -220,7 +220,7 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
             since = 0.0 if recorder.start is None else float(recorder.start.state.time[0])
             observers.append(resources.enter_context(closing(RunProgress(since, case.time.end))))
         try:
-            with _doubting(case, path, comm):
+            with _logging_unit_suspicions(case, path, comm):
                 simulate_one(case, comm, start=recorder.start, observers=observers)
         except UnfitError as error:
             raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
@@ -237,7 +237,7 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
 
 
 @contextmanager
-def _doubting(case: Case, path: Path, comm: MPI.Comm) -> Iterator[None]:
+def _logging_unit_suspicions(case: Case, path: Path, comm: MPI.Comm) -> Iterator[None]:
     """Log the suspicious units of a case that fails, but for those that its error names."""
     try:
         yield

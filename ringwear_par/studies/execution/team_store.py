@@ -7,7 +7,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.cases.files.keys import read_keys
-from ringwear_par.cases.unit_suspicions import but_varied
+from ringwear_par.cases.unit_suspicions import without_intended_numbers
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.result import HistoryColumns, Result
@@ -61,7 +61,9 @@ class TeamStore:
         """
         case, steps, varied = cases.cases[0], None, self._plan.study.names
         flags = zip(columns.flags, cases.cases, strict=True)
-        columns = replace(columns, flags=tuple(but_varied(f, case, varied) for f, case in flags))
+        columns = replace(
+            columns, flags=tuple(without_intended_numbers(f, case, varied) for f, case in flags)
+        )
         if case.output.times:  # before which a number of steps is not unique
             first = columns.offsets[:-1]
             steps = np.arange(len(columns.steps)) - np.repeat(first, np.diff(columns.offsets))
