@@ -14,9 +14,9 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.schema import unit_of
-from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
+from ringwear_par.files.text import toml_value
 from ringwear_par.results.variables import POINT_R, POINT_SIDE, POINT_Z, Variable
 from ringwear_par.studies.definition.variations import Column, own_key, value_of
 from ringwear_par.studies.storage.case_variables import WINDOW, CaseVariable, text_dtype
