@@ -16,7 +16,7 @@ from ringwear_par.measuring.analysis.numbers import (
 from ringwear_par.measuring.analysis.repeats import Repeats
 from ringwear_par.measuring.analysis.whole_test import WholeTest
 from ringwear_par.measuring.definition.problem import Problem
-from ringwear_par.results.outcomes import Outcome
+from ringwear_par.results.result import Outcome
 
 #: readings of a channel that figures draw
 _MOST_READINGS = 1000

@@ -43,7 +43,7 @@ from ringwear_par.reports.blocks import (
     checks_tile,
     reproduced,
 )
-from ringwear_par.results.instants import time_words
+from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.storage.hdf5 import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
 
