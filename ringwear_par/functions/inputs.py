@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.key_values import unknown_key
 from ringwear_par.cases.files.keys import override, read_keys
 from ringwear_par.cases.files.reading import make_case
-from ringwear_par.cases.files.suggestions import unknown_key
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.tables import name_unknown_keys
-from ringwear_par.cases.text import shortened
 from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import InputError, legible
+from ringwear_par.files.text import shortened
 from ringwear_par.studies.definition.variations import (
     has_entry,
     is_known,

@@ -9,10 +9,10 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.cases.tables import name_unknown_keys
-from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
+from ringwear_par.files.text import shortened
 from ringwear_par.results.variables import (
     D_HISTORIES,
     HISTORIES,

@@ -24,9 +24,9 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.reading import read_case
-from ringwear_par.cases.text import shortened
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError, RingwearError, legible, reason_of
+from ringwear_par.files.text import shortened
 from ringwear_par.functions.function import Function, function
 from ringwear_par.results.execution.stopping import StopAtOnce, Stopped
 

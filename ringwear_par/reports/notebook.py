@@ -9,7 +9,7 @@ from ringwear_par.cases.units import with_signs
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import RingwearError
 from ringwear_par.pictures.rig import rig_svg
-from ringwear_par.results.outcomes import Outcome
+from ringwear_par.results.result import Outcome
 from ringwear_par.studies.definition.study import Study
 from ringwear_par.studies.definition.variations import path_of
 
