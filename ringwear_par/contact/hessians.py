@@ -67,7 +67,8 @@ class Hessians:
         #: (B, n) in the bases, what unknowns grow by with the approach, and (B,) the force with it
         self._response, self._stiffness = np.zeros((count, n)), np.zeros(count)
         self._factors: dict[int, FloatArray] = {}
-        self._rows: tuple[IntArray, _Rows] | None = None
+        #: how all histories are solved (True), and how some of them are
+        self._rows: dict[bool, tuple[IntArray, _Rows]] = {}
 
     def keep(self, histories: IntArray) -> None:
         """Go on with some of the histories."""
@@ -82,7 +83,7 @@ class Hessians:
         places = {history: place for place, history in enumerate(histories.tolist())}
         factors = self._factors.items()
         self._factors = {places[h]: factor for h, factor in factors if h in places}
-        self._rows = None
+        self._rows.clear()
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Set y to H x."""
@@ -127,7 +128,8 @@ class Hessians:
     def forget(self, histories: IntArray) -> None:
         """Let nothing touch in some histories."""
         self._free[histories], self._valid[histories] = False, False
-        self._number[histories], self._rows = _FACTOR, None
+        self._number[histories] = _FACTOR
+        self._rows.clear()
         for history in histories.tolist():
             self._factors[history] = _NO_FACTOR
 
@@ -174,7 +176,7 @@ class Hessians:
         if self.through_layers and not regular.all():
             self._factorise(histories[~regular])
             rows = histories = histories[regular]
-            touching, wearing, most = (v[regular] for v in (touching, wearing, most))
+            touching, wearing, most = touching[regular], wearing[regular], most[regular]
             regular = regular[regular]
             if not len(histories):
                 return
@@ -203,7 +205,8 @@ class Hessians:
         new = (sets != self._sets[histories]).any(axis=1) | (self._number[histories] < 0)
         if not new.any():
             return
-        self._sets[histories], self._rows = sets, None
+        self._sets[histories] = sets
+        self._rows.clear()
         alike: dict[tuple[int, bytes], list[int]] = defaultdict(list)
         which, width = self._which[histories].tolist(), sets.shape[1]
         packed = sets.tobytes()
@@ -218,7 +221,7 @@ class Hessians:
 
     def _factorise(self, histories: IntArray) -> None:
         """Factor blocks one by one."""
-        self._rows = None
+        self._rows.clear()
         for history in histories.tolist():
             block, free = self.matrix(history), self._free[history]
             if not free.all():
@@ -228,18 +231,19 @@ class Hessians:
 
     def _rows_of(self, histories: IntArray) -> "_Rows":
         """Return how some histories are solved, remembered for the same ones."""
-        if self._rows is None or self._rows[0] is not histories:
+        whole = len(histories) == len(self._number)
+        known = self._rows.get(whole)
+        if known is None or (known[0] is not histories and not whole):
             every = self._number[histories]
             modal = np.flatnonzero(every >= 0)
-            whole = len(modal) == len(every)
-            numbers = every if whole else every[modal]
-            places = slice(None) if whole else modal
+            places: IntArray | slice = modal
+            if len(modal) == len(every):
+                places = slice(None)
+            numbers = every[places]
             ours = slice(None) if len(numbers) == len(self._number) else histories[places]
-            self._rows = (
-                histories,
-                _Rows(places, ours, numbers, self._stack.force[numbers], RowProducts(numbers)),
-            )
-        return self._rows[1]
+            rows = _Rows(places, ours, numbers, self._stack.force[numbers], RowProducts(numbers))
+            known = self._rows[whole] = histories, rows
+        return known[1]
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
         """Return H^-1 right, (..., h, n), of some histories; 0 off their sets."""
@@ -356,21 +360,25 @@ class Hessians:
         stiffness, multiplier = self._stiffness[histories], np.zeros(count)
 
         def apply(x: FloatArray) -> FloatArray:
-            return x + groups.of(slope * groups.of(x, psi_t), psi)
+            bent = groups.of(x, psi_t)
+            bent *= slope
+            product = groups.of(bent, psi)
+            product += x
+            return product
 
-        def project(r: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-            z = inverse * r
-            if missing is None:
-                return r, z, multiplier
-            more = _divided(inner(force, z), stiffness)
-            return r - force * more[:, None], z - response * more[:, None], multiplier + more
+        def project() -> FloatArray:
+            if missing is not None:
+                more = _divided(inner(response, r), stiffness)
+                np.subtract(r, force * more[:, None], out=r)
+                np.add(multiplier, more, out=multiplier)
+            return inverse * r
 
-        rows, x, r = np.arange(count), np.zeros_like(right), right
+        rows, x, r = np.arange(count), np.zeros_like(right), right.copy()
         if missing is not None and missing.any():
             x = response * _divided(missing, stiffness)[:, None]
-            r = r - apply(x)
-        r, z, multiplier = project(r)
-        direction, size = z, inner(r, z)
+            r -= apply(x)
+        direction = project()
+        size = inner(r, direction)
         small, going = tolerance * tolerance * size, np.ones(count, dtype=bool)
         for _ in range(_MOST_ITERATIONS):
             ended = going & ~(size > small)
@@ -389,10 +397,13 @@ class Hessians:
                     groups, going = RowProducts(numbers), going[going]
             product = apply(direction)
             length = _divided(size, inner(direction, product))[:, None]
-            x, r = x + length * direction, r - length * product
-            r, z, multiplier = project(r)
+            x += length * direction
+            product *= length
+            r -= product
+            z = project()
             before, size = size, inner(r, z)
-            direction = z + _divided(size, before)[:, None] * direction
+            direction *= _divided(size, before)[:, None]
+            direction += z
         else:
             solutions[rows[going]], multipliers[rows[going]] = x[going], -multiplier[going]
         return solutions, multipliers

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, columns
+from ringwear_par.arrays import FloatArray, IntArray, columns, largest
 from ringwear_par.errors import ComputationError
 from ringwear_par.schedules import history, take
 from ringwear_par.wear.averaging import averaged, averaged_rate
@@ -190,29 +190,28 @@ class WearIncrement:
             pressure, before_step, after = self._after[id(law)]
             if before_step is at and (pressure is p or np.array_equal(pressure, p)):
                 return after
-        depth = np.zeros_like(p)
+        depth, trial = np.zeros_like(p), at
         before: Any = np.inf
         settled: Any = np.zeros(p.shape[:-1], dtype=bool)
         for _ in range(_MEMORY_ITERATIONS):
-            trial = at.worn_by(depth)
             rise = 1.0 - self.step * law.d_rate_dwear(p, trial)
-            if (rise <= 0.0).any() and ((rise <= 0.0).any(axis=-1) & ~settled).any():
-                e = int(np.where(settled[..., None], np.inf, rise).argmin())
+            if not rise.min() > 0.0 and ((rise <= 0.0).any(axis=-1) & ~settled).any():
+                worst = np.where(settled[..., None], -np.inf, -rise)
                 break
             change = (self.step * law.rate(p, trial) - depth) / rise
-            if p.ndim > 1:
+            if settled.any():
                 change[settled] = 0.0
             depth = np.maximum(depth + change, 0.0)
-            worst = np.abs(change) / np.maximum(at.wear + depth, 1e-300)
-            e, largest = int(worst.argmax()), worst.max(axis=-1)
+            trial = at.worn_by(depth)
+            worst = np.abs(change) / np.maximum(trial.wear, 1e-300)
+            most = largest(worst)
             # the next change would be the square of this one; or no better than its round-off
-            settled = (largest <= _LAST) | ((before <= largest) & (largest <= _NOISE))
-            if settled if p.ndim == 1 else settled.all():
-                after = at.worn_by(depth)
-                self._after[id(law)] = p, at, after
-                return after
-            before = largest
-        raise ComputationError(self._unsettled(at, np.unravel_index(e, p.shape)))
+            settled = (most <= _LAST) | ((before <= most) & (most <= _NOISE))
+            if settled.all():
+                self._after[id(law)] = p, at, trial
+                return trial
+            before = most
+        raise ComputationError(self._unsettled(at, np.unravel_index(worst.argmax(), p.shape)))
 
     def _unsettled(self, at: LocalState, place: tuple[Any, ...]) -> str:
         """Return which element (of which history, where there are some) does not settle."""
