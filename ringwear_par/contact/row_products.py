@@ -33,7 +33,9 @@ class RowProducts:
         if not count or (which == which[0]).all():
             self._stack = int(which[0]) if count else 0
             return
-        numbers, group, counts = np.unique(which, return_inverse=True, return_counts=True)
+        counts = np.bincount(which)
+        numbers = np.flatnonzero(counts)
+        counts = counts[numbers]
         blocks = -(-counts // ROWS)
         last = np.cumsum(blocks)
         self._n_blocks = int(last[-1])
@@ -41,10 +43,11 @@ class RowProducts:
             self._stack = slice(int(numbers[0]), int(numbers[-1]) + 1)
         ends = zip(numbers.tolist(), (last - blocks).tolist(), last.tolist(), strict=True)
         self._runs = list(ends)
-        order = np.argsort(group, kind="stable")
-        within = np.arange(count) - (np.cumsum(counts) - counts)[group[order]]
+        # rows of a matrix follow each other from its first block on
+        starts = ROWS * (last - blocks) - (np.cumsum(counts) - counts)
         self._slots = np.empty(count, dtype=np.int64)
-        self._slots[order] = ROWS * (last - blocks)[group[order]] + within
+        order = np.argsort(which, kind="stable")
+        self._slots[order] = np.arange(count) + np.repeat(starts, counts)
 
     def of(self, rows: FloatArray, matrices: FloatArray) -> FloatArray:
         """Return rows (..., h, n) times their matrices (n, n), digits of each row its own."""
