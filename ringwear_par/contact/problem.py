@@ -114,8 +114,7 @@ class ContactProblem:
         self._pressure: FloatArray | None = None
         #: whether a gradient is wanted at the last unknowns
         self.recall = False
-        #: (h,) the histories at work
-        self.at_work: IntArray = self.every
+        self.at_work = self.every
         #: (B, n) mm, and (B,) mm
         self.gaps, self.approaches = np.zeros_like(self.scale), np.zeros(len(which))
         #: (B,) N, where approaches are those that carry given forces
@@ -162,7 +161,8 @@ class ContactProblem:
              "is_known", "gaps", "approaches"),
             histories,
         )  # fmt: skip
-        self.at_work = self.every = np.arange(len(histories))
+        self.every = np.arange(len(histories))
+        self.at_work = self.every
         self._pressure = self._products = self._wear_at_work = self.wear = self.forces = None
 
     def rows_of(self, histories: IntArray) -> IntArray | slice:
@@ -174,9 +174,15 @@ class ContactProblem:
         return vector[: self.weights.size].reshape(self.weights.shape)
 
     @property
-    def rows(self) -> IntArray | slice:
-        """The rows of the histories at work."""
-        return self.rows_of(self.at_work)
+    def at_work(self) -> IntArray:
+        """(h,) the histories at work."""
+        return self._at_work
+
+    @at_work.setter
+    def at_work(self, histories: IntArray) -> None:
+        self._at_work = histories
+        #: the rows of the histories at work
+        self.rows = self.rows_of(histories)
 
     def _increment(self) -> WearIncrement | None:
         """Return the wear of the histories at work."""
