@@ -14,13 +14,12 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case, Ring, RingLayer
-from ringwear_par.cases.laws import make_law
+from ringwear_par.cases.files.key_values import make_law
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, key_of
 from ringwear_par.cases.values import Interval, magnitude_fault
-from ringwear_par.wear.law import Law
-from ringwear_par.wear.parameters import parameters_of
-from ringwear_par.wear.user import UserLaw
+from ringwear_par.wear.law import Law, parameters_of
+from ringwear_par.wear.laws.user import UserLaw
 
 #: key and name of a parameter of a user's law, or of a layer's ("[0].wear.k"), None elsewhere
 Number = tuple[str, str | None]

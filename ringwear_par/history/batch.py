@@ -8,7 +8,7 @@ import numpy as np
 
 from ringwear_par import batched
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.cases.forecast import unit_question
+from ringwear_par.cases.unit_suspicions import unit_question
 from ringwear_par.contact.problem import WarmStart
 from ringwear_par.errors import (
     ComputationError,

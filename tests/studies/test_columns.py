@@ -11,8 +11,8 @@ from swept import write_study
 
 from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.files.reading import make_case
-from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
+from ringwear_par.files.text import toml_text
 from ringwear_par.studies.definition import checking
 from ringwear_par.studies.definition import study as studies
 from ringwear_par.studies.definition.checking import LOOKED_AT, case_faults

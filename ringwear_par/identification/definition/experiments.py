@@ -1,5 +1,6 @@
 """``[[experiment]]``: tests of a fit file, each with its case and its measurements."""
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +14,8 @@ from ringwear_par.cases.files.faults import Origin
 from ringwear_par.cases.files.keys import flatten, in_full, override
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader
-from ringwear_par.cases.text import shortened
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.files.text import shortened
 from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.identification.definition.parameter_rules import refuse_both, refuse_unfit
 from ringwear_par.identification.definition.problem import Experiment, FittedParameter, Series
@@ -188,8 +189,12 @@ def _named(series: list[Series]) -> tuple[Series, ...]:
     """Return series with names that differ."""
     counts: dict[str, int] = {}
     named = []
+    several = [quantity for quantity, n in Counter(s.quantity for s in series).items() if n > 1]
     for one in series:
-        name = one.quantity if one.at is None else f"{one.quantity} at {one.at:g} s"
+        at = one.at
+        if at is None and one.n == 1 and one.quantity in several:  # weighings
+            at = float(one.x[0])
+        name = one.quantity if at is None else f"{one.quantity} at {at:g} s"
         counts[name] = counts.get(name, 0) + 1
         if counts[name] > 1:
             name = f"{name} ({counts[name]})"

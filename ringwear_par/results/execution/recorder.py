@@ -24,10 +24,9 @@ from ringwear_par.results.execution.attributes import (
     times_through,
     wall_times,
 )
-from ringwear_par.results.execution.last_states import LastStates
-from ringwear_par.results.execution.stored_rows import StoredRows
+from ringwear_par.results.execution.stored_states import LastStates, StoredRows
 from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
-from ringwear_par.results.stress_variables import point_columns, stress_rows
+from ringwear_par.results.storage.result_variables import point_columns, stress_rows
 from ringwear_par.results.warnings import Warnings
 
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
@@ -234,7 +233,7 @@ class Recorder:
                 "symmetry_defect": float(last.symmetry_defect[0]),
                 "step_error_time": float(self._balances.step_error_time[number]),
                 "closing_contact": int(self._balances.closing_contact[number]),
-                "doubts": json.dumps([warning.text for warning in warnings]),
+                "doubts": json.dumps([warning.to_dict() for warning in warnings]),
             },
             Checkpoint(last.start, int(self._rows.pending[number]), self.warnings.worst(number)),
             parameters=self._rows.parameters,

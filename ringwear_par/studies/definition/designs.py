@@ -13,13 +13,19 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.key_values import unknown_key
 from ringwear_par.cases.files.keys import base_keys, in_full, kinds, plain
-from ringwear_par.cases.files.suggestions import unknown_key
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.tables import TableReader
-from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
-from ringwear_par.files.text import parse_toml, parse_value, read_text, refuse_depth
+from ringwear_par.files.text import (
+    parse_toml,
+    parse_value,
+    read_text,
+    refuse_depth,
+    shortened,
+    toml_value,
+)
 from ringwear_par.studies.definition.case_columns import CaseColumns
 from ringwear_par.studies.definition.schema import DESIGN, MOST_CASES
 from ringwear_par.studies.definition.variations import (

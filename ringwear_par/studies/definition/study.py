@@ -13,8 +13,8 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.numbers import with_numbers
-from ringwear_par.cases.text import toml_value
 from ringwear_par.elasticity.bem.boundary import count_elements
+from ringwear_par.files.text import toml_value
 from ringwear_par.studies.definition.case_columns import CaseColumns, Groups, by_kind
 from ringwear_par.studies.definition.checking import (
     CheckedCases,

@@ -6,13 +6,12 @@ from dataclasses import replace
 from mpi4py import MPI
 
 from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.cases.unit_suspicions import without_intended_numbers
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.result import HistoryColumns, Result
-from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.storage.hdf5 import UnreadableError
-from ringwear_par.results.storage.result_files import open_result, write_result
-from ringwear_par.results.unit_suspicions import but_varied
+from ringwear_par.results.storage.result_files import open_result, restored, write_result
 from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.execution.plan import CaseSet, Plan
 from ringwear_par.studies.storage.blocks import DAMAGE, Block
@@ -65,7 +64,9 @@ class TeamStore:
         """
         case, varied = cases.cases[0], self._plan.study.names
         flags = zip(columns.flags, cases.cases, strict=True)
-        columns = replace(columns, flags=tuple(but_varied(f, case, varied) for f, case in flags))
+        columns = replace(
+            columns, flags=tuple(without_intended_numbers(f, case, varied) for f, case in flags)
+        )
         deep = case.output.profiles == "all"
         texts = [case.text for case in cases.cases]
         block = Block.of(columns, case.line, cases.ids, texts, __version__, deep=deep)

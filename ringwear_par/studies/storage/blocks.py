@@ -26,7 +26,7 @@ import numpy as np
 from ringwear_par.arrays import IntArray
 from ringwear_par.elasticity.geometry.mesh import ContactLine
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.ordinary import open_ordinary
+from ringwear_par.files.writing import open_ordinary
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.results.storage.hdf5 import UnreadableError
 from ringwear_par.results.variables import LINE

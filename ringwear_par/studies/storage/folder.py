@@ -17,8 +17,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.ordinary import open_ordinary
-from ringwear_par.files.writing import check_writable, remove_leftovers, unwritable
+from ringwear_par.files.writing import check_writable, open_ordinary, remove_leftovers, unwritable
 from ringwear_par.results.storage.hdf5 import UnreadableError
 from ringwear_par.studies.storage import shards
 from ringwear_par.studies.storage.blocks import INCOMPLETE, CaseBlock

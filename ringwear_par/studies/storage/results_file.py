@@ -20,7 +20,7 @@ from ringwear_par.results.storage.hdf5 import (
     read_words,
     reading,
 )
-from ringwear_par.results.stress_variables import side_numbers
+from ringwear_par.results.storage.result_variables import side_numbers
 from ringwear_par.results.variables import POINT_SIDE
 from ringwear_par.studies.storage.blocks import (
     BY_CASE,
