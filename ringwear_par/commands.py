@@ -142,9 +142,6 @@ COMMANDS = {
         _argument("--slice", type=_slice, metavar="I/N", dest="part",
                   help="compute the I-th of N slices only; a sweep without --slice merges them"),
         _flag("--retry-failed", "compute failed cases again as well"),
-        _flag("--mix-versions",
-              "continue a sweep that another version of this program has begun; the variable "
-              "version of the results names the version of each case"),
         _flag("--dry-run",
               "count cases and assemblies, estimate memory and time; write nothing"),
         _NO_CACHE,

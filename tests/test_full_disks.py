@@ -184,7 +184,6 @@ def test_sweep(full, tmp_path, comm):
     for size, status, said, status_again, said_again in found:
         left = full.kept / str(size) / "out"
         assert not list(left.rglob("*.tmp*"))
-        assert not list((left / "operators").glob("*"))
         before = faults.done_before(left)
         if status:
             (told,) = said

@@ -194,6 +194,8 @@ def _copies(original: Any, columns: Mapping[str, Sequence[Any]]) -> list[Any]:
     """
     kind = type(original)
     names = {*(field.name for field in fields(original)), *_OF_SHAPES.get(kind, ())}
+    for name in _OF_SHAPES.get(kind, ()):
+        getattr(original, name)  # worked out once for all copies
     state = {name: value for name, value in original.__dict__.items() if name in names}
     copies = []
     for row in zip(*columns.values(), strict=True):

@@ -205,9 +205,10 @@ class TableReader:
             self.wrong(name, f"must be {key.allowed}{hint}")
             return fallback
 
-    def finish(self) -> None:
+    def finish(self, fault: str = "unknown key") -> None:
         """Add a fault for each key that nobody has read."""
-        name_unknown_keys(self.place, self._table, list(dict.fromkeys(self._read)), self.faults)
+        known = list(dict.fromkeys(self._read))
+        name_unknown_keys(self.place, self._table, known, self.faults, fault)
 
 
 def key_table(keys: Iterable[Key], words: str = "") -> str:

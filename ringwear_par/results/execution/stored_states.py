@@ -38,7 +38,7 @@ def row(physics: Physics, state: State) -> dict[str, Any]:
         "worn_volume_upper": volumes[1],
         "dissipated_energy": state.energy,
         "pressure": contact.pressure,
-        "gap": contact.gap,
+        "gap": np.where(contact.pressure > 0.0, 0.0, contact.gap),  # in contact all but round-off
         "wear_lower": state.wear[0],
         "wear_upper": state.wear[1],
     }

@@ -15,8 +15,7 @@ from ringwear_par.results.execution.run import Watch
 from ringwear_par.results.execution.stopping import StopSignals
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.studies.execution.batches import PairResources
-from ringwear_par.studies.execution.shared_pairs import StorageError
-from ringwear_par.studies.execution.team_store import TeamStore
+from ringwear_par.studies.execution.team_store import StorageError, TeamStore
 
 #: histories of more steps are computed alone, with checkpoints
 LONG_STEPS = 20_000
