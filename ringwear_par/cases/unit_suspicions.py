@@ -11,7 +11,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Ring, RingLayer
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.schedules import Quantity, Table, largest, mean
 from ringwear_par.wear.law import Law, WearLaw, parameters_of

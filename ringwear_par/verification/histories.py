@@ -11,8 +11,8 @@ from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.contact.engine import TAO_TYPES, ContactEngine
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.elasticity.geometry.mesh import Mesh
-from ringwear_par.elasticity.geometry.sections import Polyline
+from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.sections import Polyline
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import Trace, trace
 from ringwear_par.history.physics import Physics

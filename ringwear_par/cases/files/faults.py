@@ -7,8 +7,8 @@ from typing import Any
 
 from ringwear_par.cases.case import SAME_TIME, Case, RingLayer
 from ringwear_par.cases.schema import BY_PATH
-from ringwear_par.elasticity.geometry.mesh import contact_pieces
-from ringwear_par.elasticity.geometry.sections import (
+from ringwear_par.elasticity.mesh import contact_pieces
+from ringwear_par.elasticity.sections import (
     CLOSE,
     Polyline,
     Shape,
