@@ -137,14 +137,16 @@ class CaseTable:
 
 def _store(file: h5py.File, variable: Variable, values: Any) -> None:
     """Write numbers of all cases, (cases,) or more."""
-    CaseVariable(file, variable, values.dtype).write_all(lambda cases: values[cases])
+    column = CaseVariable(file, variable, values.dtype, WINDOW)
+    column.write_all(lambda cases: values[cases])
 
 
 def _store_texts(file: h5py.File, variable: Variable, column: Column) -> None:
     texts = [text.encode() for text in column.distinct]
     kind = text_dtype(max(map(len, texts), default=1))
     distinct = np.array(texts, dtype=kind)
-    CaseVariable(file, variable, kind).write_all(lambda cases: distinct[column.codes[cases]])
+    stored = CaseVariable(file, variable, kind, WINDOW)
+    stored.write_all(lambda cases: distinct[column.codes[cases]])
 
 
 def extended(varied: Mapping[str, Column], texts: Iterable[str]) -> dict[str, Column]:

@@ -73,7 +73,7 @@ class Chunks:
     sizes: tuple[int, ...]
 
     @classmethod
-    def of(cls, name: str, shape: tuple[int, ...], kind: Any, window: int = WINDOW) -> "Chunks":
+    def of(cls, name: str, shape: tuple[int, ...], kind: Any, window: int) -> "Chunks":
         """Return the chunks of a variable.
 
         Parameters
@@ -129,9 +129,8 @@ class CaseVariable:
     window : cases that are written at once.
     """
 
-    def __init__(
-        self, file: h5py.File, variable: Variable, kind: Any, window: int = WINDOW
-    ) -> None:
+    def __init__(self, file: h5py.File, variable: Variable, kind: Any, window: int) -> None:
+        self._window = window
         shape = tuple(len(file[name]) for name in variable.dimensions)
         self.chunks = chunks = Chunks.of(variable.name, shape, kind, window)
         fill = {"fillvalue": np.nan} if np.dtype(kind).kind == "f" else {}
@@ -160,6 +159,6 @@ class CaseVariable:
         values : returns those of a stretch of the cases.
         """
         count = self.chunks.shape[0]
-        for start in range(0, count, WINDOW):
-            part = values(slice(start, min(start + WINDOW, count)))
+        for start in range(0, count, self._window):
+            part = values(slice(start, min(start + self._window, count)))
             self.write(start, self.chunks.packed(part))
