@@ -142,8 +142,8 @@ def _load_faults(name: str, values: Mapping[str, Any]) -> list[str]:
             f"{name}: load.displacement is missing: must be a finite number > 0 (mm) where "
             f"{by_displacement}"
         )
-        others = [f"{loads[key]}: must be absent where {by_displacement}" for key in loads]
-        return others[:-1] if "displacement" in loads else [missing, *others]
+        unread = [f"{loads[key]}: must be absent where {by_displacement}" for key in loads]
+        return unread[:-1] if "displacement" in loads else [missing, *unread]
     if control == "force" and "displacement" in loads:
         return [f"{loads['displacement']}: needs {by_displacement}"]
     if control != "force" or len(loads) == 1:
