@@ -23,7 +23,7 @@ from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactInputs
 from ringwear_par.elasticity.bem.body import BodyCost
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
-from ringwear_par.elasticity.geometry.mesh import ContactLine
+from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.history.derivatives.numbers import Sensitivity
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.compliances import Compliances, OperatorKey, key_of
