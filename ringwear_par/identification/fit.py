@@ -121,9 +121,11 @@ def _fit_law(
             )  # fmt: skip
         solution = replace(solution, histories=rounds.count)
         misfit.keep_only(solution.x, None if material is None else material.test_unknowns)
-        return solution, material, *(getattr(misfit, name) for name in _CHANGED)
+        experiments = misfit.problem.experiments
+        return solution, material, experiments, *(getattr(misfit, name) for name in _CHANGED)
 
-    solution, material, *state = rounds.lead(lead)
+    solution, material, experiments, *state = rounds.lead(lead)
+    misfit.change_cases(experiments)
     for name, value in zip(_CHANGED, state, strict=True):
         setattr(misfit, name, value)
     misfit.part_from_histories()

@@ -10,9 +10,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.schema import UNITS
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.identification.definition.fitted_parameters import units_of
-from ringwear_par.identification.definition.problem import GROWTH_TIME
+from ringwear_par.identification.definition.problem import GROWTH_TIME, SCALE
 from ringwear_par.identification.definition.user_units import in_users_unit, specific_wear_rate
 from ringwear_par.identification.estimation.conditions import conditional_verdicts
 from ringwear_par.identification.estimation.intervals import (
@@ -291,6 +292,7 @@ class FitResult(Outcome, Solution):
             "process": {} if self.material is None else self.material.process,
             "experiments": self.experiments,
             "nuisance": self.nuisances,
+            "inputs": self.inputs,
             "histories": self.histories,
             "histories_of_profiles": self.histories_of_profiles,
             "steps": self.misfit.steps,
@@ -385,6 +387,8 @@ class FitResult(Outcome, Solution):
             if isinstance(name, str):
                 continue
             experiment, series, kind = name
+            if kind == SCALE:  # of an input
+                continue
             known = not idle[i] and np.isfinite(sds[i])
             entry = {"estimate": float(self.x[i]), "sd": float(sds[i]) if known else None}
             of_series = nuisances.setdefault(experiment, {}).setdefault(series, {})
@@ -393,6 +397,41 @@ class FitResult(Outcome, Solution):
             else:
                 of_series[kind] = entry
         return nuisances
+
+    @property
+    def input_readings(
+        self,
+    ) -> list[tuple[str, str, str, FloatArray, FloatArray, FloatArray]]:
+        """Test, key, unit, times (s) and readings of each input, and the curve there."""
+        return [
+            (experiment.name, one.key, UNITS[one.key], one.time, one.readings(experiment.case),
+             one.curve(experiment.case)(one.time))
+            for experiment in self.misfit.problem.experiments
+            for one in experiment.inputs
+        ]  # fmt: skip
+
+    @property
+    def inputs(self) -> dict[str, dict[str, Any]]:
+        """Curve, scatter of the readings about it, and scale of each input, by experiment and key.
+
+        The curve is at ``time``, s; the scatter is a relative standard deviation.
+        """
+        inputs: dict[str, Any] = {}
+        names, sds = self.misfit.names, self.standard_deviations
+        for experiment in self.misfit.problem.experiments:
+            for one in experiment.inputs:
+                curve, readings = one.curve(experiment.case), one.readings(experiment.case)
+                off = readings / np.maximum(curve(one.time), np.finfo(float).tiny) - 1.0
+                entry: dict[str, Any] = {
+                    "time": list(curve.x), "value": list(curve.y), "unit": UNITS[one.key],
+                    "n": len(one.time), "scatter": float(np.sqrt(np.mean(off**2))),
+                }  # fmt: skip
+                if one.scale is not None:
+                    i, mean = names.index((experiment.name, one.key, SCALE)), one.scale.mean
+                    entry["scale"] = {"estimate": mean * (1.0 + float(self.x[i])),
+                                      "sd": mean * float(sds[i])}  # fmt: skip
+                inputs.setdefault(experiment.name, {})[one.key] = entry
+        return inputs
 
     def plot_parameters(self) -> "Figure":
         """Return the figure of the fitted keys: ellipses, likelihood profiles, samples."""

@@ -196,6 +196,11 @@ def _assumptions(fit: "FitResult") -> list[str]:
         f"{series.name} ({experiment.name}): {sentence}"
         for experiment, series, _ in fit.misfit.records
         for sentence in series.assumptions
+    ] + [
+        f"{one.key} ({experiment.name}): {sentence}"
+        for experiment in fit.misfit.problem.experiments
+        for one in experiment.inputs
+        for sentence in one.assumptions
     ]
 
 
@@ -251,6 +256,7 @@ def summary(fit: "FitResult") -> str:
             f"  {row.experiment}, {row.name}: {counted(row.n, 'reading')}, chi2 {row.chi2:.4g}"
             f"{noise}{row.nuisances and ', ' + row.nuisances}"
         )
+    lines += [f"  {line}" for line in input_lines(outcome)]
     lines += _correlation_lines(fit)
     if fit.starts:
         converged = min(fit.starts, key=lambda start: start.objective).converged
@@ -290,6 +296,7 @@ def prediction(fit: "FitResult") -> str:
         if one.direction:
             lines.append(f"  {one.key} would not be identified: {one.direction}")
     lines += _unit_lines(fit)
+    lines += [f"  {line}" for line in input_lines(outcome)]
     lines += _correlation_lines(fit)
     settings = problem.settings
     lines.append(
@@ -423,6 +430,23 @@ def process_lines(outcome: Outcome) -> list[str]:
             "beside it, the specimens may not differ at all: with 3 specimens or more, scatter "
             "alone is enough for values of the material"
         )
+    return lines
+
+
+def input_lines(outcome: Outcome) -> list[str]:
+    """Return a sentence about each measured input."""
+    lines = []
+    for experiment, inputs in outcome.get("inputs", {}).items():
+        for key, entry in inputs.items():
+            values, unit = entry["value"], unit_suffix(entry["unit"])
+            text = (
+                f"{experiment}, {key} as measured: {counted(entry['n'], 'reading')}, a curve from "
+                f"{min(values):.4g} to {max(values):.4g}{unit}, readings scatter by "
+                f"{100.0 * entry['scatter']:.2g} % about it"
+            )
+            if (scale := entry.get("scale")) is not None:
+                text += f", scale {_with_sd(scale['estimate'], scale['sd'], 4, '')}"
+            lines.append(text)
     return lines
 
 

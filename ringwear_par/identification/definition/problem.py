@@ -127,6 +127,8 @@ def reflected(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArr
 
 #: kind of the time constant of "thermal", which it follows; the only one that is not linear
 GROWTH_TIME = "thermal time"
+#: kind of the factor on a measured input less 1, over the mean of its calibration
+SCALE = "scale"
 
 
 @dataclass(frozen=True)

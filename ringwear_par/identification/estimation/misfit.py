@@ -17,7 +17,9 @@ from scipy.optimize import least_squares, lsq_linear
 from ringwear_par.arrays import BoolArray, FloatArray, short_repr
 from ringwear_par.identification.definition.problem import (
     GROWTH_TIME,
+    SCALE,
     Experiment,
+    Nuisance,
     Prior,
     Problem,
     Series,
@@ -115,7 +117,25 @@ class Misfit:
         self.noise_scale = np.ones(len(self.records))
         self.steps, self.exact = STEPS, True
         self.response_cache: dict[tuple[int, bytes], FloatArray | HistoryError] = {}
+        self._factors = problem.factors
         self._lay_out_unknowns()
+
+    def renew_inputs(self, x: FloatArray) -> bool:
+        """Let friction be as torques tell it by the histories at unknowns; tell if any does.
+
+        Not collective.
+        """
+        if all(experiment.torque_input is None for experiment in self.problem.experiments):
+            return False
+        self.change_cases(self._histories.renew_inputs(self.values(x)))
+        self.response_cache = {}
+        return True
+
+    def change_cases(self, experiments: tuple[Experiment, ...]) -> None:
+        """Take the experiments with other cases, of the same series."""
+        numbers = {one.name: one for one in experiments}
+        self.problem = self.problem.with_experiments(experiments)
+        self.records = [r._replace(experiment=numbers[r.experiment.name]) for r in self.records]
 
     def _lay_out_unknowns(self) -> None:
         """Lay the unknowns out."""
@@ -125,13 +145,13 @@ class Misfit:
             (j, p.prior) for j, p in enumerate(self.problem.parameters) if p.prior is not None
         ]
         columns = []
-        # series with thermal growth, and their nuisances among all
-        self._growths: list[tuple[Record, slice]] = []
-        for record in self.records:
+        # numbers of records with thermal growth, and their nuisances among all
+        self._growths: list[tuple[int, slice]] = []
+        for number, record in enumerate(self.records):
             experiment, series, rows = record
             first = len(self.names) - self._m
             if any(nuisance.kind == GROWTH_TIME for nuisance in series.nuisances):
-                self._growths.append((record, slice(first, first + len(series.nuisances))))
+                self._growths.append((number, slice(first, first + len(series.nuisances))))
             series_columns = nuisance_columns(series, experiment.case)
             for nuisance, values in zip(series.nuisances, series_columns.T, strict=True):
                 column = np.zeros(self.n)
@@ -141,10 +161,31 @@ class Misfit:
                     priors.append((len(self.names), nuisance.prior))
                 self.names.append((experiment.name, series.name, nuisance.kind))
                 limits.append(list(nuisance.bounds))
+        nuisances = [nuisance for r in self.records for nuisance in r.series.nuisances]
+        #: factors on measured inputs: rows of their test, place among the nuisances, and how much
+        #: of the derivatives by ``problem.factors`` they take
+        self._scales: list[tuple[slice, int, FloatArray]] = []
+        start = 0
+        for experiment in self.problem.experiments:
+            rows = slice(start, start + experiment.n)
+            start = rows.stop
+            for one in experiment.inputs:
+                if one.scale is None:
+                    continue
+                prior = Prior(0.0, one.scale.sd / one.scale.mean)
+                key, place = one.key.replace("pressure", "force"), len(self.names) - self._m
+                taken = np.array([float(factor == key) for factor in self._factors])
+                if key == "load.force" and experiment.torque_input is not None:
+                    taken[self._factors.index("contact.friction")] = -1.0
+                self._scales.append((rows, place, taken))
+                columns.append(np.zeros(self.n))
+                priors.append((len(self.names), prior))
+                self.names.append((experiment.name, one.key, SCALE))
+                limits.append([-np.inf, np.inf])
+                nuisances.append(Nuisance(SCALE, prior))
         self.lower, self.upper = np.array(limits).T
         self.nuisance_columns = np.stack(columns, axis=1) if columns else np.zeros((self.n, 0))
         self.priors = priors
-        nuisances = [nuisance for r in self.records for nuisance in r.series.nuisances]
         self.expected_nuisances = np.array([nuisance.expected for nuisance in nuisances])
         # (u - m,) which are growths and which time constants, and how large these are at first
         kinds = np.array([nuisance.kind for nuisance in nuisances], dtype=object)
@@ -263,7 +304,7 @@ class Misfit:
         (n, bodies) of each reading: its change for each mm of mean depth that is worn faster all
         along, and that mean depth, mm.
         """
-        of_clocks = self._response(x, test_unknowns)[:, 1 + self._m :]
+        of_clocks = self._response(x, test_unknowns)[:, 1 + self._m + len(self._factors) :]
         by_factor, depth = np.split(of_clocks, 2, axis=1)
         return np.divide(by_factor, depth, out=np.zeros_like(depth), where=depth > 0.0), depth
 
@@ -284,21 +325,33 @@ class Misfit:
         slopes = [self.problem.slopes(v) for v in self.values_of_tests(x, test_unknowns)]
         derivatives = self._response(x, test_unknowns)[:, 1 : 1 + self._m]
         key_columns = derivatives * np.repeat(slopes, counts, axis=0)
-        return np.concatenate([key_columns, self.nuisance_derivatives(x)], axis=1)
+        return np.concatenate([key_columns, self.nuisance_derivatives(x, test_unknowns)], axis=1)
 
-    def nuisance_derivatives(self, x: FloatArray) -> FloatArray:
+    def nuisance_derivatives(
+        self, x: FloatArray, test_unknowns: FloatArray | None = None
+    ) -> FloatArray:
         """Return derivatives (n, u - m) of the readings with respect to nuisances, at unknowns."""
         columns = self.nuisance_columns
+        if self._scales:
+            columns = columns.copy()
+            by_factors = self._response(x, test_unknowns)[:, 1 + self._m :]
+            for part, place, taken in self._scales:
+                columns[part, place] = by_factors[part, : len(taken)] @ taken
         if self._growths:
             columns = columns.copy()
-            for (experiment, series, rows), places in self._growths:
+            for number, places in self._growths:
+                experiment, series, rows = self.records[number]
                 values = x[self._m :][places]
                 columns[rows, places] = nuisance_columns(series, experiment.case, values)
         return columns
 
-    def nuisance_readings(self, x: FloatArray) -> FloatArray:
+    def nuisance_readings(
+        self, x: FloatArray, test_unknowns: FloatArray | None = None
+    ) -> FloatArray:
         """Return the nuisances of unknowns as they are in the readings, (n,)."""
-        added: FloatArray = self.nuisance_derivatives(x) @ np.where(self._times, 0.0, x[self._m :])
+        added: FloatArray = self.nuisance_derivatives(x, test_unknowns) @ np.where(
+            self._times, 0.0, x[self._m :]
+        )
         return added
 
     def evaluate(
@@ -320,7 +373,7 @@ class Misfit:
         HistoryError : there is no history.
         """
         values, response = self.values(x), self._response(x, test_unknowns)
-        model = response[:, 0] + self.nuisance_readings(x) + random_part
+        model = response[:, 0] + self.nuisance_readings(x, test_unknowns) + random_part
         rows = np.concatenate(
             [(model - self.data)[:, None], self.columns(x, test_unknowns)], axis=1
         )

@@ -96,8 +96,13 @@ def solve(misfit: Misfit, rounds: Rounds, law: str, stored: StoredStarts) -> Sol
     misfit.be_exact(True)
     x = np.array(_best(starts, misfit.problem.name).unknowns)
     histories_of_profiles = 0
+    renewed = misfit.renew_inputs(x)
     while True:
         optimum = _with_noise(misfit, x)
+        if renewed:  # by the torque at the best start; once more at the optimum
+            renewed = False
+            misfit.renew_inputs(optimum.x)
+            optimum = _with_noise(misfit, optimum.x)
         parameters, covariance = estimates(misfit, optimum.x, optimum.evaluation)
         shift = misfit.discretisation_shift(optimum.x, optimum.evaluation, covariance)
         may_halve = misfit.steps < STEPS << _HALVINGS
