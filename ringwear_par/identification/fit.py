@@ -22,7 +22,7 @@ from ringwear_par.results.execution.stopping import StopSignals
 from ringwear_par.version import versions
 
 #: attributes of a misfit that a fit changes
-_CHANGED = ("data", "noise_scale", "steps", "response_cache")
+_CHANGED = ("data", "noise_scale", "steps", "response_cache", "nuisance_columns")
 
 
 def fit(

@@ -146,7 +146,7 @@ def measured_input(
     label = f"{name} ({in_signs(unit)})" if unit not in ("1", "-") else name
     return Panel(
         Axis(f"time ({word})"), Axis(label), f"{experiment}: {key}",
-        curves=[Curve(time / length, curve, "curve", COLOURS[1])],
+        curves=[Curve(time / length, curve, "smoothed", COLOURS[2])],
         points=[Points(time / length, value, "data", GREY, 4.0)],
     )  # fmt: skip
 

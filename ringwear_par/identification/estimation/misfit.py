@@ -90,7 +90,7 @@ class Misfit:
     censored : (n,) -1 where the true value is at most the reading, 1 where at least, else 0.
     expected_nuisances : (u - m,) by their priors, or 0; the start of a time constant.
     nuisance_columns : (n, u - m) what nuisances add to the readings, by their units, linearised
-        where they are expected.
+        where they are expected; those of factors on inputs see ``linearise_inputs``.
     lower, upper : (u,) bounds.
     priors : of unknowns, by their numbers.
     noise_scale : of each series, by which its sd is multiplied.
@@ -123,13 +123,21 @@ class Misfit:
     def renew_inputs(self, x: FloatArray) -> bool:
         """Let friction be as torques tell it by the histories at unknowns; tell if any does.
 
-        Not collective.
+        What factors on inputs do is then that at these unknowns. Not collective.
         """
-        if all(experiment.torque_input is None for experiment in self.problem.experiments):
-            return False
-        self.change_cases(self._histories.renew_inputs(self.values(x)))
-        self.response_cache = {}
-        return True
+        by_torque = any(e.torque_input is not None for e in self.problem.experiments)
+        if by_torque:
+            self.change_cases(self._histories.renew_inputs(self.values(x)))
+            self.response_cache = {}
+        self.linearise_inputs(x)
+        return by_torque or bool(self._scales)
+
+    def linearise_inputs(self, x: FloatArray) -> None:
+        """Let what factors on inputs do be that at unknowns. Not collective."""
+        if self._scales:
+            by_factors = self._response(x)[:, 1 + self._m :]
+            for rows, place, taken in self._scales:
+                self.nuisance_columns[rows, place] = by_factors[rows, : len(taken)] @ taken
 
     def change_cases(self, experiments: tuple[Experiment, ...]) -> None:
         """Take the experiments with other cases, of the same series."""
@@ -325,18 +333,11 @@ class Misfit:
         slopes = [self.problem.slopes(v) for v in self.values_of_tests(x, test_unknowns)]
         derivatives = self._response(x, test_unknowns)[:, 1 : 1 + self._m]
         key_columns = derivatives * np.repeat(slopes, counts, axis=0)
-        return np.concatenate([key_columns, self.nuisance_derivatives(x, test_unknowns)], axis=1)
+        return np.concatenate([key_columns, self.nuisance_derivatives(x)], axis=1)
 
-    def nuisance_derivatives(
-        self, x: FloatArray, test_unknowns: FloatArray | None = None
-    ) -> FloatArray:
+    def nuisance_derivatives(self, x: FloatArray) -> FloatArray:
         """Return derivatives (n, u - m) of the readings with respect to nuisances, at unknowns."""
         columns = self.nuisance_columns
-        if self._scales:
-            columns = columns.copy()
-            by_factors = self._response(x, test_unknowns)[:, 1 + self._m :]
-            for part, place, taken in self._scales:
-                columns[part, place] = by_factors[part, : len(taken)] @ taken
         if self._growths:
             columns = columns.copy()
             for number, places in self._growths:
@@ -345,13 +346,9 @@ class Misfit:
                 columns[rows, places] = nuisance_columns(series, experiment.case, values)
         return columns
 
-    def nuisance_readings(
-        self, x: FloatArray, test_unknowns: FloatArray | None = None
-    ) -> FloatArray:
+    def nuisance_readings(self, x: FloatArray) -> FloatArray:
         """Return the nuisances of unknowns as they are in the readings, (n,)."""
-        added: FloatArray = self.nuisance_derivatives(x, test_unknowns) @ np.where(
-            self._times, 0.0, x[self._m :]
-        )
+        added: FloatArray = self.nuisance_derivatives(x) @ np.where(self._times, 0.0, x[self._m :])
         return added
 
     def evaluate(
@@ -373,7 +370,7 @@ class Misfit:
         HistoryError : there is no history.
         """
         values, response = self.values(x), self._response(x, test_unknowns)
-        model = response[:, 0] + self.nuisance_readings(x, test_unknowns) + random_part
+        model = response[:, 0] + self.nuisance_readings(x) + random_part
         rows = np.concatenate(
             [(model - self.data)[:, None], self.columns(x, test_unknowns)], axis=1
         )

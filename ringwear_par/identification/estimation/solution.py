@@ -139,6 +139,7 @@ def solve(misfit: Misfit, rounds: Rounds, law: str, stored: StoredStarts) -> Sol
 def _begin(misfit: Misfit) -> FloatArray:
     """Return the unknowns at the start; refuse readings that cannot be what they are called."""
     fill_planned(misfit)
+    misfit.linearise_inputs(misfit.problem.unknowns(list(misfit.problem.start.values())))
     start = misfit.with_best_nuisances(list(misfit.problem.start.values()))
     refuse_idle(misfit, start)
     refuse_reversed(misfit, start)
