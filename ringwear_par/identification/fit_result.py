@@ -10,7 +10,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.schema import UNITS
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import GROWTH_TIME, SCALE
@@ -404,7 +403,7 @@ class FitResult(Outcome, Solution):
     ) -> list[tuple[str, str, str, FloatArray, FloatArray, FloatArray]]:
         """Test, key, unit, times (s) and readings of each input, and the curve there."""
         return [
-            (experiment.name, one.key, UNITS[one.key], one.time, one.readings(experiment.case),
+            (experiment.name, one.key, one.unit, one.time, one.readings(experiment.case),
              one.curve(experiment.case)(one.time))
             for experiment in self.misfit.problem.experiments
             for one in experiment.inputs
@@ -423,7 +422,7 @@ class FitResult(Outcome, Solution):
                 curve, readings = one.curve(experiment.case), one.readings(experiment.case)
                 off = readings / np.maximum(curve(one.time), np.finfo(float).tiny) - 1.0
                 entry: dict[str, Any] = {
-                    "time": list(curve.x), "value": list(curve.y), "unit": UNITS[one.key],
+                    "time": list(curve.x), "value": list(curve.y), "unit": one.unit,
                     "n": len(one.time), "scatter": float(np.sqrt(np.mean(off**2))),
                 }  # fmt: skip
                 if one.scale is not None:

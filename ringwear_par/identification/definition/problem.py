@@ -231,6 +231,11 @@ class MeasuredInput:
     assumptions: tuple[str, ...] = ()
 
     @property
+    def unit(self) -> str:
+        """The unit of the key."""
+        return BASE.get(self.key.partition(".")[2], "1")
+
+    @property
     def of_torque(self) -> bool:
         """Whether a torque was read, which tells the friction."""
         return self.key == "contact.friction"

@@ -28,6 +28,7 @@ TABLES = {
     "fit": {"parameters": SOUGHT},
     "experiment": [
         {"name": "one", "set": {}, "data": [SERIES, PROFILE, MASS, FILE, VALUE]},
+        {"name": "two", "data": [SERIES], "input": [{"key": "load.omega", "scale": {}}]},
     ],
     "compare": {"a": {"set": {"wear.lower.p0": 1.0}, "parameters": SOUGHT}},
     "design": {"vary": {"load.pressure": [1.0, 2.0]}, "budget": {}},
@@ -51,7 +52,7 @@ def in_schema(table):
     """Return the keys of a table that the schema has."""
     paths = [key.path.removeprefix(table) for key in KEYS if key.path.startswith(table)]
     return {
-        re.sub(r"^(parameters|process|units|scatter|data|vary|budget|nuisance|sd)\..*", r"\1", p)
+        re.sub(r"^(parameters|process|units|scatter|data|input|scale|vary|budget|nuisance|sd)\..*", r"\1", p)
         for p in paths
     }
 
@@ -62,6 +63,8 @@ def in_schema(table):
         (("fit",), "fit."),
         (("fit", "parameters", "wear.lower.k"), "fit.parameters.KEY."),
         (("experiment", 0), "experiment."),
+        (("experiment", 1, "input", 0), "experiment.input."),
+        (("experiment", 1, "input", 0, "scale"), "experiment.input.scale."),
         (("compare", "a"), "compare.NAME."),
         (("design",), "design."),
         (("design", "vary"), "design.vary."),
