@@ -119,9 +119,12 @@ def _input(
         reader.wrong("quantity", "must be absent: a load or a speed is its own quantity")
     elif of_torque and quantity is None:
         reader.wrong("quantity", 'must be "torque"')
-    readings = read_readings(
-        reader, "torque" if of_torque else key.partition(".")[2], None, end, files, plans=False
-    )
+    readings = None
+    if "file" in reader:
+        kind = "torque" if of_torque else key.partition(".")[2]
+        readings = read_readings(reader, kind, None, end, files, plans=False)
+    else:
+        reader.read("file")  # which says what is missing
     excluded, smooth = read_intervals(reader, "exclude", "s"), reader.read("smooth")
     scale = None
     if (entry := reader.raw("scale")) is not None:
