@@ -96,7 +96,7 @@ def test_friction_is_that_of_the_torque_at_the_radius_of_the_history(tables, com
     expected = rw.fit(known, MPI.COMM_SELF).parameters[0]
     assert found.parameters[0].estimate == pytest.approx(expected.estimate, rel=1e-4)
     assert found.parameters[0].sd == pytest.approx(expected.sd, rel=1e-2)
-    for inputs in found.inputs.values():
+    for inputs in found.to_dict()["inputs"].values():
         time, value = (np.array(inputs[MU][name]) for name in ("time", "value"))
         np.testing.assert_allclose(np.interp(t, time, value), true, rtol=1e-4)
     assert found.to_dict()["key"] == read_fit(tables).key
@@ -114,7 +114,7 @@ def test_a_calibration_widens_the_interval_by_its_own_uncertainty(tmp_path):
     found = rw.fit(scaled, MPI.COMM_SELF)
     relative = [one.sd / one.estimate for one in (exact.parameters[0], found.parameters[0])]
     assert relative[1] == pytest.approx(np.hypot(relative[0], 0.03), rel=0.02)
-    scale = found.inputs["test 1"][MU]["scale"]
+    scale = found.to_dict()["inputs"]["test 1"][MU]["scale"]
     assert scale["sd"] == pytest.approx(0.03, rel=0.02)
     assert scale["estimate"] == pytest.approx(1.0, abs=0.01)
     assert ", scale " in found.summary()
