@@ -11,7 +11,7 @@ import numpy as np
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.files.faults import Origin
-from ringwear_par.cases.files.keys import flatten, in_full, override
+from ringwear_par.cases.files.keys import changes_of, in_full, override
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
@@ -74,7 +74,7 @@ class ExperimentReader:
         if name is None:
             return None
         said = reader.place = f'{self._name}: experiment "{legible(name)}"'
-        changes = self._changes(reader, faults)
+        changes = changes_of(reader, self._folder)
         refuse_both(f"{said}: set", parameters, changes, faults)
         case = None
         if self._base is not None and len(faults) < MOST_FAULTS:  # no more are told
@@ -101,17 +101,6 @@ class ExperimentReader:
                 )
             series.append(readings)
         return None if case is None else Experiment(name, case, _named(series), groups)
-
-    def _changes(self, reader: TableReader, faults: list[str]) -> dict[str, Any]:
-        table = reader.raw("set", {})
-        if not isinstance(table, Mapping):
-            reader.wrong("set", "must be a table of case keys")
-            return {}
-        try:
-            return in_full(flatten(table, f"{reader.place}: set"), self._folder)
-        except InputError as error:
-            faults += error.faults
-            return {}
 
     def _case(
         self,
