@@ -11,8 +11,8 @@ from ringwear_par.elasticity.bem import rows, solve
 from ringwear_par.elasticity.bem.body import boundary_responses, compliance, in_case_frame
 from ringwear_par.elasticity.bem.solve import has_scalapack
 from ringwear_par.elasticity.bem.systems import Rows
-from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
-from ringwear_par.elasticity.geometry.sections import Body, Material, Section
+from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.sections import Body, Material, Section
 from ringwear_par.errors import ComputationError
 from ringwear_par.verification.elasticity import (
     bar_error,
@@ -108,7 +108,7 @@ def test_clamped_is_stiffer_than_platen(comm):
     assert mean[0] < mean[1] < 1.05 * mean[0]
 
 
-@pytest.mark.ranks
+@pytest.mark.several
 def test_same_compliance_on_any_number_of_ranks(comm):
     """To the last bit, whoever solved which of the systems."""
     body = condensed(LOWER, Mesh(32), comm)

@@ -16,8 +16,8 @@ from ringwear_par.elasticity.bem.boundary import node_wear
 from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.bem.systems import number_dofs
 from ringwear_par.elasticity.bem.updated import UpdatedGeometry
-from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line, pair_slope
-from ringwear_par.elasticity.geometry.sections import Body, Material, Section
+from ringwear_par.elasticity.mesh import Mesh, contact_line, pair_slope
+from ringwear_par.elasticity.sections import Body, Material, Section
 
 pytestmark = pytest.mark.serial
 
@@ -76,7 +76,7 @@ def test_as_many_equations_as_unknowns(body, contact):
         assert (own.sign < 0.0).nonzero()[0].tolist() == sorted(zone.boundary.below)
 
 
-@pytest.mark.ranks
+@pytest.mark.several
 @pytest.mark.parametrize(("body", "contact"), [BODIES[0], BODIES[3]])
 def test_same_compliance_on_any_number_of_ranks(body, contact, comm):
     found = condensed(body, Mesh(24), comm, contact)
