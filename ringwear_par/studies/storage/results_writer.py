@@ -172,7 +172,7 @@ class _Writer:
         longest = max((block.longest for block in self._blocks.values()), default=1)
         for part in _stretches(count, WINDOW):
             longest = max(longest, *(len(text.encode()) for text in self._missing_texts(part)), 1)
-        size = sum(
+        size = longest + sum(
             8 * math.prod(len(self._file[axis]) for axis in variable.dimensions)
             for variable in variables.values()
         )
@@ -189,14 +189,11 @@ class _Writer:
         columns[texts.chunks.name] = texts
         windows = (
             CaseWindow(
-                self._cases[part],
-                self._blocks_of(part),
-                chunks,
-                self._missing_texts(part),
+                self._cases[part], self._blocks_of(part), chunks, self._missing_texts(part),
                 texts.chunks,
             )
             for part in _stretches(count, window)
-        )
+        )  # fmt: skip
         end_values: dict[str, FloatArray] = {}
         with closing(results_of_tasks(comm, (cases.fill for cases in windows))) as filled:
             for part, of_window in zip(_stretches(count, window), filled, strict=True):
