@@ -37,8 +37,17 @@ def report(source: Result | str | Path, output: str | Path) -> str:
     ComputationError : the disk.
     """
     output = Path(output)
-    _check(output)
-    page = _page(source)
+    check_page(output)
+    return write_page(_page(source), output)
+
+
+def write_page(page: Page, output: Path) -> str:
+    """Write a page; return what was written. On one rank.
+
+    Raises
+    ------
+    ComputationError : the disk.
+    """
     try:
         with atomic_write(output) as temporary:
             temporary.write_text(_html(page), encoding="utf-8")
@@ -48,7 +57,13 @@ def report(source: Result | str | Path, output: str | Path) -> str:
     return f"{output}: {page.kind}, {figures} figure{'' if figures == 1 else 's'}"
 
 
-def _check(output: Path) -> None:
+def check_page(output: Path) -> None:
+    """Refuse a page that cannot be written.
+
+    Raises
+    ------
+    InputError : its name or folder, or a package that is missing.
+    """
     if output.suffix.lower() not in _ENDINGS:
         raise InputError(f"{output}: its ending must be one of {', '.join(_ENDINGS)}")
     check_writable(output)
