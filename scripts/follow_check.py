@@ -20,8 +20,10 @@ import numpy as np
 from mpi4py import MPI
 
 import ringwear_par as rw
+from ringwear_par.arrays import FloatArray
 from ringwear_par.files.text import parse_json
 from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.model.readings import Reader
 from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.monitoring.follow import run_follow
@@ -29,7 +31,7 @@ from ringwear_par.monitoring.histories import SpecimenHistories, planned
 from ringwear_par.results.execution.stopping import StopSignals
 
 #: draws of keys about a fit's material, in its sd, that histories are interpolated between
-DRAWS, REACH = 2000, 5.0
+DRAWS, REACH = 2000, 3.5
 #: variance of a nuisance of which nothing is known, in units of the data
 FREE = 1e4
 WALKERS, SEED = 64, 0
@@ -38,7 +40,7 @@ WALKERS, SEED = 64, 0
 class DenseTest:
     """The log likelihood of a test's readings at unknowns of its keys."""
 
-    def __init__(self, problem, number, unknowns):
+    def __init__(self, problem: Problem, number: int, unknowns: FloatArray) -> None:
         test = problem.experiments[number]
         one = replace(problem, experiments=(test,))
         with StopSignals() as signals:
@@ -66,11 +68,11 @@ class DenseTest:
                 self.noise += (s.factor * sd) ** 2 * np.outer(column, column)
             first = rows.stop
 
-    def of(self, modes, unknowns):
+    def of(self, modes: FloatArray, unknowns: FloatArray) -> FloatArray:
         """Return what modes (n, 1 + r) are at unknowns (p, m), (p, n)."""
         return modes[:, 0] + self.histories.coordinates(unknowns) @ modes[:, 1:].T
 
-    def __call__(self, unknowns, sizes):
+    def __call__(self, unknowns: FloatArray, sizes: FloatArray) -> FloatArray:
         """Return it (p,) for unknowns (p, m) and sizes (p,) of random wear, mm; -inf far away."""
         rest = self.of(self.modes, unknowns) - self.data
         logs = np.full(len(rest), -np.inf)
@@ -92,12 +94,13 @@ class DenseTest:
         return logs
 
 
-def half_t(size, scale):
+def half_t(size: FloatArray, scale: float) -> FloatArray:
     """Return the log density of a size, 4 degrees of freedom, and of its logarithm."""
     return -2.5 * np.log1p((size / scale) ** 2 / 4.0) + np.log(size)
 
 
-def main():
+def main() -> None:
+    """Follow the last test of a fit file, and sample the posterior of all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("fit", type=Path)
     parser.add_argument("--steps", type=int, default=6000)
@@ -118,11 +121,11 @@ def main():
     scatters = bool(scattering)
     deepest = 0.0 if fit.material is None or scatters else float(fit.material.wear.depths[0])
 
-    def split(points):
+    def split(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         keys, size = points[:, :m], np.exp(points[:, m])
         return keys, size, points[:, m + 1 :]
 
-    def log_probability(points):
+    def log_probability(points: FloatArray) -> FloatArray:
         keys, size, deviations = split(points)
         inside = ((keys >= low) & (keys <= high)).all(axis=1) & (size < 5.0)
         logs = half_t(size, 0.3 if scatters else 0.1) - 0.5 * (deviations**2).sum(axis=1)
@@ -142,9 +145,11 @@ def main():
         own = fit.material.test_unknowns[:, key][None] - start[:, [key]]
         start[:, m + 1 :] = own / np.exp(start[:, [m]])
     moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
-    sampler = emcee.EnsembleSampler(WALKERS, dimension, log_probability, moves=moves, vectorize=True)
+    sampler = emcee.EnsembleSampler(
+        WALKERS, dimension, log_probability, moves=moves, vectorize=True
+    )
     sampler.random_state = np.random.RandomState(SEED).get_state()
-    sampler.run_mcmc(start, arguments.steps)
+    sampler.run_mcmc(start, arguments.steps, skip_initial_state_check=True)
     chain = sampler.get_chain(discard=arguments.steps // 5)
     times = sampler.get_autocorr_time(discard=arguments.steps // 5, quiet=True)
     keys, size, deviations = split(chain.reshape(-1, dimension))

@@ -31,6 +31,7 @@ from ringwear_par.identification.scatter.material import Material
 from ringwear_par.results.outcomes import Outcome
 
 if TYPE_CHECKING:
+    from arviz import InferenceData
     from matplotlib.figure import Figure
 
 _ROOM = "ringwear_par.identification"
@@ -60,6 +61,7 @@ class FitResult(Outcome, Solution):
         "summary": f"{_ROOM}.summary", "warnings": f"{_ROOM}.summary",
         "save": f"{_ROOM}.fit_folder", "plot": f"{_ROOM}.figures",
         "plot_parameters": f"{_ROOM}.figures", "plot_specimens": f"{_ROOM}.figures",
+        "to_arviz": f"{_ROOM}.arviz_groups",
     }  # fmt: skip
 
     misfit: Misfit
@@ -408,6 +410,16 @@ class FitResult(Outcome, Solution):
         """
         figure: Figure = self.apply("plot_specimens")
         return figure
+
+    def to_arviz(self) -> "InferenceData":
+        """Return draws and the log likelihood of each reading, as ArviZ has them.
+
+        Raises
+        ------
+        InputError : arviz is not installed; limits, or a loss without a normal distribution.
+        """
+        data: InferenceData = self.apply("to_arviz")
+        return data
 
     def correlations(self) -> list[tuple[str, str, float]]:
         """Return pairs of fitted keys and nuisances and their correlation, the strongest first."""

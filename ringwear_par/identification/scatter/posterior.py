@@ -8,6 +8,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -100,6 +101,20 @@ class SizePosterior:
     at_bound: bool
 
 
+class Drawn(NamedTuple):
+    """Draws of the unknowns of the material and of all tests, and of the sizes.
+
+    Parameters
+    ----------
+    material : (n, m); tests : (n, tests, m); tau : (n, levels); shares : (n, bodies).
+    """
+
+    material: FloatArray
+    tests: FloatArray
+    tau: FloatArray
+    shares: FloatArray
+
+
 @dataclass(frozen=True, eq=False)
 class ScatterPosterior:
     """The posterior of mixed models over the grid of their sizes.
@@ -142,6 +157,19 @@ class ScatterPosterior:
         s, rows = self.solutions, self._material_rows if test is None else self._rows(test)
         means = np.einsum("gki,gi->gk", rows, s.effects)
         return means, np.einsum("gki,gij,glj->gkl", rows, s.covariance, rows, optimize=True)
+
+    def draw(self, tests: int, count: int, random: np.random.Generator) -> Drawn:
+        """Return some draws of everything, of all of so many tests together."""
+        s = self.solutions
+        part = random.choice(len(self.weights), count, p=self.weights)
+        roots = np.linalg.cholesky(s.covariance)
+        normal = random.standard_normal((count, s.effects.shape[1]))
+        effects = s.effects[part] + np.einsum("nij,nj->ni", roots[part], normal)
+        of_tests = [
+            np.einsum("nki,ni->nk", self._rows(test)[part], effects) for test in range(tests)
+        ]
+        return Drawn(effects[:, : self.model.m], np.stack(of_tests, axis=1), s.tau[part],
+                     self.shares[part])  # fmt: skip
 
     def of_test(self, test: int, key: int) -> Mixture:
         """Return the distribution of a key's value in one test, in the light of the others."""
