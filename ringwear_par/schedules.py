@@ -12,6 +12,9 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, Numbers
 
+#: of the largest value, see ``bends``
+_SLIGHT_BEND = 1e-3
+
 
 @dataclass(frozen=True)
 class Table:
@@ -202,6 +205,13 @@ def quantity_text(quantity: Quantity) -> str:
     return f"a table to {largest(quantity):g}" if isinstance(quantity, Table) else f"{quantity:g}"
 
 
+def varies(quantity: Quantity) -> bool:
+    """Tell whether a quantity, or one of a stack, is a table."""
+    if isinstance(quantity, Stacked):
+        return quantity.numbers is None
+    return isinstance(quantity, Table)
+
+
 def breakpoints(*quantities: Quantity | None) -> tuple[float, ...]:
     """Return the times at which the slope of any of some quantities jumps, increasing."""
     times: set[float] = set()
@@ -211,6 +221,22 @@ def breakpoints(*quantities: Quantity | None) -> tuple[float, ...]:
         elif isinstance(q, Table) and q.axis == "t":
             times.update(x for x in q.x if x > 0.0)
     return tuple(sorted(times))
+
+
+def bends(schedule: Quantity | None) -> tuple[float, ...]:
+    """Return the times at which a schedule bends so much that steps must end there, increasing.
+
+    That is where a line past the point would be off it by a thousandth of the largest value: the
+    points of a smooth curve are closer.
+    """
+    if not isinstance(schedule, Table):
+        return ()
+    x, y = np.array(schedule.x), np.array(schedule.y)
+    share = (x[1:-1] - x[:-2]) / (x[2:] - x[:-2])
+    past = (1.0 - share) * y[:-2] + share * y[2:]
+    sharp = x[1:-1][np.abs(y[1:-1] - past) > _SLIGHT_BEND * y.max()]
+    times = {schedule.x[0], *sharp.tolist(), schedule.x[-1]}
+    return tuple(sorted(time for time in times if time > 0.0))
 
 
 def stack(quantities: Sequence[Quantity]) -> Quantity:

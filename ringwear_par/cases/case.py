@@ -18,7 +18,7 @@ from ringwear_par.elasticity.geometry.profiles import CLOSE
 from ringwear_par.elasticity.geometry.sections import Grip, Polyline, Section
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import InputError
-from ringwear_par.schedules import Quantity, breakpoints
+from ringwear_par.schedules import Quantity, bends, in_time
 from ringwear_par.wear.checked_law import complete
 from ringwear_par.wear.law import Law, WearLaw
 from ringwear_par.wear.layered import LayeredLaw
@@ -151,7 +151,7 @@ class Case:
 
     lower: Ring
     upper: Ring
-    friction: float
+    friction: Quantity
     wear_lower: WearLaw | None
     wear_upper: WearLaw | None
     load: Load
@@ -295,7 +295,9 @@ class Case:
     def breakpoints(self) -> tuple[float, ...]:
         """Times at which a schedule or a parameter bends, s: adaptive steps end there."""
         load = self.load
-        inside = {*breakpoints(load.omega, load.force, load.displacement)}
+        inside: set[float] = set()
+        for schedule in (load.omega, load.force, load.displacement, self.friction):
+            inside.update(bends(schedule))
         for law in self.laws:
             inside.update(law.breakpoints if law is not None else ())
         times: list[float] = []
@@ -303,6 +305,10 @@ class Case:
             if not times or time - times[-1] > SAME_TIME * time:
                 times.append(time)
         return tuple(times)
+
+    def friction_at(self, time: float) -> float:
+        """Return the friction coefficient at a time, s."""
+        return in_time(self.friction, time)
 
     @property
     def about_steps(self) -> float:

@@ -119,7 +119,7 @@ def _rate(case: Case, law: WearLaw | None, pressure: float, speed: float) -> flo
         if isinstance(quantity := law.quantity(name), Table):
             law = law.with_parameter(name, _mean(case, quantity))
     long, r = np.array([np.inf]), np.array([0.5 * sum(case.overlap)])
-    local = LocalState(0.0, r, np.array([speed]), case.friction, long, long)
+    local = LocalState(0.0, r, np.array([speed]), _mean(case, case.friction), long, long)
     return float(law.rate(np.array([pressure]), local)[0])
 
 

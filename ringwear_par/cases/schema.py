@@ -141,7 +141,7 @@ KEYS: tuple[Key, ...] = (
         "width of chamfers of 45 degrees on the contact corners of the upper body; not together "
         "with upper.profile", None,
     ),
-    Key("contact.friction", *number(0.0, ends=True), "1", "Coulomb friction coefficient mu"),
+    Key("contact.friction", *schedule(0.0, ends=True), "1", "Coulomb friction coefficient mu"),
     *(
         key
         for body in ("lower", "upper")

@@ -9,7 +9,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
-from ringwear_par.schedules import Quantity, stack, take
+from ringwear_par.schedules import Quantity, stack, take, varies
 from ringwear_par.wear.law import Law, stack_laws
 from ringwear_par.wear.layered import LayeredLaw
 
@@ -22,8 +22,8 @@ class HistoryInputs:
     ----------
     cases : the B cases.
     initial_gap : (B, n) float, mm, of the unworn faces.
-    friction : (B,) float, coefficient.
     tolerance : (B,) float, mm of wear, ``time.tolerance``.
+    friction : coefficient.
     omega : rad/s.
     force, displacement : N and mm; one of them is None.
     laws : of lower and upper, None where a body does not wear.
@@ -35,7 +35,7 @@ class HistoryInputs:
 
     cases: tuple[Case, ...]
     initial_gap: FloatArray
-    friction: FloatArray
+    friction: Quantity
     tolerance: FloatArray
     omega: Quantity
     force: Quantity | None
@@ -60,7 +60,7 @@ class HistoryInputs:
         return cls(
             tuple(cases),
             np.array(of_faces(cases, lambda case: case.initial_gap)),
-            np.array(frictions),
+            stack(frictions),
             np.array([case.time.tolerance for case in cases]),
             stack([load.omega for load in loads]),
             _stacked([load.force for load in loads]),
@@ -75,7 +75,7 @@ class HistoryInputs:
             self,
             cases=tuple(self.cases[i] for i in histories.tolist()),
             initial_gap=self.initial_gap[histories],
-            friction=self.friction[histories],
+            friction=take(self.friction, histories),
             tolerance=self.tolerance[histories],
             omega=take(self.omega, histories),
             force=take(self.force, histories),
@@ -114,29 +114,29 @@ class HistoryInputs:
         return any(isinstance(law, LayeredLaw) for law in self.laws)
 
     @cached_property
-    def steady_speed(self) -> bool:
-        """Whether the speed never changes, so that it is its own mean."""
-        return isinstance(self.omega, float)
+    def steady_sliding(self) -> bool:
+        """Whether speed and friction never change, so that they are their own means."""
+        return isinstance(self.omega, float) and not varies(self.friction)
 
     @cached_property
     def rates_last(self) -> bool:
         """Whether the rates at the end of an increment are those of the instant.
 
-        Speed and wear before the increment then make no difference.
+        Speed, friction and wear before the increment then make no difference.
         """
         reads = any(law is not None and law.reads_wear for law in self.laws)
-        return self.steady_speed and not reads
+        return self.steady_sliding and not reads
 
 
-def _per_energy(laws: Sequence[Any], frictions: Sequence[float]) -> FloatArray | None:
+def _per_energy(laws: Sequence[Any], frictions: Sequence[Quantity]) -> FloatArray | None:
     """Return the ratios of a body's laws, see ``HistoryInputs.per_energy``."""
     first = laws[0]
     if first is None:
         return None
+    ratios = np.array([law.ratios(mu) for law, mu in zip(laws, frictions, strict=True)]).T
     if isinstance(first, LayeredLaw):
-        return np.array([law.layer_ratios(mu) for law, mu in zip(laws, frictions, strict=True)]).T
-    ratios = np.array([law.per_energy(mu) or 0.0 for law, mu in zip(laws, frictions, strict=True)])
-    return ratios if ratios.any() else None
+        return ratios
+    return ratios[0] if ratios.any() else None
 
 
 def of_faces(cases: Sequence[Case], number: Callable[[Case], Any]) -> list[Any]:

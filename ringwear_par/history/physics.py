@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -27,11 +27,20 @@ from ringwear_par.history.derivatives.numbers import Sensitivity
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.compliances import Compliances, OperatorKey, key_of
 from ringwear_par.history.inputs import HistoryInputs
-from ringwear_par.schedules import in_time, integral
+from ringwear_par.schedules import in_time, integral, mean
 from ringwear_par.wear.averaging import averaged_rate, averaging
 from ringwear_par.wear.increment import Closing, WearIncrement
 from ringwear_par.wear.layered import LayeredLaw, worn_through
 from ringwear_par.wear.local_state import LocalState
+
+
+class Sliding(NamedTuple):
+    """How B histories slide at an instant, or in the mean over a step."""
+
+    #: (B,) rad/s
+    omega: FloatArray
+    #: (B,) coefficient
+    friction: FloatArray
 
 
 @dataclass(frozen=True)
@@ -184,8 +193,18 @@ class Physics:
 
     # -- wear, eq. (4) -----------------------------------------------------------------------------
 
-    def local_state(self, time: FloatArray, omega: FloatArray, wear: FloatArray) -> LocalState:
-        """Return the local state of a body whose wear is (B, n) mm, at speed omega.
+    def sliding(self, time: FloatArray) -> Sliding:
+        """Return how the histories slide at times (B,) s."""
+        inputs = self.inputs
+        return Sliding(in_time(inputs.omega, time), in_time(inputs.friction, time))
+
+    def mean_sliding(self, start: FloatArray, end: FloatArray) -> Sliding:
+        """Return how the histories slide in the mean over steps."""
+        inputs = self.inputs
+        return Sliding(mean(inputs.omega, start, end), mean(inputs.friction, start, end))
+
+    def local_state(self, time: FloatArray, sliding: Sliding, wear: FloatArray) -> LocalState:
+        """Return the local state of a body whose wear is (B, n) mm.
 
         Laws speak of depths along the normal; everything else here is along the axis.
         """
@@ -193,14 +212,14 @@ class Physics:
         if self.obliquity is not None:
             wear = wear / self.obliquity
         return LocalState(
-            time, self.line.r, columns(omega) * arm, self.inputs.friction, wear,
+            time, self.line.r, columns(sliding.omega) * arm, sliding.friction, wear,
             columns(angle) * arm,
         )  # fmt: skip
 
     def increment(
         self,
         time: FloatArray,
-        omega: FloatArray,
+        sliding: Sliding,
         wear: FloatArray,
         step: FloatArray,
         closing: Closing | None = None,
@@ -209,22 +228,24 @@ class Physics:
 
         ``closing`` is of elements that come into contact in it.
         """
-        lower = self.local_state(time, omega, wear[0])
-        upper = self.local_state(time, omega, wear[1]) if self.inputs.laws[1] is not None else lower
+        lower = self.local_state(time, sliding, wear[0])
+        upper = (
+            self.local_state(time, sliding, wear[1]) if self.inputs.laws[1] is not None else lower
+        )
         return WearIncrement(
             self.inputs.laws, (lower, upper), step, self.averages, self.obliquity, closing,
             self.inputs.pace,
         )  # fmt: skip
 
     def rates(
-        self, time: FloatArray, omega: FloatArray, wear: FloatArray, p: FloatArray
+        self, time: FloatArray, sliding: Sliding, wear: FloatArray, p: FloatArray
     ) -> FloatArray:
         """Return the rates of wear of lower and upper, (2, B, n) mm/s, at pressure and wear."""
         rates = np.zeros((2, *p.shape))
         bodies = zip(rates, self.inputs.laws, wear, self.averages, strict=True)
         for rate, law, worn, average in bodies:
             if law is not None:
-                rate[:] = averaged_rate(law, self.local_state(time, omega, worn), average, p)
+                rate[:] = averaged_rate(law, self.local_state(time, sliding, worn), average, p)
         if self.obliquity is not None:
             rates *= self.obliquity
         if self.inputs.pace is not None:
@@ -232,8 +253,8 @@ class Physics:
         return rates
 
     def rates_at(self, time: FloatArray, wear: FloatArray, p: FloatArray) -> FloatArray:
-        """Return the rates of wear at an instant, (2, B, n) mm/s, at the speed of that time."""
-        return self.rates(time, in_time(self.inputs.omega, time), wear, p)
+        """Return the rates of wear at an instant, (2, B, n) mm/s, as they slide then."""
+        return self.rates(time, self.sliding(time), wear, p)
 
     # -- integrals over the contact ----------------------------------------------------------------
 
@@ -245,13 +266,19 @@ class Physics:
         """Return the friction torque over mu in full slip, N mm, (B,), at (B, n)."""
         return inner(self._moment, p)
 
-    def torque(self, p: FloatArray) -> FloatArray:
-        """Return the friction torque in full slip, N mm, (B,), at pressure (B, n)."""
-        return self.inputs.friction * self.moment(p)
+    def torque(self, p: FloatArray, sliding: Sliding | None = None) -> FloatArray:
+        """Return the friction torque in full slip, N mm, (B,), at pressure (B, n).
 
-    def twist(self, p: FloatArray) -> FloatArray:
+        Parameters
+        ----------
+        sliding : None: as at the start.
+        """
+        at = self.sliding(np.zeros(len(self.inputs.cases))) if sliding is None else sliding
+        return at.friction * self.moment(p)
+
+    def twist(self, p: FloatArray, sliding: Sliding) -> FloatArray:
         """Return the area mean of the circumferential displacement jump, mm, at pressure."""
-        return self.inputs.friction * inner(self.compliances.twist, p)
+        return sliding.friction * inner(self.compliances.twist, p)
 
     def reactions(self, p: FloatArray) -> FloatArray:
         """Return friction torque / mu, axial force and torque / mu on both fixed faces, (5, B).

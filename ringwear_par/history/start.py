@@ -32,7 +32,7 @@ def initial_state(physics: Physics, contacts: CorrectedContacts) -> State:
     """
     time, shape = np.zeros(len(physics.inputs.cases)), physics.inputs.shape
     wear = np.zeros((2, *shape))
-    along = None if physics.sensitivity is None else Along(physics, contacts, None)
+    along = None if physics.sensitivity is None else Along(physics, contacts, None, (time, time))
     try:
         contact = contacts.solve(
             physics.contact_inputs(time, wear), np.zeros(shape), exact=True, along=along

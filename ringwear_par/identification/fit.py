@@ -105,7 +105,7 @@ def _fit_law(
     misfit = Misfit(problem, rounds)
     if not expected:
         with together(comm):
-            rounds.interpolate(problem, comm)
+            rounds.operators.interpolate(comm)
 
     def lead() -> tuple[Any, ...]:
         solution = expected_solution(misfit) if expected else solve(misfit, rounds, law, stored)

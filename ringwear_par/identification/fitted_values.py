@@ -71,7 +71,8 @@ def conditions_of(case: Case, keys: Sequence[str] = ()) -> FloatArray:
     end, radius = case.time.end, float(case.line.area @ case.line.r / case.line.area.sum())
     force, omega = case.load.force, case.load.omega
     speed = radius * mean(omega, 0.0, end)
-    numbers = {"p": np.nan, "V": speed, "pV": np.nan, "distance": speed * end, "mu": case.friction}
+    numbers = {"p": np.nan, "V": speed, "pV": np.nan, "distance": speed * end}
+    numbers["mu"] = mean(case.friction, 0.0, end)
     if force is not None:
         numbers["p"] = mean(force, 0.0, end) / case.area
         numbers["pV"] = radius * mean_of_product(force, omega, 0.0, end) / case.area

@@ -14,7 +14,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Ring
 from ringwear_par.cases.units import in_signs
 from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure, plain
-from ringwear_par.schedules import Quantity, Table
+from ringwear_par.schedules import Quantity, Table, quantity_text
 
 #: inches; of the width, the part that bodies take, words have the rest
 _WIDTH, _DRAWN = 6.6, 0.58
@@ -228,7 +228,8 @@ def _write_words(axes: Any, case: Case, laws: tuple[str, str]) -> None:
     low, high = axes.get_ylim()
     blocks = [_body_words(case, number, laws[number]) for number in (1, 0)]
     a, b = case.contact
-    blocks.insert(1, ["contact", f"r {a:.6g} to {b:.6g} mm, friction {case.friction:g}"])
+    friction = quantity_text(case.friction)
+    blocks.insert(1, ["contact", f"r {a:.6g} to {b:.6g} mm, friction {friction}"])
     if unlike := _not_to_scale(case):
         blocks.append([f"not to scale: {unlike}"])
     colours = (COLOURS[1], _CONTACT, COLOURS[0], "0.45")

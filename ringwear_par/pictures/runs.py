@@ -15,10 +15,11 @@ from ringwear_par.errors import InputError
 from ringwear_par.pictures.panels import FEW_POINTS, Axis, Curve, Label, Panel, Points
 from ringwear_par.pictures.style import COLOURS, stage_colour
 from ringwear_par.results.instants import pressure_peak, stages, time_unit, time_words
-from ringwear_par.results.key_numbers import nominal_area
+from ringwear_par.results.key_numbers import friction_of, nominal_area, normal_work
 from ringwear_par.results.layer_ends import ends_near
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, edge_elements
+from ringwear_par.schedules import in_time
 
 RADIUS = "distance to axis (mm)"
 #: of the width of the contact, how far unworn faces are drawn beside it
@@ -71,8 +72,16 @@ def _p_v(result: Result) -> dict[str, FloatArray]:
         raise InputError(
             f"{result.name}: pv needs the friction coefficient, which {reason}; must be > 0"
         )
-    power = np.diff(result.histories["dissipated_energy"]) / np.diff(result.histories["time"])
+    seconds = np.diff(result.histories["time"])
+    if "friction_times" in result.attributes:
+        return {"": 1e-3 * normal_work(result) / seconds / nominal_area(result)}
+    power = np.diff(result.histories["dissipated_energy"]) / seconds
     return {"": 1e-3 * power / friction / nominal_area(result)}
+
+
+def _friction(result: Result) -> dict[str, FloatArray]:
+    """Return the friction coefficient at stored states."""
+    return {"": in_time(friction_of(result), result.histories["time"])}
 
 
 def _through(result: Result) -> dict[str, FloatArray]:
@@ -93,6 +102,7 @@ HISTORY_PANELS = {
     "approach": _stored("approach", "approach"),
     "force": _stored("force", "axial force"),
     "torque": _stored("torque", "friction torque"),
+    "friction": HistoryPanel("friction coefficient", _friction),
     "energy": _stored("dissipated_energy", "energy dissipated"),
     "volume": HistoryPanel("worn volume (mm\N{SUPERSCRIPT THREE})", _volumes),
     "rate": HistoryPanel("wear rate, mean depth (\N{MICRO SIGN}m/h)", _rates),

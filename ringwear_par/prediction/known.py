@@ -12,7 +12,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.errors import InputError, ValidityWarning, legible
 from ringwear_par.files.folders import DESIGN, FIT, PROGRESS, READINGS
 from ringwear_par.files.text import parse_json, read_text
-from ringwear_par.history.derivatives.numbers import differentiable
+from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.fitted_values import (
     CONDITIONS,

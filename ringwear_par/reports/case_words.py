@@ -8,6 +8,7 @@ from ringwear_par.pictures.rig import GRIPS, pressing, rig_svg, turning
 from ringwear_par.reports.blocks import Block, Lines, Picture, Source, Table
 from ringwear_par.results.instants import time_words
 from ringwear_par.results.result import Result
+from ringwear_par.schedules import quantity_text
 
 
 def case_words(result: Result) -> tuple[list[Block], list[Block]]:
@@ -80,7 +81,8 @@ def _test(case: Case) -> list[tuple[str, str]]:
         steps = f"{end} in adaptive steps of a tolerance of {1e3 * time.tolerance:g} "
         steps += "\N{MICRO SIGN}m of wear"
     return [
-        ("friction coefficient", f"{case.friction:g}"), ("load", pressing(case)), ("speed", speed),
+        ("friction coefficient", quantity_text(case.friction)),
+        ("load", pressing(case)), ("speed", speed),
         ("time", steps),
         ("contact line", f"{case.line.n} elements from {inner:g} to {outer:g} mm, geometry "
          f"{case.mesh.geometry}"),

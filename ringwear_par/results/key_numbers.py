@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import density_keys
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
@@ -15,6 +16,7 @@ from ringwear_par.results.instants import number_words
 from ringwear_par.results.layer_ends import worn_through
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
+from ringwear_par.schedules import Quantity, Table, mean
 
 BALANCES = "largest relative errors of all steps"
 MESH_BALANCES = "relative errors of the boundary elements, smaller on a finer mesh"
@@ -106,6 +108,25 @@ def nominal_area(result: Result) -> float:
     return float(result.attributes["nominal_area"])
 
 
+def friction_of(result: Result) -> Quantity:
+    """Return the friction coefficient, a number or a table in time."""
+    about = result.attributes
+    if "friction_times" in about:
+        return Table(tuple(about["friction_times"]), tuple(about["friction_values"]))
+    return float(about["friction"])
+
+
+def normal_work(result: Result) -> FloatArray:
+    """Return load times sliding distance of every place between stored states, N mm, (s - 1,).
+
+    That is energy over friction.
+    """
+    friction, time = friction_of(result), result.histories["time"]
+    means = mean(friction, time[:-1], time[1:])
+    energy = np.diff(result.histories["dissipated_energy"])
+    return np.divide(energy, means, out=np.zeros_like(energy), where=means > 0.0)
+
+
 def _penetration(result: Result, state: State) -> Iterator[KeyNumber]:
     """Give the penetration and its parts.
 
@@ -141,8 +162,9 @@ def _worn(result: Result, state: State, i: int) -> Iterator[KeyNumber]:
         now = 3.6e6 * float(state.rates[i] @ line.area) / area
         yield number("last_rate", "rate at the end", now, "um/h", ".4g")
     if about["friction"] and energy > 0:
-        # load times sliding distance of every place, which is energy over friction
-        specific = 1e3 * volume * about["friction"] / energy
+        friction = friction_of(result)
+        over = friction if isinstance(friction, float) else energy / normal_work(result).sum()
+        specific = 1e3 * volume * over / energy
         yield number("specific_rate", "specific wear rate", specific, "mm3/(N m)", ".4g")
 
 

@@ -122,7 +122,7 @@ def _too_thin(case: Case) -> Iterator[tuple[str, str]]:
 def _too_fast(case: Case) -> Iterator[tuple[str, str]]:
     """Give the wear coefficients, key and sentence, by which no material wears."""
     for table, wear in case.laws_by_table.items():
-        share = case.friction if isinstance(wear, AboveThreshold) else 1.0
+        share = largest(case.friction) if isinstance(wear, AboveThreshold) else 1.0
         names = ("k", "k_start") if isinstance(wear, AboveThreshold | ArchardLaw) else ()
         for name in names:
             k = largest(getattr(wear, name, 0.0))

@@ -199,7 +199,7 @@ def steady_rows(
         before, last = (state.contact for state in history.states[-2:])
         rate = (last.approach - before.approach) / _STEADY.step
         torque = float(history.physics.torque(last.pressure)[0])
-        oblique = case.friction * c / math.cos(math.radians(rings.degrees))
+        oblique = case.friction_at(0.0) * c / math.cos(math.radians(rings.degrees))
         errors.append(
             (
                 float(np.abs(last.pressure * pair.line.arm / c - 1.0).max()),

@@ -200,6 +200,6 @@ def _paper_stresses(n: int, comm: MPI.Comm) -> list[float]:
         (StressPoints(points, np.zeros(len(points))), StressPoints(np.empty((0, 2)), np.empty(0))),
         0.1, comm,
     )  # fmt: skip
-    stress: FloatArray = recovery.stresses(pressure, case.friction)[0].points
+    stress: FloatArray = recovery.stresses(pressure, case.friction_at(0.0))[0].points
     measures = {"von Mises": mises(stress), "largest shear": max_shear(stress)}
     return [float(measures[name][i]) for i, (name, _) in enumerate(keys)]

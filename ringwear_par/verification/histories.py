@@ -59,7 +59,7 @@ def steady_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
         exact = p0 + c / pair.line.arm
         error = np.abs(history.last.contact.pressure / exact - 1.0).max()
         yield Check(f"steady pressure p0 + c/r, p0 = {p0:g} MPa", (_N,), (float(error),), 1e-3)
-        kappa = case.friction * 1e-7
+        kappa = case.friction_at(0.0) * 1e-7
         yield Check(f"steady approach rate kappa omega c, p0 = {p0:g} MPa", (_N,),
                     (abs(_approach_rate(history) / (kappa * OMEGA * c) - 1.0),), 1e-3)  # fmt: skip
         worst = history.balances
@@ -72,7 +72,7 @@ def steady_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
 
     both = paper_case(Mesh(_N), p0=(0.0, 0.0), stepping=_LONG, k=_BOTH)
     history = trace(both, comm, pair=pair)
-    exact_rate = both.friction * sum(_BOTH) * OMEGA * _steady_constant(both, 0.0)
+    exact_rate = both.friction_at(0.0) * sum(_BOTH) * OMEGA * _steady_constant(both, 0.0)
     yield Check("both wear: approach rate mu (k1 + k2) omega c", (_N,),
                 (abs(_approach_rate(history) / exact_rate - 1.0),), 1e-3)  # fmt: skip
     lower, upper = history.last.wear
@@ -143,12 +143,12 @@ def pin_checks(comm: MPI.Comm) -> Iterator[Check]:
     assert isinstance(case.load.force, float)
     force, (_, radius) = case.load.force, case.upper.r
     c = force / (2.0 * math.pi * radius)
-    p = history.last.contact.pressure
+    p, mu = history.last.contact.pressure, case.friction_at(0.0)
     for text, value, exact in (
         ("pressure F / (2 pi R r)", p * history.physics.line.r, c),
-        ("torque mu F R / 2", history.physics.torque(p)[0], 0.5 * case.friction * force * radius),
+        ("torque mu F R / 2", history.physics.torque(p)[0], 0.5 * mu * force * radius),
         ("approach rate mu k omega F / (2 pi R)", _approach_rate(history),
-         case.friction * 1e-6 * 1.0 * c),
+         mu * 1e-6 * 1.0 * c),
     ):  # fmt: skip
         error = float(np.abs(value / exact - 1.0).max())
         yield Check(f"worn solid pin, steady: {text}", (_N,), (error,), 1e-4)
@@ -201,7 +201,7 @@ def explicit_limit_error(n: int, comm: MPI.Comm) -> float:
     physics = Physics.of([case], assemble(case, comm))
     with physics.contacts() as contacts:
         (step,) = stable_steps(physics, contacts)
-    fastest = 1e-7 * case.friction * OMEGA * float(physics.line.arm.max())  # mm/s per MPa
+    fastest = 1e-7 * case.friction_at(0.0) * OMEGA * float(physics.line.arm.max())  # mm/s per MPa
     wear = step * fastest
     modulus = reference.contact_modulus((case.lower.young, NU))
     return abs(wear * modulus / (3.0 / n) / reference.EXPLICIT_LIMIT - 1.0)

@@ -49,10 +49,10 @@ def paper_checks(comm: MPI.Comm) -> Iterator[Check]:
     for n in sizes:
         case = paper_case(Mesh(n), pressure=50.0)
         contact, line = first_contact(case, comm), case.line
-        p = contact.pressure
+        p, mu = contact.pressure, case.friction_at(0.0)
         values.append(
             [contact.approach / reference.PAPER_APPROACH - 1.0,
-             case.friction * (line.area * line.arm) @ p / reference.PAPER_TORQUE - 1.0]
+             mu * (line.area * line.arm) @ p / reference.PAPER_TORQUE - 1.0]
             + [pressure_at(line, p, r) / v - 1.0 for r, v in pressures.items()]
         )  # fmt: skip
     names = ["approach", "torque", *(f"p({r:g})" for r in pressures)]
@@ -90,8 +90,9 @@ def tao_checks(comm: MPI.Comm) -> Iterator[Check]:
     physics = Physics.of([case] * len(_HEIGHTS), assemble(case, comm))
     roughness = np.multiply.outer(_HEIGHTS, np.random.default_rng(1).random(_ELEMENTS))
     every, unworn = np.ones(len(_HEIGHTS)), np.zeros((2, len(_HEIGHTS), _ELEMENTS))
-    increment = physics.increment(_WEAR_STEP * every, OMEGA * every, unworn, _WEAR_STEP * every)
-    inputs = physics.contact_inputs(_WEAR_STEP * every, unworn, increment)
+    time = _WEAR_STEP * every
+    increment = physics.increment(time, physics.sliding(time), unworn, time)
+    inputs = physics.contact_inputs(time, unworn, increment)
 
     def solution(tao_type: str) -> ContactState:
         compliances = physics.compliances.scaled()

@@ -82,7 +82,7 @@ def _fine_rows(name: str, comm: MPI.Comm) -> Iterator[Check]:
     yield from rows_against(name, [fine.on(Mesh(n)) for n in SIZES], histories)
     first, physics = histories[-1].states[0].contact, histories[-1].physics
     n, line = physics.line.n, physics.line
-    flat = physics.case.friction * (line.area * line.arm) @ first.pressure
+    flat = physics.case.friction_at(0.0) * (line.area * line.arm) @ first.pressure
     error = abs(
         physics.torque(first.pressure)[0] / flat * math.cos(math.radians(rings.degrees)) - 1.0
     )

@@ -151,6 +151,11 @@ class Law:
         """Return worn volume per dissipated energy, 1/MPa, if it is always the same."""
         return None
 
+    def ratios(self, friction: Quantity) -> list[float]:
+        """Return worn volume per dissipated energy, 1/MPa, 0 where it is not always the same."""
+        ends = {self.per_energy(of(friction)) or 0.0 for of in (smallest, largest)}
+        return [ends.pop() if len(ends) == 1 else 0.0]
+
     def onset(self, local: LocalState) -> float | FloatArray:
         """Return the pressure, MPa, up to which nothing wears."""
         return 0.0
@@ -284,6 +289,11 @@ class PacedLaw(Law):
         """Return the integral of the rate from 0 to p, MPa mm/s; None: by quadrature."""
         potential = self.law.potential(p, local)
         return None if potential is None else self.pace * potential
+
+    def ratios(self, friction: Quantity) -> list[float]:
+        """Return worn volume per dissipated energy, 1/MPa, 0 where it is not always the same."""
+        ends = {self.per_energy(of(friction)) or 0.0 for of in (smallest, largest)}
+        return [ends.pop() if len(ends) == 1 else 0.0]
 
     def onset(self, local: LocalState) -> float | FloatArray:
         """Return the pressure, MPa, up to which nothing wears."""

@@ -239,9 +239,9 @@ class LayeredLaw(Law):
             onset = np.where(present == number, law.onset(at), onset)
         return onset
 
-    def layer_ratios(self, friction: float) -> list[float]:
+    def ratios(self, friction: Quantity) -> list[float]:
         """Return worn volume per dissipated energy of each layer and the body, 1/MPa, 0: none."""
-        return [law.per_energy(friction) or 0.0 for law in self.laws]
+        return [ratio for law in self.laws for ratio in law.ratios(friction)]
 
     def describe(self) -> str:
         """Return the formulas with their numbers and units, layer by layer."""

@@ -66,7 +66,8 @@ def test_faults_of_a_dict_are_told_like_those_of_a_file():
     tables = {**TABLES, "lower": {**TABLES["lower"], "young": -1}, "contact": {}}
     assert faults(tables) == [
         "case: lower.young = -1: must be a finite number > 0 (MPa)",
-        "case: contact.friction is missing: must be a finite number >= 0",
+        "case: contact.friction is missing: must be a finite number >= 0, or a table "
+        "[[t, value], ...] in time, t in s and increasing",
     ]
     told = faults(TABLES, {"lower.r": np.array([50.0, 60.0]), "load.pressure": math.nan})
     assert told[0] == "override load.pressure = nan: " + faults(TEXT, ["load.pressure=nan"])[

@@ -8,7 +8,7 @@ from mpi4py import MPI
 from paths import CASES, PAPER
 
 import ringwear_par as rw
-from ringwear_par.history.derivatives.numbers import differentiable
+from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.results.execution.recorder import Recorder
@@ -135,6 +135,8 @@ def off_differences(case, pair, keys, times=None, step=1e-6):
         ("power", "explicit", {"upper.profile": CROWN}),
         ("non-local", "implicit", {"upper.profile": CROWN}),
         ("two bodies", "adaptive", {"load.pressure": VARYING}),
+        ("two bodies", "adaptive", {"contact.friction": [[0.0, 0.05], [12.0, 0.2]]}),
+        ("threshold", "explicit", {"contact.friction": [[0.0, 0.05], [0.3, 0.2]]}),
         ("memory", "implicit", {"load.pressure": VARYING}),
         ("threshold", "adaptive", {"load.control": "displacement", "load.displacement": 0.04}),
         ("distance", "implicit", {"load.control": "displacement", "load.displacement": 0.04}),

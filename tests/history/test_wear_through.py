@@ -9,7 +9,7 @@ from paths import CASES
 
 import ringwear_par as rw
 from ringwear_par.history import loop, step_control
-from ringwear_par.history.derivatives.numbers import differentiable
+from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.observers.trace import Trace, trace

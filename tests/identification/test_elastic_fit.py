@@ -7,7 +7,7 @@ from mpi4py import MPI
 
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fit import fit
-from ringwear_par.identification.model import histories as histories_room
+from ringwear_par.identification.model import operators as operators_room
 from ringwear_par.identification.model.histories import ROUGH_STEPS, Histories
 from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.results.execution.stopping import StopSignals
@@ -44,7 +44,7 @@ def test_a_search_between_operators_ends_at_the_optimum_of_exact_ones(tables, co
     between = fit(tables(2), comm)
     assert between.n_at_best == len(between.starts) == 2
     assert all(start.converged for start in between.starts)
-    monkeypatch.setattr(histories_room, "interpolate", lambda *_: None)
+    monkeypatch.setattr(operators_room, "interpolate", lambda *_: None)
     exact = fit(tables(1), comm)
     (estimates, sds), (expected, expected_sds) = numbers(between), numbers(exact)
     assert (np.abs(estimates - expected) <= 0.01 * expected_sds).all()
@@ -60,9 +60,9 @@ def test_readings_between_operators_are_those_of_one_rank(tables, comm):
     problem = read_fit(tables(2))
     points = np.outer([0.9, 1.1], list(problem.start.values()))
     rounds, alone = Rounds(problem, comm, StopSignals()), Histories(problem, MPI.COMM_SELF)
-    rounds.interpolate(problem, comm)
-    alone.interpolate(problem, MPI.COMM_SELF)
-    assert rounds.are_interpolated
+    rounds.operators.interpolate(comm)
+    alone.operators.interpolate(MPI.COMM_SELF)
+    assert rounds.operators.are_interpolated
     together = rounds.lead(lambda: rounds.responses(points, ROUGH_STEPS, exact=False))
     for one, other in zip(together, alone.responses(points, ROUGH_STEPS, exact=False), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -74,8 +74,8 @@ def test_operators_between_others_are_those_of_a_search_only(tables, comm):
     histories = Histories(problem, comm)
     point = 0.9 * np.array([list(problem.start.values())])
     (before,) = histories.responses(point)
-    histories.interpolate(problem, comm)
-    assert histories.are_interpolated
+    histories.operators.interpolate(comm)
+    assert histories.operators.are_interpolated
     (after,) = histories.responses(point)
     (between,) = histories.responses(point, exact=False)
     np.testing.assert_array_equal(before, after)

@@ -88,7 +88,7 @@ def _local_state(case: Case, time: float, worn: float) -> LocalState:
     """Return the local state along the contact at a time, at the largest speed, or 1 rad/s."""
     r = np.linspace(*case.contact, _ELEMENTS, dtype=np.float64)
     speed = (largest(case.load.omega) or 1.0) * r
-    return LocalState(time, r, speed, case.friction, np.full_like(r, worn), speed * _STEP)
+    return LocalState(time, r, speed, largest(case.friction), np.full_like(r, worn), speed * _STEP)
 
 
 def check_laws(path: Path, overrides: Sequence[str]) -> None:

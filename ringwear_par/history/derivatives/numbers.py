@@ -1,4 +1,4 @@
-"""What numbers of a case histories have derivatives with respect to, and what these act on."""
+"""What the numbers act on that histories have derivatives with respect to."""
 
 import copy
 from collections.abc import Sequence
@@ -9,104 +9,20 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, columns
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.schema import UNITS, layer_entry
+from ringwear_par.cases.schema import layer_entry
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.geometry.slopes import obliquity
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
-from ringwear_par.errors import InputError, legible
 from ringwear_par.history.derivatives.elastic_numbers import compliance_change, elastic_numbers
+from ringwear_par.history.derivatives.keys import RATES
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.compliances import key_of
+from ringwear_par.schedules import Quantity, Table, in_time
 from ringwear_par.wear.averaging import d_averaging
 from ringwear_par.wear.law import Law
 from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.parameters import parameters_of
-
-#: names of a factor on all rates of a body, about 1, in the place of a case's key
-RATES = tuple(f"wear.{body}" for body in BODIES)
-
-
-def differentiable(case: Case) -> dict[str, str]:
-    """Return the keys of a case that histories have derivatives with respect to, and their units.
-
-    Its plain numbers: of a law's parameters, those that rates have derivatives with respect to.
-    """
-    units: dict[str, str] = {}
-    for body, law in zip(BODIES, case.laws, strict=True):
-        if law is None:
-            continue
-        for name in law.numeric:
-            if _is_number(law.quantity(name)):
-                units[_key_of_number(body, name)] = _unit(law, name)
-        if law.length and "length" in parameters_of(type(law)):
-            units[f"wear.{body}.length"] = "mm"
-    units["contact.friction"] = UNITS["contact.friction"]
-    load = case.load
-    for key, number in (
-        ("load.pressure", load.force),
-        ("load.force", load.force),
-        ("load.displacement", load.displacement),
-        ("load.omega", load.omega),
-        ("lower.young", case.lower.young),
-        ("upper.young", case.upper.young),
-    ):
-        if _is_number(number):
-            units[key] = UNITS[key]
-    return units | elastic_numbers(case)
-
-
-def _key_of_number(body: str, name: str) -> str:
-    """Return the key of a parameter of a body's law, or of one of its layers' laws."""
-    layer, _, parameter = name.rpartition("].")
-    return f"{body}.{layer}].wear.{parameter}" if layer else f"wear.{body}.{name}"
-
-
-def _unit(law: Law, name: str) -> str:
-    """Return the unit of a parameter, "1" where it is not declared."""
-    if isinstance(law, LayeredLaw):
-        return next(_unit(law.laws[i], parameter) for i, parameter in law.having(name))
-    parameter = parameters_of(type(law)).get(name)
-    return "1" if parameter is None else parameter.unit
-
-
-def _is_number(quantity: Any) -> bool:
-    return isinstance(quantity, float | int) and not isinstance(quantity, bool)
-
-
-def units_of(case: Case, keys: Sequence[str]) -> dict[str, str]:
-    """Return the units of some of these keys."""
-    units = differentiable(case) | dict.fromkeys(RATES, "1") if keys else {}
-    return {key: units[key] for key in keys}
-
-
-def check_derivatives(case: Case, keys: Sequence[str]) -> None:
-    """Refuse derivatives that there are not. Not collective.
-
-    Raises
-    ------
-    InputError : one sentence a key, or why this case has none at all.
-    """
-    if isinstance(keys, str) or not all(isinstance(key, str) for key in keys):
-        raise InputError(f"derivatives = {keys!r}: must be a list of keys, as ['wear.lower.k']")
-    if not keys:
-        return
-    if case.follows_wear:
-        raise InputError(
-            'derivatives: are not known with mesh.geometry = "updated"; must be "fixed" with them'
-        )
-    allowed = differentiable(case)
-    faults = [
-        f"derivatives: {legible(key)}: is no plain number of this case that its history depends "
-        f"on smoothly; must be one of {', '.join(allowed)}"
-        for key in keys
-        if key not in allowed
-    ]
-    twice = dict.fromkeys(key for key in keys if list(keys).count(key) > 1)
-    faults += [f"derivatives: {legible(key)}: must be named once" for key in twice]
-    if faults:
-        raise InputError(*faults)
 
 
 def _name_of_number(body: str, key: str) -> str:
@@ -116,6 +32,11 @@ def _name_of_number(body: str, key: str) -> str:
         return f"layers{entry[1]}.{entry[2].removeprefix('wear.')}"
     begin = f"wear.{body}."
     return key.removeprefix(begin) if key.startswith(begin) else ""
+
+
+def _size(quantity: Quantity) -> float:
+    """Return the size of a number, 1 of 0; 0 of a table."""
+    return 0.0 if isinstance(quantity, Table) else abs(in_time(quantity, 0.0)) or 1.0
 
 
 class Sensitivity:
@@ -151,9 +72,9 @@ class Sensitivity:
                 numbers.remove((row, "length"))
         self.friction, self.omega = rows.get("contact.friction"), rows.get("load.omega")
 
-        #: what mu and omega are, which tells how far differences may go
+        #: what mu and omega are, which tells how far differences may go; 0 of tables
         self._sizes = {
-            row: np.array([abs(number(case)) or 1.0 for case in cases])
+            row: np.array([_size(number(case)) for case in cases])
             for row, number in (
                 (self.friction, lambda case: case.friction),
                 (self.omega, lambda case: case.load.omega),
@@ -161,12 +82,14 @@ class Sensitivity:
             if row is not None
         }
         #: (P, ...) derivatives of the force, N, or of the displacement, mm
-        self.load = self.zeros(len(cases))
+        self._load = self.zeros(len(cases))
         for key, row in rows.items():
             if key == "load.pressure":
-                self.load[row] = [case.area for case in cases]
+                self._load[row] = [case.area for case in cases]
             elif key in ("load.force", "load.displacement"):
-                self.load[row] = 1.0
+                self._load[row] = 1.0
+        #: row of a factor on the force
+        self._force = rows.get("load.force") if isinstance(cases[0].load.force, Table) else None
         elastic = {"lower.young", "upper.young", *elastic_numbers(cases[0])}
         self.elastic = [
             (row, _Elastic.of(cases, pairs, key)) for key, row in rows.items() if key in elastic
@@ -187,13 +110,31 @@ class Sensitivity:
         """Return the sensitivity of some of B histories."""
         taken = copy.copy(self)
         taken._sizes = {row: size[histories] for row, size in self._sizes.items()}
-        taken.load = self.load[:, histories]
+        taken._load = self._load[:, histories]
         taken.elastic = [(row, elastic.take(histories)) for row, elastic in self.elastic]
         return taken
 
     def zeros(self, *shape: int) -> FloatArray:
         """Return derivatives (P, ...) that are 0."""
         return np.zeros((len(self), *shape))
+
+    def d_friction(self, friction: FloatArray) -> FloatArray:
+        """Return the derivative (B,) of frictions (B,) by the number, or by the factor."""
+        assert self.friction is not None
+        return np.where(self._sizes[self.friction] > 0.0, 1.0, friction)
+
+    def d_omega(self, omega: FloatArray) -> FloatArray:
+        """Return the derivative (B,) of speeds (B,) rad/s, as ``d_friction``."""
+        assert self.omega is not None
+        return np.where(self._sizes[self.omega] > 0.0, 1.0, omega)
+
+    def load(self, force: Quantity | None, time: FloatArray) -> FloatArray:
+        """Return derivatives (P, B) of forces, N, or displacements, mm, at times (B,)."""
+        if self._force is None or force is None:
+            return self._load
+        load = self._load.copy()
+        load[self._force] = in_time(force, time)
+        return load
 
     def layer_starts(self, i: int, law: Law) -> FloatArray | float:
         """Return derivatives of the depths at which layers start, see ``VaryingNumbers``."""
@@ -212,15 +153,18 @@ class Sensitivity:
                 out[row] = law.d_rate_dparameter(name, p, at)
         if RATES[i] in self.keys:
             out[self.keys.index(RATES[i])] = law.rate(p, at)
+        still = np.zeros(p.shape[-1])
         if self.friction is not None:
-            size, still = columns(self._sizes[self.friction]), np.zeros(p.shape[-1])
-            along = LocalState(0.0, at.r, still, size, still, still)
-            out[self.friction] = law.d_rate_dlocal(p, at, along) / size
+            size = columns(self._sizes[self.friction])
+            friction = np.where(size > 0.0, size, at.friction)
+            along = LocalState(0.0, at.r, still, friction, still, still)
+            out[self.friction] = law.d_rate_dlocal(p, at, along) / np.where(size > 0.0, size, 1.0)
         if self.omega is not None:
-            size, still = columns(self._sizes[self.omega]), np.zeros(p.shape[-1])
-            turn = size * self._arm
-            along = LocalState(0.0, at.r, turn, 0.0, still, at.time * turn)
-            out[self.omega] = law.d_rate_dlocal(p, at, along) / size
+            size = columns(self._sizes[self.omega])
+            turn = np.where(size > 0.0, size * self._arm, at.speed)
+            slid = np.where(size > 0.0, at.time * turn, at.slid)
+            along = LocalState(0.0, at.r, turn, 0.0, still, slid)
+            out[self.omega] = law.d_rate_dlocal(p, at, along) / np.where(size > 0.0, size, 1.0)
         return out
 
     def add_gap(self, gap: FloatArray, p: FloatArray, at: FloatArray) -> None:

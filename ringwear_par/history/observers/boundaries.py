@@ -42,8 +42,8 @@ class BoundaryObserver:
         if self._selection(instant):
             state = instant.state
             bodies = self._recovery.fields(
-                state.contact.pressure, state.contact.approach, self._case.friction, state.wear,
-                state.meshed_wear,
+                state.contact.pressure, state.contact.approach,
+                self._case.friction_at(float(state.time)), state.wear, state.meshed_wear,
             )  # fmt: skip
             self.states.append(BoundaryState(instant.steps, float(state.time), bodies))
         return False

@@ -80,9 +80,8 @@ class CaseStresses:
         """
         lower, upper = (worn_through(case.layer_ends(i), wear) for i, wear in enumerate(state.wear))
         gone = lower, upper
-        bodies = self._recovery.stresses(
-            state.contact.pressure, case.friction, state.meshed_wear, gone
-        )
+        friction = case.friction_at(float(state.time))
+        bodies = self._recovery.stresses(state.contact.pressure, friction, state.meshed_wear, gone)
         points = np.empty((len(self.points), 6))
         grid = np.full((*self._of_grid.shape, 6), np.nan)
         for i, body in enumerate(bodies):

@@ -15,7 +15,6 @@ from ringwear_par.history.schemes.interfaces import Passage, end_at_interfaces
 from ringwear_par.history.schemes.step import Step, advanced
 from ringwear_par.history.schemes.tangent import along_step
 from ringwear_par.history.state import State
-from ringwear_par.schedules import mean
 from ringwear_par.wear.increment import total_of
 
 
@@ -23,20 +22,20 @@ def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: Fl
     """Return the explicit step to a time."""
     physics = physics.in_present_layers(state.wear)
     length = end - state.time
-    omega = mean(physics.inputs.omega, state.time, end)
+    sliding = physics.mean_sliding(state.time, end)
     p, rates = state.contact.pressure, state.rates
-    if not physics.inputs.steady_speed:
-        rates = physics.rates(state.time, omega, state.wear, p)
+    if not physics.inputs.steady_sliding:
+        rates = physics.rates(state.time, sliding, state.wear, p)
     wear, volumes = state.wear + columns(length) * rates, length * physics.integrals(rates)
     along = along_step(physics, contacts, state, end)
     if along is not None:
-        along.explicit(physics.increment(state.time, omega, state.wear, length), p)
-        along.work(length, omega, p, along.pressure)
+        along.explicit(physics.increment(state.time, sliding, state.wear, length), p)
+        along.work(length, sliding, p, along.pressure)
     contact = contacts.solve(physics.contact_inputs(end, wear), p, along=along)
     then = physics.rates_at(end, wear, contact.pressure)
-    energy = length * omega * physics.torque(p)
+    energy = length * sliding.omega * physics.torque(p, sliding)
     after = advanced(physics, state, end, wear, volumes, energy, contact, then, along)
-    passage = Passage.of(physics, state, after, state.time, omega, p)
+    passage = Passage.of(physics, state, after, state.time, sliding, p)
     return end_at_interfaces(contacts, state, _judged(state, after), passage, along)
 
 
@@ -44,8 +43,8 @@ def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: F
     """Return the implicit step to a time."""
     physics = physics.in_present_layers(state.wear)
     length = end - state.time
-    omega = mean(physics.inputs.omega, state.time, end)
-    during = physics.increment(end, omega, state.wear, length)
+    sliding = physics.mean_sliding(state.time, end)
+    during = physics.increment(end, sliding, state.wear, length)
     along = along_step(physics, contacts, state, end)
     contact = contacts.solve(
         physics.contact_inputs(end, state.wear, during), state.contact.pressure, along=along
@@ -56,12 +55,12 @@ def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: F
     volumes = length * physics.integrals(then)
     if not physics.inputs.rates_last:
         then = physics.rates_at(end, wear, p)
-    energy = length * omega * physics.torque(p)
+    energy = length * sliding.omega * physics.torque(p, sliding)
     if along is not None:
         along.implicit()
-        along.work(length, omega, p, along.pressure)
+        along.work(length, sliding, p, along.pressure)
     after = advanced(physics, state, end, wear, volumes, energy, contact, then, along)
-    passage = Passage.of(physics, state, after, end, omega, p)
+    passage = Passage.of(physics, state, after, end, sliding, p)
     return end_at_interfaces(contacts, state, _judged(state, after), passage, along)
 
 

@@ -18,7 +18,7 @@ from ringwear_par import batched
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, columns
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
-from ringwear_par.history.physics import Physics
+from ringwear_par.history.physics import Physics, Sliding
 from ringwear_par.history.schemes.step import Step
 from ringwear_par.history.schemes.tangent import Along
 from ringwear_par.history.state import State
@@ -106,7 +106,7 @@ class Passage:
     ends : mm, of these, infinite of bodies themselves.
     wear : mm, at the end of the step.
     crossing : which elements get to the end of their layer.
-    time, omega : (B,) s and rad/s, at which rates are those of the last part of the step.
+    time, sliding : (B,) s, at which rates are those of the last part of the step.
     pressure : (B, n) MPa, of the last part.
     mean, here, below : mm/s, rates in the step, in its last part, and those of the next layers.
     """
@@ -118,7 +118,7 @@ class Passage:
     wear: FloatArray
     crossing: BoolArray
     time: FloatArray
-    omega: FloatArray
+    sliding: Sliding
     pressure: FloatArray
     mean: FloatArray
     here: FloatArray
@@ -131,7 +131,7 @@ class Passage:
         before: State,
         after: State,
         time: FloatArray,
-        omega: FloatArray,
+        sliding: Sliding,
         pressure: FloatArray,
     ) -> Self | None:
         """Return the passage of elements in a step, whose physics is that of its layers.
@@ -146,10 +146,10 @@ class Passage:
         following = physics.in_layers(layers + inside)
         crossing = inside & worn_through(ends, wear)
         mean = (wear - before.wear) / columns(after.time - before.time)
-        here = physics.rates(time, omega, wear, pressure)
-        below = following.rates(time, omega, np.where(crossing, ends, wear), pressure)
+        here = physics.rates(time, sliding, wear, pressure)
+        below = following.rates(time, sliding, np.where(crossing, ends, wear), pressure)
         return cls(
-            physics, following, layers, ends, wear, crossing, time, omega, pressure, mean, here,
+            physics, following, layers, ends, wear, crossing, time, sliding, pressure, mean, here,
             below,
         )  # fmt: skip
 
@@ -230,13 +230,13 @@ class Passage:
         To which pressures may have fallen when the layer is through: near a threshold of the layer
         hardly anything is worn off it.
         """
-        low, at = np.minimum(self.pressure, usual), (self.time, self.omega)
+        low, at = np.minimum(self.pressure, usual), (self.time, self.sliding)
         here = self.physics.rates(*at, self.wear, low)
         return np.maximum(self.growth, _growth(here, self.following.rates(*at, self.reached, low)))
 
     def unit_increments(self) -> tuple[WearIncrement, WearIncrement]:
         """Return the wear of 1 s of the last part, in these layers and in the next ones."""
-        at, second = (self.time, self.omega), np.ones_like(self.time)
+        at, second = (self.time, self.sliding), np.ones_like(self.time)
         return (
             self.physics.increment(*at, self.wear, second),
             self.following.increment(*at, self.reached, second),

@@ -20,7 +20,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, columns, inner, largest
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
-from ringwear_par.history.physics import Physics
+from ringwear_par.history.physics import Physics, Sliding
 from ringwear_par.history.schemes.closing_elements import (
     ClosingElements,
     entry_error,
@@ -30,7 +30,6 @@ from ringwear_par.history.schemes.interfaces import Passage, end_at_interfaces
 from ringwear_par.history.schemes.step import Step, advanced
 from ringwear_par.history.schemes.tangent import Along, along_step
 from ringwear_par.history.state import State
-from ringwear_par.schedules import in_time
 from ringwear_par.wear.increment import WearIncrement, total_of
 
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
@@ -51,14 +50,14 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     physics = physics.in_present_layers(state.wear)
     length = end - state.time
     middle = state.time + GAMMA * length
-    speeds = [in_time(physics.inputs.omega, t) for t in (state.time, middle, end)]
+    sliding = [physics.sliding(t) for t in (state.time, middle, end)]
 
     closing = find_closing_elements(physics, state, length)
     gap_closing = (
         None if closing is None else closing.closing(GAMMA * length, np.ones_like(closing.gap))
     )
-    first = physics.increment(middle, speeds[1], state.wear, GAMMA * length, gap_closing)
-    along = along_step(physics, contacts, state, end, closing)
+    first = physics.increment(middle, sliding[1], state.wear, GAMMA * length, gap_closing)
+    along = along_step(physics, contacts, state, end, middle, closing)
     stage = contacts.solve(
         physics.contact_inputs(middle, state.wear, first), state.contact.pressure, along=along
     )
@@ -68,7 +67,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     if along is not None:
         along.first_stage(stage.pressure, counts, _SHARE)
     last, contact, counts_last = _last_stage(
-        physics, contacts, closing, end, speeds[2], carried, length, stage.pressure, along
+        physics, contacts, closing, end, sliding[2], carried, length, stage.pressure, along
     )
     worn_last = last.depth_if_always_in_contact(contact.pressure)
     losses = worn_last if closing is None else last.depths(contact.pressure)
@@ -78,7 +77,8 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         _counted(counts_last, contact.pressure),
     )  # fmt: skip
     powers = np.stack(
-        [speed * physics.torque(p) for speed, p in zip(speeds, pressures, strict=True)], axis=-1
+        [at.omega * physics.torque(p, at) for at, p in zip(sliding, pressures, strict=True)],
+        axis=-1,
     )
     contact = replace(
         contact,
@@ -93,11 +93,11 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         + _WEIGHTS[2] * physics.integrals(_counted(counts_last, then))
     )
     if not physics.inputs.rates_last:
-        then = physics.rates(end, speeds[2], wear, contact.pressure)
+        then = physics.rates(end, sliding[2], wear, contact.pressure)
     if along is not None:
         along.last_stage(last, contact.pressure, GAMMA * length)
         for i, d_p in enumerate(along.counted, start=1):
-            along.work(_WEIGHTS[i] * length, speeds[i], pressures[i], d_p)
+            along.work(_WEIGHTS[i] * length, sliding[i], pressures[i], d_p)
     after = advanced(physics, state, end, wear, volumes, energy, contact, then, along)
     # of both bodies: at the rate of the start, in the first stage, in a last one of usual length
     at_start = columns(length) * total_of(state.rates)
@@ -133,7 +133,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     defect += errors[0]
     carried = errors[1]
     after = replace(after, error=carried + defect)
-    passage = Passage.of(physics, state, after, end, speeds[2], contact.pressure)
+    passage = Passage.of(physics, state, after, end, sliding[2], contact.pressure)
     if passage is not None:
         defect = defect * passage.growth_at(_mean_pressure(physics, contact))
     judged = Step(
@@ -191,7 +191,7 @@ def _last_stage(
     contacts: CorrectedContacts,
     closing: ClosingElements | None,
     end: FloatArray,
-    speed: FloatArray,
+    sliding: Sliding,
     carried: FloatArray,
     length: FloatArray,
     near: FloatArray,
@@ -203,11 +203,11 @@ def _last_stage(
     """
     step = GAMMA * length
     if closing is None:
-        last = physics.increment(end, speed, carried, step)
+        last = physics.increment(end, sliding, carried, step)
         contact = contacts.solve(physics.contact_inputs(end, carried, last), near, along=along)
         return last, contact, 1.0
     counts = np.where(closing.mask, 1.0 + _SHARE, 1.0)
-    last = physics.increment(end, speed, carried, step, closing.closing(step, counts))
+    last = physics.increment(end, sliding, carried, step, closing.closing(step, counts))
     contact = contacts.solve(physics.contact_inputs(end, carried, last), near, along=along)
     p = contact.pressure
     inside = last.share(last.depth_if_always_in_contact(p))
@@ -216,7 +216,7 @@ def _last_stage(
         if along is not None:
             along.lengthen(last, p, step)
         counts = np.where(closing.mask, counts, closing.stage_weights(p, counts * inside))
-        last = physics.increment(end, speed, carried, step, closing.closing(step, counts))
+        last = physics.increment(end, sliding, carried, step, closing.closing(step, counts))
         solved = np.logical_not(closing.mask.any(axis=-1)), contact
         inputs = physics.contact_inputs(end, carried, last)
         again = contacts.solve(inputs, near, already_solved=solved, along=along)

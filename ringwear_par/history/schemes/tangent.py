@@ -22,7 +22,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, columns, inner
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
-from ringwear_par.history.physics import Physics
+from ringwear_par.history.physics import Physics, Sliding
 from ringwear_par.history.schemes.closing_elements import ClosingElements
 from ringwear_par.history.state import State, Tangent
 from ringwear_par.wear.increment import WearIncrement, total_of
@@ -40,6 +40,7 @@ class Along:
     physics : with its ``sensitivity``.
     contacts : of the histories.
     before : at the start of the step; None: there is no step, and nothing was worn.
+    time : (B,) s, of the first contact, and at the end of the step.
     length : (B,) s, of the step, if there is one.
     closing : the elements that wear may bring into contact in it.
     """
@@ -49,6 +50,7 @@ class Along:
         physics: Physics,
         contacts: CorrectedContacts,
         before: Tangent | None,
+        time: tuple[FloatArray, FloatArray],
         length: FloatArray | None = None,
         closing: ClosingElements | None = None,
     ) -> None:
@@ -56,6 +58,7 @@ class Along:
         self._physics, self._contacts = physics, contacts
         self._numbers, self._closing = physics.sensitivity, closing
         zeros = self._numbers.zeros
+        self._time, self._end = time
         shape = physics.inputs.shape
         if before is None:
             before = Tangent(
@@ -108,7 +111,7 @@ class Along:
             worn, slope = linearised.in_contact_problem(p, self._closes)
             gap += worn
             self._linearised = linearised
-        load = self._numbers.load
+        load = self._numbers.load(self._physics.inputs.force, self._time)
         forced = self._physics.inputs.force is not None
         d_force, d_approach = (load, None) if forced else (None, load)
         solved = contacts.engine.derivatives.tangents(
@@ -175,6 +178,7 @@ class Along:
             self._counted = counts * first + d_counts * p
         self._wear_off(self._lost(share * counts, share * d_counts))
         self._near = self._first = first
+        self._time = self._end
 
     def lengthen(self, last: WearIncrement, p: FloatArray, step: FloatArray) -> None:
         """Take note that the last stage is tried again, its steps being those that ``p`` asks for.
@@ -270,13 +274,14 @@ class Along:
             depth = beyond + since[i] * (below[i] - faster[i] * here[i])
             self.wear[i] = np.where(crossing[i], ends[i] + depth, self.wear[i])
 
-    def work(self, lasts: FloatArray, omega: FloatArray, p: FloatArray, d_p: FloatArray) -> None:
-        """Dissipate the energy of a time, s, at a speed, rad/s, and a pressure."""
-        power = omega * d_torque(self._physics, p, d_p)
+    def work(self, lasts: FloatArray, sliding: Sliding, p: FloatArray, d_p: FloatArray) -> None:
+        """Dissipate the energy of a time, s, of sliding at a pressure."""
+        omega, torque = sliding.omega, self._physics.torque(p, sliding)
+        power = omega * d_torque(self._physics, sliding, p, d_p)
         if self._numbers.omega is not None:
-            power[self._numbers.omega] += self._physics.torque(p)
+            power[self._numbers.omega] += self._numbers.d_omega(omega) * torque
         if self._stretch is not None:
-            power += self._stretch * (omega * self._physics.torque(p))
+            power += self._stretch * (omega * torque)
         self._energy = self._energy + lasts * power
 
     @property
@@ -308,12 +313,19 @@ def along_step(
     contacts: CorrectedContacts,
     state: State,
     end: FloatArray,
+    first: FloatArray | None = None,
     closing: ClosingElements | None = None,
 ) -> Along | None:
-    """Return the derivatives along a step from a state to a time; None where there are none."""
+    """Return the derivatives along a step from a state to a time; None where there are none.
+
+    Parameters
+    ----------
+    first : (B,) s, of its first contact; None: its end.
+    """
     if physics.sensitivity is None:
         return None
-    return Along(physics, contacts, state.tangent, end - state.time, closing)
+    times = end if first is None else first, end
+    return Along(physics, contacts, state.tangent, times, end - state.time, closing)
 
 
 def _moved_ends(left: FloatArray, d_left: FloatArray) -> FloatArray:
@@ -349,14 +361,14 @@ def variables(physics: Physics, state: State) -> dict[str, Any]:
     if tangent is None or numbers is None:
         return {}
     p, d_p = state.contact.pressure, tangent.pressure
-    volumes = physics.integrals(tangent.wear)
+    volumes, sliding = physics.integrals(tangent.wear), physics.sliding(state.time)
     values = {
         "d_approach": tangent.approach,
-        "d_force": numbers.load
+        "d_force": numbers.load(physics.inputs.force, state.time)
         if physics.inputs.force is not None
         else np.asarray(inner(physics.area, d_p)),
-        "d_torque": d_torque(physics, p, d_p),
-        "d_twist": d_twist(physics, p, d_p),
+        "d_torque": d_torque(physics, sliding, p, d_p),
+        "d_twist": d_twist(physics, sliding, p, d_p),
         "d_worn_volume_lower": volumes[0],
         "d_worn_volume_upper": volumes[1],
         "d_dissipated_energy": tangent.energy,
@@ -368,23 +380,24 @@ def variables(physics: Physics, state: State) -> dict[str, Any]:
     return {name: value[: len(numbers.keys)] for name, value in values.items()}
 
 
-def d_torque(physics: Physics, p: FloatArray, d_p: FloatArray) -> FloatArray:
+def d_torque(physics: Physics, sliding: Sliding, p: FloatArray, d_p: FloatArray) -> FloatArray:
     """Return derivatives of the friction torque, (P, B) N mm, from those of pressures."""
     numbers = physics.sensitivity
     assert numbers is not None
-    change = np.asarray(physics.torque(d_p))
+    change = np.asarray(physics.torque(d_p, sliding))
     if numbers.friction is not None:
-        change[numbers.friction] += physics.moment(p)
+        change[numbers.friction] += numbers.d_friction(sliding.friction) * physics.moment(p)
     return change
 
 
-def d_twist(physics: Physics, p: FloatArray, d_p: FloatArray) -> FloatArray:
+def d_twist(physics: Physics, sliding: Sliding, p: FloatArray, d_p: FloatArray) -> FloatArray:
     """Return derivatives of the twist, (P, B) mm, from those of pressures."""
     numbers = physics.sensitivity
     assert numbers is not None
-    change = np.asarray(physics.twist(d_p))
+    change = np.asarray(physics.twist(d_p, sliding))
     if numbers.friction is not None:
-        change[numbers.friction] += inner(physics.compliances.twist, p)
+        d_friction = numbers.d_friction(sliding.friction)
+        change[numbers.friction] += d_friction * inner(physics.compliances.twist, p)
     for row, elastic in numbers.elastic:
-        change[row] += physics.inputs.friction * inner(elastic.twist[elastic.which], p)
+        change[row] += sliding.friction * inner(elastic.twist[elastic.which], p)
     return change

@@ -60,7 +60,7 @@ def _stable_step(case: Case, compliance: ContactCompliance, most: float) -> floa
     slopes, omega = zero, case.load.omega
     for time in (0.0, *case.breakpoints):
         slid = integral(omega, 0.0, time) * line.arm
-        at = LocalState(time, line.r, largest(omega) * line.arm, case.friction, zero, slid)
+        at = LocalState(time, line.r, largest(omega) * line.arm, largest(case.friction), zero, slid)
         every = [_steepest(law, p, at) for law in case.laws if law is not None]
         slopes = np.maximum(slopes, sum(every, zero))
     return largest_stable_step(compliance, slopes * compliance.obliquity)

@@ -1,7 +1,7 @@
-"""``[[experiment.data]]``: where readings come from (a file, a value, a plan), and their noise."""
+"""``[[experiment.data]]``: where readings come from (file, value, plan), their noise and limits."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,13 +28,15 @@ from ringwear_par.cases.units import (
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, and_more
-from ringwear_par.identification.definition.problem import BASE
+from ringwear_par.identification.definition.problem import BASE, Experiment, Settings
 from ringwear_par.identification.definition.schema import SD
 
 #: readings of which data are smoothed by their median
 _SMOOTH = 9
 #: of the largest reading: below it a relative error means nothing
 _NEAR_ZERO = 0.05
+#: the true value is at most the reading, at least; else the reading is one
+_SIDES = {"below": -1, "above": 1, "": 0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,3 +306,55 @@ def _scatter(value: FloatArray) -> float:
     second = np.abs(np.diff(value, 2)) / math.sqrt(6.0)
     guess = 1.4826 * float(np.median(second)) if len(second) else 0.0
     return guess or 1e-3 * float(np.abs(value).max(initial=0.0)) or 1e-9
+
+
+def read_censored(reader: TableReader, readings: Readings) -> IntArray | None:
+    """Return the sides (n,) at which readings are limits: -1 at most, 1 at least; None for none."""
+    word = reader.read("censored")
+    if word is None:
+        return None
+    if word in _SIDES:
+        return np.full(len(readings.value), _SIDES[word])
+    data = readings.data
+    if data is None or readings.rows is None or word not in data.columns:
+        where = "" if data is None else f" or a column of {data.name}"
+        reader.wrong("censored", f'must be "below", "above"{where}')
+        return None
+    place = data.columns.index(word)
+    cells = [data.rows[i][place].strip() for i in np.flatnonzero(readings.rows).tolist()]
+    for cell, line in zip(cells, data.lines[readings.rows].tolist(), strict=True):
+        if cell not in _SIDES:
+            reader.fault(
+                f"{data.name}: line {line}: {legible(word)} = {legible(cell)}: must be below, "
+                "above or empty"
+            )
+            return None
+    return np.array([_SIDES[cell] for cell in cells])
+
+
+def check_censored(
+    name: str, settings: Settings, experiments: Sequence[Experiment], faults: list[str]
+) -> None:
+    """Add what does not go together with censored readings to the faults.
+
+    Parameters
+    ----------
+    name : of the file.
+    """
+    for experiment in experiments:
+        for series in experiment.series:
+            if series.censored is None or not series.censored.any():
+                continue
+            rules = {
+                "must be absent with loss = \"student\"": settings.loss == "student",
+                "must be absent with process": bool(settings.process),
+                "must be absent with correlation_time": series.correlation_time > 0.0,
+                'needs sd as a number where all readings are: must not be "fit"':
+                    series.sd_fitted and series.censored.all(),
+                'must be absent with intervals = ["posterior"]': "posterior" in settings.intervals,
+            }  # fmt: skip
+            faults += [
+                f'{name}: experiment "{legible(experiment.name)}": {series.name}: censored: {rule}'
+                for rule, broken in rules.items()
+                if broken
+            ]

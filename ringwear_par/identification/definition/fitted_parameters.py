@@ -1,14 +1,12 @@
 """``fit.parameters``: which case keys are sought, from where and within which bounds."""
 
-import difflib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.suggestions import nearest_key
 from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
@@ -16,9 +14,8 @@ from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import factor, has_unit, in_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
-from ringwear_par.errors import MOST_FAULTS, InputError, legible
-from ringwear_par.history.derivatives.elastic_numbers import elastic_numbers
-from ringwear_par.history.derivatives.numbers import differentiable
+from ringwear_par.errors import MOST_FAULTS, legible
+from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
 from ringwear_par.identification.definition.scatter import read_scatter
 from ringwear_par.identification.definition.schema import PARAMETER
@@ -172,58 +169,3 @@ def unit_of_key(problem: Problem, key: str) -> str:
     """Return the unit of a fitted key, with a blank before it; "" for none."""
     unit = units_of(problem)[key]
     return "" if unit in ("1", "-") else f" {unit}"
-
-
-def refuse_fixed(
-    said: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
-) -> None:
-    """Add a fault for each key without derivatives, once for all experiments.
-
-    Parameters
-    ----------
-    said : how sentences about the experiment begin.
-    """
-    allowed, elastic = differentiable(case), elastic_numbers(case)
-    for parameter in parameters:
-        if parameter.key in elastic:
-            faults += _faults_of_bounds(said, parameter, case)
-        if parameter.key not in allowed:
-            scope = said.partition(': experiment "')[0]
-            beginning = f"{scope}: {parameter.key}: cannot be fitted"
-            if any(fault.startswith(beginning) for fault in faults):
-                continue  # said of another experiment
-            similar = difflib.get_close_matches(parameter.key, allowed, n=3, cutoff=0.0)
-            faults.append(
-                f"{beginning}: the history of {said.removeprefix(scope)[2:]} does not depend on it "
-                f"smoothly; must be a key such as {', '.join(similar)}"
-            )
-
-
-def _faults_of_bounds(said: str, parameter: FittedParameter, case: Case) -> list[str]:
-    """Return why there is no case at a bound, as of a layer that is thicker than its body."""
-    for bound in parameter.bounds:
-        try:
-            case.replace({parameter.key: bound})
-        except InputError as error:
-            return [f"{said}: {parameter.key}: no case at its bound {bound:g}: {error.faults[0]}"]
-    return []
-
-
-def refuse_both(
-    said: str, parameters: Sequence[FittedParameter], changes: Mapping[str, Any], faults: list[str]
-) -> None:
-    """Add a fault for each key that is both set and fitted.
-
-    Parameters
-    ----------
-    said : how sentences about what is set begin.
-    changes : dotted keys that are set.
-    """
-    loads = {"load.force", "load.pressure", "load.displacement"}
-    for parameter in parameters:
-        path = split_key(parameter.key)[0]
-        same = {parameter.key, path} | (loads if path in loads else set())
-        for key in same & changes.keys():
-            faults.append(
-                f"{said}: {key}: is set, and {parameter.key} is fitted; must be one or the other"
-            )

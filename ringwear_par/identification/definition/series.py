@@ -12,8 +12,11 @@ from ringwear_par.cases.files.columns import FileStore, read_intervals
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import legible
 from ringwear_par.files.measurements import and_more
-from ringwear_par.identification.definition.censoring import read_censored
-from ringwear_par.identification.definition.data_sources import read_noise, read_readings
+from ringwear_par.identification.definition.data_sources import (
+    read_censored,
+    read_noise,
+    read_readings,
+)
 from ringwear_par.identification.definition.problem import (
     GROWTH_TIME,
     Nuisance,

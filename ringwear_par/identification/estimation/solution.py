@@ -91,7 +91,7 @@ def solve(misfit: Misfit, rounds: Rounds, law: str, stored: StoredStarts) -> Sol
     """
     keys, prefix = misfit.problem.keys, f"{law}: " if law else ""
     _begin(misfit)
-    misfit.be_exact(not rounds.are_interpolated)
+    misfit.be_exact(not rounds.operators.are_interpolated)
     starts = solve_starts(misfit, rounds, law, stored)
     misfit.be_exact(True)
     x = np.array(_best(starts, misfit.problem.name).unknowns)

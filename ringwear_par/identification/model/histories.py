@@ -18,10 +18,8 @@ from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.errors import ComputationError, InputError, reason_of
 from ringwear_par.history.derivatives.elastic_numbers import is_elastic
-from ringwear_par.history.elastic.bodies import operator_key
-from ringwear_par.history.elastic.interpolated_pairs import InterpolatedPairs, interpolate
-from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
+from ringwear_par.identification.model.operators import Operators
 from ringwear_par.identification.model.readings import Reader, Trajectory, lost_mass, time_through
 from ringwear_par.results.result import Result
 from ringwear_par.studies.definition.variations import split_key
@@ -96,10 +94,6 @@ def _limited(grown: FloatArray, count: int) -> FloatArray:
     return np.concatenate([early, equal[equal > early.max(initial=0.0)]])
 
 
-#: most operators kept of points that have some of their own
-_MOST_PAIRS = 64
-#: bodies assembled for a search by start: each of its some ten points would need three or more
-_BODIES_A_START = 16
 #: a point, and an experiment
 Pair = tuple[int, int]
 
@@ -153,19 +147,7 @@ class Histories:
         self._numbers = (*problem.keys, *problem.settings.process)
         clocks = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
         self._readers = [Reader(experiment, clocks) for experiment in problem.experiments]
-        self._owners: list[Hashable] = [operator_key(e.case) for e in problem.experiments]
-        #: experiments of which each value of a fitted key has an operator of its own
-        self._elastic = {
-            i for i, e in enumerate(problem.experiments) if is_elastic(e.case, problem.keys)
-        }
-        self._pairs: dict[Hashable, ContactPair] = {}
-        #: those of the last points
-        self._at_points: dict[tuple[Hashable, bool], ContactPair] = {}
-        #: where those of other points may come from in a search
-        self._interpolated: dict[Hashable, InterpolatedPairs] = {}
-        for key, experiment in zip(self._owners, problem.experiments, strict=True):
-            if key not in self._pairs:
-                self._pairs[key] = assemble(experiment.case, comm)
+        self.operators = Operators(problem, comm)
         #: histories computed so far
         self.count = 0
 
@@ -186,7 +168,7 @@ class Histories:
         points : (p, m) values of the fitted keys.
         steps : about how many a history makes.
         derivatives : whether they are asked for.
-        exact : whether operators are, or may be interpolated, see ``interpolate``.
+        exact : whether operators are, or may be interpolated, see ``Operators``.
 
         Returns
         -------
@@ -239,12 +221,12 @@ class Histories:
                     if isinstance(case, HistoryError):
                         raise case
                     cases[number] = case
-                    operators[number] = self._operator(experiment, case, exact)
+                    operators[number] = self.operators.of(experiment, case, exact)
                 except ComputationError as error:
                     readings[number] = HistoryError(reason_of(error))
         groups: dict[Hashable, list[int]] = defaultdict(list)
         for number in sorted(operators):
-            groups[self._owners[pairs[number][1]]].append(number)
+            groups[self.operators.owners[pairs[number][1]]].append(number)
         keys = self._numbers if derivatives else ()
         grids = {e: step_times(self._experiments[e], steps).tolist() for e in by_experiment}
         for numbers in groups.values():
@@ -263,46 +245,6 @@ class Histories:
                         readings[number] = reader.read(_trajectory(result, cases[number], keys))
         self.count += len(pairs)
         return [readings[number] for number in range(len(pairs))]
-
-    def interpolate(self, problem: Problem, comm: MPI.Comm) -> None:
-        """Prepare operators for a search, between exact ones, where these pay. Collective."""
-        bounds = {parameter.key: parameter.bounds for parameter in problem.parameters}
-        most = _BODIES_A_START * problem.settings.starts
-        for experiment in sorted(self._elastic):
-            owner = self._owners[experiment]
-            if owner in self._interpolated:
-                continue
-            case = self._experiments[experiment].case
-            pairs = interpolate(case, self._pairs[owner], bounds, most, comm)
-            if pairs is not None:
-                self._interpolated[owner] = pairs
-
-    @property
-    def are_interpolated(self) -> bool:
-        """Whether there are operators for a search."""
-        return bool(self._interpolated)
-
-    def _operator(self, experiment: int, case: Case, exact: bool) -> ContactPair:
-        """Return the pair of a case of an experiment.
-
-        Where each value has its own, it is interpolated, or assembled by this rank alone.
-        """
-        owner = self._owners[experiment]
-        if experiment not in self._elastic:
-            return self._pairs[owner]
-        exact = exact or owner not in self._interpolated
-        key = operator_key(case)
-        if exact and key in self._pairs:
-            return self._pairs[key]
-        if (key, exact) not in self._at_points:
-            while len(self._at_points) >= _MOST_PAIRS:
-                del self._at_points[next(iter(self._at_points))]
-            self._at_points[key, exact] = (
-                assemble(case, MPI.COMM_SELF, use_kept=False)
-                if exact
-                else self._interpolated[owner].of(case)
-            )
-        return self._at_points[key, exact]
 
 
 def _trajectory(result: Result, case: Case, keys: Sequence[str]) -> Trajectory:

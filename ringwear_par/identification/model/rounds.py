@@ -136,8 +136,7 @@ class Rounds(Histories):
         self._leads = False
         self._progress: FitProgress | None = None
         # ranks take experiments with operators of their own, each of which costs a batch
-        owners = list(self._pairs)
-        self._order = [owners.index(owner) for owner in self._owners]
+        self._order = self.operators.order
 
     def lead(self, job: Callable[[], T]) -> T:
         """Return the result of a job of the first rank. Collective.

@@ -12,9 +12,8 @@ from ringwear_par.elasticity.bem.pair import BodyCost
 from ringwear_par.elasticity.stress.boundary_fields import BODIES
 from ringwear_par.history.physics import Physics
 from ringwear_par.results.variables import TIMES_THROUGH
-from ringwear_par.schedules import in_time, integral
+from ringwear_par.schedules import Table, in_time, integral, mean
 from ringwear_par.version import versions
-from ringwear_par.wear.layered import LayeredLaw
 
 
 def case_attributes(case: Case, time: float) -> dict[str, Any]:
@@ -28,7 +27,12 @@ def case_attributes(case: Case, time: float) -> dict[str, Any]:
         "time_step": case.time.step,
         "time_steps": case.time.steps,
         "time_end": case.time.end,
-        "friction": case.friction,
+        "friction": mean(case.friction, 0.0, time or case.time.end),  # so far
+        **(
+            {"friction_times": case.friction.x, "friction_values": case.friction.y}
+            if isinstance(case.friction, Table)
+            else {}
+        ),
         "nominal_area": case.area,  # mm2
         "mean_radius": 0.5 * sum(case.overlap),  # mm
         "omega": in_time(case.load.omega, time),  # rad/s
@@ -51,13 +55,7 @@ def case_attributes(case: Case, time: float) -> dict[str, Any]:
 
 def _has_energy_identity(case: Case) -> bool:
     """Tell whether worn volume is a constant times the friction energy, by layer, of a body."""
-    return any(
-        all(law.layer_ratios(case.friction))
-        if isinstance(law, LayeredLaw)
-        else law.per_energy(case.friction)
-        for law in case.laws
-        if law is not None
-    )
+    return any(all(law.ratios(case.friction)) for law in case.laws if law is not None)
 
 
 def _layer_attributes(case: Case) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from mpi4py import MPI
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import InputError
-from ringwear_par.history.derivatives.numbers import check_derivatives
+from ringwear_par.history.derivatives.keys import check_derivatives
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.validity.case_limits import check_case

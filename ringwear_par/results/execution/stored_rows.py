@@ -7,7 +7,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, IntArray, share
 from ringwear_par.cases.case import Case
-from ringwear_par.history.derivatives.numbers import units_of
+from ringwear_par.history.derivatives.keys import units_of
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.tangent import variables as derivatives_of
 from ringwear_par.history.snapshots import Snapshot
@@ -25,12 +25,13 @@ def row(physics: Physics, state: State) -> dict[str, Any]:
     All but ``penetration`` and ``contact_iterations``, which other states have a part in.
     """
     contact, volumes = state.contact, physics.integrals(state.wear)
+    sliding = physics.sliding(state.time)
     values = {
         "time": state.time,
         "approach": contact.approach,
         "force": contact.force,
-        "torque": physics.torque(contact.pressure),
-        "twist": physics.twist(contact.pressure),
+        "torque": physics.torque(contact.pressure, sliding),
+        "twist": physics.twist(contact.pressure, sliding),
         "worn_volume_lower": volumes[0],
         "worn_volume_upper": volumes[1],
         "dissipated_energy": state.energy,

@@ -56,6 +56,7 @@ _NUMBERS = {
 _OPTIONAL_TEXTS = {"face_lower", "face_upper", "layers_lower", "layers_upper"}
 _OPTIONAL_NUMBERS = {"density_lower", "density_upper", "time_through_lower", "time_through_upper"}
 _OPTIONAL_PREFIXES = ("balance_", "seconds_")
+_LISTS = {"friction_times", "friction_values"}
 #: densities of the layers of lower and upper
 _OF_LAYERS = dict(
     zip(("density_lower_layers", "density_upper_layers"), table.LAYER_VOLUMES, strict=True)
@@ -183,7 +184,7 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
     for name in attributes:
         if name in _NUMBERS | _OPTIONAL_NUMBERS or name.startswith(_OPTIONAL_PREFIXES):
             read_number(attributes[name])
-        elif name in _OF_LAYERS:
+        elif name in _OF_LAYERS or name in _LISTS:
             attributes[name] = read_numbers(attributes[name])
     if attributes["status"] not in ("complete", "incomplete"):
         raise ValueError("status")

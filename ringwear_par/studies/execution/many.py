@@ -13,7 +13,7 @@ from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.stress.recovery import load_stress_kernels
 from ringwear_par.errors import InputError
-from ringwear_par.history.derivatives.numbers import check_derivatives
+from ringwear_par.history.derivatives.keys import check_derivatives
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.validity.case_limits import check_case

@@ -8,7 +8,7 @@ from laboratory import CASE, FITTED, PEN, PROF, K, changed
 
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.definition.fitted_parameters import refuse_fixed
+from ringwear_par.identification.definition.parameter_rules import refuse_unfit
 from ringwear_par.identification.definition.problem import FittedParameter
 
 #: every key that a fit file may have
@@ -106,7 +106,7 @@ def test_a_key_without_derivatives_is_refused_once(good):
     faults: list[str] = []
     for experiment in problem.experiments:
         said = f'fit.toml: experiment "{experiment.name}"'
-        refuse_fixed(said, [parameter], experiment.case, faults)
+        refuse_unfit(said, [parameter], experiment.case, faults)
     assert faults == [
         'fit.toml: load.displacement: cannot be fitted: the history of experiment "test 1" does '
         "not depend on it smoothly; must be a key such as load.pressure, load.omega, load.force"

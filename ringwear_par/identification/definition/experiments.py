@@ -1,0 +1,203 @@
+"""``[[experiment]]``: tests of a fit file, each with its case and its measurements."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.columns import FileStore
+from ringwear_par.cases.files.faults import Origin
+from ringwear_par.cases.files.keys import flatten, in_full, override
+from ringwear_par.cases.files.reading import make_case
+from ringwear_par.cases.tables import TableReader
+from ringwear_par.cases.text import shortened
+from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.history.validity.case_limits import check_case
+from ringwear_par.identification.definition.parameter_rules import refuse_both, refuse_unfit
+from ringwear_par.identification.definition.problem import Experiment, FittedParameter, Series
+from ringwear_par.identification.definition.scatter import read_groups
+from ringwear_par.identification.definition.schema import EXPERIMENT
+from ringwear_par.identification.definition.series import read_series
+
+#: what a fit needs of histories, and how they are stepped
+_STEPPING = {"time.scheme": "adaptive"}
+_OUTPUT = {
+    "output.every": 1, "output.profiles": "all", "output.fields": ["wear_lower", "wear_upper"],
+    "output.boundary": "none", "stress": None,
+}  # fmt: skip
+
+
+class ExperimentReader:
+    """Reads the experiments, of the base case (None where it has faults) and under other laws."""
+
+    def __init__(
+        self,
+        name: str,
+        folder: Path,
+        base: dict[str, Any] | None,
+        files: FileStore,
+        plans: bool,
+    ) -> None:
+        self._name, self._folder, self._base, self._files = name, folder, base, files
+        self._plans = plans
+        self._keys: dict[str, dict[str, Any]] = {}
+        #: what was wrong with cases; of fitted keys the same need not be said of every experiment
+        self._reported: set[str] = set()
+
+    def all(
+        self,
+        tables: Any,
+        parameters: tuple[FittedParameter, ...],
+        faults: list[str],
+        test: str = "",
+    ) -> tuple[Experiment, ...]:
+        """Return all experiments, or one test, and add what is wrong with them to the faults."""
+        if not isinstance(tables, list) or not tables:
+            state = "is missing" if tables is None else f"= {shortened(tables)}"
+            faults.append(f"{self._name}: experiment {state}: must be tables, [[experiment]]")
+            return ()
+        experiments: list[Experiment] = []
+        for i, table in enumerate(tables, start=1):
+            if test and isinstance(table, Mapping) and table.get("name", test) != test:
+                continue
+            experiment = self._experiment(i, table, parameters, faults)
+            if experiment is None:
+                continue
+            for other in experiments:
+                self._refuse_twin(experiment, other, faults)
+            experiments.append(experiment)
+        return tuple(experiments)
+
+    def _experiment(
+        self, i: int, table: Any, parameters: tuple[FittedParameter, ...], faults: list[str]
+    ) -> Experiment | None:
+        reader = TableReader(f"{self._name}: experiment {i}", table, faults, EXPERIMENT)
+        name = reader.read("name")
+        if name is None:
+            return None
+        said = reader.place = f'{self._name}: experiment "{legible(name)}"'
+        changes = self._changes(reader, faults)
+        refuse_both(f"{said}: set", parameters, changes, faults)
+        case = None
+        if self._base is not None and len(faults) < MOST_FAULTS:  # no more are told
+            keys = override(override(self._base, _STEPPING), changes)
+            self._keys[name] = override(keys, {**_STEPPING, **_OUTPUT})
+            case = self._case(said, self._keys[name], changes, parameters, faults)
+        groups = read_groups(reader, name)
+        data = reader.raw("data")
+        reader.finish()
+        if not isinstance(data, list) or not data:
+            reader.wrong("data", "must be tables, [[experiment.data]]")
+            return None
+        series: list[Series] = []
+        for number_, entry in enumerate(data, start=1):
+            readings = read_series(
+                f"{said}: data {number_}", entry, case, self._files, faults, plans=self._plans
+            )
+            if readings is None:
+                continue
+            if any(_same_readings(readings, other) for other in series):
+                reader.fault(
+                    f"data {number_} ({readings.quantity}): {readings.file} is there twice; must "
+                    "be once"
+                )
+            series.append(readings)
+        return None if case is None else Experiment(name, case, _named(series), groups)
+
+    def _changes(self, reader: TableReader, faults: list[str]) -> dict[str, Any]:
+        table = reader.raw("set", {})
+        if not isinstance(table, Mapping):
+            reader.wrong("set", "must be a table of case keys")
+            return {}
+        try:
+            return in_full(flatten(table, f"{reader.place}: set"), self._folder)
+        except InputError as error:
+            faults += error.faults
+            return {}
+
+    def _case(
+        self,
+        said: str,
+        keys: Mapping[str, Any],
+        changes: Mapping[str, Any],
+        parameters: tuple[FittedParameter, ...],
+        faults: list[str],
+    ) -> Case | None:
+        """Return a case with the parameters at their starts."""
+        starts = {parameter.key: parameter.start for parameter in parameters}
+        changed = frozenset({*changes, *starts})
+        try:
+            case = make_case(override(keys, starts), Origin(said, changed, f"{said}: set"))
+            check_case(case, 1, said)
+        except InputError as error:
+            tables = {parameter.key.rpartition(".")[0] for parameter in parameters}
+            for fault in error.faults:
+                sentence = fault.replace(said, "")
+                if sentence not in self._reported or not any(table in sentence for table in tables):
+                    faults.append(fault)
+                self._reported.add(sentence)
+            return None
+        if case.mesh.geometry == "updated":
+            faults.append(f'{said}: mesh.geometry = "updated": must be "fixed" in a fit')
+            return None
+        refuse_unfit(said, parameters, case, faults)
+        return case
+
+    def _refuse_twin(self, one: Experiment, other: Experiment, faults: list[str]) -> None:
+        """Refuse an experiment that is there already."""
+        said = f'{self._name}: experiment "{legible(one.name)}"'
+        if one.name == other.name:
+            faults.append(f"{said}: is there twice; names must differ")
+            return
+        for series in one.series:
+            if any(_same_readings(series, twin) for twin in other.series):
+                faults.append(
+                    f"{said}: {series.quantity}: {series.file} has the readings of experiment "
+                    f'"{legible(other.name)}"; every experiment must have its own'
+                )
+
+    def changed(
+        self,
+        name: str,
+        experiments: tuple[Experiment, ...],
+        changes: Mapping[str, Any],
+        parameters: tuple[FittedParameter, ...],
+        faults: list[str],
+    ) -> tuple[Experiment, ...]:
+        """Return the experiments under another law."""
+        changed = []
+        for experiment in experiments:
+            said = f'{self._name}: compare.{legible(name)}: experiment "{legible(experiment.name)}"'
+            refuse_both(said, parameters, changes, faults)
+            full_changes = in_full(changes, self._folder)
+            keys = override(self._keys[experiment.name], full_changes)
+            case = self._case(said, keys, changes, parameters, faults)
+            if case is None:
+                break  # the others have the same fault
+            changed.append(replace(experiment, case=case))
+        return tuple(changed)
+
+
+def _same_readings(one: Series, other: Series) -> bool:
+    """Tell whether two series share lines of a file, with the same readings."""
+    if one.lines is None or other.lines is None or one.file != other.file:
+        return False
+    _, first, second = np.intersect1d(one.lines, other.lines, return_indices=True)
+    same = len(first) and one.quantity == other.quantity
+    return bool(same and np.array_equal(one.value[first], other.value[second]))
+
+
+def _named(series: list[Series]) -> tuple[Series, ...]:
+    """Return series with names that differ."""
+    counts: dict[str, int] = {}
+    named = []
+    for one in series:
+        name = one.quantity if one.at is None else f"{one.quantity} at {one.at:g} s"
+        counts[name] = counts.get(name, 0) + 1
+        if counts[name] > 1:
+            name = f"{name} ({counts[name]})"
+        named.append(replace(one, name=name))
+    return tuple(named)

@@ -1,0 +1,107 @@
+"""Friction that changes in time: wear, energy and torque count it, steps end where it bends."""
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from paths import CASES, PAPER
+
+import ringwear_par as rw
+from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.results.key_numbers import normal_work
+from ringwear_par.schedules import Table, integral
+from ringwear_par.studies.execution.batches import computed
+
+K = 4e-7
+MU = [[0.0, 0.1], [300.0, 0.1], [330.0, 0.25], [390.0, 0.05]]
+STEPPINGS = {
+    "adaptive": {"time.end": 450.0},
+    "implicit": {"time.step": 5.0, "time.steps": 90},
+    "explicit": {"time.step": 0.5, "time.steps": 900},
+}
+
+
+def case_of(scheme="adaptive", **changes):
+    return rw.read_case(PAPER, {
+        "mesh.contact_elements": 12, "mesh.grading": 1.5, "time.scheme": scheme,
+        "wear.lower.p0": 0.0, "contact.friction": MU, **STEPPINGS[scheme], **changes,
+    })  # fmt: skip
+
+
+@pytest.mark.parametrize("scheme", STEPPINGS)
+def test_worn_in_rings_wear_by_the_integral_of_friction(scheme):
+    """Pressure c / r stays: all depths are k p V times the integral of mu."""
+    case = case_of(scheme, **{"wear.lower.k": K})
+    result = rw.simulate(case)
+    time, wear = result.histories["time"], result.profiles["wear_lower"]
+    start = int(np.searchsorted(time, 300.0))
+    force, omega = case.load.force, case.load.omega
+    a, b = case.contact
+    depth = K * omega * force / (2.0 * np.pi * (b - a)) * integral(case.friction, 300.0, 450.0)
+    np.testing.assert_allclose(wear[-1] - wear[start], depth, rtol=1e-4)
+    torque = case.friction(time) * force * 0.5 * (a + b)
+    np.testing.assert_allclose(result.histories["torque"][start:], torque[start:], rtol=5e-6)
+    # energy per friction: force times distance
+    slid = force * omega * 0.5 * (a + b) * (time[-1] - time[start])
+    assert normal_work(result)[start:].sum() == pytest.approx(slid, rel=2e-3)
+    assert result.attributes["balance_energy"] < 1e-12
+    assert result.attributes["balance_volume"] < 1e-12
+
+
+def test_steps_end_where_friction_bends_and_nowhere_for_a_smooth_curve():
+    result = rw.simulate(case_of())
+    assert {300.0, 330.0, 390.0} <= set(result.histories["time"].tolist())
+    t = np.linspace(0.0, 450.0, 300)
+    curve = [[*point] for point in zip(t.tolist(), (0.15 - 0.04 * np.exp(-t / 80.0)).tolist(),
+                                       strict=True)]  # fmt: skip
+    assert case_of(**{"contact.friction": curve}).breakpoints == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("coated", {}),
+        ("wear_through", {}),
+        ("paper", {"wear.upper.law": "archard", "wear.upper.k": 1e-8}),
+        ("paper", {"load.control": "displacement", "load.displacement": 0.05,
+                   "load.pressure": None}),
+    ],
+)  # fmt: skip
+def test_balances_hold_with_two_bodies_coatings_and_at_a_displacement(name, changes):
+    table = [[0.0, 0.05], [20.0, 0.2], [60.0, 0.1]]
+    case = rw.read_case(CASES / f"{name}.toml", {"contact.friction": table, **changes})
+    result = rw.simulate(case)
+    for balance in ("force", "volume", "energy", "residual"):
+        assert result.attributes[f"balance_{balance}"] < 1e-10
+
+
+def test_volume_per_energy_is_no_constant_of_a_law_without_friction():
+    """Of k p V it changes with friction, of k mu p V it does not."""
+    archard = rw.simulate(rw.read_case(CASES / "archard.toml", {"contact.friction": MU}))
+    assert archard.attributes["energy_identity"] == 0
+    assert rw.simulate(case_of()).attributes["energy_identity"] == 1
+
+
+@pytest.mark.parametrize("key", ["contact.friction", "load.omega", "load.force"])
+def test_derivatives_by_a_factor_on_a_table_are_those_of_the_history(key):
+    case = case_of(**{
+        "load.pressure": None, "load.force": [[0.0, 2e4], [200.0, 4e4]], "wear.lower.p0": 20.0,
+        "load.omega": [[0.0, 3.0], [100.0, 4.0]], "wear.upper.law": "running-in",
+        "wear.upper.k": 1e-8, "wear.upper.k_start": 5e-8, "wear.upper.distance": 2e4,
+    })  # fmt: skip
+    pair, times = assemble(case, MPI.COMM_SELF), np.linspace(0.0, 450.0, 46)[1:].tolist()
+    times = sorted({*times, *case.breakpoints})
+
+    def history(factor, keys=()):
+        table = {"contact.friction": case.friction}.get(key) or getattr(case.load, key[5:])
+        points = [[t, factor * v] for t, v in zip(table.x, table.y, strict=True)]
+        assert isinstance(table, Table)
+        (part,) = computed([case.replace({key: points})], pair, results=True, derivatives=keys,
+                           step_times=[times])  # fmt: skip
+        return part.results()[0]
+
+    there, up, down = history(1.0, (key,)), history(1.0 + 1e-6), history(1.0 - 1e-6)
+    for name in ("approach", "torque", "dissipated_energy", "worn_volume_upper", "force"):
+        central = (up.histories[name] - down.histories[name]) / 2e-6
+        slope = there.derivatives[f"d_{name}"][0]
+        size = np.abs(there.histories[name]).max()
+        np.testing.assert_allclose(slope, central, rtol=0, atol=2e-7 * size)
