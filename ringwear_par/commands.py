@@ -27,6 +27,7 @@ _TASKS = (
     ("fit", "ringwear fit FIT.toml -o DIR", "a wear law from measurements, with intervals"),
     ("plan", "ringwear design FIT.toml -o DIR", "the most informative next tests"),
     ("predict", "ringwear predict DIR CASE.toml -o DIR", "other cases, as a fit knows them"),
+    ("follow", "ringwear follow FIT.toml -o DIR", "a running test: k, and when it may end"),
     ("measure", "ringwear measure W.csv --case RIG.toml -o DIR", "wear rates without a model"),
 )
 #: flags and options of ``add_argument``

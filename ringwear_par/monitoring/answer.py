@@ -152,9 +152,8 @@ class Answer:
         if self.depth is not None:
             depth, (median, interval, _) = self.depth
             middle, low_end, high_end = map(self._at, (median, *interval))
-            lines.append(
-                f"  {1e3 * depth:g} um of penetration: {middle} (from {low_end} to {high_end})"
-            )
+            spread = "" if low_end == high_end else f" (from {low_end} to {high_end})"
+            lines.append(f"  {1e3 * depth:g} um of penetration: {middle}{spread}")
         return [*lines, *(f"warning: {words}" for words in self.warnings)]
 
     def _at(self, time: float | None) -> str:

@@ -15,13 +15,14 @@ from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible, reason_of
 from ringwear_par.files.folders import FIT, FOLLOW, check_folder
 from ringwear_par.files.text import parse_json, read_text
+from ringwear_par.history.derivatives.elastic_numbers import is_elastic
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
 from ringwear_par.identification.fit import fit_problem
 from ringwear_par.identification.model.rounds import Rounds, StoppedError
 from ringwear_par.monitoring.answer_files import PAGE, AnswerFiles
 from ringwear_par.monitoring.bank import Bank
 from ringwear_par.monitoring.histories import planned
-from ringwear_par.monitoring.running_test import RunningTest, rest_of
+from ringwear_par.monitoring.running_test import RunningTest
 from ringwear_par.monitoring.watch import Watch, Wishes
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.draws import NEXT
@@ -102,7 +103,7 @@ def run_follow(
 
     running, percent, mm = on_first_rank(comm, begin)
     if after is None:
-        rest = on_first_rank(comm, lambda: rest_of(running.read_all(), running.name))
+        rest = on_first_rank(comm, running.others)
         fit = fit_problem(rest, comm)
         job = on_first_rank(comm, lambda: _job(running, fit_knowledge(fit), set()))
     else:
@@ -179,9 +180,15 @@ def _job(running: RunningTest, known: FitKnowledge, tests: set[str]) -> _Job:
             f"{running.source}: fits {', '.join(problem.keys)}; must be {', '.join(values.keys)}, "
             f"as {known.name}"
         )
+    if is_elastic(experiment.case, problem.keys):
+        raise InputError(
+            f"{running.source}: a modulus, a Poisson's ratio or a thickness is fitted; a test is "
+            "followed with numbers of wear laws and friction only"
+        )
     specimen = experiment.groups[0] or experiment.name
     of = specimen if specimen in values.specimens else NEXT
     check_predicted(known, experiment.case, said, of)
+    # the size itself is drawn
     process = {
         f"wear.{body}": ProcessNoise(size=1.0)
         for body, sizes in zip(("lower", "upper"), values.sizes.T, strict=True)

@@ -54,11 +54,13 @@ class RunningTest:
     source : the fit file.
     name : of the experiment.
     files : names of its files.
+    alone : whether the fit file has no other.
     """
 
     source: Path
     name: str
     files: frozenset[str]
+    alone: bool
 
     @classmethod
     def of(cls, source: Path, name: str | None) -> "RunningTest":
@@ -81,7 +83,8 @@ class RunningTest:
             raise InputError(f"--test = {legible(name)}: must be one of {known} of {source}")
         series = named[name] if isinstance(named[name], list) else []
         files = {s["file"] for s in series if isinstance(s, Mapping) and "file" in s}
-        return cls(source, name, frozenset(file for file in files if isinstance(file, str)))
+        texts = frozenset(file for file in files if isinstance(file, str))
+        return cls(source, name, texts, len(named) == 1)
 
     @property
     def missing(self) -> list[Path]:
@@ -98,14 +101,24 @@ class RunningTest:
             for path in paths
         )
 
-    def read_all(self) -> Problem:
-        """Return the whole fit file, this test as far as it is.
+    def others(self) -> Problem:
+        """Return the problem of the other tests of the fit file, to be fitted before.
 
         Raises
         ------
-        InputError : its faults.
+        InputError : faults of the file; there is none, or they cannot tell what scatters.
         """
-        return read_fit(self.source, files=GrowingFiles(self.source.parent, self.files))
+        said = f"{self.source}: without {legible(self.name)}"
+        if self.alone:
+            raise InputError(f"{said} has no test; --after must name the folder of a fit of others")
+        whole = read_fit(self.source, files=GrowingFiles(self.source.parent, self.files))
+        others = tuple(one for one in whole.experiments if one.name != self.name)
+        faults: list[str] = []
+        check_scatter(said, whole.parameters, others, whole.settings, faults)
+        if faults:
+            raise InputError(*faults)
+        settings = replace(whole.settings, intervals=("linear",))
+        return replace(whole, experiments=others, settings=settings, alternatives={})
 
     def read(self) -> Problem:
         """Return the problem of this test alone, with its readings so far.
@@ -176,22 +189,3 @@ def averaged(series: Series, end: float) -> Series:
     total = np.add.reduceat(weights, number)
     x, value = (np.add.reduceat(weights * v, number) / total for v in (series.x, series.value))
     return replace(series, x=x, value=value, sd=total**-0.5, lines=None)
-
-
-def rest_of(whole: Problem, test: str) -> Problem:
-    """Return the problem of the other tests of a fit file, to be fitted before one runs.
-
-    Raises
-    ------
-    InputError : they cannot tell what scatters.
-    """
-    others = tuple(one for one in whole.experiments if one.name != test)
-    said = f"{whole.name}: without {legible(test)}"
-    if not others:
-        raise InputError(f"{said} has no test; --after must name the folder of a fit of others")
-    faults: list[str] = []
-    check_scatter(said, whole.parameters, others, whole.settings, faults)
-    if faults:
-        raise InputError(*faults)
-    settings = replace(whole.settings, intervals=("linear",))
-    return replace(whole, experiments=others, settings=settings, alternatives={})
