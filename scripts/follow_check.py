@@ -69,7 +69,7 @@ class DenseTest:
             first = rows.stop
 
     def of(self, modes: FloatArray, unknowns: FloatArray) -> FloatArray:
-        """Return what modes (n, 1 + r) are at unknowns (p, m), (p, n)."""
+        """Return readings of modes (n, 1 + r) are at unknowns (p, m), (p, n)."""
         return modes[:, 0] + self.histories.coordinates(unknowns) @ modes[:, 1:].T
 
     def __call__(self, unknowns: FloatArray, sizes: FloatArray) -> FloatArray:

@@ -130,8 +130,8 @@ def _drawn(fit: FitResult, random: np.random.Generator) -> _Draws:
             raise InputError("fit: to_arviz needs keys that are identified")
         kind = "linear model"
         keys = random.multivariate_normal(fit.x[:m], fit.covariance[:m, :m], DRAWS)
-    nothing = np.zeros((len(keys), 0))
-    return _Draws(kind, keys, np.repeat(keys[:, None], tests, axis=1), nothing, nothing)
+    none = np.zeros((len(keys), 0))
+    return _Draws(kind, keys, np.repeat(keys[:, None], tests, axis=1), none, none)
 
 
 def _linearised(fit: FitResult) -> Linearisation:
@@ -164,8 +164,8 @@ def _of_readings(
         chosen = of_draw.ravel() == place
         precision = projected_precision(test, size, np.zeros((m, m)))
         noise = rest[chosen] @ precision[:, :n]  # its mean by the readings
-        own, slope = ((root.T @ precision[:n, :n]) * root.T).sum(axis=1), noise @ root
-        likelihood[chosen] = 0.5 * (np.log(own / (2.0 * np.pi)) - slope**2 / own)
+        information, slope = ((root.T @ precision[:n, :n]) * root.T).sum(axis=1), noise @ root
+        likelihood[chosen] = 0.5 * (np.log(information / (2.0 * np.pi)) - slope**2 / information)
         values, axes = np.linalg.eigh(np.eye(n) - precision[:n, :n])
         spread = axes * np.sqrt(np.maximum(values, _SMALL))
         normal = random.standard_normal((2, len(noise), n))

@@ -61,7 +61,7 @@ class FitResult(Outcome, Solution):
         "summary": f"{_ROOM}.summary", "warnings": f"{_ROOM}.summary",
         "save": f"{_ROOM}.fit_folder", "plot": f"{_ROOM}.figures",
         "plot_parameters": f"{_ROOM}.figures", "plot_specimens": f"{_ROOM}.figures",
-        "to_arviz": f"{_ROOM}.arviz_groups",
+        "to_arviz": f"{_ROOM}.arviz_groups", "log_evidence": f"{_ROOM}.evidence",
     }  # fmt: skip
 
     misfit: Misfit
@@ -289,6 +289,7 @@ class FitResult(Outcome, Solution):
             "flagged": self.flagged,
             "aic": self.aic,
             "bic": self.bic,
+            "log_evidence": self.apply("log_evidence"),
             "specimens": len({e.groups[0] for e in problem.experiments}),
             "process": {} if self.material is None else self.material.process,
             "experiments": self.experiments,

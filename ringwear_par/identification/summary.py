@@ -13,6 +13,7 @@ from ringwear_par.cases.units import CUSTOMARY
 from ringwear_par.errors import warning_lines
 from ringwear_par.identification.definition.problem import body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
+from ringwear_par.identification.evidence import probabilities
 
 if TYPE_CHECKING:
     from ringwear_par.identification.estimation.posterior import Posterior
@@ -51,6 +52,7 @@ class LawRow:
     name: str
     aic_difference: float | None
     bic: float | None
+    probability: float | None
     chi2: float | None
     parameters: str
     verdict: str
@@ -116,15 +118,18 @@ def law_rows(outcome: Outcome) -> list[LawRow]:
     laws = {"this law": outcome, **outcome["alternatives"]}
     solved = {name: law for name, law in laws.items() if "aic" in law}
     best = min(law["aic"] for law in solved.values())
+    evidences = {name: law.get("log_evidence") for name, law in solved.items()}
+    shares = probabilities(evidences) if None not in evidences.values() else {}
     rows = []
     for name, law in sorted(solved.items(), key=lambda item: item[1]["aic"]):
         parameters = ", ".join(f"{key} = {value_text(p)}" for key, p in law["parameters"].items())
         verdict = "does not fit" if law["flagged"] else "fits"
         if law["p_value"] is None:
             verdict = "not tested: noise was fitted, or has long tails"
-        rows.append(LawRow(name, law["aic"] - best, law["bic"], law["chi2"], parameters, verdict))
+        numbers = law["aic"] - best, law["bic"], shares.get(name), law["chi2"]
+        rows.append(LawRow(name, *numbers, parameters, verdict))
     rows += [
-        LawRow(name, None, None, None, "", f"failed: {law['error']}")
+        LawRow(name, None, None, None, None, "", f"failed: {law['error']}")
         for name, law in laws.items()
         if name not in solved
     ]
@@ -468,14 +473,15 @@ def _correlation_lines(fit: "FitResult") -> list[str]:
 
 def _law_lines(outcome: Mapping[str, Any]) -> list[str]:
     rows = law_rows(outcome)
-    lines = ["laws compared (AIC above the smallest, BIC, chi2, parameters):"]
+    lines = ["laws compared (AIC above the smallest, BIC, chi2, probability, parameters):"]
     for row in rows:
         if row.aic_difference is None:
             lines.append(f"  {row.name}: {row.verdict}")
             continue
         flag = "; does not fit" * (row.verdict == "does not fit")
+        share = "-" if row.probability is None else f"{row.probability:.2g}"
         lines.append(
-            f"  {row.name}: {row.aic_difference:+.1f}, {row.bic:.5g}, {row.chi2:.5g}; "
+            f"  {row.name}: {row.aic_difference:+.1f}, {row.bic:.5g}, {row.chi2:.5g}, {share}; "
             f"{row.parameters}{flag}"
         )
     if all(row.aic_difference is None or row.verdict == "does not fit" for row in rows):

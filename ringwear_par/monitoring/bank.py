@@ -86,7 +86,6 @@ class Bank:
     Attributes
     ----------
     moves : how often draws were made anew.
-    log_evidence : logarithm of the probability density of the readings so far.
     """
 
     def __init__(
@@ -106,7 +105,7 @@ class Bank:
         unknowns = np.where(known.logarithmic, np.log(values), values)
         self.histories.prepare(unknowns)
         self.draws = Draws(unknowns, part, np.zeros(draws), self.histories.coordinates(unknowns))
-        self.moves, self.log_evidence = 0, 0.0
+        self.moves = 0
         wearing = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
         self._sizes, self._of_part = np.unique(known.sizes[:, wearing], axis=0, return_inverse=True)
         self._refer(normalised(self._logs(np.zeros(draws))))
@@ -172,16 +171,11 @@ class Bank:
             tempered = self._logs(power * likelihood)
             self._draw_anew(normalised(tempered))
             self._refer(normalised(tempered))
-            again = self._logs(power * self._log_likelihood(test))
-            # both estimate the same evidence
-            shift = logsumexp(tempered) - logsumexp(again)
-            self.draws = replace(self.draws, base=self.draws.base + shift)
             self.moves += 1
         else:
             test = rows_of(self.linearised(problem)[0], chosen)
             logs = self._logs(self._log_likelihood(test))
             weights = normalised(logs)
-        self.log_evidence = float(logsumexp(logs) - np.log(len(logs)))
         mean, covariance = _moments(self.draws.unknowns, weights)
         if (np.abs(mean - self._reference) > _NEAR * np.sqrt(np.diag(covariance))).any():
             self._refer(weights)
@@ -196,12 +190,11 @@ class Bank:
         sizes = self._sizes if self._sizes.shape[1] else None
         number = self._of_part.ravel()[self.draws.part]
         coordinates, logs = self.draws.coordinates, np.empty(len(number))
-        constant = len(test.readings) * np.log(2.0 * np.pi)
         for size, reduced in enumerate(reduce_test(test, sizes)):
             chosen = slice(None) if sizes is None else number == size
             c = coordinates[chosen]
             square = ((c @ reduced.information - 2.0 * reduced.score) * c).sum(axis=1)
-            rest = reduced.square + reduced.log_volume + reduced.log_nuisances + constant
+            rest = reduced.square + reduced.log_volume + reduced.log_nuisances
             logs[chosen] = -0.5 * (square + rest)
         return logs
 
@@ -255,5 +248,5 @@ def quantiles(values: FloatArray, weights: FloatArray, probabilities: Any) -> Fl
     """Return quantiles of weighed values (draws,)."""
     order = np.argsort(values)
     centred = np.cumsum(weights[order]) - 0.5 * weights[order]
-    found: FloatArray = np.interp(probabilities, centred, values[order])
-    return found
+    between: FloatArray = np.interp(probabilities, centred, values[order])
+    return between

@@ -91,10 +91,10 @@ class SpecimenHistories:
         spread = (stepped - self._mean).reshape(len(stepped), -1, len(self.time)).std(axis=(0, 2))
         scale = np.repeat(np.where(spread > 0.0, spread, 1.0), len(self.time))
         left, values, modes = np.linalg.svd((stepped - self._mean) / scale, full_matrices=False)
-        kept = values > _SMALL * values[0]
-        self._modes, self._inverse = modes[kept] * scale, modes[kept].T / scale[:, None]
+        large = values > _SMALL * values[0]
+        self._modes, self._inverse = modes[large] * scale, modes[large].T / scale[:, None]
         self._low, self._high = unknowns.min(axis=0), unknowns.max(axis=0)
-        coordinates, learned = left[:, kept] * values[kept], len(stepped) - _TESTS
+        coordinates, learned = left[:, large] * values[large], len(stepped) - _TESTS
         terms = self._terms(at)
         if learned < terms.shape[1]:
             self.error = None

@@ -120,8 +120,8 @@ def _slopes(bank: Bank, weights: FloatArray) -> FloatArray:
     root = np.sqrt(weights[counts])[:, None]
     unknowns = bank.draws.unknowns[counts] - weights @ bank.draws.unknowns
     columns = np.column_stack([unknowns, np.ones(len(unknowns))])
-    found = np.linalg.lstsq(root * columns, root * bank.draws.coordinates[counts], rcond=None)[0]
-    slopes: FloatArray = found[:-1].T
+    solution = np.linalg.lstsq(root * columns, root * bank.draws.coordinates[counts], rcond=None)[0]
+    slopes: FloatArray = solution[:-1].T
     return slopes
 
 

@@ -18,6 +18,11 @@ from ringwear_par.identification.definition.scatter import check_scatter
 
 #: blocks of equal time of a test, in which the readings of a record are averaged
 BLOCKS = 500
+#: why nothing can be followed
+NOT_KNOWN = (
+    "has neither scatter nor random wear, and a sensor's intervals would stop tests too early: "
+    'scatter = "fit" with repeats, a known scatter, or process is needed'
+)
 _MARKS = b"\xff\xfe", b"\xfe\xff"
 _READ = ("penetration", "approach", "torque", "mass", "volume")
 
@@ -112,6 +117,8 @@ class RunningTest:
         if self.alone:
             raise InputError(f"{said} has no test; --after must name the folder of a fit of others")
         whole = read_fit(self.source, files=GrowingFiles(self.source.parent, self.files))
+        if not whole.mixed:
+            raise InputError(f"{self.source}: {NOT_KNOWN}")
         others = tuple(one for one in whole.experiments if one.name != self.name)
         faults: list[str] = []
         check_scatter(said, whole.parameters, others, whole.settings, faults)

@@ -300,9 +300,17 @@ def _alternatives(outcome: Mapping[str, Any]) -> Table:
     rows = []
     for row in law_rows(outcome):
         difference = _DASH if row.aic_difference is None else f"{row.aic_difference:+.1f}"
-        numbers = [difference, _number(row.bic, 5), _number(row.chi2, 5)]
+        numbers = [difference, *(_number(n, 5) for n in (row.bic, row.chi2, row.probability))]
         rows.append([row.name, *numbers, with_signs(row.parameters), row.verdict])
-    header = ("law", "AIC above the smallest", "BIC", "chi2", "parameters", "verdict")
+    header = (
+        "law",
+        "AIC above the smallest",
+        "BIC",
+        "chi2",
+        "probability",
+        "parameters",
+        "verdict",
+    )
     return Table("Laws compared", header, rows)
 
 

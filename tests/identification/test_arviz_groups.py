@@ -1,4 +1,4 @@
-"""Fits as ArviZ has them: log likelihoods of readings against a covariance written here anew."""
+"""Fits as ArviZ has them, and their evidence: against a covariance that is written here anew."""
 
 import sys
 
@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from laboratory import CASE, END, TRUTH, fit_tables, history, penetration, write_table
 from mpi4py import MPI
+from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
+from scipy.stats import t as student_t
 
 import ringwear_par as rw
 from ringwear_par.errors import InputError
 from ringwear_par.identification import arviz_groups
+from ringwear_par.identification.evidence import probabilities
 
 KEY = "wear.lower.k"
 #: s, of the noise; variance of a nuisance that is free, in mm^2
@@ -85,6 +88,32 @@ def test_log_likelihoods_are_those_of_a_dense_covariance(fit):
     replicas = data.posterior_predictive.reading[0] - fit.misfit.data
     assert np.abs(replicas.mean("draw")).max() < 1e-3  # mm
     assert data.posterior.attrs["of_draws"].startswith("mixture")
+
+
+def test_the_evidence_is_the_integral_of_the_likelihood(fit):
+    """Over k, its scatter and the offsets, on a grid; by Laplace where k and offsets are linear."""
+    (parameter,), tests = fit.misfit.problem.parameters, range(3)
+    low, high = np.log(parameter.bounds)
+    keys = fit.x[0] + np.linspace(-1.5, 1.5, 301)
+    taus = np.geomspace(2e-3, 5.0, 120)
+    size = float(fit.material.sizes_of_process[0])
+    logs = np.zeros((len(taus), len(keys)))
+    for number in tests:
+        covariance, mean, slope = dense(fit, number, size)
+        rest = fit.misfit.data[fit.misfit.records[number].rows] - mean
+        off = rest - (keys - fit.material.test_unknowns[number, 0])[:, None] * slope[:, 0]
+        for i, tau in enumerate(taus):
+            spread = covariance + tau**2 * np.outer(slope[:, 0], slope[:, 0])
+            logs[i] += multivariate_normal.logpdf(off, cov=spread)
+    prior = 2.0 * student_t.pdf(taus / 0.3, 4.0) / 0.3 * taus * np.log(taus[1] / taus[0])
+    logs += np.log(prior)[:, None] + np.log((keys[1] - keys[0]) / (high - low))
+    # offsets have a density of 1 a um here, drifts one without its factor
+    of_offsets = 3 * np.log(np.sqrt(2.0 * np.pi * FREE) / 1e-3)
+    of_nuisances = 1.5 * np.log(2.0 * np.pi) - 3 * np.log(0.5)
+    assert fit.to_dict()["log_evidence"] == pytest.approx(
+        logsumexp(logs) + of_offsets - of_nuisances, abs=0.05
+    )
+    assert probabilities({"a": 0.0, "b": np.log(3.0)}) == pytest.approx({"a": 0.25, "b": 0.75})
 
 
 def test_arviz_is_asked_for_in_one_sentence(fit, monkeypatch):

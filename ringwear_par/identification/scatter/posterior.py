@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import t as student_t
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.batched import concat, take
@@ -55,11 +56,13 @@ class Axis:
     Parameters
     ----------
     points : (k,) float, increasing; one where the size is known.
-    weights : (k,) float, prior density times the width that a point stands for.
+    weights : (k,) float, prior density times the width that a point stands for, but for a factor.
+    log_factor : logarithm of that.
     """
 
     points: FloatArray
     weights: FloatArray
+    log_factor: float = 0.0
 
 
 def prior_density(size: FloatArray, scale: float) -> FloatArray:
@@ -73,7 +76,8 @@ def axis(size: Size, points: int, ends: tuple[float, float] | None = None) -> Ax
         return Axis(np.array([size.known]), np.ones(1))
     low, high = ends or (_GRID[0] * size.scale, _GRID[1] * size.scale)
     values = np.geomspace(low, high, points)
-    return Axis(values, values * prior_density(values, size.scale))
+    factor = 2.0 * student_t.pdf(0.0, DEGREES) / size.scale * np.log(high / low) / (points - 1)
+    return Axis(values, values * prior_density(values, size.scale), float(np.log(factor)))
 
 
 def grid(axes_of_sizes: Sequence[Axis]) -> tuple[FloatArray, FloatArray]:
@@ -127,6 +131,7 @@ class ScatterPosterior:
     shares : (G, bodies) float, shares of the process noise at each point.
     without : (bodies,) float, smallest restricted -2 log likelihood without that of a body; NaN
         where its size is known.
+    log_mass : logarithm of the likelihood that was integrated over the grid, but for a constant.
     """
 
     models: tuple[MixedModel, ...]
@@ -134,6 +139,7 @@ class ScatterPosterior:
     weights: FloatArray
     shares: FloatArray
     without: FloatArray
+    log_mass: float
 
     @property
     def model(self) -> MixedModel:
@@ -343,4 +349,5 @@ def _posterior(
     return ScatterPosterior(
         tuple(models[: len(points)]), solutions, posterior / posterior.sum(),
         points[np.concatenate(of_model)], np.array(without),
+        float(np.log(posterior.sum()) - 0.5 * least + sum(a.log_factor for a in axes)),
     )  # fmt: skip
