@@ -53,7 +53,7 @@ def job_after(running: RunningTest, after: Path | None, comm: MPI.Intracomm) -> 
     """
     if after is not None:
         return on_first_rank(comm, lambda: _job(running, fit_knowledge(after), _tests_of(after)))
-    fit = fit_problem(on_first_rank(comm, running.others), comm)
+    fit = fit_problem(on_first_rank(comm, running.other_tests), comm)
     return on_first_rank(comm, lambda: _job(running, fit_knowledge(fit), set()))
 
 
@@ -64,11 +64,11 @@ def _job(running: RunningTest, known: FitKnowledge, tests: set[str]) -> Job:
     ------
     InputError : the fit knows too little, or other things.
     """
-    problem, said = running.read(), f"{running.source}: {legible(running.name)}"
+    problem, place = running.read(), f"{running.source}: {legible(running.name)}"
     (experiment,), values = problem.experiments, known.values
     if running.name in tests:
         raise InputError(
-            f"{said}: is among the tests of {known.name}, so that its readings would count twice; "
+            f"{place}: is among the tests of {known.name}, so that its readings would count twice; "
             "must be followed after a fit without it"
         )
     if not len(values.scattering) and not values.sizes.any():
@@ -85,7 +85,7 @@ def _job(running: RunningTest, known: FitKnowledge, tests: set[str]) -> Job:
         )
     specimen = experiment.groups[0] or experiment.name
     of = specimen if specimen in values.specimens else NEXT
-    check_predicted(known, experiment.case, said, of)
+    check_predicted(known, experiment.case, place, of)
     # the size itself is drawn
     process = {
         f"wear.{body}": ProcessNoise(size=1.0)

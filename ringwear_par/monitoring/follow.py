@@ -107,7 +107,7 @@ def _follow(
     job: Job, watch: Watch, files: AnswerFiles, once: bool, stopped: Callable[[], bool]
 ) -> None:
     """Answer whenever the files change, until the end of the test."""
-    state, said = None, ""
+    state, warned = None, ""
     while not stopped():
         if (present := job.test.state) != state:
             state = present
@@ -116,9 +116,9 @@ def _follow(
             except InputError as error:  # it is being written, or was replaced
                 if once:
                     raise
-                if (reason := reason_of(error)) != said:
+                if (reason := reason_of(error)) != warned:
                     log.warning("%s; the last answer stays until that changes", reason)
-                said = reason
+                warned = reason
             else:
                 one = replace(one, settings=job.problem.settings)
                 answer = watch.answer(one)

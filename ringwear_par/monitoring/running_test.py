@@ -106,26 +106,28 @@ class RunningTest:
             for path in paths
         )
 
-    def others(self) -> Problem:
+    def other_tests(self) -> Problem:
         """Return the problem of the other tests of the fit file, to be fitted before.
 
         Raises
         ------
         InputError : faults of the file; there is none, or they cannot tell what scatters.
         """
-        said = f"{self.source}: without {legible(self.name)}"
+        place = f"{self.source}: without {legible(self.name)}"
         if self.alone:
-            raise InputError(f"{said} has no test; --after must name the folder of a fit of others")
+            raise InputError(
+                f"{place} has no test; --after must name the folder of a fit of others"
+            )
         whole = read_fit(self.source, files=GrowingFiles(self.source.parent, self.files))
         if not whole.mixed:
             raise InputError(f"{self.source}: {NOT_KNOWN}")
-        others = tuple(one for one in whole.experiments if one.name != self.name)
+        tests = tuple(one for one in whole.experiments if one.name != self.name)
         faults: list[str] = []
-        check_scatter(said, whole.parameters, others, whole.settings, faults)
+        check_scatter(place, whole.parameters, tests, whole.settings, faults)
         if faults:
             raise InputError(*faults)
         settings = replace(whole.settings, intervals=("linear",))
-        return replace(whole, experiments=others, settings=settings, alternatives={})
+        return replace(whole, experiments=tests, settings=settings, alternatives={})
 
     def read(self) -> Problem:
         """Return the problem of this test alone, with its readings so far.

@@ -38,7 +38,7 @@ class TimeTo(NamedTuple):
 
     @classmethod
     def of(cls, times: FloatArray, level: float = 0.95) -> "TimeTo":
-        """Return what times (draws,) say, inf of those that are after the end."""
+        """Return median, interval and share of times (draws,), inf where after the end."""
         tail = 0.5 * (1.0 - level)
         low, median, high = (
             None if np.isinf(t) else float(t)
