@@ -47,13 +47,13 @@ _PUBLIC = {
     "read_case": "cases.files.reading",
     "read_study": "studies.definition.study",
     "report": "reports.report",
-    "save": "results.outcomes",
+    "save": "results.result",
     "simulate": "results.execution.simulate",
     "simulate_all": "studies.execution.many",
-    "summary": "results.outcomes",
+    "summary": "results.result",
     "surrogate": "studies.analysis.surrogate",
     "sweep": "studies.execution.sweep",
-    "to_dict": "results.outcomes",
+    "to_dict": "results.result",
 }
 __all__ = [*_PUBLIC]
 

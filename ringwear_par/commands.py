@@ -36,26 +36,22 @@ Argument = tuple[tuple[str, ...], dict[str, Any]]
 
 @dataclass(frozen=True)
 class Command:
-    """A command, in the order of ``ringwear --help``.
+    """A command, in the order of ``ringwear --help``."""
 
-    Parameters
-    ----------
-    summary : for its help.
-    function : module and name of what does it.
-    arguments : of it.
-    serial : whether the function runs on the first rank alone, and returns the text to be printed,
-        if any; others are collective, and take the communicator ``comm``.
-    solves : whether it needs PETSc.
-    stopped : end of the message where it is stopped before it has results.
-    example : command lines, for its help.
-    """
-
+    #: for its help
     summary: str
+    #: module and name of what does it
     function: str
+    #: of it
     arguments: tuple[Argument, ...]
+    #: whether the function runs on the first rank alone, and returns the text to be printed, if
+    #: any; others are collective, and take the communicator ``comm``
     serial: bool = False
+    #: whether it needs PETSc
     solves: bool = False
+    #: end of the message where it is stopped before it has results
     stopped: str = ""
+    #: command lines, for its help
     example: str = ""
 
     def load(self) -> Callable[..., Any]:
@@ -147,9 +143,6 @@ COMMANDS = {
         _argument("--slice", type=_slice, metavar="I/N", dest="part",
                   help="compute the I-th of N slices only; a sweep without --slice merges them"),
         _flag("--retry-failed", "compute failed cases again as well"),
-        _flag("--mix-versions",
-              "continue a sweep that another version of this program has begun; the variable "
-              "version of the results names the version of each case"),
         _flag("--dry-run",
               "count cases and assemblies, estimate memory and time; write nothing"),
         _NO_CACHE,

@@ -18,17 +18,13 @@ _SLIGHT_BEND = 1e-3
 
 @dataclass(frozen=True)
 class Table:
-    """A piecewise linear function, constant beyond its ends.
+    """A piecewise linear function, constant beyond its ends."""
 
-    Parameters
-    ----------
-    x : increasing; s for a table in time, mm for a profile along the radius.
-    y : values.
-    axis : "t" or "r".
-    """
-
+    #: increasing; s for a table in time, mm for a profile along the radius
     x: tuple[float, ...]
+    #: values
     y: tuple[float, ...]
+    #: "t" or "r"
     axis: Literal["t", "r"] = "t"
 
     @overload
@@ -64,13 +60,9 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Stacked:
-    """A quantity for each of B histories, whose times are (B,), or a column (B, 1).
+    """A quantity for each of B histories, whose times are (B,), or a column (B, 1)."""
 
-    Parameters
-    ----------
-    quantities : the B quantities, numbers or tables; numbers alone may be an array.
-    """
-
+    #: the B quantities, numbers or tables; numbers alone may be an array
     quantities: tuple[float | Table, ...] | FloatArray
 
     @cached_property

@@ -52,7 +52,7 @@ from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.parallel import peak_memory
-from ringwear_par.verification.paper import paper_case
+from ringwear_par.verification.histories import paper_case
 
 COLUMNS = (
     "contact_elements", "ranks", "boundary_elements", "unknowns", "kernel_evaluations",

@@ -29,8 +29,9 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.verification import reference
-from ringwear_par.verification.edges import (
+from ringwear_par.verification.faces import (
     INSIDE,
+    cone_errors,
     errors_against,
     finite_element_errors,
     from_edge,
@@ -47,7 +48,6 @@ from ringwear_par.verification.fine import (
     Pairs,
     ring_case,
 )
-from ringwear_par.verification.slopes import cone_errors
 
 FINE, SECOND = Mesh(512, grading=3.0), Mesh(384, grading=3.0)
 FILE = Path(package.__file__).parent / NAME

@@ -24,7 +24,7 @@ from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.observers.trace import Trace
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.pictures.style import COLOURS, DASHES
-from ringwear_par.verification.paper import paper_case
+from ringwear_par.verification.histories import paper_case
 
 TOLERANCES = (0.005, 0.002, 0.001)  # mm
 _STEPPING = Stepping("implicit", 1.0, 200)

@@ -50,7 +50,6 @@ from ringwear_par.results.storage.result_files import (
 )
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.definition.study import read_study
-from ringwear_par.studies.pictures.figures import plot_sweep
 from ringwear_par.studies.pictures.plot import plot_stored
 from ringwear_par.studies.storage.blocks import DamagedError
 from ringwear_par.studies.storage.ensemble import read_ensemble
@@ -120,11 +119,11 @@ def read_an_ensemble(folder: Path, rng: random.Random) -> None:
     blocks = read_results_blocks(path)
     looks: list[Callable[[], object]] = [lambda: read_ensemble(folder)]
     for block in (blocks or [])[:1]:
-        for name in ("step", *HISTORIES):
+        for name in HISTORIES:
             looks.append(partial(block.read, [name]))
         looks.append(partial(block.texts, range(len(block.cases))))
     if rng.random() < _DRAWN:
-        looks.append(lambda: plot_sweep(folder, folder / "a.png"))
+        looks.append(lambda: plot_stored([folder], folder / "a.png"))
     _look(looks)
 
 

@@ -26,7 +26,7 @@ from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.errors import RingwearError
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import Trace, trace
-from ringwear_par.verification.paper import paper_case
+from ringwear_par.verification.histories import paper_case
 
 #: how much smaller the tolerance of what counts as exact is
 _FINER = 0.01

@@ -123,10 +123,10 @@ def stopped_after(monkeypatch, comm):
 
     Or of a case of a sweep, where all of them are as long as those that are computed alone.
     """
-    from ringwear_par.results.execution import watch
+    from ringwear_par.results.execution import run as run_command
     from ringwear_par.studies.execution import single_cases
 
-    call = watch.Watch.__call__
+    call = run_command.Watch.__call__
 
     @contextmanager
     def stopped_after(step):
@@ -136,7 +136,7 @@ def stopped_after(monkeypatch, comm):
             return call(self, snapshot)
 
         with monkeypatch.context() as patch:
-            patch.setattr(watch.Watch, "__call__", interrupted)
+            patch.setattr(run_command.Watch, "__call__", interrupted)
             patch.setattr(single_cases, "LONG_STEPS", 0)
             yield
 
@@ -165,7 +165,7 @@ def paper_pair(comm):
     """The paper's case at 80 MPa and p0 = 40 MPa, and its contact pair."""
     from ringwear_par.elasticity.geometry.mesh import Mesh
     from ringwear_par.history.elastic.pairs import assemble
-    from ringwear_par.verification.paper import paper_case
+    from ringwear_par.verification.histories import paper_case
 
     case = paper_case(Mesh())
     return case, assemble(case, comm)

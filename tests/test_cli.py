@@ -173,7 +173,7 @@ from mpi4py import MPI
 from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.verification.paper import paper_case
+from ringwear_par.verification.histories import paper_case
 load_kernels(MPI.COMM_SELF)
 from ringwear_par.elasticity.bem.rows import assemble_rows
 loaded = list(assemble_rows.signatures)

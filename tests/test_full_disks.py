@@ -17,7 +17,7 @@ from paths import CASES, HELPERS, PAPER
 from stored import contents
 
 from ringwear_par.elasticity.bem import assembly
-from ringwear_par.results.execution import watch
+from ringwear_par.results.execution import run as run_command
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage.hdf5 import atomic_hdf5
 from ringwear_par.results.storage.result_files import open_result, read_status
@@ -184,7 +184,6 @@ def test_sweep(full, tmp_path, comm):
     for size, status, said, status_again, said_again in found:
         left = full.kept / str(size) / "out"
         assert not list(left.rglob("*.tmp*"))
-        assert not list((left / "operators").glob("*"))
         before = faults.done_before(left)
         if status:
             (told,) = said
@@ -256,7 +255,7 @@ def test_checkpoints_are_missed_once_a_cause(shared_path, comm, monkeypatch, cap
         write(*args)
 
     monkeypatch.setattr(driver, "write_result", failing)
-    monkeypatch.setattr(watch, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(run_command, "CHECKPOINT_SECONDS", 0.0)
     run_case(PAPER, shared_path / "run.h5", SMALL, comm=comm)
     missed = "checkpoint not written, going on: run.h5: "
     assert [m for m in caplog.messages if "checkpoint" in m] == [

@@ -19,18 +19,16 @@ from matplotlib.figure import Figure
 import ringwear_par as rw
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.schema import KEYS as CASE_KEYS
-from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.units import in_signs
-from ringwear_par.files.text import parse_toml
+from ringwear_par.files.text import parse_toml, toml_value
 from ringwear_par.identification.definition.schema import KEYS as FIT_KEYS
 from ringwear_par.measuring.definition.schema import KEYS as MEASURE_KEYS
 from ringwear_par.pictures.style import COLOURS, DASHES, STYLE
 from ringwear_par.schedules import value
 from ringwear_par.studies.definition.schema import KEYS as STUDY_KEYS
-from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.law import Law
+from ringwear_par.wear.law import Law, parameters_of
+from ringwear_par.wear.laws import LAWS
 from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.parameters import parameters_of
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx

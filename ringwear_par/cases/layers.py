@@ -11,11 +11,11 @@ from contextlib import suppress
 from typing import Any
 
 from ringwear_par.cases.schema import LAYER_LAWS, MOST_LAYERS, key_of, layer_entry
-from ringwear_par.cases.text import shortened
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
-from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.parameters import parameters_of
+from ringwear_par.files.text import shortened
+from ringwear_par.wear.law import parameters_of
+from ringwear_par.wear.laws import LAWS
 
 LAYERS = ("lower.layers", "upper.layers")
 _ENTRY = re.compile(r"\[([0-9]{1,3})\]\.(.+)")

@@ -14,13 +14,12 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.case import Case, Ring, RingLayer
-from ringwear_par.cases.laws import make_law
+from ringwear_par.cases.files.key_values import make_law
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, key_of
 from ringwear_par.cases.values import Interval, magnitude_fault
-from ringwear_par.wear.law import Law
-from ringwear_par.wear.parameters import parameters_of
-from ringwear_par.wear.user import UserLaw
+from ringwear_par.wear.law import Law, parameters_of
+from ringwear_par.wear.laws.user import UserLaw
 
 #: key and name of a parameter of a user's law, or of a layer's ("[0].wear.k"), None elsewhere
 Number = tuple[str, str | None]
@@ -195,6 +194,8 @@ def _copies(original: Any, columns: Mapping[str, Sequence[Any]]) -> list[Any]:
     """
     kind = type(original)
     names = {*(field.name for field in fields(original)), *_OF_SHAPES.get(kind, ())}
+    for name in _OF_SHAPES.get(kind, ()):
+        getattr(original, name)  # worked out once for all copies
     state = {name: value for name, value in original.__dict__.items() if name in names}
     copies = []
     for row in zip(*columns.values(), strict=True):

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 from ringwear_par.cases.tables import Key
 from ringwear_par.cases.values import (
@@ -28,10 +29,9 @@ from ringwear_par.cases.values import (
     which_times,
     whole,
 )
-from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS
-from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.law import Law
-from ringwear_par.wear.parameters import Parameter, parameters_of
+from ringwear_par.elasticity.geometry.sections import SHAPE_UNITS
+from ringwear_par.wear.law import Law, Parameter, parameters_of
+from ringwear_par.wear.laws import LAWS
 
 #: most layers of a body, and most points of a grid along r or z
 MOST_LAYERS, MOST_ON_A_SIDE = 1000, 10_000
@@ -293,6 +293,13 @@ def key_of(name: str) -> Key | None:
     """Return the key of this name, or that of an entry of a layer; None where there is none."""
     entry = layer_entry(name)
     return BY_PATH.get(name) if entry is None else _LAYER_ENTRIES.get(entry[2])
+
+
+def law_keys(table: str, law: Any) -> set[str]:
+    """Return the keys of a body's wear table, "wear.lower", under a law; none if it is no law."""
+    if not (isinstance(law, str) and law in LAWS):
+        return set()
+    return {f"{table}.law", *(f"{table}.{name}" for name in parameters_of(LAWS[law]))}
 
 
 def base_unit(name: str) -> str | None:

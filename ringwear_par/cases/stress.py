@@ -28,20 +28,16 @@ class Grid:
 
 @dataclass(frozen=True)
 class Stress:
-    """What stresses are stored.
+    """What stresses are stored."""
 
-    Parameters
-    ----------
-    points : r and z (mm) in the frame of the case, and the side of a face or an interface that
-        they lie on; inside a body any side is as good as none.
-    grid : further ones, of which those outside the bodies have none.
-    times : of the stored states, which; or times (s) from each of which on the first one is.
-    exclude : mm, radius round edges in which the largest stress is not looked for.
-    """
-
+    #: r and z (mm) in the frame of the case, and the side of a face or an interface that they lie
+    #: on; inside a body any side is as good as none
     points: tuple[tuple[float, float, Side], ...] = ()
+    #: further ones, of which those outside the bodies have none
     grid: Grid | None = None
+    #: of the stored states, which; or times (s) from each of which on the first one is
     times: str | tuple[float, ...] = "last"
+    #: mm, radius round edges in which the largest stress is not looked for
     exclude: float = 0.1
 
     @property

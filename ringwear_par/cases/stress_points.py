@@ -1,4 +1,4 @@
-"""Which body, and which side of an interface, the points of stress belong to."""
+"""BodyName body, and which side of an interface, the points of stress belong to."""
 
 from collections.abc import Iterator, Sequence
 
@@ -7,10 +7,9 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case, Ring
 from ringwear_par.cases.stress import Side
-from ringwear_par.cases.text import shortened
-from ringwear_par.elasticity.geometry.sections import corners
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.elasticity.geometry.sections import BODIES, corners
 from ringwear_par.errors import InputError
+from ringwear_par.files.text import shortened
 
 #: share of the bodies' size within which a point lies on a face or an edge
 _ON = 1e-9

@@ -9,32 +9,28 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
-from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import Interval, Kind, Reader, RejectedError
-from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS
+from ringwear_par.elasticity.geometry.sections import SHAPE_UNITS
 from ringwear_par.errors import MOST_FAULTS, legible
+from ringwear_par.files.text import shortened, toml_value
 
 
 @dataclass(frozen=True)
 class Key:
-    """One key of a case, study or fit file.
+    """One key of a case, study or fit file."""
 
-    Parameters
-    ----------
-    path : its dotted name.
-    kind, read, allowed, numbers : its values, see ``values.Values``.
-    unit, meaning : as ``info --schema`` prints them; "data's": a unit that the key does not tell.
-    default : ... where the key must be given.
-    """
-
+    #: its dotted name
     path: str
+    #: its values, see ``values.Values``
     kind: Kind
     read: Reader
     allowed: str
     numbers: Interval | None
+    #: as ``info --schema`` prints them; "data's": a unit that the key does not tell
     unit: str
     meaning: str
+    #: ... where the key must be given.
     default: Any = ...
 
     @property
@@ -209,9 +205,10 @@ class TableReader:
             self.wrong(name, f"must be {key.allowed}{hint}")
             return fallback
 
-    def finish(self) -> None:
+    def finish(self, fault: str = "unknown key") -> None:
         """Add a fault for each key that nobody has read."""
-        name_unknown_keys(self.place, self._table, list(dict.fromkeys(self._read)), self.faults)
+        known = list(dict.fromkeys(self._read))
+        name_unknown_keys(self.place, self._table, known, self.faults, fault)
 
 
 def key_table(keys: Iterable[Key], words: str = "") -> str:

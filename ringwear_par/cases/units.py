@@ -105,7 +105,7 @@ def unit_of_column(name: str, base: str) -> str | None:
     return ending
 
 
-def told_unit(name: str, base: str) -> str | None:
+def named_unit(name: str, base: str) -> str | None:
     """Return the unit in a column's name; None where there is none.
 
     Raises

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS, Shape
+from ringwear_par.elasticity.geometry.sections import SHAPE_UNITS, Shape
 from ringwear_par.errors import legible
 from ringwear_par.schedules import Quantity, Table
 
@@ -46,19 +46,15 @@ class Interval(NamedTuple):
 
 
 class Values(NamedTuple):
-    """The values of a key.
+    """The values of a key."""
 
-    Parameters
-    ----------
-    kind : what they are.
-    read : takes a raw value, as TOML gives it, and returns what a case holds.
-    allowed : what messages say after "must be".
-    numbers : those that ``read`` takes and returns as floats; None where it takes no such.
-    """
-
+    #: what they are
     kind: Kind
+    #: takes a raw value, as TOML gives it, and returns what a case holds
     read: Reader
+    #: what messages say after "must be"
     allowed: str
+    #: those that ``read`` takes and returns as floats; None where it takes no such
     numbers: Interval | None = None
 
 

@@ -21,8 +21,8 @@ import math
 import os
 import platform
 import stat
-from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Hashable
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib.metadata import version
@@ -34,8 +34,7 @@ import numpy as np
 import scipy
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.files.ordinary import open_ordinary
-from ringwear_par.files.writing import atomic_write, remove_leftovers
+from ringwear_par.files.writing import atomic_write, open_ordinary, remove_leftovers
 from ringwear_par.parallel import blas_threads, on_first_rank
 from ringwear_par.version import __version__
 
@@ -102,7 +101,8 @@ def write(key: Hashable, stacked: FloatArray, comm: "MPI.Comm") -> None:
         with suppress(FileExistsError):  # whatever it is, it is looked at next
             where.mkdir(0o700, parents=True)
         path = where / _name(key)
-        with _own_folder(where), atomic_write(path, 0o600) as temporary:
+        _check_folder(where)
+        with atomic_write(path, 0o600) as temporary:
             temporary.write_bytes(_MAGIC + _checksum(path.name, content) + content)
         _make_room(where, len(content))
     except OSError as error:
@@ -140,34 +140,16 @@ def _read(key: Hashable, n: int, is_sound: Callable[[FloatArray], bool]) -> Floa
     return None
 
 
-@contextmanager
-def _own_folder(where: Path) -> Iterator[int]:
-    """Open the folder, which must be the user's own.
-
-    Raises
-    ------
-    OSError : it cannot be opened, or is not.
-    """
-    handle = os.open(where, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        for about in (os.lstat(where), os.fstat(handle)):  # the link to it, where it is one
-            _check_own(about, where)
-        yield handle
-    finally:
-        os.close(handle)
+def _check_folder(where: Path) -> None:
+    """Refuse a folder that is not the user's own, or a link to one that somebody else has made."""
+    for about in (where.lstat(), where.stat()):
+        _check_own(about, where)
 
 
 def _content(path: Path, most: int) -> bytes:
-    """Return the first bytes of a file, which must be the user's own, as its folder must be.
-
-    Raises
-    ------
-    OSError : it cannot be read, or is not.
-    """
-    with (
-        _own_folder(path.parent) as folder,
-        open_ordinary(Path(path.name), os.O_RDONLY | os.O_NOFOLLOW, folder) as file,
-    ):
+    """Return the first bytes of a file, which must be the user's own, as its folder must be."""
+    _check_folder(path.parent)
+    with open_ordinary(path, os.O_RDONLY | os.O_NOFOLLOW) as file:
         _check_own(os.fstat(file.fileno()), path)
         with suppress(OSError):
             os.utime(file.fileno())  # it is in use
@@ -175,12 +157,7 @@ def _content(path: Path, most: int) -> bytes:
 
 
 def _check_own(about: os.stat_result, path: Path) -> None:
-    """Refuse what another user owns or may write to.
-
-    Raises
-    ------
-    PermissionError : it is so.
-    """
+    """Refuse what another user owns or may write to."""
     why = ""
     if about.st_uid != os.geteuid():
         why = "belongs to another user"

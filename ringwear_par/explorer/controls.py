@@ -1,4 +1,4 @@
-"""Which numbers of a case have a slider, by its raw keys."""
+"""BodyName numbers of a case have a slider, by its raw keys."""
 
 import itertools
 from collections.abc import Iterator, Mapping
@@ -9,8 +9,7 @@ from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.cases.tables import Key
 from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import Interval
-from ringwear_par.elasticity.geometry.profiles import SHAPE_UNITS
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.elasticity.geometry.sections import BODIES, SHAPE_UNITS
 from ringwear_par.explorer.sliders import (
     POSITIONS,
     TIMES,
@@ -20,8 +19,8 @@ from ringwear_par.explorer.sliders import (
     quantity,
     unit_words,
 )
-from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.parameters import parameters_of
+from ringwear_par.wear.law import parameters_of
+from ringwear_par.wear.laws import LAWS
 
 _LOADS = ("load.force", "load.pressure", "load.displacement", "load.omega")
 _ENTRY = ("inner", "outer")

@@ -13,7 +13,7 @@ from ringwear_par.pictures import bokeh, runs
 from ringwear_par.pictures.panels import Axis, Curve, Panel, Points
 from ringwear_par.pictures.runs import HISTORY_PANELS
 from ringwear_par.pictures.style import COLOURS
-from ringwear_par.results.instants import time_unit, time_words
+from ringwear_par.results.key_numbers import time_unit, time_words
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS
 

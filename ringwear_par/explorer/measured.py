@@ -9,7 +9,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, density_keys
-from ringwear_par.cases.units import assumption, factor, told_unit, unit_of_column
+from ringwear_par.cases.units import assumption, factor, named_unit, unit_of_column
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import measurements_in
@@ -189,7 +189,7 @@ def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
 def _unit(file: str, column: str, base: str) -> str | None:
     """Return the unit in a column's name, None for none."""
     try:
-        return told_unit(column, base)
+        return named_unit(column, base)
     except RejectedError as reason:
         raise InputError(
             f"{file}: the column {legible(column)} {reason}; must be in a unit of {base}"

@@ -12,19 +12,22 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.ordinary import read_bytes
-from ringwear_par.files.stamps import (
+from ringwear_par.files.table_text import (
+    EMPTY,
+    NUMBER,
     StampError,
     across_midnight,
     ambiguous_date,
     clock_time,
+    decode,
     has_hours,
     is_clock,
     is_date,
     is_stamp,
     seconds_of,
+    table_in,
 )
-from ringwear_par.files.table_text import EMPTY, NUMBER, decode, table_in
+from ringwear_par.files.writing import read_bytes
 
 #: columns of a table: loggers have hundreds of channels, files with more are something else
 MOST_COLUMNS = 1000
@@ -38,22 +41,18 @@ _GROUPED_BY_OTHERS = re.compile(
 
 @dataclass(frozen=True)
 class Measurements:
-    """A table of measurements: columns by name, cells as texts.
+    """A table of measurements: columns by name, cells as texts."""
 
-    Parameters
-    ----------
-    name : of the file, as messages call it.
-    columns : names in the line of names.
-    lines : (rows,) int, numbers of the lines.
-    sha256 : of the file.
-    units : of the columns, in the row below their names; () where there is none.
-    """
-
+    #: of the file, as messages call it
     name: str
+    #: names in the line of names
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...] = field(repr=False)
+    #: (rows,) int, numbers of the lines
     lines: IntArray = field(repr=False)
+    #: of the file
     sha256: str = ""
+    #: of the columns, in the row below their names; () where there is none
     units: tuple[str, ...] = ()
 
     def label(self, name: str) -> str:

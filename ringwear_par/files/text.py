@@ -1,14 +1,15 @@
-"""Users' text files: cases, studies, tables, laws; one reader for all."""
+"""Users' text files: cases, studies, tables, laws; one reader for all; values as TOML has them."""
 
 import json
 import re
 import tomllib
+from collections.abc import Mapping
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.ordinary import open_ordinary
+from ringwear_par.files.writing import open_ordinary
 
 #: tables and arrays within each other; a case needs six
 _DEEPEST = 32
@@ -137,3 +138,44 @@ def refuse_depth(tables: Any, name: str) -> None:
 
 
 _TOO_DEEP = f"has values nested in each other too deeply; must be at most {_DEEPEST} deep"
+
+
+#: what Python writes and reads in decimal digits at any setting
+_WRITTEN = 10**640
+
+
+def toml_value(value: Any) -> str:
+    """Return a value as TOML writes it."""
+    if type(value) is float:  # most are, of the columns of a study
+        return repr(value)
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):  # TOML's escapes are JSON's, but for one more control character
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(toml_value(v) for v in value) + "]"
+    if isinstance(value, dict):
+        items = ", ".join(f"{toml_value(str(k))} = {toml_value(v)}" for k, v in value.items())
+        return "{ " + items + " }"
+    if isinstance(value, int) and abs(value) >= _WRITTEN:
+        return hex(value)
+    return repr(value) if isinstance(value, int | float) else str(value)
+
+
+def shortened(value: Any) -> str:
+    """Return a value as messages show it."""
+    return legible(toml_value(value))
+
+
+def toml_text(keys: Mapping[str, Any]) -> str:
+    """Return a TOML text with these dotted keys."""
+    tables: dict[str, list[str]] = {"": []}
+    for path, value in keys.items():
+        table, _, name = path.rpartition(".")
+        tables.setdefault(table, []).append(f"{name} = {toml_value(value)}")
+    blocks = [
+        "\n".join(([f"[{table}]"] if table else []) + lines)
+        for table, lines in tables.items()
+        if lines
+    ]
+    return "\n\n".join(blocks) + "\n"

@@ -1,4 +1,7 @@
-"""Output files: refused before work where they cannot be, whole where they are."""
+"""Files are ordinary ones; outputs are refused before work where they cannot be, or written whole.
+
+Of files to be read, a pipe may keep its reader waiting for ever, and a device may have no end.
+"""
 
 import errno
 import fcntl
@@ -11,8 +14,53 @@ import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from ringwear_par.errors import ComputationError, InputError, RingwearError
+
+_MUST = "must be an ordinary file"
+
+
+def open_ordinary(path: Path, flags: int = os.O_RDONLY) -> BinaryIO:
+    """Open a file that must be an ordinary one. Not collective.
+
+    Parameters
+    ----------
+    flags : of ``os.open``: to read, or to write as well, which makes a file that is not there.
+
+    Raises
+    ------
+    OSError : it cannot be opened, or is a folder, a pipe or a device.
+    """
+    # O_NONBLOCK: a pipe nobody writes to is opened at once; on ordinary files it does nothing
+    try:
+        handle = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        if error.errno == errno.ELOOP and flags & os.O_NOFOLLOW:
+            raise OSError(error.errno, f"it is a link, {_MUST}", str(path)) from error
+        raise
+    try:
+        mode = os.fstat(handle).st_mode
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        if not stat.S_ISREG(mode):
+            raise OSError(errno.EINVAL, f"it is a pipe or a device, {_MUST}", str(path))
+        return os.fdopen(handle, "rb+" if flags & os.O_RDWR else "rb")
+    except BaseException:
+        os.close(handle)
+        raise
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the content of an ordinary file. Not collective.
+
+    Raises
+    ------
+    OSError : it cannot be read, or is none.
+    """
+    with open_ordinary(path) as file:
+        return file.read()
+
 
 log = logging.getLogger(__name__)
 
@@ -30,10 +78,6 @@ def _new_file(path: Path, mode: int) -> tuple[Path, int]:
 
     Its ending is not that of the other, so that who looks for files by their ending finds whole
     ones only. It is locked for as long as it is open, so that ``remove_leftovers`` leaves it.
-
-    Raises
-    ------
-    OSError : the disk or the folder; its ``filename`` is ``path``.
     """
     while True:
         name = path.with_name(f"{path.name}.tmp{secrets.token_hex(_BYTES)}")

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from ringwear_par import batched
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.forecast import unit_question
+from ringwear_par.cases.unit_suspicions import unit_question
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import WarmStart
 from ringwear_par.elasticity.bem.pair import ContactPair

@@ -21,15 +21,16 @@ from ringwear_par.arrays import FloatArray, IntArray, columns, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactInputs
-from ringwear_par.elasticity.bem.pair import BodyCost, ContactCompliance, ContactPair
+from ringwear_par.elasticity.bem.body import BodyCost
+from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
 from ringwear_par.elasticity.geometry.mesh import ContactLine
 from ringwear_par.history.derivatives.numbers import Sensitivity
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.compliances import Compliances, OperatorKey, key_of
 from ringwear_par.history.inputs import HistoryInputs
 from ringwear_par.schedules import in_time, integral, mean
-from ringwear_par.wear.averaging import averaged_rate, averaging
 from ringwear_par.wear.increment import Closing, WearIncrement
+from ringwear_par.wear.laws.non_local import averaged_rate, averaging
 from ringwear_par.wear.layered import LayeredLaw, worn_through
 from ringwear_par.wear.local_state import LocalState
 

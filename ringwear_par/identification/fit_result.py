@@ -28,7 +28,7 @@ from ringwear_par.identification.estimation.starts import StartOutcome
 from ringwear_par.identification.model.histories import MOST_SHIFT_SD
 from ringwear_par.identification.scatter.disagreement import disagreements
 from ringwear_par.identification.scatter.material import Material
-from ringwear_par.results.outcomes import Outcome
+from ringwear_par.results.result import Outcome
 
 if TYPE_CHECKING:
     from arviz import InferenceData

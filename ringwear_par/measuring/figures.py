@@ -15,7 +15,7 @@ from ringwear_par.measuring.measure_result import MeasureResult
 from ringwear_par.pictures.matplotlib import panel_grid
 from ringwear_par.pictures.panels import GREY, Axis, Band, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure
-from ringwear_par.results.instants import time_unit
+from ringwear_par.results.key_numbers import time_unit
 
 #: inches of a panel, and of a legend above them all
 _WIDTH, _HEIGHT, _LEGEND = 3.6, 2.1, 0.35

@@ -13,7 +13,7 @@ from ringwear_par.measuring.analysis.numbers import (
 from ringwear_par.measuring.analysis.repeats import Repeats
 from ringwear_par.measuring.analysis.whole_test import WholeTest
 from ringwear_par.measuring.definition.problem import Problem
-from ringwear_par.results.outcomes import Outcome
+from ringwear_par.results.result import Outcome
 
 #: um/h and in/h in a mm/s
 UM_PER_H, IN_PER_H = 3.6e6, 3600.0 / 25.4

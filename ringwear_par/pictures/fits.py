@@ -13,7 +13,7 @@ from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import legible
 from ringwear_par.pictures.panels import GREY, Axis, Band, Bars, Curve, Label, Panel, Points
 from ringwear_par.pictures.style import COLOURS
-from ringwear_par.results.instants import time_unit
+from ringwear_par.results.key_numbers import time_unit
 
 #: of the median distance between radii: where they are further apart nothing was read
 _GAP = 3.0

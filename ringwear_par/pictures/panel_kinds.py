@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.elasticity.geometry.sections import BODIES
 from ringwear_par.elasticity.stress.fields import StressState
 from ringwear_par.errors import InputError
 from ringwear_par.pictures import runs
@@ -19,15 +19,10 @@ from ringwear_par.pictures.stresses import (
     highest,
     largest,
 )
-from ringwear_par.results.instants import pressure_peak
+from ringwear_par.results.key_numbers import pressure_peak
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.export import boundary_states
-from ringwear_par.results.storage.stored_stresses import (
-    check_grid,
-    interfaces_of,
-    nearest_states,
-    stresses,
-)
+from ringwear_par.results.subsurface import check_grid, interfaces_of, nearest_states, stresses
 
 #: a panel, or a function that draws what matplotlib alone draws
 Drawing = Panel | partial[None]

@@ -10,14 +10,21 @@ from matplotlib.colors import to_hex
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import in_signs
-from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
+from ringwear_par.elasticity.geometry.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
 from ringwear_par.pictures.panels import FEW_POINTS, Axis, Curve, Label, Panel, Points
 from ringwear_par.pictures.style import COLOURS, stage_colour
-from ringwear_par.results.instants import pressure_peak, stages, time_unit, time_words
-from ringwear_par.results.key_numbers import friction_of, nominal_area, normal_work
-from ringwear_par.results.layer_ends import ends_near
+from ringwear_par.results.key_numbers import (
+    friction_of,
+    nominal_area,
+    normal_work,
+    pressure_peak,
+    stages,
+    time_unit,
+    time_words,
+)
 from ringwear_par.results.result import Result
+from ringwear_par.results.subsurface import layer_ends_near_wear
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, edge_elements
 from ringwear_par.schedules import in_time
 
@@ -181,14 +188,14 @@ def at_all_states(result: Result, field: str) -> bool:
     return field in result.profiles and result.profiles[field].ndim == 2
 
 
-def worn_bodies(result: Result) -> list[Which]:
+def worn_bodies(result: Result) -> list[BodyName]:
     """Return the bodies whose stored profiles are drawn: those that wear, or the first."""
-    bodies: list[Which] = [body for body in BODIES if at_all_states(result, f"wear_{body}")]
+    bodies: list[BodyName] = [body for body in BODIES if at_all_states(result, f"wear_{body}")]
     return [body for body in bodies if result.profiles[f"wear_{body}"].any()] or bodies[:1]
 
 
 def worn_faces(
-    result: Result, bodies: Sequence[Which] | None = None, rows: Sequence[int] | None = None
+    result: Result, bodies: Sequence[BodyName] | None = None, rows: Sequence[int] | None = None
 ) -> Panel:
     """Return the panel of worn faces with the ends of their layers.
 
@@ -205,7 +212,7 @@ def worn_faces(
     labels = []
     for body in bodies:
         sign = -1e3 if body == "lower" else 1e3
-        for end in ends_near(result, body):
+        for end in layer_ends_near_wear(result, body):
             name, depth = f"end of layer {end.layer}", sign * end.depth
             curves.append(Curve(r, depth, name, "#666666", 3, 1.0, legend="end of layer"))
             place = float(result.line.edges[-1]), float(depth[-1])
@@ -253,7 +260,7 @@ def pressure(result: Result, rows: Sequence[int] | None = None, top: float | Non
     )  # fmt: skip
 
 
-def height(result: Result, body: Which) -> FloatArray:
+def height(result: Result, body: BodyName) -> FloatArray:
     """Return the height of a worn face, um, at all stored states: lower's is below 0."""
     sign = -1e3 if body == "lower" else 1e3
     return sign * np.asarray(result.profiles[f"wear_{body}"])

@@ -10,9 +10,9 @@ from matplotlib.patches import Polygon
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.files.key_values import outlines
-from ringwear_par.elasticity.stress.boundary_fields import FACES, BoundaryFields
+from ringwear_par.elasticity.stress.fields import FACES, BoundaryFields
 from ringwear_par.pictures.style import COLOURS
-from ringwear_par.results.instants import pressure_limit, time_words
+from ringwear_par.results.key_numbers import pressure_limit, time_words
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.export import boundary_states
 

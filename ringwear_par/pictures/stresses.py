@@ -10,15 +10,15 @@ from matplotlib.ticker import MaxNLocator
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.files.key_values import Outline, outlines
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.elasticity.geometry.sections import BODIES
 from ringwear_par.elasticity.stress.fields import COMPONENTS, SIDES, StressState, mises
 from ringwear_par.pictures.panels import FEW_POINTS, Axis, Band, Curve, Label, Panel
 from ringwear_par.pictures.runs import RADIUS, stage
 from ringwear_par.pictures.sections import magnification
 from ringwear_par.pictures.style import COLOURS
-from ringwear_par.results.instants import time_unit, time_words
+from ringwear_par.results.key_numbers import time_unit, time_words
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.stored_stresses import Interface, interfaces_of, stresses
+from ringwear_par.results.subsurface import Interface, interfaces_of, stresses
 
 #: colours of a map, and the share of its values that the scale holds: edges would take them all
 _LEVELS, _TICKS, _SHARE = 24, 7, 0.99

@@ -8,7 +8,7 @@ from ringwear_par.pictures.matplotlib import panel_grid
 from ringwear_par.pictures.panels import Axis, Band, Curve, Panel
 from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure
 from ringwear_par.prediction.prediction import Prediction
-from ringwear_par.results.instants import time_unit
+from ringwear_par.results.key_numbers import time_unit
 from ringwear_par.results.variables import DISPLAY_UNITS
 
 #: inches

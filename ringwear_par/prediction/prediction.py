@@ -8,7 +8,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError, ValidityWarning
-from ringwear_par.results.outcomes import Outcome
+from ringwear_par.results.result import Outcome
 from ringwear_par.results.variables import HISTORIES, SOFTWARE, Variable, to_dataset
 from ringwear_par.version import versions
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from ringwear_par.errors import warning_lines
 from ringwear_par.prediction.prediction import PROBABILITIES, Prediction
-from ringwear_par.results.instants import time_words
+from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES
 
 #: of which the summary tells the end, and what it calls them

@@ -6,7 +6,7 @@ from ringwear_par.cases.files.reading import make_case
 from ringwear_par.errors import InputError
 from ringwear_par.pictures.rig import GRIPS, pressing, rig_svg, turning
 from ringwear_par.reports.blocks import Block, Lines, Picture, Source, Table
-from ringwear_par.results.instants import time_words
+from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.result import Result
 from ringwear_par.schedules import quantity_text
 

@@ -12,9 +12,9 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import factor, in_signs, with_signs
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files import folders
-from ringwear_par.files.ordinary import read_bytes
 from ringwear_par.files.text import parse_json
 from ringwear_par.files.text import read_text as read_file
+from ringwear_par.files.writing import read_bytes
 from ringwear_par.identification.summary import (
     counted,
     goodness,
@@ -42,7 +42,7 @@ from ringwear_par.reports.blocks import (
     checks_tile,
     software,
 )
-from ringwear_par.results.instants import time_words
+from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.storage.hdf5 import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
 

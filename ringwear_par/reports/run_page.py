@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringwear_par.cases.units import in_signs, with_signs
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.elasticity.geometry.sections import BODIES
 from ringwear_par.pictures import runs
 from ringwear_par.pictures.figures import plot
 from ringwear_par.pictures.stresses import along_height, along_interfaces, largest
@@ -28,15 +28,15 @@ from ringwear_par.reports.blocks import (
     software,
 )
 from ringwear_par.reports.case_words import case_words
-from ringwear_par.results.instants import time_words
 from ringwear_par.results.key_numbers import (
     KeyNumber,
     check_numbers,
     in_groups,
     key_numbers,
+    time_words,
 )
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.stored_stresses import nearest_states
+from ringwear_par.results.subsurface import nearest_states
 from ringwear_par.results.summary import checks
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES
 

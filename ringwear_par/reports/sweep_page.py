@@ -24,7 +24,7 @@ from ringwear_par.reports.blocks import (
     checks_tile,
     software,
 )
-from ringwear_par.results.instants import number_words
+from ringwear_par.results.key_numbers import number_words
 from ringwear_par.studies.analysis.responses import done_cases
 from ringwear_par.studies.analysis.sensitivity import Indices, surrogate_and_indices
 from ringwear_par.studies.definition.variations import own_key

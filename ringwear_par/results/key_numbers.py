@@ -1,4 +1,4 @@
-"""The key numbers of a run: one table, which the summary, the report and the explorer print."""
+"""The key numbers of a run, one table; what summaries and pictures call numbers and instants."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -9,14 +9,101 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import density_keys
 from ringwear_par.contact.problem import ContactState
-from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
+from ringwear_par.elasticity.geometry.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
 from ringwear_par.history.state import State
-from ringwear_par.results.instants import number_words
-from ringwear_par.results.layer_ends import worn_through
 from ringwear_par.results.result import Result
+from ringwear_par.results.subsurface import worn_layers
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
 from ringwear_par.schedules import Quantity, Table, mean
+
+#: s, up to which times are told in a unit, and its seconds
+_UNITS_OF_TIME = ((7200.0, "s", 1.0), (7 * 86400.0, "h", 3600.0), (np.inf, "days", 86400.0))
+_QUARTERS = 4
+#: numbers from here on have an exponent in texts
+_LARGE = 1e6
+#: of the highest pressure that is drawn, where a scale ends
+_ROOM = 1.1
+
+
+def time_unit(end: float) -> tuple[str, float]:
+    """Return the unit in which times up to an end, s, are told, and its seconds."""
+    return next((name, seconds) for most, name, seconds in _UNITS_OF_TIME if end <= most)
+
+
+def number_words(value: float) -> str:
+    """Return a number in four digits, as legends and notes have room for it."""
+    return f"{value:.0f}" if 1e3 <= abs(value) < _LARGE else f"{value:.4g}"
+
+
+def time_words(time: float, end: float) -> str:
+    """Return a time of a history, s, as all legends call it.
+
+    Parameters
+    ----------
+    end : s, of the history, which chooses the unit.
+    """
+    unit, seconds = time_unit(end)
+    return f"{number_words(time / seconds)} {unit}"
+
+
+def stages(time: FloatArray) -> list[int]:
+    """Return the states that profiles are drawn of by default: the first step, four quarters.
+
+    Parameters
+    ----------
+    time : (s,) float, s, of the stored states.
+    """
+    wished = [time[min(1, len(time) - 1)], *(time[-1] * q / _QUARTERS for q in range(1, 5))]
+    return sorted({int(np.abs(time - t).argmin()) for t in wished})
+
+
+def pressure_limit(area: FloatArray, pressure: FloatArray, force: FloatArray) -> float:
+    """Return the pressure, MPa, that scales of some states end with at most.
+
+    Edges of the first instant are infinite: three times the highest mean over what touches.
+
+    Parameters
+    ----------
+    area : (n,) float, mm2, of the contact elements.
+    pressure : (s, n) float, MPa; force : (s,) float, N.
+    """
+    touched = (pressure > 0.0) @ area
+    return 3.0 * float((force / np.where(touched > 0.0, touched, np.inf)).max())
+
+
+@dataclass(frozen=True)
+class PressurePeak:
+    """The highest contact pressure of a history, of all its stored states."""
+
+    #: MPa, that scales end with at most, see ``pressure_limit``
+    limit: float
+    #: MPa, of an element
+    highest: float
+    #: s, when that is
+    time: float
+    #: s, of the history
+    end: float
+
+    def top(self, drawn: float) -> float:
+        """Return where a scale ends whose curves reach up to a pressure, MPa."""
+        return min(self.limit, _ROOM * drawn) if drawn > 0.0 else 1.0
+
+    def note(self, top: float) -> str:
+        """Return the words about a peak that is above a scale's top, "" where it is not."""
+        if self.highest <= top:
+            return ""
+        peak, when = number_words(self.highest), time_words(self.time, self.end)
+        return f"peak of {peak} MPa at {when} not shown"
+
+
+def pressure_peak(result: Result) -> PressurePeak:
+    """Return the peak of the contact pressures that a result holds of all stored states."""
+    pressure, time = result.profiles["pressure"], result.histories["time"]
+    limit = pressure_limit(result.line.area, pressure, result.histories["force"])
+    row = int(pressure.max(axis=1).argmax())
+    return PressurePeak(limit, float(pressure[row].max()), float(time[row]), float(time[-1]))
+
 
 BALANCES = "largest relative errors of all steps"
 MESH_BALANCES = "relative errors of the boundary elements, smaller on a finer mesh"
@@ -34,24 +121,20 @@ _CHECKED = {
 
 @dataclass(frozen=True)
 class KeyNumber:
-    """A number of a run and how it is printed.
+    """A number of a run and how it is printed."""
 
-    Parameters
-    ----------
-    name : for programs.
-    group : the numbers that it is printed with.
-    label : its own name within the group.
-    value : in ``unit``; NaN where there is none.
-    spec : the format of the number.
-    note : what is printed in brackets after it.
-    """
-
+    #: for programs
     name: str
+    #: the numbers that it is printed with
     group: str
+    #: its own name within the group
     label: str
+    #: in ``unit``; NaN where there is none
     value: float
     unit: str = ""
+    #: the format of the number
     spec: str = ".6g"
+    #: what is printed in brackets after it
     note: str = ""
 
     @property
@@ -168,7 +251,7 @@ def _worn(result: Result, state: State, i: int) -> Iterator[KeyNumber]:
         yield number("specific_rate", "specific wear rate", specific, "mm3/(N m)", ".4g")
 
 
-def _mass(result: Result, body: Which, volume: float) -> Iterator[KeyNumber]:
+def _mass(result: Result, body: BodyName, volume: float) -> Iterator[KeyNumber]:
     """Give the mass that a body has lost, nothing where no density is known."""
     about, volumes = result.attributes, [volume]
     if f"worn_volume_{body}_layers" in result.layers:
@@ -188,7 +271,7 @@ def _mass(result: Result, body: Which, volume: float) -> Iterator[KeyNumber]:
     yield KeyNumber(f"{body}_mass", body, "mass lost", mass, "mg", note=note)
 
 
-def _layers(result: Result, body: Which) -> Iterator[KeyNumber]:
+def _layers(result: Result, body: BodyName) -> Iterator[KeyNumber]:
     """Give the wear of the layers of a body, nothing of one without."""
     if f"share_through_{body}" not in result.layers:
         return
@@ -200,7 +283,7 @@ def _layers(result: Result, body: Which) -> Iterator[KeyNumber]:
     for i, volume in enumerate(volumes):
         yield number(f"volume_layer_{i}", f"volume of layer {i}", volume, "mm3", ".6g")
     yield number("volume_under_layers", "volume of the body itself", itself, "mm3", ".6g")
-    innermost, places = len(volumes) - 1, {end.layer: end for end in worn_through(result, body)}
+    innermost, places = len(volumes) - 1, {end.layer: end for end in worn_layers(result, body)}
     for i, layer in places.items():
         if i < innermost:
             share = 100.0 * layer.share

@@ -1,46 +1,115 @@
-"""Results: the history of a case, just computed or read from its file; histories side by side."""
+"""Outcomes: data, with doors to what shows and stores them; results of cases, and histories."""
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
-
-import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.batched import one
 from ringwear_par.elasticity.geometry.mesh import ContactLine
-from ringwear_par.elasticity.stress.boundary_fields import BoundaryState
-from ringwear_par.elasticity.stress.fields import StressHistory
+from ringwear_par.elasticity.stress.fields import BoundaryState, StressHistory
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.files.text import parse_toml
 from ringwear_par.history.state import Progress, Start, State
-from ringwear_par.results import variables as table
-from ringwear_par.results.outcomes import Outcome
-from ringwear_par.results.stress_variables import stress_coordinates, stress_variables
-from ringwear_par.results.variables import Variable, edge_elements, layer_axis
 
 if TYPE_CHECKING:
     import xarray
+    from matplotlib.figure import Figure
 
 _BALANCE = "balance_"
 
 
-@dataclass(frozen=True, eq=False)
-class Checkpoint:
-    """The last state of a history, with all that it takes to continue.
+class Outcome:
+    """Data whose looks and files are the matter of functions of its room.
 
-    Parameters
-    ----------
-    start : where the history continues.
-    pending_iterations : of the contact solver since the last stored state.
-    worst : of the history so far, see ``WorstStates.history``.
+    A class names the modules of these functions, which are loaded when a function is first used:
+    no outcome knows any of them.
     """
 
+    #: modules of functions of the outcome, by the functions' names
+    functions: ClassVar[Mapping[str, str]]
+
+    def apply(self, name: str, *arguments: Any) -> Any:
+        """Return the value of a function of the outcome.
+
+        Raises
+        ------
+        TypeError : there is no such function of it.
+        """
+        if name not in self.functions:
+            raise TypeError(f"{type(self).__name__}: has no {name}")
+        return getattr(import_module(self.functions[name]), name)(self, *arguments)
+
+    def summary(self) -> str:
+        """Return it in a few lines, as the command prints it. Not collective.
+
+        Raises
+        ------
+        InputError : a result that was stored without its last state.
+        """
+        return str(self.apply("summary"))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as JSON can hold it, for a page or a script. Not collective.
+
+        Raises
+        ------
+        InputError : a result that was stored without its last state.
+        """
+        return dict(self.apply("to_dict"))
+
+    def plot(self) -> "Figure":
+        """Return its figure."""
+        figure: Figure = self.apply("plot")
+        return figure
+
+    def save(self, path: str | Path) -> None:
+        """Write its file, or the files of its folder, which is made.
+
+        Not collective: the process that calls this writes, each file whole.
+
+        Raises
+        ------
+        InputError : what cannot be written.
+        ComputationError : the disk.
+        """
+        self.apply("save", Path(path))
+
+
+def summary(outcome: Outcome) -> str:
+    """Return an outcome in a few lines, see ``Outcome.summary``."""
+    return _checked(outcome, "summary").summary()
+
+
+def to_dict(outcome: Outcome) -> dict[str, Any]:
+    """Return an outcome as JSON can hold it, see ``Outcome.to_dict``."""
+    return _checked(outcome, "to_dict").to_dict()
+
+
+def save(outcome: Outcome, path: str | Path) -> None:
+    """Write an outcome to its file or folder, see ``Outcome.save``."""
+    _checked(outcome, "save").save(path)
+
+
+def _checked(outcome: Outcome, verb: str) -> Outcome:
+    if not isinstance(outcome, Outcome):
+        raise TypeError(f"{verb}: {type(outcome).__name__}: must be an outcome")
+    return outcome
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """The last state of a history, with all that it takes to continue."""
+
+    #: where the history continues
     start: Start
+    #: of the contact solver since the last stored state
     pending_iterations: int
+    #: of the history so far, see ``WorstStates.history``
     worst: Mapping[str, Sequence[float]]
 
     @cached_property
@@ -82,6 +151,7 @@ class Result(Outcome):
     functions: ClassVar = {
         "summary": "ringwear_par.results.summary", "to_dict": "ringwear_par.results.summary",
         "save": "ringwear_par.results.storage.result_files",
+        "to_xarray": "ringwear_par.results.storage.result_variables",
         "plot": "ringwear_par.pictures.figures",
     }  # fmt: skip
 
@@ -140,51 +210,6 @@ class Result(Outcome):
         """Return it in a few lines, or all its key numbers and checks, see ``rw.summary``."""
         return str(self.apply("summary", verbose))
 
-    def variables(self) -> list[tuple[Variable, Any]]:
-        """Return every variable on the contact line and in time, with its values."""
-        numbered = not np.array_equal(self.step, self.steps_made)
-        pairs: list[tuple[Variable, Any]] = [
-            (table.STATE_NUMBER if numbered else table.STEP, self.step),
-            *([(table.STEPS_MADE, self.steps_made)] if numbered else []),
-            (table.ELEMENT, np.arange(self.line.n)),
-            *((table.HISTORIES[name], values) for name, values in self.histories.items()),
-            *((variable, getattr(self.line, name)) for name, variable in table.LINE.items()),
-            *((table.PROFILES[name], values) for name, values in self.profiles.items()),
-        ]
-        if "pressure" in self.profiles:
-            edge = edge_elements(self.profiles["pressure"])
-            pairs.append((table.EDGE_ELEMENT, edge.astype(table.EDGE_ELEMENT.dtype)))
-        pairs += self._layer_variables()
-        if self.parameters:
-            pairs.append((table.PARAMETER, list(self.parameters)))
-            pairs.append((table.PARAMETER_UNIT, list(self.parameters.values())))
-        pairs += [(table.DERIVATIVES[name], values) for name, values in self.derivatives.items()]
-        if self.stress is not None and self.stress.states:
-            pairs += stress_variables(self.stress)
-        return [(variable.stored_as(np.ndim(values)), values) for variable, values in pairs]
-
-    def _layer_variables(self) -> list[tuple[Variable, Any]]:
-        """Return the variables of layers, with their coordinates."""
-        pairs: list[tuple[Variable, Any]] = []
-        counts = [self.layers[v].shape[1] if v in self.layers else 0 for v in table.LAYER_VOLUMES]
-        for name, values in self.layers.items():
-            variable = table.LAYERS[name]
-            if name in table.LAYER_VOLUMES:
-                layer = layer_axis(list(table.LAYER_VOLUMES).index(name), counts)
-                if all(layer != coordinate for coordinate, _ in pairs):
-                    pairs.insert(0, (layer, np.arange(values.shape[1])))
-                variable = replace(variable, dimensions=("step", layer.name))
-            pairs.append((variable, values))
-        return pairs
-
-    @property
-    def coordinates(self) -> tuple[str, ...]:
-        """The names of its coordinates that are no dimensions."""
-        names = table.COORDINATES if self.parameters else table.COORDINATES[:-1]
-        if self.stress is None or not self.stress.states:
-            return names
-        return (*names, *stress_coordinates(self.stress))
-
     def to_xarray(self) -> "xarray.Dataset":
         """Return the dataset that xarray makes of the result's file.
 
@@ -192,7 +217,8 @@ class Result(Outcome):
         ------
         InputError : xarray is not installed.
         """
-        return table.to_dataset(self.variables(), self.attributes, self.coordinates, self.name)
+        dataset: xarray.Dataset = self.apply("to_xarray")
+        return dataset
 
 
 @dataclass(frozen=True)
@@ -222,39 +248,35 @@ class HistoryColumns:
 
     Stored states of all histories follow each other as rows: those of history i are
     ``offsets[i]`` to ``offsets[i + 1]``. A failed history has the rows before its failure.
-
-    Parameters
-    ----------
-    offsets : (B + 1,) int.
-    steps : (rows,) int, steps made.
-    histories : (rows,) each, by name, see ``variables.HISTORIES``.
-    profiles : (rows, n) each, by name, see ``variables.PROFILES``; or (B, n), where the last ones
-        are stored only: NaN where a history has none.
-    imbalance : (B,) float, the worst balance of each, see ``Balances.worst``.
-    flags : what makes each doubtful, see ``ValidityWarning.code``.
-    seconds : (B,) float, s, that each took: of those that are stepped together, its share.
-    status : "done" or "failed".
-    reason : why it failed, one line; "" for one that has not.
-    derivatives : (P, rows) each, of fields (P, rows, n) or (P, B, n), by name, see
-        ``variables.D_HISTORIES`` and ``D_PROFILES``.
-    layers : (rows,), (rows, layers + 1), (rows, n) or (B, n) each, by name, see
-        ``variables.LAYERS``.
-    stress : (rows,) or (rows, points) each, by name, see ``stress_variables.stress_rows``.
-    whole : (B,) or (B, points), by name: when wear got through layers, where points are.
     """
 
+    #: (B + 1,) int
     offsets: IntArray
+    #: (rows,) int, steps made
     steps: IntArray
+    #: (rows,) each, by name, see ``variables.HISTORIES``
     histories: Mapping[str, Any]
+    #: (rows, n) each, by name, see ``variables.PROFILES``; or (B, n), where the last ones are
+    #: stored only: NaN where a history has none
     profiles: Mapping[str, FloatArray]
+    #: (B,) float, the worst balance of each, see ``Balances.worst``
     imbalance: FloatArray
+    #: what makes each doubtful, see ``ValidityWarning.code``
     flags: tuple[tuple[str, ...], ...]
+    #: (B,) float, s, that each took: of those that are stepped together, its share
     seconds: FloatArray
+    #: "done" or "failed"
     status: tuple[str, ...]
+    #: why it failed, one line; "" for one that has not
     reason: tuple[str, ...]
+    #: (P, rows) each, of fields (P, rows, n) or (P, B, n), by name, see ``variables.D_HISTORIES``
+    #: and ``D_PROFILES``
     derivatives: Mapping[str, FloatArray] = field(default_factory=dict)
+    #: (rows,), (rows, layers + 1), (rows, n) or (B, n) each, by name, see ``variables.LAYERS``
     layers: Mapping[str, FloatArray] = field(default_factory=dict)
+    #: (rows,) or (rows, points) each, by name, see ``result_variables.stress_rows``
     stress: Mapping[str, FloatArray] = field(default_factory=dict)
+    #: (B,) or (B, points), by name: when wear got through layers, where points are
     whole: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property

@@ -10,9 +10,8 @@ from ringwear_par.cases.case import CHANGED
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.values import is_number
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.elasticity.geometry.sections import BODIES
 from ringwear_par.errors import LONGEST_SENTENCE, legible, warning_lines
-from ringwear_par.results.instants import number_words
 from ringwear_par.results.key_numbers import (
     BALANCES,
     MESH_BALANCES,
@@ -21,6 +20,7 @@ from ringwear_par.results.key_numbers import (
     check_numbers,
     in_groups,
     key_numbers,
+    number_words,
 )
 from ringwear_par.results.result import Checkpoint, Result
 

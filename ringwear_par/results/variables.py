@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.elasticity.geometry.sections import BODIES
 from ringwear_par.elasticity.stress.fields import SIDES
 from ringwear_par.errors import InputError
 
@@ -24,21 +24,17 @@ SOFTWARE = "ringwear-par"
 
 @dataclass(frozen=True)
 class Variable:
-    """What an array of a result is called, runs over, is measured in and means.
+    """What an array of a result is called, runs over, is measured in and means."""
 
-    Parameters
-    ----------
-    name : in files and in Python.
-    dimensions : names of its axes; a variable named as its only dimension is its coordinate.
-    unit : "1" for none.
-    meaning : the ``long_name`` of files.
-    integer : whether its values are whole numbers.
-    """
-
+    #: in files and in Python
     name: str
+    #: names of its axes; a variable named as its only dimension is its coordinate
     dimensions: tuple[str, ...]
+    #: "1" for none
     unit: str
+    #: the ``long_name`` of files
     meaning: str
+    #: whether its values are whole numbers
     integer: bool = False
 
     @property

@@ -6,7 +6,14 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.cases.unit_suspicions import (
+    MOST_PRESSED,
+    deep_wear,
+    smallest_modulus,
+    too_much_load,
+    unit_suspicions,
+)
+from ringwear_par.elasticity.geometry.sections import BODIES
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState, mises
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.history.observers.balances import WorstBalances
@@ -21,13 +28,6 @@ from ringwear_par.history.observers.worst_states import (
 )
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.validity.stable_steps import missed_corner, stable_steps
-from ringwear_par.results.unit_suspicions import (
-    MOST_PRESSED,
-    deep_wear,
-    smallest_modulus,
-    too_much_load,
-    unit_suspicions,
-)
 from ringwear_par.schedules import largest
 
 #: share of the largest force of a history under which contact need not be resolved
@@ -325,11 +325,7 @@ def _worn_points(
     """Yield whether points of stress lie where wear has been at the last of its states.
 
     Points on faces are of the faces as they are, and points in layers that are worn through have no
-    stress: they are left out.
-
-    Parameters
-    ----------
-    wear : (2, n) mm, at the last state of stress; None where it is not known.
+    stress: they are left out. The wear, (2, n) mm, is of that state; None where it is not known.
     """
     if wear is None or not wear.any() or case.follows_wear:
         return

@@ -18,23 +18,19 @@ NU = 0.3
 
 @dataclass(frozen=True)
 class Check:
-    """One row: relative (or stated) errors at one or more sizes, the last to meet the tolerance.
+    """One row: relative (or stated) errors at one or more sizes, the last to meet the tolerance."""
 
-    Parameters
-    ----------
-    name : what is compared with what.
-    sizes : numbers of contact elements.
-    errors : one for each size.
-    tolerance : largest error allowed at the last size.
-    digits : relative accuracy of the reference itself; errors near it show no order.
-    kind : what it is held against.
-    """
-
+    #: what is compared with what
     name: str
+    #: numbers of contact elements
     sizes: tuple[int, ...]
+    #: one for each size
     errors: tuple[float, ...]
+    #: largest error allowed at the last size
     tolerance: float
+    #: relative accuracy of the reference itself; errors near it show no order
     digits: float = 1e-7
+    #: what it is held against
     kind: Kind = "reference"
 
     @property

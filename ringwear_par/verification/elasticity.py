@@ -36,7 +36,7 @@ from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.history.start import first_contact
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, checks_of, converging
-from ringwear_par.verification.paper import paper_case
+from ringwear_par.verification.histories import paper_case
 
 #: radius and height of the disc, over that of the contact
 _BIG = 200.0

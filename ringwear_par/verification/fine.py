@@ -41,17 +41,13 @@ RINGS = Mesh(128)
 
 @dataclass(frozen=True)
 class Rings:
-    """A pair of rings 20 mm high in the mean, the upper one 3 mm wide, both clamped.
+    """A pair of rings 20 mm high in the mean, the upper one 3 mm wide, both clamped."""
 
-    Parameters
-    ----------
-    lower : radii, mm.
-    young : MPa, of lower and upper.
-    degrees : by which both faces rise outwards; matched cones.
-    """
-
+    #: radii, mm
     lower: tuple[float, float]
+    #: MPa, of lower and upper
     young: tuple[float, float]
+    #: by which both faces rise outwards; matched cones
     degrees: float = 0.0
 
 
@@ -114,19 +110,15 @@ class Pairs:
 
 @dataclass(frozen=True)
 class FineSolution:
-    """A solution on the elements of a mesh.
+    """A solution on the elements of a mesh."""
 
-    Parameters
-    ----------
-    mesh : whose contact line between the radii ``CONTACT`` it is on.
-    approach : mm, unworn.
-    pressure : (n,) float, MPa, unworn, means over the elements.
-    wear : (n,) float, mm, off the lower ring by time (s), likewise; {} where faces lift off.
-    """
-
+    #: whose contact line between the radii ``CONTACT`` it is on
     mesh: Mesh
+    #: mm, unworn
     approach: float
+    #: (n,) float, MPa, unworn, means over the elements
     pressure: FloatArray
+    #: (n,) float, mm, off the lower ring by time (s), likewise; {} where faces lift off
     wear: dict[float, FloatArray]
 
     @property

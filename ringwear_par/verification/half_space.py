@@ -18,7 +18,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.bem.body import compliance
-from ringwear_par.elasticity.bem.reciprocity import symmetric
+from ringwear_par.elasticity.bem.pair import symmetric
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Section
 from ringwear_par.history.start import first_contact

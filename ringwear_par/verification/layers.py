@@ -24,11 +24,11 @@ from ringwear_par.elasticity.bem.systems import BoundaryConditions, Zone
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Material, Section
 from ringwear_par.history.elastic.bodies import bodies
-from ringwear_par.verification import layered_reference, reference
+from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, checks_of
 from ringwear_par.verification.half_space import GRADED, pressure_at, without_truncation
-from ringwear_par.verification.layered_reference import LayeredHalfSpace
-from ringwear_par.verification.paper import paper_case
+from ringwear_par.verification.histories import paper_case
+from ringwear_par.verification.reference import LayeredHalfSpace
 
 #: numbers of elements where much is to be solved, or 128 show but the quadrature
 _COARSE = 16, 32, 64
@@ -99,7 +99,7 @@ def sleeve_errors(n: int, comm: MPI.Comm) -> tuple[float, float]:
         (none, second.above),
     )  # fmt: skip
     response = solve_bodies([problem], comm)[0]
-    between = layered_reference.sleeve_pressure(radii, *pressures, materials)
+    between = reference.sleeve_pressure(radii, *pressures, materials)
     bore = reference.lame_displacement(
         np.array(radii[0]), *radii[:2], pressures[0], between, materials[0].young,
         materials[0].poisson,
@@ -151,8 +151,8 @@ def mode_errors(n: int, comm: MPI.Comm) -> tuple[float, float, float, float]:
     response = solve_bodies([problem], comm)[0]
     odd, even, angular = j1(squeezed * line.r), j0(squeezed * line.r), j1(turned * line.r)
     pattern = np.stack([odd, even], axis=1)
-    normal = layered_reference.normal_mode(squeezed, stack)[:-1, None].reshape(-1, 2, 1, 2)
-    torsion = layered_reference.torsion_mode(turned, stack)[:-1]
+    normal = reference.normal_mode(squeezed, stack)[:-1, None].reshape(-1, 2, 1, 2)
+    torsion = reference.torsion_mode(turned, stack)[:-1]
     u = response.displacement[:, :, 0]
     t = response.traction[:, :, 0].reshape(-1, n, 3)  # interfaces have the elements of the face
     return (

@@ -10,13 +10,11 @@ from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.errors import ComputationError
 from ringwear_par.options import reject_unused_options
 from ringwear_par.verification.check import Check, Kind
-from ringwear_par.verification.edges import edge_checks
 from ringwear_par.verification.elasticity import elasticity_checks, stress_checks
+from ringwear_par.verification.faces import edge_checks, slope_checks
 from ringwear_par.verification.half_space import half_space_checks, sphere_checks
-from ringwear_par.verification.histories import history_checks
+from ringwear_par.verification.histories import history_checks, paper_checks, tao_checks
 from ringwear_par.verification.layers import layer_checks
-from ringwear_par.verification.paper import paper_checks, tao_checks
-from ringwear_par.verification.slopes import slope_checks
 
 _WIDTH = 78
 

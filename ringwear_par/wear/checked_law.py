@@ -1,36 +1,26 @@
-"""Laws of users' code: local state that it cannot change, results that are checked.
+"""Laws of users' code, from files and as objects: what they lack is computed, results are checked.
 
-For laws from files and for objects; built-in laws are called as they are.
+Built-in laws are called as they are.
 """
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import partial, wraps
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, read_only
+from ringwear_par.arrays import FloatArray, IntArray, derivative, read_only
 from ringwear_par.errors import ComputationError, LawError
-from ringwear_par.schedules import Quantity
-from ringwear_par.wear.derivatives import derivative
+from ringwear_par.schedules import Quantity, value
 from ringwear_par.wear.law import SMALL_WEAR, Law, WearLaw
 from ringwear_par.wear.local_state import LocalState
 
 #: functions of a law that may be the user's
 UserFunction = Literal["rate", "d_rate_dp", "d_rate_dwear", "d_rate_dparameter"]
 _SIGNED = ("d_rate_dwear", "d_rate_dparameter")
-
-
-def read_only_state(local: LocalState, **changes: Any) -> LocalState:
-    """Return local state, with changes, as a user's law sees it: it may not change what it has."""
-    return replace(
-        local,
-        r=read_only(local.r),
-        speed=read_only(local.speed),
-        wear=read_only(local.wear),
-        slid=read_only(local.slid),
-        **changes,
-    )
+#: beginning of the names of parameters that a file reads from its state
+PARAMETERS = "parameters."
 
 
 def checked_call(
@@ -52,7 +42,7 @@ def checked_call(
     name : of the function.
     function : of the user's code.
     p : (..., n) float, MPa.
-    local : as of ``read_only_state``.
+    local : as the code sees it, which may not change what it has.
     parameters : values that the function knows besides.
 
     Raises
@@ -117,6 +107,28 @@ def _when(local: LocalState) -> str:
     return f"times from {times[0]:g} to {times[-1]:g} s"
 
 
+def _each_history(method: Callable[..., Any]) -> Callable[..., Any]:
+    """Have a method called for one history at a time where the code serves no others.
+
+    Derivatives too: whether code takes complex numbers may depend on the history.
+    """
+
+    @wraps(method)
+    def call(law: "CheckedLaw", *arguments: Any) -> Any:
+        place = isinstance(arguments[0], str)  # a parameter's name may come first
+        first, p, states = arguments[:place], arguments[place], arguments[place + 1 :]
+        # code that serves many may have been written for the (n,) of one
+        if p.ndim == 1 or not (law.one_by_one or len(p) == 1):
+            return method(law, *arguments)
+        rows = (
+            call(law.history(i), *first, p[i], *(state.history(i) for state in states))
+            for i in range(len(p))
+        )
+        return np.array(list(rows))
+
+    return call
+
+
 class CheckedLaw(Law):
     """A law of a user's code: its results are checked, and derivatives that it lacks are computed.
 
@@ -136,8 +148,8 @@ class CheckedLaw(Law):
         """Name of the law in messages."""
         raise NotImplementedError
 
-    def defines(self, function: UserFunction) -> bool:
-        """Tell whether the code has a function."""
+    def defined(self, function: UserFunction) -> Callable[..., Any] | None:
+        """Return a function of the code, None where it has none."""
         raise NotImplementedError
 
     def _call(
@@ -147,25 +159,24 @@ class CheckedLaw(Law):
 
         ``first`` are its arguments before the pressure.
         """
-        raise NotImplementedError
-
-    def _many(self, p: FloatArray) -> bool:
-        """Tell whether pressures are of histories that the code does not serve together."""
-        return self.one_by_one and p.ndim > 1
-
-    def _by_history(
-        self, method: str, p: FloatArray, *states: LocalState, first: tuple[str, ...] = ()
-    ) -> FloatArray:
-        """Return the values of a method, (B, n), each history by itself.
-
-        Derivatives too: whether code takes complex numbers may depend on the history.
-        """
-        rows = (
-            getattr(self.history(i), method)(*first, p[i], *(state.history(i) for state in states))
-            for i in range(len(p))
+        code = self.defined(function)
+        assert code is not None
+        values = {
+            name.removeprefix(PARAMETERS): value(self.quantity(name), local.time, local.r)
+            for name in self.numeric
+        }
+        state = replace(
+            local,
+            r=read_only(local.r),
+            speed=read_only(local.speed),
+            wear=read_only(local.wear),
+            slid=read_only(local.slid),
+            parameters=values,
         )
-        return np.array(list(rows))
+        called = f"{self.called}: {function}()"
+        return checked_call(called, function, partial(code, *first), p, state, values.values())
 
+    @_each_history
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s.
 
@@ -173,10 +184,9 @@ class CheckedLaw(Law):
         ------
         LawError : the code failed, or gave NaN or a negative rate.
         """
-        if self._many(p):
-            return self._by_history("rate", p, local)
         return self._call("rate", p, local)
 
+    @_each_history
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa.
 
@@ -184,43 +194,35 @@ class CheckedLaw(Law):
         ------
         LawError : the code failed, or gave NaN or a negative derivative.
         """
-        if self._many(p):
-            return self._by_history("d_rate_dp", p, local)
-        if not self.defines("d_rate_dp"):
-            return super().d_rate_dp(p, local)
-        return self._call("d_rate_dp", p, local)
+        defined = self.defined("d_rate_dp")
+        return self._call("d_rate_dp", p, local) if defined else super().d_rate_dp(p, local)
 
+    @_each_history
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
-        if self._many(p):
-            return self._by_history("d_rate_dwear", p, local)
-        if not self.defines("d_rate_dwear"):
-            return super().d_rate_dwear(p, local)
-        return self._call("d_rate_dwear", p, local)
+        defined = self.defined("d_rate_dwear")
+        return self._call("d_rate_dwear", p, local) if defined else super().d_rate_dwear(p, local)
 
+    @_each_history
     def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to a numeric parameter."""
-        if self._many(p):
-            return self._by_history("d_rate_dparameter", p, local, first=(name,))
-        if not self.defines("d_rate_dparameter"):
-            return super().d_rate_dparameter(name, p, local)
-        return self._call("d_rate_dparameter", p, local, name)
+        if self.defined("d_rate_dparameter"):
+            return self._call("d_rate_dparameter", p, local, name)
+        return super().d_rate_dparameter(name, p, local)
 
+    @_each_history
     def d_rate_dlocal(self, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
         """Return how the rate changes as speed, friction and slid do along those of another.
 
         The code need not take complex numbers.
         """
-        if self._many(p):
-            return self._by_history("d_rate_dlocal", p, local, along)
         return derivative(lambda x: self.rate(p, local.moved(x, along)), 0.0, 1.0)
 
+    @_each_history
     def d_rate_dbefore(self, p: FloatArray, local: LocalState) -> FloatArray | None:
         """Return how the rate changes with the wear before a step, 1/s."""
         if self.remembers:
             return self.d_rate_dwear(p, local)
-        if self._many(p):
-            return self._by_history("d_rate_dbefore", p, local)
         return derivative(
             lambda wear: self.rate(p, replace(local, wear=wear)), local.wear, SMALL_WEAR
         )
@@ -274,23 +276,9 @@ class CompletedLaw(CheckedLaw):
         """Name of the law in messages."""
         return type(self.user_object).__name__
 
-    def defines(self, function: UserFunction) -> bool:
-        """Tell whether the object has a method."""
-        return hasattr(self.user_object, function)
-
-    def _call(
-        self, function: UserFunction, p: FloatArray, local: LocalState, *first: str
-    ) -> FloatArray:
-        if p.ndim == 2 and len(p) == 1:  # it may have been written for the (n,) of one history
-            alone: FloatArray = self._call(function, p[0], local.history(0), *first)
-            return alone[None]
-
-        def method(p: FloatArray, local: LocalState) -> Any:
-            return getattr(self.user_object, function)(*first, p, local)
-
-        parameters = (self.quantity(name) for name in self.numeric)
-        state = read_only_state(local)
-        return checked_call(f"{self.called}: {function}()", function, method, p, state, parameters)
+    def defined(self, function: UserFunction) -> Callable[..., Any] | None:
+        """Return a method of the object, None where it has none."""
+        return self._attribute(function, None)
 
     def with_parameter(self, name: str, values: Any) -> Self:
         """Return the law with another number, or other values at the elements."""
@@ -303,12 +291,12 @@ class CompletedLaw(CheckedLaw):
 
     def onset(self, local: LocalState) -> float | FloatArray:
         """Return the pressure, MPa, up to which nothing wears."""
-        return self._attribute("onset", super().onset)(read_only_state(local))
+        return self._attribute("onset", super().onset)(local)
 
     def potential(self, p: FloatArray, local: LocalState) -> FloatArray | None:
         """Return the integral of the rate from 0 to p, MPa mm/s; None: by quadrature."""
         integral = self._attribute("potential", super().potential)
-        return integral(read_only(p), read_only_state(local))
+        return integral(read_only(p), local)
 
     def describe(self) -> str:
         """Return the object's formula with its numbers."""

@@ -12,10 +12,9 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, columns
 from ringwear_par.errors import ComputationError
-from ringwear_par.schedules import history, take
-from ringwear_par.wear.averaging import averaged, averaged_rate
-from ringwear_par.wear.checked_law import complete
-from ringwear_par.wear.law import Law, PacedLaw, WearLaw
+from ringwear_par.schedules import take
+from ringwear_par.wear.law import Law, PacedLaw
+from ringwear_par.wear.laws.non_local import averaged, averaged_rate
 from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
 
@@ -33,27 +32,20 @@ class Closing:
 
     Where the bodies around an element wear as fast as its gap closes, what it would lose in contact
     all along is gap first and wear then: ``max(0, step rate(p) - gap)``.
-
-    Parameters
-    ----------
-    gap : (..., n) float, mm, at the start of the step; 0 in contact.
-    step : (..., n) float, s, of each element.
     """
 
+    #: (..., n) float, mm, at the start of the step; 0 in contact
     gap: FloatArray
+    #: (..., n) float, s, of each element
     step: FloatArray
 
 
 class WearingBody(NamedTuple):
-    """A body that wears, at the start of a step.
+    """A body that wears, at the start of a step."""
 
-    Parameters
-    ----------
-    side : 0 of lower, 1 of upper.
-    law, at, average : as of the increment.
-    """
-
+    #: 0 of lower, 1 of upper
     side: int
+    #: as of the increment
     law: Law
     at: LocalState
     average: FloatArray | None
@@ -63,28 +55,25 @@ class WearingBody(NamedTuple):
 class WearIncrement:
     """Wear of both bodies over one implicit step, as a function of the pressure at its end.
 
-    Of one history, whose pressures are (n,), or of B with the same elements and averages: (B, n).
-    The numbers of a history are the same to the last bit alone and among others.
-
-    Parameters
-    ----------
-    laws : laws of lower and upper, None for a body that does not wear.
-    at : local state of lower and upper at the end of the step, with the wear before it.
-    step : s, or (B,) of them.
-    averages : (n, n) matrices of the non-local laws, None for local ones.
-    obliquity : (n,) float, 1 / cos alpha of the sloping faces, None where they are flat: laws speak
-        of what is lost along the normal, and all results here of what is lost along the axis.
-    closing : of local laws, elements that come into contact in the step; its steps are those of
-        the elements.
-    pace : (2,) or (2, B) factors on the rates of lower and upper; None: 1.
+    Of B histories with the same elements and averages. The numbers of a history are the same to the
+    last bit alone and among others.
     """
 
-    laws: tuple[WearLaw | Law | None, ...]
+    #: laws of lower and upper, None for a body that does not wear
+    laws: tuple[Law | None, ...]
+    #: local state of lower and upper at the end of the step, with the wear before it
     at: tuple[LocalState, ...]
+    #: s, or (B,) of them
     step: float | FloatArray
+    #: (n, n) matrices of the non-local laws, None for local ones
     averages: tuple[FloatArray | None, ...] = (None, None)
+    #: (n,) float, 1 / cos alpha of the sloping faces, None where they are flat: laws speak of what
+    #: is lost along the normal, and all results here of what is lost along the axis
     obliquity: FloatArray | None = None
+    #: of local laws, elements that come into contact in the step; its steps are those of the
+    #: elements
     closing: Closing | None = None
+    #: (2,) or (2, B) factors on the rates of lower and upper; None: 1
     pace: FloatArray | None = None
 
     #: those that wear
@@ -102,9 +91,7 @@ class WearIncrement:
     def __post_init__(self) -> None:
         parts = enumerate(zip(self.laws, self.at, self.averages, strict=True))
         bodies = [
-            WearingBody(i, complete(law), at, average)
-            for i, (law, at, average) in parts
-            if law is not None
+            WearingBody(i, law, at, average) for i, (law, at, average) in parts if law is not None
         ]
         object.__setattr__(self, "bodies", bodies)
         object.__setattr__(self, "local", all(a is None for a in self.averages))
@@ -115,26 +102,14 @@ class WearIncrement:
             object.__setattr__(self, "bodies", paced)
         if self.closing is not None:
             object.__setattr__(self, "step", self.closing.step)
-        elif isinstance(self.step, np.ndarray):
+        else:
             object.__setattr__(self, "step", columns(self.step))
-
-    def history(self, i: int) -> "WearIncrement":
-        """Return the increment of one of B histories."""
-        return type(self)(
-            tuple(None if law is None else complete(law).history(i) for law in self.laws),
-            tuple(at.history(i) for at in self.at),
-            history(self.step, i),
-            self.averages,
-            self.obliquity,
-            None if self.closing is None else Closing(self.closing.gap[i], self.closing.step[i]),
-            None if self.pace is None else self.pace[:, i],
-        )
 
     def take(self, histories: IntArray) -> "WearIncrement":
         """Return the increment of some of B histories."""
         closing, lower = self.closing, self.at[0].take(histories)
         return type(self)(
-            tuple(None if law is None else complete(law).take(histories) for law in self.laws),
+            tuple(None if law is None else law.take(histories) for law in self.laws),
             (lower, lower if self.at[1] is self.at[0] else self.at[1].take(histories)),
             take(self.step, histories),
             self.averages,
@@ -184,31 +159,24 @@ class WearIncrement:
                 e = int(np.where(settled[..., None], np.inf, rise).argmin())
                 break
             change = (self.step * law.rate(p, trial) - depth) / rise
-            if p.ndim > 1:
-                change[settled] = 0.0
+            change[settled] = 0.0
             depth = np.maximum(depth + change, 0.0)
             worst = np.abs(change) / np.maximum(at.wear + depth, 1e-300)
             e, largest = int(worst.argmax()), worst.max(axis=-1)
             # no better than its round-off
             settled = (largest <= _ROUND_OFF) | ((before <= largest) & (largest <= _NOISE))
-            if settled if p.ndim == 1 else settled.all():
+            if settled.all():
                 after = replace(at, wear=at.wear + depth)
                 self._after[id(law)] = p.copy(), at, after
                 return after
             before = largest
-        raise ComputationError(self._unsettled(at, np.unravel_index(e, p.shape)))
-
-    def _unsettled(self, at: LocalState, place: tuple[Any, ...]) -> str:
-        """Return which element (of which history, where there are some) does not settle."""
-        step, among = self.step, ""
-        if len(place) > 1:
-            at, step, among = at.history(place[0]), history(step, place[0]), f"history {place[0]}, "
-        if isinstance(step, np.ndarray):
-            step = step[place[-1]]
-        return (
-            f"wear law at time {at.time:g} s: the wear of {among}element {place[-1]} "
-            f"(r = {at.r[place[-1]]:.6g} mm) over a step of {step:g} s does not settle; the rate "
-            "grows with worn depth too fast"
+        i, e = divmod(e, p.shape[-1])
+        step = np.broadcast_to(self.step, p.shape).reshape(-1, p.shape[-1])[i, e]
+        at = at.history(i)
+        raise ComputationError(
+            f"wear law at time {at.time:g} s: the wear of history {i}, element {e} "
+            f"(r = {at.r[e]:.6g} mm) over a step of {step:g} s does not settle; the rate grows "
+            "with worn depth too fast"
         )
 
     def _d_depth_dp(self, law: Law, at: LocalState, p: FloatArray) -> FloatArray:

@@ -3,15 +3,30 @@
 A law gives the rate of wear at a contact pressure. It may know the instant, the sliding, and what
 is local memory: the depth worn off this body and the distance slid. Rates must not be negative and
 not fall with pressure, so that the implicit step is a convex problem.
+
+Its parameters are declared once, as annotations of its fields: a field
+``p0: Annotated[Quantity, Parameter("MPa", "threshold pressure")] = 0.0`` is a parameter with its
+unit, meaning and default; case files, messages and ``ringwear info --schema`` read it from there.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Protocol, Self, runtime_checkable
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from functools import lru_cache
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    Protocol,
+    Self,
+    get_type_hints,
+    runtime_checkable,
+)
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import COMPLEX_STEP, FloatArray, IntArray, derivative
 from ringwear_par.schedules import (
     Quantity,
     Stacked,
@@ -24,9 +39,64 @@ from ringwear_par.schedules import (
     value,
 )
 from ringwear_par.schedules import stack as stack_quantities
-from ringwear_par.wear.derivatives import COMPLEX_STEP, derivative
 from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.parameters import parameters_of
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a wear law."""
+
+    #: "1" for none, "-" where it has no sense
+    unit: str
+    #: in a few words
+    meaning: str
+    #: a quantity is a number, a table in time or a profile along the radius; the others are a
+    #: number only, pairs (p V, rate), the name of a Python file, a table of quantities
+    kind: Literal["quantity", "number", "rates", "file", "parameters"] = "quantity"
+    #: between which numbers may lie
+    low: float = 0.0
+    high: float = math.inf
+    #: whether they may be these too
+    ends: bool = True
+    #: the parameter of the same law that it is never less than, "" for none
+    at_least: str = ""
+    #: whether the rate at a place depends on it, and has a derivative with respect to it
+    local: bool = True
+    #: of the field that declares it; the default is ... where it must be given.
+    name: str = ""
+    default: Any = ...
+
+    @property
+    def needed(self) -> bool:
+        """Whether it must be given."""
+        return self.default is ...
+
+    @property
+    def numeric(self) -> bool:
+        """Whether the rate has a derivative with respect to it."""
+        return self.kind in ("quantity", "number") and self.local
+
+
+def _declared(law: type) -> Mapping[str, Parameter]:
+    declared: dict[str, Parameter] = {}
+    if not is_dataclass(law):
+        return declared
+    hints = get_type_hints(law, include_extras=True)
+    for field in fields(law):
+        for note in getattr(hints[field.name], "__metadata__", ()):
+            if isinstance(note, Parameter):
+                default = ... if field.default is MISSING else field.default
+                declared[field.name] = replace(note, name=field.name, default=default)
+    return declared
+
+
+#: the parameters that a class of laws declares, by name, in their order
+parameters_of: Callable[[type], Mapping[str, Parameter]] = lru_cache(_declared)
+
+#: parameters of more than one law
+Coefficient = Annotated[Quantity, Parameter("1/MPa", "wear coefficient")]
+Threshold = Annotated[Quantity, Parameter("MPa", "threshold pressure")]
+
 
 #: below which pressures (MPa), worn depths (mm) and parameters do not tell the size of a difference
 _SMALL_PRESSURE, SMALL_WEAR, _SMALL_PARAMETER = 1e-3, 1e-6, 1e-3
@@ -257,15 +327,11 @@ class Law:
 
 @dataclass(frozen=True)
 class PacedLaw(Law):
-    """A law whose rate is that of another one times a factor: wear that is random, in a step.
+    """A law whose rate is that of another one times a factor: wear that is random, in a step."""
 
-    Parameters
-    ----------
-    law : the other one.
-    pace : the factor, or (B, 1) of B histories.
-    """
-
+    #: the other one
     law: Law
+    #: the factor, or (B, 1) of B histories
     pace: float | FloatArray
 
     @property

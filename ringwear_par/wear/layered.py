@@ -12,9 +12,8 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, columns
 from ringwear_par.schedules import Quantity, Stacked, Table
-from ringwear_par.wear.law import Law, stack_laws
+from ringwear_par.wear.law import Law, parameters_of, stack_laws
 from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.parameters import parameters_of
 
 #: share of the depth of a layer's end below which what is left above it is round-off
 _ROUND_OFF = 1e-13
@@ -57,22 +56,19 @@ class LayeredLaw(Law):
 
     Laws that remember worn depth are told of what is worn off their own layer. Parameters are those
     of the body, by name, and of layers with laws of their own, "layers[0].k".
-
-    Parameters
-    ----------
-    laws : of the layers from the contact face inwards, and of the body itself.
-    thicknesses : mm, of the layers.
-    has_law : which layers have a law of their own; the others wear as the body.
-    ends : (layers, n) mm, or (layers, B, n) of B histories, depth at which each layer ends,
-        measured as ``LocalState.wear``; None: as many thicknesses, at all elements.
-    present : (..., n) int, the layers that elements are in, 0 at the unworn face; None: those at
-        the depth that is worn off.
     """
 
+    #: of the layers from the contact face inwards, and of the body itself
     laws: tuple[Law, ...]
+    #: mm, of the layers
     thicknesses: tuple[float, ...]
+    #: which layers have a law of their own; the others wear as the body
     has_law: tuple[bool, ...]
+    #: (layers, n) mm, or (layers, B, n) of B histories, depth at which each layer ends, measured as
+    #: ``LocalState.wear``; None: as many thicknesses, at all elements
     ends: FloatArray | None = field(default=None, compare=False, repr=False)
+    #: (..., n) int, the layers that elements are in, 0 at the unworn face; None: those at the depth
+    #: that is worn off
     present: IntArray | None = field(default=None, compare=False, repr=False)
     #: one law whose parameters are those of each element's layer, where layers differ in no more
     _joined: Law | None = field(default=None, init=False, compare=False, repr=False)
@@ -267,16 +263,6 @@ class LayeredLaw(Law):
             first,
             laws=tuple(law for law in stacks if law is not None),
             ends=np.stack([law.depths for law in laws], axis=1),
-        )
-
-    def history(self, i: int) -> Self:
-        """Return the law of one of B histories."""
-        present, ends = self.present, self.ends
-        return replace(
-            self,
-            laws=tuple(law.history(i) for law in self.laws),
-            ends=ends if ends is None or ends.ndim < 3 else ends[:, i],
-            present=None if present is None else present[i],
         )
 
     def take(self, histories: IntArray) -> Self:

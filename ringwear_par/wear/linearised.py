@@ -7,9 +7,9 @@ from typing import Protocol
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.wear.averaging import averaged
 from ringwear_par.wear.increment import WearIncrement, WearingBody, total_of
 from ringwear_par.wear.law import Law
+from ringwear_par.wear.laws.non_local import averaged
 from ringwear_par.wear.local_state import LocalState
 
 
@@ -35,19 +35,15 @@ class VaryingNumbers(Protocol):
 
 @dataclass(frozen=True)
 class LinearisedBody:
-    """How a body's depth in all of a step varies with P numbers, along the normal.
+    """How a body's depth in all of a step varies with P numbers, along the normal."""
 
-    Parameters
-    ----------
-    body : at the start of the step.
-    depth : (..., n) mm.
-    change : (P, ..., n) mm, at given pressure.
-    slope : (..., n) mm/MPa, of the averaged pressure where it is averaged.
-    """
-
+    #: at the start of the step
     body: WearingBody
+    #: (..., n) mm
     depth: FloatArray
+    #: (P, ..., n) mm, at given pressure
     change: FloatArray
+    #: (..., n) mm/MPa, of the averaged pressure where it is averaged
     slope: FloatArray
 
     def with_pressure(self, d_p: FloatArray) -> FloatArray:
@@ -60,15 +56,11 @@ class LinearisedBody:
 
 @dataclass(frozen=True)
 class LinearisedIncrement:
-    """How the depths of an increment vary with P numbers.
+    """How the depths of an increment vary with P numbers."""
 
-    Parameters
-    ----------
-    increment : of which it is the linearisation.
-    bodies : those that wear.
-    """
-
+    #: of which it is the linearisation
     increment: WearIncrement
+    #: those that wear
     bodies: Sequence[LinearisedBody]
 
     @property

@@ -24,7 +24,7 @@ class LocalState:
     friction : Coulomb's mu.
     wear : (..., n) float, mm, depth worn off this body so far.
     slid : (..., n) float, mm, distance slid so far (speed integrated over time).
-    parameters : values of the user's own parameters at this time, each a number or (..., n).
+    parameters : values of a user's law's own parameters at this time, each a number or (..., n).
     """
 
     time: float | FloatArray

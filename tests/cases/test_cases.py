@@ -7,7 +7,7 @@ import pytest
 from paths import CASES
 
 from ringwear_par.results.execution.run import run_case
-from ringwear_par.wear.catalogue import LAWS
+from ringwear_par.wear.laws import LAWS
 
 #: the others in that folder are studies
 RUNS = sorted(p for p in CASES.glob("*.toml") if "lower" in tomllib.loads(p.read_text()))

@@ -10,8 +10,8 @@ from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.cases.schema import BY_PATH, KEYS
 from ringwear_par.cases.tables import key_table
 from ringwear_par.errors import InputError
-from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.parameters import parameters_of
+from ringwear_par.wear.law import parameters_of
+from ringwear_par.wear.laws import LAWS
 
 TEXT = PAPER.read_text()
 

@@ -10,7 +10,7 @@ import pytest
 from paths import CASES, PAPER
 
 from ringwear_par import read_case, read_study
-from ringwear_par.cases.files import suggestions
+from ringwear_par.cases.files import key_values
 from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.errors import ComputationError, InputError, legible
 
@@ -162,7 +162,7 @@ def test_nobody_looks_for_what_is_meant_by_keys_that_are_not_told(tmp_path, monk
         looks.append(words)
         return near(*words, **more)
 
-    monkeypatch.setattr(suggestions.difflib, "get_close_matches", counted)
+    monkeypatch.setattr(key_values.difflib, "get_close_matches", counted)
     keys = [f"key{i}" for i in range(3000)]
     told = refusal(parse_case, "\n".join(f"{k} = 1" for k in keys) + f"\n{TEXT}", "case.toml")
     assert told.splitlines()[-1] == "and 2900 faults more"

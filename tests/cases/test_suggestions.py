@@ -2,8 +2,8 @@
 
 import pytest
 
-from ringwear_par.cases.files import suggestions
-from ringwear_par.cases.files.suggestions import nearest_key, unknown_key
+from ringwear_par.cases.files import key_values
+from ringwear_par.cases.files.key_values import nearest_key, unknown_key
 from ringwear_par.cases.schema import KEYS
 
 
@@ -61,6 +61,6 @@ def test_where_none_is_near_those_of_the_table_are_told(path, told):
 
 def test_other_names_are_of_keys():
     last = {key.path.rpartition(".")[2] for key in KEYS}
-    meant = {name for names in suggestions._ALIASES.values() for name in names}
+    meant = {name for names in key_values._ALIASES.values() for name in names}
     assert meant <= last
-    assert not suggestions._ALIASES.keys() & (last - {"n"})
+    assert not key_values._ALIASES.keys() & (last - {"n"})

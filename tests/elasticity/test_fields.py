@@ -7,7 +7,7 @@ from paths import CASES, PAPER
 from stored import assert_same
 
 from ringwear_par.cases.files.reading import read_case
-from ringwear_par.elasticity.stress.boundary_fields import FACES
+from ringwear_par.elasticity.stress.fields import FACES
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble, boundary_recovery, updated_geometry
 from ringwear_par.results.execution.run import run_case

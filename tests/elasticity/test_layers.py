@@ -16,9 +16,8 @@ from ringwear_par.elasticity.bem.boundary import node_wear
 from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.bem.systems import number_dofs
 from ringwear_par.elasticity.bem.updated import UpdatedGeometry
-from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
+from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line, pair_slope
 from ringwear_par.elasticity.geometry.sections import Body, Material, Section
-from ringwear_par.elasticity.geometry.slopes import pair_slope
 
 pytestmark = pytest.mark.serial
 
@@ -84,7 +83,7 @@ def test_same_compliance_on_any_number_of_ranks(body, contact, comm):
     alone = condensed(body, Mesh(24), MPI.COMM_SELF, contact)
     for name in QUANTITIES:
         assert np.array_equal(getattr(found, name), getattr(alone, name)), name
-    assert found.response.kernel_evaluations == alone.response.kernel_evaluations
+    assert found.cost.kernel_evaluations == alone.cost.kernel_evaluations
 
 
 @pytest.mark.parametrize(("body", "coarse"), [(COATED, 16), (BODIES[1][0], 16), (CHAMFERED, 32)])
@@ -214,7 +213,7 @@ def test_an_update_is_a_fresh_assembly(depths, comm):
 def test_an_update_of_layers_saves_most_of_the_work(comm):
     both = layered(LOWER, (0.05, HARD)), UPPER
     line, geometry = moving(both, (True, False), Mesh(24), comm)
-    full = compliance(both[0], line, Mesh(24), comm).response.kernel_evaluations
+    full = compliance(both[0], line, Mesh(24), comm).cost.kernel_evaluations
     through = profiles(line, (0.2, 0.0))
     geometry.update(0.0 * through)
     shallow, deep, again, back = (

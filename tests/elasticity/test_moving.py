@@ -9,13 +9,12 @@ from paths import CASES
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import compliance
 from ringwear_par.elasticity.bem.boundary import node_wear
-from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
-from ringwear_par.elasticity.geometry.slopes import case_slopes, common_slope
+from ringwear_par.elasticity.geometry.mesh import Mesh, case_slopes, common_slope, contact_line
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.history.elastic.pairs import assemble, updated_geometry
 from ringwear_par.verification.fine import SORTS, ring_case
-from ringwear_par.verification.paper import paper_case
+from ringwear_par.verification.histories import paper_case
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 pytestmark = pytest.mark.serial

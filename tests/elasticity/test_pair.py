@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringwear_par.elasticity.bem.body import Body
-from ringwear_par.elasticity.bem.pair import BodyCost, assemble_pair, pair_key
-from ringwear_par.elasticity.bem.reciprocity import symmetric
+from ringwear_par.elasticity.bem.body import Body, BodyCost
+from ringwear_par.elasticity.bem.pair import assemble_pair, pair_key, symmetric
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Section
 from ringwear_par.errors import ComputationError

@@ -19,7 +19,7 @@ from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.history.elastic import pairs
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.petsc import PETSc
-from ringwear_par.verification.paper import paper_case
+from ringwear_par.verification.histories import paper_case
 
 #: ranks share little here: rank 0 reads and writes
 pytestmark = pytest.mark.serial

@@ -6,9 +6,8 @@ import active_set
 import numpy as np
 import pytest
 
-from ringwear_par.elasticity.bem import reciprocity
-from ringwear_par.elasticity.bem.pair import assemble_pair
-from ringwear_par.elasticity.bem.reciprocity import symmetric
+from ringwear_par.elasticity.bem import pair as pair_module
+from ringwear_par.elasticity.bem.pair import assemble_pair, symmetric
 from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
 from ringwear_par.elasticity.geometry.sections import Body, Section
 from ringwear_par.errors import ComputationError
@@ -121,7 +120,7 @@ def test_contact_at_the_axis_alone_is_right_too(comm, monkeypatch):
     exact, _ = active_set.solve(line.area[:, None] * normal, line.area, gap, force=2000.0)
     assert exact[0] > 0.0 == exact[-1]
     with monkeypatch.context() as patch:
-        patch.setattr(reciprocity, "_near_axis", lambda line, *_: np.zeros(line.n))
+        patch.setattr(pair_module, "_near_axis", lambda line, *_: np.zeros(line.n))
         plain = symmetric(line, normal)
     errors = []
     for matrix in (plain, compliance.matrix):
@@ -135,7 +134,7 @@ def test_the_diagonal_near_the_axis_is_of_wide_elements_and_small(compliances):
     compliance = compliances["discs", 32]
     line, weighted = compliance.line, compliance.line.area[:, None] * compliance.collocated
     flat = np.linalg.solve(weighted, line.area)
-    more = reciprocity._near_axis(line, weighted, flat)
+    more = pair_module._near_axis(line, weighted, flat)
     far = line.width < 0.1 * line.r
     assert more.any()
     assert far.any()

@@ -15,7 +15,7 @@ from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.start import first_contact
-from ringwear_par.verification.paper import paper_case
+from ringwear_par.verification.histories import paper_case
 from ringwear_par.verification.reference import contact_modulus
 
 pytestmark = pytest.mark.serial

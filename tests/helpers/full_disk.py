@@ -72,9 +72,9 @@ def _run(kind, folder, before, words, sizes, keep, checkpoint_seconds=1e9, again
     """
     from shutil import copy, copytree, rmtree
 
-    from ringwear_par.results.execution import watch
+    from ringwear_par.results.execution import run as run_command
 
-    watch.CHECKPOINT_SECONDS = checkpoint_seconds
+    run_command.CHECKPOINT_SECONDS = checkpoint_seconds
     for size in sizes:
         for path in folder.iterdir():
             rmtree(path) if path.is_dir() else path.unlink()

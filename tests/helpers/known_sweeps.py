@@ -3,6 +3,7 @@
 import warnings
 
 import numpy as np
+from mpi4py import MPI
 from scipy.stats import qmc
 from stored_cases import StoredCase, block_of
 
@@ -37,7 +38,7 @@ def write(
         arrays["penetration"] = penetration[n] * share
         arrays["worn_volume_lower"] = lower[n] * share
         arrays["worn_volume_upper"] = upper[n] * share
-        arrays.update(step=np.arange(steps[n] + 1.0), r=np.ones(4), width=np.ones(4))
+        arrays.update(r=np.ones(4), width=np.ones(4))
         return StoredCase(f"{n:016x}", status=status[n], columns=arrays)
 
     with Shard(folder / "all_0000.blocks") as shard:
@@ -55,7 +56,7 @@ def write(
         lambda missing: [""] * len(missing),
     )
     attributes = {"method": method, "study": "", "status": "complete", "ranks": 1}
-    write_results(folder, cases, attributes)
+    write_results(folder, cases, attributes, MPI.COMM_SELF)
     shard.path.unlink()
     return read_ensemble(folder)
 

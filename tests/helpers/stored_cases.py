@@ -12,7 +12,7 @@ from ringwear_par.studies.storage.stored_variables import FIELDS, OF_A_CASE
 
 @dataclass
 class StoredCase:
-    """A case and its history: columns by name, "step", "r" and "width" among them."""
+    """A case and its history: columns by name, "r" and "width" among them."""
 
     id: str
     toml: str = ""
@@ -28,12 +28,12 @@ def block_of(cases, version="1", texts=None):
     """Return a block of cases, the first of which has all columns that others have."""
     first = next((case.columns for case in cases if case.columns), {})
     full = [case.columns for case in cases if case.columns]
-    names = first.keys() - {"step", "r", "width"} - OF_A_CASE.keys()
+    names = first.keys() - {"r", "width"} - OF_A_CASE.keys()
     states = {name: np.concatenate([columns[name] for columns in full]) for name in names}
     rows = [len(case.columns.get("time", ())) for case in cases]
     histories = HistoryColumns(
         offsets=np.cumsum([0, *rows]),
-        steps=np.concatenate([columns["step"] for columns in full] or [np.zeros(0)]),
+        steps=np.zeros(0),
         histories=states,
         profiles={},
         imbalance=np.array([case.imbalance for case in cases]),

@@ -18,7 +18,7 @@ from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import sdirk2
 from ringwear_par.results.storage import result_files as results
 from ringwear_par.schedules import Table, integral
-from ringwear_par.verification.paper import OMEGA
+from ringwear_par.verification.histories import OMEGA
 from ringwear_par.wear.laws.non_local import NonLocalLaw
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw

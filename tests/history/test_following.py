@@ -17,8 +17,7 @@ from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.start import initial_state
 from ringwear_par.history.validity.case_limits import check_mesh
-from ringwear_par.verification.histories import round_face
-from ringwear_par.verification.paper import paper_case
+from ringwear_par.verification.histories import paper_case, round_face
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 pytestmark = pytest.mark.serial

@@ -16,14 +16,14 @@ from ringwear_par.history.lockstep import batch_key
 from ringwear_par.history.loop import simulate, simulate_one
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.schedules import Table
-from ringwear_par.verification.paper import OMEGA, paper_case
+from ringwear_par.verification.histories import OMEGA, paper_case
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.non_local import NonLocalLaw
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.table import TableLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
-from ringwear_par.wear.user import UserLaw
+from ringwear_par.wear.laws.user import UserLaw
 
 ADAPTIVE = Stepping("adaptive", until=60.0)
 STEPPINGS = {

@@ -13,7 +13,7 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import METHODS, simulate
 from ringwear_par.history.observers.trace import trace
-from ringwear_par.verification.paper import paper_case
+from ringwear_par.verification.histories import paper_case
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw

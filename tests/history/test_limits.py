@@ -12,7 +12,7 @@ from ringwear_par.elasticity.bem import solve
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.validity.case_limits import check_memory, memory_needed
-from ringwear_par.verification.paper import paper_case
+from ringwear_par.verification.histories import paper_case
 
 
 @pytest.mark.parametrize("n", [64, 128])

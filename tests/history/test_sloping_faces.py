@@ -12,8 +12,7 @@ from ringwear_par.cases.case import Stepping
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import compliance
 from ringwear_par.elasticity.bem.boundary import node_wear
-from ringwear_par.elasticity.geometry.mesh import Mesh
-from ringwear_par.elasticity.geometry.slopes import case_slopes, common_slope
+from ringwear_par.elasticity.geometry.mesh import Mesh, case_slopes, common_slope
 from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.history.elastic.pairs import assemble, updated_geometry
 from ringwear_par.history.loop import simulate_one
@@ -25,9 +24,8 @@ from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.start import initial_state
 from ringwear_par.results.warnings import validity_warnings
 from ringwear_par.verification.fine import CONTACT, Rings, ring_case
-from ringwear_par.wear.averaging import averaging
 from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.laws.non_local import NonLocalLaw
+from ringwear_par.wear.laws.non_local import NonLocalLaw, averaging
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 

@@ -8,8 +8,8 @@ import pytest
 from laboratory import fit_tables, write_tests
 from petsc4py import PETSc
 
-from ringwear_par.cases.text import toml_value
 from ringwear_par.cli import main
+from ringwear_par.files.text import toml_value
 
 
 @pytest.fixture

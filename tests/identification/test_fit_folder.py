@@ -17,9 +17,9 @@ from laboratory import (
 )
 
 import ringwear_par as rw
-from ringwear_par.cases.text import toml_value
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.folders import FIT
+from ringwear_par.files.text import toml_value
 from ringwear_par.identification import fit as fit_room
 from ringwear_par.identification import fit_command, fit_folder
 from ringwear_par.identification.definition.fit_file import read_fit

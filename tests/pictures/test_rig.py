@@ -72,4 +72,7 @@ def test_the_command_draws_a_case_alone(capsys):
 
     case = str(ROOT / "scripts/cases/paper.toml")
     assert main(["plot", case, "-o", "rig.svg", "--steps", "1"]) == 2
-    assert "--steps: must be absent where" in capsys.readouterr().err
+    assert (
+        "is a case; must be the only thing to be drawn, without panels, steps"
+        in capsys.readouterr().err
+    )

@@ -13,7 +13,7 @@ from mpi4py import MPI
 import ringwear_par as rw
 from ringwear_par.cases.case import Stepping
 from ringwear_par.elasticity.geometry.mesh import Mesh
-from ringwear_par.verification.paper import paper_case
+from ringwear_par.verification.histories import paper_case
 
 
 def test_benchmark_fills_its_table():

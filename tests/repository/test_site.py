@@ -23,8 +23,8 @@ from ringwear_par.identification.test_design.candidates import count_of
 from ringwear_par.measuring.definition import schema as measure_schema
 from ringwear_par.measuring.definition.measure_file import read_measure
 from ringwear_par.studies.definition import schema as study_schema
-from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.parameters import parameters_of
+from ringwear_par.wear.law import parameters_of
+from ringwear_par.wear.laws import LAWS
 
 PAGES = [
     ROOT / "README.md",

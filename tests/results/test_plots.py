@@ -228,7 +228,7 @@ def test_what_is_stored_is_drawn_beside_what_is_not(runs, caplog):
 
 
 def test_long_histories_are_drawn_in_hours(tmp_path, comm):
-    from ringwear_par.results.instants import time_unit
+    from ringwear_par.results.key_numbers import time_unit
 
     run_case(
         PAPER, tmp_path / "a.h5",
@@ -268,7 +268,7 @@ def test_a_history_of_one_state_has_no_rate(runs):
 def test_the_peak_of_pressure_is_the_same_everywhere(tmp_path, comm):
     from ringwear_par.explorer.figures import Drawing
     from ringwear_par.reports.run_page import profiles
-    from ringwear_par.results.instants import pressure_peak
+    from ringwear_par.results.key_numbers import pressure_peak
 
     words = ["mesh.contact_elements=32", "time.steps=8"]
     run_case(PAPER, tmp_path / "a.h5", words, comm=comm)

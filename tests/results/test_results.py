@@ -10,7 +10,7 @@ from stored import assert_same, contents
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.pictures.figures import FigureFile
 from ringwear_par.results.execution import run as driver
-from ringwear_par.results.execution import watch as monitor
+from ringwear_par.results.execution import run as monitor
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage import result_files as results
 from ringwear_par.results.variables import HISTORIES

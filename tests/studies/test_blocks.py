@@ -14,7 +14,7 @@ from ringwear_par.history.loop import simulate_one
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.result import FailedResult, HistoryColumns
-from ringwear_par.results.storage.checkpoints import restored
+from ringwear_par.results.storage.result_files import restored
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.execution.batches import computed
 from ringwear_par.studies.execution.many import simulate_all

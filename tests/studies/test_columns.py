@@ -11,8 +11,8 @@ from swept import write_study
 
 from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.files.reading import make_case
-from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
+from ringwear_par.files.text import toml_text
 from ringwear_par.studies.definition import checking
 from ringwear_par.studies.definition import study as studies
 from ringwear_par.studies.definition.checking import LOOKED_AT, case_faults
@@ -22,7 +22,7 @@ from ringwear_par.studies.definition.study import read_study
 from ringwear_par.studies.definition.variations import Column, split_key, varied_keys
 from ringwear_par.studies.storage.blocks import BY_CASE, BY_STATE, CASE, Kind, PackedBlock
 from ringwear_par.studies.storage.case_index import CaseIndex
-from ringwear_par.studies.storage.padded_tables import fill
+from ringwear_par.studies.storage.case_windows import fill
 
 pytestmark = pytest.mark.serial
 CASES = Path(__file__).parents[2] / "scripts/cases"
@@ -103,10 +103,10 @@ def study_of(rng, folder):
 def one_by_one(tables):
     """Return ids and cases of a study without repetitions, or its first faults and their number."""
     draft = read_draft(tables)
-    parts = [split_key(name) for name in draft.names]
+    parts = [split_key(name) for name in draft.cases.names]
     found, bad = {}, []
-    for number, row in enumerate(zip(*(c.by_case() for c in draft.columns), strict=True)):
-        keys, name = varied_keys(draft.base, parts, row), f"study: case {number + 1}"
+    for number, row in enumerate(zip(*(c.by_case() for c in draft.cases.columns), strict=True)):
+        keys, name = varied_keys(draft.cases.base, parts, row), f"study: case {number + 1}"
         try:
             case = make_case(keys, name)
             refuse_bad_laws(case, name)
@@ -114,7 +114,7 @@ def one_by_one(tables):
             bad.append((number + 1, error.faults))
             continue
         found.setdefault(case_id(keys), (row, case, keys))
-    return found, tuple(case_faults("study", bad[:LOOKED_AT], len(bad), draft.count))
+    return found, tuple(case_faults("study", bad[:LOOKED_AT], len(bad), len(draft.cases)))
 
 
 @pytest.mark.parametrize("seed", range(60))
@@ -199,7 +199,7 @@ def test_numbers_of_a_table_are_those_that_toml_has(tmp_path):
          "design": {"method": "list", "file": str(tmp_path / "rows.csv")}}
     )  # fmt: skip
     wanted = [1, 0, 0.5, 1e-7, 1e3, 5, "01", 1000, float("inf"), ".5", "5.", 16, "a"]
-    assert repr(draft.columns[0].by_case()) == repr(wanted)
+    assert repr(draft.cases.columns[0].by_case()) == repr(wanted)
 
 
 def test_columns_tell_values_apart_as_they_are_written():

@@ -204,7 +204,7 @@ def test_shards_that_are_removed_under_a_sweep(tmp_path, swept, comm, monkeypatc
         patch.setattr(TeamStore, "add", storing)
         draw_one_by_one(patch)
         patch.setattr(shards, "_SYNC_SECONDS", 0.0 if seen_under_way else 1e9)
-        patch.setattr(merging, "PATIENCE_SECONDS", 0.3)
+        patch.setattr(merging, "_PATIENCE_SECONDS", 0.3)
         with pytest.raises(ComputationError) as trouble:
             run_sweep(study, output, comm)
     assert len(str(trouble.value).splitlines()) == 1

@@ -13,7 +13,7 @@ from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.observers.trace import Trace
 from ringwear_par.results.execution.simulate import simulate
 from ringwear_par.results.result import FailedResult, Result
-from ringwear_par.results.storage.checkpoints import restored
+from ringwear_par.results.storage.result_files import restored
 from ringwear_par.schedules import Table
 from ringwear_par.studies.execution import many
 from ringwear_par.studies.execution.many import simulate_all

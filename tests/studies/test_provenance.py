@@ -36,36 +36,32 @@ def test_another_version_does_not_mix_with_the_first(swept, shared_path, comm, m
     with pytest.raises(InputError) as raised:
         swept("0, 20, 40")
     (told,) = raised.value.faults
-    for word in (f"2 by {mine}", "this is 99.0", "--mix-versions", "mix_versions=True"):
+    for word in (f"2 by {mine}", "this is 99.0", "must be a new folder"):
         assert word in told
-    assert swept("0, 20, 40", mix_versions=True).computed == 1
-    assert [row["version"] for row in table(shared_path / "out")] == [mine, mine, "99.0"]
-    assert [v.decode() for v in variables(shared_path / "out")["version"]] == [mine, mine, "99.0"]
-    comm.Barrier()
     with pytest.raises(InputError, match="2 by"):
-        swept("0, 20, 40")  # they are still of two versions
-    with pytest.raises(InputError, match="2 by"):
-        swept("0, 20, 40, 60", part=(1, 2))
-    assert swept("40", mix_versions=False).computed == 0  # the others are no longer of the study
+        swept("0, 20, 40, 60", part=(2, 2))
+    assert swept("40").computed == 1  # the others are no longer of the study
+    versions = dict.fromkeys(["0", "20"], mine) | {"40": "99.0"}
+    rows = table(shared_path / "out")
+    assert {row["wear.lower.p0"]: row["version"] for row in rows} == versions
+    assert sorted(v.decode() for v in variables(shared_path / "out")["version"]) == sorted(
+        versions.values()
+    )
 
 
 def test_interrupted_cases_of_another_version_start_anew(
     swept, shared_path, comm, monkeypatch, stopped_after, caplog
 ):
+    mine = ringwear_par.__version__
     with stopped_after(7), pytest.raises(ComputationError, match="stopped"):
         swept("0", ranks_per_case=comm.size)
     first = table(shared_path / "out")
-    assert [(row["status"], row["version"]) for row in first] == [
-        ("incomplete", ringwear_par.__version__)
-    ]
+    assert [(row["status"], row["version"]) for row in first] == [("incomplete", mine)]
     comm.Barrier()
     for module in (ringwear_par, version, plan, team_store):
         monkeypatch.setattr(module, "__version__", "99.0")
-    read = []
-    monkeypatch.setattr("ringwear_par.studies.execution.team_store.open_result", read.append)
     assert swept("0", ranks_per_case=comm.size).done == 1
-    assert not read
-    assert comm.rank > 0 or "1 interrupted cases of another version start anew" in caplog.text
+    assert comm.rank > 0 or f"is of version {mine} of ringwear-par" in caplog.text
     (row,) = table(shared_path / "out")
     assert row["version"] == "99.0"
 

@@ -20,7 +20,7 @@ def block_of(*names):
     """A block of cases whose times are their numbers."""
     cases = []
     for n, name in enumerate(names):
-        columns = {"time": np.full(3, float(n)), "step": np.arange(3.0), "r": np.ones(4)}
+        columns = {"time": np.full(3, float(n)), "r": np.ones(4)}
         columns["pressure"] = np.full((3, 4), 10.0 * n)
         cases.append(StoredCase(name, f"text {name}", "done", "", 1.0 + n, 0.5, columns))
     return block_of_cases(cases)
@@ -104,7 +104,7 @@ def test_damaged_data_are_not_taken_for_numbers(path):
     path.write_bytes(content)
     assert names(path) == "abc"
     with pytest.raises(DamagedError):
-        block.read(["step"])
+        block.read(["time"])
 
 
 def test_what_does_not_fit_is_taken_back(path, monkeypatch):

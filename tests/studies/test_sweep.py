@@ -18,7 +18,7 @@ from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage.result_files import open_result
 from ringwear_par.results.variables import HISTORIES, PROFILES
 from ringwear_par.studies.definition.study import read_study
-from ringwear_par.studies.execution import estimate, shared_pairs, single_cases, sweep
+from ringwear_par.studies.execution import estimate, pairs, single_cases, sweep
 from ringwear_par.studies.storage import (
     case_table,
     case_variables,
@@ -121,14 +121,14 @@ def test_ten_geometries_cost_ten_assemblies(write, shared_path, comm, monkeypatc
         '"time.steps" = { values = [2] }\n'
     )
     assembled = []
-    original = shared_pairs.assemble
+    original = pairs.assemble
     monkeypatch.setattr(
-        shared_pairs, "assemble",
+        pairs, "assemble",
         lambda case, team: (assembled.append(case.upper.r), original(case, team))[1],
     )  # fmt: skip
     swept(study, shared_path / "out", comm)
     everywhere = [r for part in comm.allgather(assembled) for r in part]
-    assert len(everywhere) == 10
+    assert 10 <= len(everywhere) <= 9 + comm.size  # once more by each team that helps at the end
     assert len(set(everywhere)) == 10
     assert len(table(shared_path / "out")) == 120
 
@@ -263,14 +263,14 @@ def test_a_failed_case_is_a_row_and_the_others_go_on(
 
 
 def test_an_operator_that_fails_fails_its_cases_only(write, shared_path, comm, monkeypatch):
-    original = shared_pairs.assemble
+    original = pairs.assemble
 
     def assemble(case, team):
         if case.upper.r[0] == 28.0:
             raise ComputationError("the factorisation failed")
         return original(case, team)
 
-    monkeypatch.setattr(shared_pairs, "assemble", assemble)
+    monkeypatch.setattr(pairs, "assemble", assemble)
     with pytest.raises(ComputationError, match="6 of 12 cases failed"):
         swept(write(STUDY), shared_path / "out", comm)
     comm.Barrier()

@@ -12,7 +12,7 @@ import try_faults as faults
 from commands import SHELL_ENVIRONMENT
 from waiting import STEPS, Waiting
 
-from ringwear_par.results.execution import watch
+from ringwear_par.results.execution import run as run_command
 from ringwear_par.studies.execution import summary, team_store
 from ringwear_par.studies.execution.sweep import run_sweep
 
@@ -224,7 +224,7 @@ def test_signal_to_one_rank(tmp_path, held):
 
 def test_no_checkpoint_is_left(tmp_path, monkeypatch, one_by_one, comm):
     study = faults.write_study(tmp_path, count=2, steps=4, elements=(16,))
-    monkeypatch.setattr(watch, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(run_command, "CHECKPOINT_SECONDS", 0.0)
     written, write = [], team_store.write_result
     monkeypatch.setattr(team_store, "write_result", lambda *w: (written.append(w), write(*w))[1])
     run_sweep(study, tmp_path / "out", comm)

@@ -11,7 +11,8 @@ from known_sweeps import sample, write
 from ringwear_par.errors import InputError
 from ringwear_par.studies.analysis.sensitivity import sensitivity_indices
 from ringwear_par.studies.pictures.choice import choose
-from ringwear_par.studies.pictures.figures import draw_sweep, plot_sweep
+from ringwear_par.studies.pictures.figures import draw_sweep
+from ringwear_par.studies.pictures.plot import plot_stored
 from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
@@ -210,11 +211,11 @@ def test_wrong_requests(tmp_path):
     write(tmp_path, KEYS[:1], [(1.0,), (2.0,)], [1.0, 1.0], status=["failed", "incomplete"])
     before = sorted(tmp_path.iterdir())
     with pytest.raises(InputError, match=r"no case that is done \(2 cases, 1 failed, 1 incompl"):
-        plot_sweep(tmp_path, tmp_path / "a.png")
+        plot_stored([tmp_path], tmp_path / "a.png")
     with pytest.raises(InputError, match="its ending must be one of"):
-        plot_sweep(tmp_path, tmp_path / "a.docx")
+        plot_stored([tmp_path], tmp_path / "a.docx")
     with pytest.raises(InputError, match="does not exist"):
-        plot_sweep(tmp_path / "none", tmp_path / "a.png")
+        plot_stored([tmp_path / "none"], tmp_path / "a.png")
     assert sorted(tmp_path.iterdir()) == before
 
 
@@ -233,7 +234,7 @@ def test_many_cases_are_drawn_from_a_part_of_their_histories(tmp_path, monkeypat
 
     monkeypatch.setattr(Ensemble, "histories", counted)
     monkeypatch.setattr("ringwear_par.studies.pictures.histories._BLOCK_BYTES", 2e5)
-    plot_sweep(tmp_path / "a", tmp_path / "a.png")
+    plot_stored([tmp_path / "a"], tmp_path / "a.png")
     assert sum(cases for name, cases, _ in read if name == "penetration") == 2000
     assert {name for name, _, _ in read} == {"time", "penetration"}
     assert max(size for _, _, size in read) <= 2e5

@@ -1,4 +1,4 @@
-"""Sweeps of sloping faces: the pairs that teams map know their slopes, and doubts are flags."""
+"""Sweeps of sloping faces: histories are those of single runs, and doubts are flags."""
 
 import h5py
 import numpy as np
@@ -6,11 +6,9 @@ import pytest
 from swept import CASE, table, variables, write_study
 
 from ringwear_par.cases.files.reading import parse_case
-from ringwear_par.elasticity.geometry.slopes import case_slopes
-from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.elasticity.geometry.mesh import case_slopes
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.variables import HISTORIES
-from ringwear_par.studies.execution.shared_pairs import map_pair, write_pair
 from ringwear_par.studies.execution.sweep import sweep
 
 
@@ -33,26 +31,6 @@ STUDY = """
 [design]
 method = "grid"
 """
-
-
-@pytest.fixture(scope="module")
-def case():
-    return parse_case(CONES, "cones")
-
-
-def test_a_mapped_pair_is_the_one_assembled(case, shared_path, comm):
-    path = shared_path / "pair.npy"
-    write_pair(path, case, comm)
-    pair, mapped = assemble(case, comm), map_pair(path, case, comm)
-    assert np.array_equal(mapped.slope, pair.slope)
-    assert pair.slope == pytest.approx(np.full(16, 0.3), rel=1e-8)
-    for name in ("normal", "twist", "force_reaction", "torque_reaction"):
-        assert np.array_equal(getattr(mapped, name), getattr(pair, name)), name
-    assert mapped.key == pair.key
-    one, other = (p.compliance((1e4, 1e5)) for p in (pair, mapped))
-    assert np.array_equal(one.matrix, other.matrix)
-    assert np.array_equal(one.excess, other.excess)
-    assert np.array_equal(one.obliquity, other.obliquity)
 
 
 def test_a_sweep_of_cones_equals_single_runs(shared_path, comm):

@@ -1,22 +1,11 @@
 """A rank of a team that fails alone takes the others with it, and nobody waits for ever."""
 
-import os
-import signal
-from types import SimpleNamespace
-
-import numpy as np
 import pytest
 from swept import CASE, table, write_study
 
 from ringwear_par.errors import ComputationError
 from ringwear_par.history import batch
-from ringwear_par.results.execution.stopping import StopSignals
-from ringwear_par.studies.execution import shared_pairs
-from ringwear_par.studies.execution.case_queue import SharedQueue
-from ringwear_par.studies.execution.plan import CaseSet
-from ringwear_par.studies.execution.summary import Timings
 from ringwear_par.studies.execution.sweep import sweep
-from ringwear_par.studies.execution.teams import Team
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 pytestmark = pytest.mark.mpi(min_size=2)
@@ -81,54 +70,3 @@ def test_a_start_that_fails_on_one_rank_fails_its_case(swept, shared_path, comm,
         swept()
     comm.Barrier()
     assert [row["status"] for row in table(shared_path / "out")] == FAILED
-
-
-class Disk:
-    """Shows files to the last rank only after so many looks."""
-
-    def __init__(self, comm, late):
-        self.load, self.late, self.last = np.load, late, comm.rank == comm.size - 1
-
-    def __call__(self, path, **how):
-        """Load as numpy does, if the file is to be seen."""
-        if self.last and self.late > 0:
-            self.late -= 1
-            if self.late % 2:
-                raise ValueError("mmap length is greater than file size")
-            raise FileNotFoundError(2, os.strerror(2), str(path))
-        return self.load(path, **how)
-
-
-def test_an_operator_that_one_rank_sees_late(swept, comm, monkeypatch):
-    disk = Disk(comm, 5)
-    monkeypatch.setattr(shared_pairs.np, "load", disk)
-    assert swept().done == 12
-    assert not disk.last or disk.late == 0
-
-
-def test_an_operator_that_one_rank_never_sees(swept, comm, monkeypatch):
-    """Not the fault of a case: the sweep ends, and goes on another time."""
-    monkeypatch.setattr(shared_pairs.np, "load", Disk(comm, 10**9))
-    monkeypatch.setattr(shared_pairs, "PATIENCE_SECONDS", 0.2)
-    with pytest.raises(ComputationError, match=r"cannot be mapped: .*the same command goes on"):
-        swept()
-    comm.Barrier()
-    monkeypatch.undo()
-    assert swept().done == 12
-
-
-def test_a_signal_to_any_rank_ends_the_wait_for_an_operator(shared_path, comm):
-    """That another team was to provide: nobody draws any more."""
-    plan = SimpleNamespace(
-        folder=SimpleNamespace(operator=lambda group: shared_path / f"{group}.npy"),
-        cases=lambda *stretch: CaseSet([None], ["a"]),
-        all_assemble=True,
-    )
-    signals = StopSignals()
-    if comm.rank == comm.size - 1:
-        signals.received = signal.SIGTERM
-    queue = SharedQueue([2], comm, 1, [1.0], lambda group: None)
-    Team(plan, comm, queue, None, signals, None, Timings()).work()
-    queue.wait_for_all(lambda: None)
-    assert comm.rank > 0 or queue.stopped
-    queue.destroy()

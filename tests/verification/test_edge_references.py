@@ -12,7 +12,7 @@ from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import trace
-from ringwear_par.verification.edges import finite_element_errors, pressure_errors
+from ringwear_par.verification.faces import finite_element_errors, pressure_errors
 from ringwear_par.verification.fine import (
     CONTACT,
     FORCE,

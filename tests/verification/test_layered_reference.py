@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from ringwear_par.elasticity.geometry.sections import Material
 from ringwear_par.verification import reference
-from ringwear_par.verification.layered_reference import (
+from ringwear_par.verification.reference import (
     LayeredHalfSpace,
     burmister,
     mode_matrix,

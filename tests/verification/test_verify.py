@@ -13,7 +13,7 @@ from ringwear_par.verification import reference, verify
 from ringwear_par.verification.check import NU, Check
 from ringwear_par.verification.fine import SORTS, TIMES
 from ringwear_par.verification.half_space import indented, pressure_at
-from ringwear_par.verification.paper import paper_case
+from ringwear_par.verification.histories import paper_case
 
 pytestmark = pytest.mark.serial
 

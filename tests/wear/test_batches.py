@@ -9,17 +9,17 @@ from ringwear_par import schedules
 from ringwear_par.errors import ComputationError
 from ringwear_par.schedules import Stacked, Table
 from ringwear_par.wear import LocalState
-from ringwear_par.wear.averaging import averaging
 from ringwear_par.wear.checked_law import complete
+from ringwear_par.wear.checks import serves_many
 from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.law import stack_laws
 from ringwear_par.wear.laws.archard import ArchardLaw
-from ringwear_par.wear.laws.non_local import NonLocalLaw
+from ringwear_par.wear.laws.non_local import NonLocalLaw, averaging
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.table import TableLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
-from ringwear_par.wear.user import UserLaw, serves_many
+from ringwear_par.wear.laws.user import UserLaw
 
 N = 37
 R = np.linspace(28.5, 31.5, N)
@@ -93,18 +93,15 @@ def test_a_history_has_the_same_numbers_alone_and_among_others(laws):
     depths = together.depths(p)
     assert depths.shape == (2, 5, N)
     for i, single in enumerate(alone):
-        for increment in (single, together.history(i)):
-            own = increment.depths(p[i])
-            assert np.array_equal(depths[:, i], own)
-            # quadrature of a rate alone takes long, and is the same for all laws with memory
-            slow = () if isinstance(laws[0], UserLaw) else ("potential",)
-            for name in ("depth", "d_depth_dp", "jacobian", *slow):
-                of_all, of_one = getattr(together, name)(p)[i], getattr(increment, name)(p[i])
-                assert np.array_equal(of_all, of_one), name
-            change = np.cos(p)
-            depth = together.depth_change(together.slope(p), change)[i]
-            alone = increment.depth_change(increment.slope(p[i]), change[i])
-            assert np.array_equal(depth, alone)
+        assert np.array_equal(depths[:, i], single.depths(p[i]))
+        # quadrature of a rate alone takes long, and is the same for all laws with memory
+        slow = () if isinstance(laws[0], UserLaw) else ("potential",)
+        for name in ("depth", "d_depth_dp", "jacobian", *slow):
+            of_all, of_one = getattr(together, name)(p)[i], getattr(single, name)(p[i])
+            assert np.array_equal(of_all, of_one), name
+        change = np.cos(p)
+        depth = together.depth_change(together.slope(p), change)[i]
+        assert np.array_equal(depth, single.depth_change(single.slope(p[i]), change[i]))
 
 
 @pytest.mark.parametrize("laws", LAWS.values(), ids=LAWS)

@@ -120,7 +120,6 @@ def test_histories_in_their_layers_are_those_alone(name):
     depths = during.depth(p)
     for i, laws in enumerate((CASES[name], changed)):
         np.testing.assert_array_equal(increment(laws, present[i]).depth(p[i]), depths[i])
-        np.testing.assert_array_equal(during.history(i).depth(p[i]), depths[i])
         one = np.array([i])
         np.testing.assert_array_equal(during.take(one).depth(p[one])[0], depths[i])
 

@@ -290,7 +290,7 @@ def test_the_file_of_a_law_is_read_once_and_like_other_files(law, monkeypatch):
         read.append(path)
         return read_text(path)
 
-    monkeypatch.setattr("ringwear_par.wear.user.read_text", counted)
+    monkeypatch.setattr("ringwear_par.wear.laws.user.read_text", counted)
     assert read_case(PAPER, keys).wear_lower.source == GOOD
     assert read.count(path) == 1
 

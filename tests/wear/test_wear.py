@@ -6,26 +6,26 @@ import numpy as np
 import pytest
 from wearing import sliding, step_wear
 
+from ringwear_par.arrays import derivative
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import Table
-from ringwear_par.wear import averaging as averages
-from ringwear_par.wear.averaging import averaging
 from ringwear_par.wear.checked_law import complete
-from ringwear_par.wear.derivative_test import (
+from ringwear_par.wear.checks import (
+    check_user_law,
     taylor_test,
     taylor_test_parameter,
     taylor_test_wear,
 )
-from ringwear_par.wear.derivatives import derivative
 from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.law import Law
+from ringwear_par.wear.laws import non_local as averages
 from ringwear_par.wear.laws.archard import ArchardLaw
-from ringwear_par.wear.laws.non_local import NonLocalLaw
+from ringwear_par.wear.laws.non_local import NonLocalLaw, averaging
 from ringwear_par.wear.laws.power import PowerLaw
 from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.table import TableLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
-from ringwear_par.wear.user import UserLaw, check_user_law
+from ringwear_par.wear.laws.user import UserLaw
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def test_the_length_is_no_parameter_of_the_rate_itself():
 def test_a_law_needs_its_rate_only():
     """What a plain object lacks is found: derivatives, memory of worn depth, its integral."""
     own, at, step = Hardening(9e-7, 1e-6), sliding(POWER, wear=np.full(5, 1e-7)), 50.0
-    increment = WearIncrement((own, None), (at, at), step)
+    increment = WearIncrement((complete(own), None), (at, at), step)
     depth = increment.depth(P)
     end = sliding(POWER, wear=1e-7 + depth)
     assert depth == pytest.approx(step * own.rate(P, end), rel=1e-12, abs=1e-30)

@@ -7,21 +7,21 @@ from typing import Any
 
 from ringwear_par.cases.case import SAME_TIME, Case, RingLayer
 from ringwear_par.cases.schema import BY_PATH
-from ringwear_par.cases.text import shortened
 from ringwear_par.elasticity.geometry.mesh import contact_pieces
-from ringwear_par.elasticity.geometry.profiles import (
+from ringwear_par.elasticity.geometry.sections import (
     CLOSE,
+    Polyline,
     Shape,
     chamfer_face,
     chamfer_faults,
+    corners,
     profile_face,
     profile_faults,
     shape_face,
     shape_faults,
 )
-from ringwear_par.elasticity.geometry.sections import Polyline, corners
 from ringwear_par.errors import InputError
-from ringwear_par.files.text import value_fault
+from ringwear_par.files.text import shortened, value_fault
 from ringwear_par.schedules import Quantity, largest, quantity_text
 
 #: of a face: more are of a trace that is not smooth
@@ -32,17 +32,13 @@ LOADS = frozenset({"load.force", "load.pressure", "load.displacement"})
 
 @dataclass(frozen=True)
 class Origin:
-    """Where the keys of a case come from, as messages tell it.
+    """Where the keys of a case come from, as messages tell it."""
 
-    Parameters
-    ----------
-    name : the file, or what else the case is called.
-    overrides : dotted keys that were set over its own.
-    setting : what set them.
-    """
-
+    #: the file, or what else the case is called
     name: str
+    #: dotted keys that were set over its own
     overrides: frozenset[str] = frozenset()
+    #: what set them
     setting: str = "--set"
 
     def prefix(self, path: str) -> str:

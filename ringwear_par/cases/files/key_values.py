@@ -1,7 +1,12 @@
-"""Values of a case's keys, each read by itself; and outlines of its sections, made of these."""
+"""Values of a case's keys, each by itself; wear laws and outlines of sections, made of these.
 
+Of an unknown key, the known one that is nearest.
+"""
+
+import difflib
 import itertools
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,13 +14,23 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.faults import Origin, contact_faces
 from ringwear_par.cases.files.keys import read_keys
-from ringwear_par.cases.files.suggestions import nearest_keys, unknown_key
 from ringwear_par.cases.layers import LAYERS, expanded, layer_tables, of_refused_law
-from ringwear_par.cases.schema import KEYS, TABLES, key_of, keys_of_layer
-from ringwear_par.cases.text import shortened
+from ringwear_par.cases.schema import (
+    BY_PATH,
+    KEYS,
+    LAYER_KEYS,
+    TABLES,
+    key_of,
+    keys_of_layer,
+    law_keys,
+    layer_entry,
+)
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.geometry.sections import Section
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.files.text import shortened
+from ringwear_par.wear.law import Law, parameters_of
+from ringwear_par.wear.laws import LAWS
 
 
 def read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any], list[str]]:
@@ -60,18 +75,14 @@ def read_values(keys: Mapping[str, Any], origin: Origin) -> tuple[dict[str, Any]
 
 
 class Outline(NamedTuple):
-    """What a section looks like, in the frame of the case.
+    """What a section looks like, in the frame of the case."""
 
-    Parameters
-    ----------
-    contour : (m, 2) float, mm, r and z of the corners around the unworn body; the contact face
-        from the inner to the outer radius comes first, two corners of the fixed face last.
-    interfaces : (l,) float, mm, heights between layers, from the contact face on.
-    plane : mm, height of the contact plane, which depths of the face count from.
-    """
-
+    #: (m, 2) float, mm, r and z of the corners around the unworn body; the contact face from the
+    #: inner to the outer radius comes first, two corners of the fixed face last
     contour: FloatArray
+    #: (l,) float, mm, heights between layers, from the contact face on
     interfaces: FloatArray
+    #: mm, height of the contact plane, which depths of the face count from
     plane: float
 
 
@@ -108,3 +119,228 @@ def outlines(text: str, name: str) -> tuple[Outline, Outline]:
             )
         )
     return sections[0], sections[1]
+
+
+def read_law(
+    name: str, table: str, keys: Mapping[str, Any], values: Mapping[str, Any], faults: list[str]
+) -> Law | None:
+    """Return a body's wear law, None where it has none or a wrong one; add to the faults.
+
+    Parameters
+    ----------
+    name : what messages call the case.
+    table : "wear.lower", "wear.upper", or that of a layer, "lower.layers[0].wear".
+    keys, values : dotted keys as given, and as read, defaults included; without wrong ones, and
+        without those that a misspelt one means.
+    faults : what is wrong with the case.
+    """
+    if not any(path.startswith(f"{table}.") for path in keys):
+        return None
+    if values.get(f"{table}.law", "") is None:
+        faults.append(f"{name}: {table}.law is missing: {_rule(f'{table}.law')}")
+    law = values.get(f"{table}.law")
+    if law is None:
+        return None
+    declared = parameters_of(LAWS[law])
+    law_faults = [
+        f'{table}.{key} is missing: {_rule(f"{table}.{key}")} where {table}.law = "{law}"'
+        for key, parameter in declared.items()
+        if parameter.needed and values.get(f"{table}.{key}", "") is None
+    ]
+    known = law_keys(table, law)
+    law_faults += [
+        f'{path}: has no meaning where {table}.law = "{law}"; must be among {", ".join(declared)}'
+        f"{_owners(path)}"
+        for path in keys
+        if path.startswith(f"{table}.") and path not in known and key_of(path) is not None
+    ]
+    parameters = {key: values[path] for key in declared if (path := f"{table}.{key}") in values}
+    result = None
+    if law_faults or len(parameters) < len(declared):
+        law_faults += LAWS[law].faults(f"{table}.", parameters)
+    else:
+        result, law_faults = make_law(LAWS[law], table, parameters)
+    faults += [f"{name}: {fault}" for fault in law_faults]
+    return result
+
+
+def make_law(
+    kind: type[Law], table: str, values: Mapping[str, Any]
+) -> tuple[Law | None, list[str]]:
+    """Return a law of parameters that are right one by one; or None, and what is wrong with them.
+
+    Parameters
+    ----------
+    table : as of ``read_law``.
+    values : of all parameters, by name.
+    """
+    faults = kind.faults(f"{table}.", values)
+    if faults:
+        return None, faults
+    try:
+        return kind.from_values(values), []
+    except InputError as error:
+        return None, [f"{table}.{fault}" for fault in error.faults]
+
+
+def _rule(path: str) -> str:
+    key = key_of(path)
+    assert key is not None
+    return key.rule
+
+
+def _owners(path: str) -> str:
+    """Return the laws that have a parameter, in words."""
+    name = path.rpartition(".")[2]
+    laws = [f'"{law}"' for law in LAWS if name in parameters_of(LAWS[law])]
+    return f" ({name} is of law = {' or '.join(laws)})" if laws else ""
+
+
+#: what users call the last parts of keys, in small letters without "_" and "-"
+_ALIASES: dict[str, tuple[str, ...]] = {
+    "angularspeed": ("omega",),
+    "angularvelocity": ("omega",),
+    "axialforce": ("force",),
+    "coefficient": ("friction", "k"),
+    "coefficientoffriction": ("friction",),
+    "cof": ("friction",),
+    "contactpressure": ("pressure",),
+    "diameter": ("r",),
+    "dt": ("step",),
+    "duration": ("end",),
+    "e": ("young",),
+    "elasticmodulus": ("young",),
+    "elements": ("contact_elements",),
+    "endtime": ("end",),
+    "f": ("force", "friction"),
+    "fn": ("force",),
+    "height": ("z",),
+    "indentation": ("displacement",),
+    "load": ("force",),
+    "meanpressure": ("pressure",),
+    "method": ("scheme",),
+    "mode": ("control",),
+    "model": ("law",),
+    "modulus": ("young",),
+    "mu": ("friction",),
+    "n": ("force", "contact_elements"),
+    "name": ("title",),
+    "nelements": ("contact_elements",),
+    "normalforce": ("force",),
+    "nsteps": ("steps",),
+    "nu": ("poisson",),
+    "numberofsteps": ("steps",),
+    "p": ("pressure",),
+    "poissonratio": ("poisson",),
+    "poissonsratio": ("poisson",),
+    "radii": ("r",),
+    "radius": ("r",),
+    "rotation": ("omega",),
+    "rotationalspeed": ("omega",),
+    "rpm": ("omega",),
+    "slidingspeed": ("omega",),
+    "speed": ("omega",),
+    "stiffness": ("young",),
+    "tend": ("end",),
+    "thickness": ("z",),
+    "threshold": ("p0",),
+    "timestep": ("step",),
+    "tol": ("tolerance",),
+    "totaltime": ("end",),
+    "u": ("displacement",),
+    "until": ("end",),
+    "v": ("omega",),
+    "velocity": ("omega",),
+    "wearcoefficient": ("k",),
+    "wearrate": ("k",),
+    "youngmodulus": ("young",),
+    "youngsmodulus": ("young",),
+}
+#: least likeness of last parts in one table, of last parts of one or two letters, and elsewhere
+_NEAR, _NEAR_SHORT, _NEAR_ELSEWHERE = 0.6, 0.5, 0.75
+#: entries of a layer
+_LAYER_ENTRIES = tuple(dict.fromkeys(key.path.partition(".")[0] for key in LAYER_KEYS))
+#: what is meant as one
+_LIKE_A_LAYER = re.compile(r"(lower|upper)\.layers?(?:[\[.](\d{1,3})\]?|\[[^\]]*\])?\.", re.ASCII)
+#: longer than any key, and slow to compare
+_LONGEST = 100
+
+
+def unknown_key(path: str) -> str:
+    """Return the rule for an unknown key: the nearest known ones, or all keys of its table."""
+    hint = nearest_key(path)
+    if not hint:
+        table = path.rpartition(".")[0]
+        known = dict.fromkeys([*BY_PATH, *sorted(TABLES)])
+        names = [_last(name) for name in known if name.rpartition(".")[0] == table]
+        if (entry := layer_entry(path)) is not None:
+            inner = [key.path.partition("wear.")[2] for key in LAYER_KEYS]
+            names = (
+                list(filter(None, inner)) if entry[2].startswith("wear.") else list(_LAYER_ENTRIES)
+            )
+        hint = f"; must be {', '.join(names)}" if table and names else ""
+    return f"unknown key{hint}"
+
+
+def nearest_key(path: str) -> str:
+    """Return a hint at the known key nearest to an unknown one, "" where none is near."""
+    entry, near = layer_entry(path), nearest_keys(path)
+    if entry is not None:  # its own layer needs no name
+        near = [key.removeprefix(f"{entry[0]}{entry[1]}.") for key in near]
+    return f" (did you mean {' or '.join(near)}?)" if near else ""
+
+
+def nearest_keys(path: str) -> list[str]:
+    """Return the known keys nearest to an unknown one.
+
+    Last parts are compared first, and those of the same table before all others.
+    """
+    if len(path) > _LONGEST:
+        return []
+    entry = layer_entry(path)
+    if entry is not None:
+        near = _near(_last(entry[2]), [key.path for key in LAYER_KEYS], _NEAR_SHORT)
+        return [f"{entry[0]}{entry[1]}.{key}" for key in near]
+    if (match := _LIKE_A_LAYER.match(path)) is not None:
+        near = _near(_last(path), [key.path for key in LAYER_KEYS], _NEAR_SHORT)
+        return [f"{match[1]}.layers[{match[2] or 0}].{key}" for key in near]
+    table, last = path.rpartition(".")[0], _last(path)
+    in_table = [known for known in BY_PATH if known.rpartition(".")[0] == table]
+    near = _near(last, in_table, _NEAR if len(last) > 2 else _NEAR_SHORT)
+    if not near:
+        near = [known for known in BY_PATH if _plain(known, ".") == _plain(path, ".")]
+    return near or _in_table(table, _near(last, BY_PATH, _NEAR_ELSEWHERE))
+
+
+def _plain(name: str, more: str = "") -> str:
+    """Return a name in small letters, without separators."""
+    return "".join(c for c in name.lower() if c not in "_-" + more)
+
+
+def _last(path: str) -> str:
+    return path.rpartition(".")[2]
+
+
+def _near(last: str, paths: Iterable[str], least: float) -> list[str]:
+    """Return the paths whose last part is this one, has it as another name, or is most like it."""
+    name = _plain(last)
+    by_name: dict[str, list[str]] = {}
+    for path in paths:
+        by_name.setdefault(_plain(_last(path)), []).append(path)
+    if name in by_name:
+        return by_name[name]
+    for alias in _ALIASES.get(name, ()):
+        if _plain(alias) in by_name:
+            return by_name[_plain(alias)]
+    likest = difflib.get_close_matches(name, by_name, n=1, cutoff=least)
+    return by_name[likest[0]] if likest else []
+
+
+def _in_table(table: str, paths: list[str]) -> list[str]:
+    """Return the paths whose table is most like this one."""
+
+    def likeness(path: str) -> float:
+        return difflib.SequenceMatcher(a=table.lower(), b=path.rpartition(".")[0]).ratio()
+
+    best = max(map(likeness, paths), default=0.0)
+    return [path for path in paths if likeness(path) == best]

@@ -8,16 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from ringwear_par.cases.files.columns import read_trace
 from ringwear_par.cases.files.faults import LOADS, unread_keys
-from ringwear_par.cases.files.traces import read_trace
-from ringwear_par.cases.laws import law_keys
 from ringwear_par.cases.layers import LAYERS, changed_layers, expanded, layers_in_full
-from ringwear_par.cases.schema import BY_PATH, TABLES, key_of
-from ringwear_par.cases.text import shortened
+from ringwear_par.cases.schema import BY_PATH, TABLES, key_of, law_keys
 from ringwear_par.cases.units import has_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.text import parse_toml, parse_value, read_text, refuse_depth
+from ringwear_par.files.text import parse_toml, parse_value, read_text, refuse_depth, shortened
 
 #: keys that exclude each other: an overriding one takes the place of the others
 _ALTERNATIVES = (

@@ -11,10 +11,11 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.errors import LONGEST_SENTENCE, ComputationError, InputError, legible
 from ringwear_par.schedules import largest
-from ringwear_par.wear.catalogue import LAWS
 from ringwear_par.wear.checked_law import CompletedLaw, complete
-from ringwear_par.wear.derivative_test import (
+from ringwear_par.wear.checks import (
     Remainders,
+    check_object,
+    check_user_law,
     check_user_slope,
     depends,
     taylor_test,
@@ -22,8 +23,9 @@ from ringwear_par.wear.derivative_test import (
     taylor_test_wear,
 )
 from ringwear_par.wear.law import Law
+from ringwear_par.wear.laws import LAWS
+from ringwear_par.wear.laws.user import UserLaw
 from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.user import UserLaw, check_object, check_user_law
 
 _OURS = set(LAWS.values()) - {UserLaw}
 _ELEMENTS = 60

@@ -13,7 +13,7 @@ from ringwear_par.cases.files.faults import (
     joint_faults,
     layer_faults,
 )
-from ringwear_par.cases.files.key_values import read_values
+from ringwear_par.cases.files.key_values import read_law, read_values
 from ringwear_par.cases.files.keys import (
     flatten,
     in_full,
@@ -24,15 +24,13 @@ from ringwear_par.cases.files.keys import (
     read_keys,
     refuse_study,
 )
-from ringwear_par.cases.laws import read_law
 from ringwear_par.cases.layers import LAYERS, expanded, layer_tables
 from ringwear_par.cases.stress import Grid, Stress
 from ringwear_par.cases.stress_points import check_stress
-from ringwear_par.cases.text import toml_text
 from ringwear_par.elasticity.geometry.mesh import Mesh
 from ringwear_par.elasticity.geometry.sections import Grip, Polyline
 from ringwear_par.errors import InputError
-from ringwear_par.files.text import read_text
+from ringwear_par.files.text import read_text, toml_text
 from ringwear_par.schedules import Quantity, Table
 from ringwear_par.wear.law import Law
 
@@ -93,17 +91,19 @@ def _changed(
     else:
         setting, changes = "--set", flatten(parse_overrides(overrides), "--set")
     if not changes:
-        case = make_case(keys, name, text)
-    else:
-        with naming(setting):
-            merged = override(keys, in_full(changes, Path()))
-        case = make_case(merged, Origin(name, frozenset(changes), setting))
+        return make_case(keys, name, text, with_units)
+    with naming(setting):
+        merged = override(keys, in_full(changes, Path()))
     with_units = (with_units - changes.keys()) | keys_with_units(changes)
-    object.__setattr__(case, "with_units", with_units)  # a copy by replace has no rebuild
-    return case
+    return make_case(merged, Origin(name, frozenset(changes), setting), None, with_units)
 
 
-def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = None) -> Case:
+def make_case(
+    keys: Mapping[str, Any],
+    origin: Origin | str,
+    text: str | None = None,
+    with_units: frozenset[str] = frozenset(),
+) -> Case:
     """Make a case of dotted keys and raw values. Not collective.
 
     Parameters
@@ -111,6 +111,7 @@ def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = 
     keys : dotted keys and values, as TOML gives them.
     origin : what messages call the case.
     text : the case's TOML text, if it is not to be made of the keys.
+    with_units : keys whose numbers were written with a unit.
 
     Raises
     ------
@@ -125,9 +126,10 @@ def make_case(keys: Mapping[str, Any], origin: Origin | str, text: str | None = 
     faults += layer_faults(origin.whole, values, faces, layers)
     if faults:
         raise InputError(*faults)
-    case = _build(values, laws, faces, layers, toml_text(keys) if text is None else text)
-    if any(path.startswith("stress.") for path in keys):
-        case = replace(case, stress=_stress(values))
+    case = _build(values, laws, faces, layers)
+    stress = _stress(values) if any(path.startswith("stress.") for path in keys) else None
+    text = toml_text(keys) if text is None else text
+    case = replace(case, stress=stress, text=text, with_units=with_units)
     check_contact(origin.whole, case, values["load.displacement"])
     check_stress(origin.whole, case)
     object.__setattr__(case, "rebuild", _rebuilt)  # a copy by dataclasses.replace has none
@@ -145,12 +147,7 @@ def _read_layers(
     values: Mapping[str, Any],
     faults: list[str],
 ) -> tuple[RingLayer, ...]:
-    """Return the layers of a body as far as they are right; add to the faults.
-
-    Parameters
-    ----------
-    keys, values : dotted keys as given, and as read, layers entry by entry.
-    """
+    """Return the layers of a body as far as they are right; add to the faults."""
     layers, raw = [], expanded(keys)
     for table in layer_tables(keys):
         if table.startswith(path):
@@ -168,7 +165,6 @@ def _build(
     laws: Sequence[Law | None],
     faces: Mapping[str, Polyline],
     layers: Mapping[str, tuple[RingLayer, ...]],
-    text: str,
 ) -> Case:
     def ring(which: str, grip: Grip) -> Ring:
         r, z, young, poisson = (values[f"{which}.{k}"] for k in ("r", "z", "young", "poisson"))
@@ -199,7 +195,6 @@ def _build(
             values["output.boundary"],
         ),
         title=values["title"],
-        text=text,
     )
     if values["load.pressure"] is not None:
         pressure, area = values["load.pressure"], case.area

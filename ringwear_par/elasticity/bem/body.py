@@ -17,7 +17,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.bem.assembly import assemble
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh, zone_meshes
 from ringwear_par.elasticity.bem.quadrature import quadrature
-from ringwear_par.elasticity.bem.solve import solve_systems, solved_on_one_rank
+from ringwear_par.elasticity.bem.solve import Solution, solve_systems, solved_on_one_rank
 from ringwear_par.elasticity.bem.systems import (
     Assembly,
     BoundaryConditions,
@@ -25,50 +25,54 @@ from ringwear_par.elasticity.bem.systems import (
     Zone,
     number_dofs,
 )
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh
+from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, obliquity
 from ringwear_par.elasticity.geometry.sections import Body, Grip, Material
-from ringwear_par.elasticity.geometry.slopes import obliquity
+
+
+@dataclass(frozen=True)
+class BodyCost:
+    """What boundary elements took: kernels evaluated on all ranks, wall seconds on this rank."""
+
+    kernel_evaluations: int = 0
+    seconds_assembly: float = 0.0
+    seconds_solution: float = 0.0
+
+    def __add__(self, other: "BodyCost") -> "BodyCost":
+        return BodyCost(
+            self.kernel_evaluations + other.kernel_evaluations,
+            self.seconds_assembly + other.seconds_assembly,
+            self.seconds_solution + other.seconds_solution,
+        )
 
 
 @dataclass(frozen=True)
 class Response:
-    """Boundary values for each load, on every rank, those of one zone after those of another.
+    """Boundary values for each load, on every rank, those of one zone after those of another."""
 
-    Parameters
-    ----------
-    displacement : (wanted nodes, 3, n_loads) float, mm at E = 1.
-    traction : (wanted elements, 3, n_loads) float, MPa, unknown ones; 0 where they were given.
-    kernel_evaluations : on all ranks together.
-    seconds_assembly, seconds_solution : wall time on this rank.
-    """
-
+    #: (wanted nodes, 3, n_loads) float, mm at E = 1
     displacement: FloatArray
+    #: (wanted elements, 3, n_loads) float, MPa, unknown ones; 0 where they were given
     traction: FloatArray
-    kernel_evaluations: int
-    seconds_assembly: float
-    seconds_solution: float
+    #: what they took
+    cost: BodyCost
 
 
 @dataclass(frozen=True)
 class Compliance:
-    """Compliance of a body's contact line at Young's modulus 1.
+    """Compliance of a body's contact line at Young's modulus 1."""
 
-    Parameters
-    ----------
-    normal : (n, n) float, mm/MPa; what element i gives way along the axis, -(u_z - t u_r) with the
-        slope t, under unit pressure on element j.
-    torsion : (n, n) float, mm/MPa; circumferential displacement under unit shear.
-    force_reaction : (n,) float, mm^2; axial force on the fixed face per unit pressure. Equilibrium
-        asks for the contact element's projected area.
-    torque_reaction : (n,) float, mm^3; torque on the fixed face per unit shear.
-    response : the work and the times.
-    """
-
+    #: (n, n) float, mm/MPa; what element i gives way along the axis, -(u_z - t u_r) with the slope
+    #: t, under unit pressure on element j
     normal: FloatArray
+    #: (n, n) float, mm/MPa; circumferential displacement under unit shear
     torsion: FloatArray
+    #: (n,) float, mm^2; axial force on the fixed face per unit pressure. Equilibrium asks for the
+    #: contact element's projected area.
     force_reaction: FloatArray
+    #: (n,) float, mm^3; torque on the fixed face per unit shear
     torque_reaction: FloatArray
-    response: Response
+    #: what they took
+    cost: BodyCost
 
 
 def boundary_conditions(
@@ -84,7 +88,7 @@ def boundary_conditions(
 
     Parameters
     ----------
-    slope : (n,) float, tan alpha of the common normal in the body's own frame, see ``slopes``;
+    slope : (n,) float, tan alpha of the common normal in the body's own frame, see ``pair_slope``;
         None: none.
     """
     k, n = len(boundary.elements), len(boundary.contact)
@@ -104,52 +108,29 @@ def boundary_conditions(
 
 @dataclass(frozen=True)
 class Problem:
-    """Equation (5) of a body, and what is wanted of its solution.
+    """Equation (5) of a body, and what is wanted of its solution."""
 
-    Parameters
-    ----------
-    zones : the body.
-    tolerance : relative accuracy of the element integrals.
-    nodes, elements : of each zone, whose displacements and whose tractions are wanted.
-    """
-
+    #: the body
     zones: tuple[Zone, ...]
+    #: relative accuracy of the element integrals
     tolerance: float
+    #: of each zone, whose displacements and whose tractions are wanted
     nodes: tuple[IntArray, ...]
     elements: tuple[IntArray, ...]
 
 
 @dataclass(frozen=True)
 class Assembled:
-    """The assembled systems of a body, and what is wanted of their solution.
+    """The assembled systems of a body."""
 
-    Parameters
-    ----------
-    rows : this rank's part of them.
-    displacement, traction : (wanted, 3) int, columns of the values wanted, -1 for none.
-    sign : (wanted,) float, of the tractions.
-    seconds : wall time of the assembly.
-    """
-
+    #: this rank's part of them
     rows: Assembly
-    displacement: IntArray
-    traction: IntArray
-    sign: FloatArray
+    #: of which they are
+    problem: Problem
+    #: where its unknowns stand, one a zone
+    dofs: Sequence[DofMap]
+    #: wall time of the assembly
     seconds: float
-
-    @classmethod
-    def of(
-        cls, rows: Assembly, problem: Problem, dofs: Sequence[DofMap], seconds: float
-    ) -> "Assembled":
-        """Return the systems of a problem."""
-        nodes, elements = problem.nodes, problem.elements
-        return cls(
-            rows,
-            np.concatenate([of.displacement[at] for of, at in zip(dofs, nodes, strict=True)]),
-            np.concatenate([of.traction[at] for of, at in zip(dofs, elements, strict=True)]),
-            np.concatenate([of.sign[at] for of, at in zip(dofs, elements, strict=True)]),
-            seconds,
-        )
 
 
 def solve_body(
@@ -184,7 +165,7 @@ def _assembled(problem: Problem, comm: MPI.Comm) -> Assembled:
     started = time.perf_counter()
     dofs = number_dofs(problem.zones)
     rows = assemble(problem.zones, dofs, quadrature(problem.tolerance), comm)
-    return Assembled.of(rows, problem, dofs, time.perf_counter() - started)
+    return Assembled(rows, problem, dofs, time.perf_counter() - started)
 
 
 def solve_assembled(bodies: Sequence[Assembled], comm: MPI.Comm) -> list[Response]:
@@ -193,30 +174,37 @@ def solve_assembled(bodies: Sequence[Assembled], comm: MPI.Comm) -> list[Respons
     solutions = solve_systems(
         [system for body in bodies for system in (body.rows.normal, body.rows.torsion)], comm
     )
-    results = []
-    for i, body in enumerate(bodies):
-        n_loads = body.rows.normal.loads.shape[1]
-        displacement, traction = (
-            np.zeros((*columns.shape, n_loads)) for columns in (body.displacement, body.traction)
-        )
-        for (x, start), components in zip(
-            solutions[2 * i : 2 * i + 2], ((0, 1), (2,)), strict=True
-        ):
-            for c in components:
-                for target, columns in (
-                    (displacement, body.displacement),
-                    (traction, body.traction),
-                ):
-                    local = columns[:, c] - start
-                    here = (columns[:, c] >= 0) & (local >= 0) & (local < len(x))
-                    target[here, c] = x[local[here]]
-        for array in (displacement, traction):  # each entry is known to one rank: the sum is exact
-            comm.Allreduce(MPI.IN_PLACE, array, MPI.SUM)
-        traction *= body.sign[:, None, None]
-        evaluations = comm.allreduce(body.rows.kernel_evaluations)
-        results.append((displacement, traction, evaluations, body.seconds))
+    values = [
+        _wanted(body, solutions[2 * i], solutions[2 * i + 1], comm) for i, body in enumerate(bodies)
+    ]
+    evaluations = [comm.allreduce(body.rows.kernel_evaluations) for body in bodies]
     seconds = (time.perf_counter() - started) / len(bodies)
-    return [Response(*result, seconds) for result in results]
+    return [
+        Response(*wanted, BodyCost(count, body.seconds, seconds))
+        for body, wanted, count in zip(bodies, values, evaluations, strict=True)
+    ]
+
+
+def _wanted(
+    body: Assembled, normal: Solution, torsion: Solution, comm: MPI.Comm
+) -> tuple[FloatArray, FloatArray]:
+    """Return displacements and tractions that are wanted of a solution. Collective on comm."""
+    nodes, elements = body.problem.nodes, body.problem.elements
+    columns = [
+        np.concatenate([of.displacement[at] for of, at in zip(body.dofs, nodes, strict=True)]),
+        np.concatenate([of.traction[at] for of, at in zip(body.dofs, elements, strict=True)]),
+    ]
+    sign = np.concatenate([of.sign[at] for of, at in zip(body.dofs, elements, strict=True)])
+    n_loads = body.rows.normal.loads.shape[1]
+    displacement, traction = (np.zeros((*of.shape, n_loads)) for of in columns)
+    for c, (x, start) in enumerate((normal, normal, torsion)):
+        for target, of in zip((displacement, traction), columns, strict=True):
+            local = of[:, c] - start
+            here = (of[:, c] >= 0) & (local >= 0) & (local < len(x))
+            target[here, c] = x[local[here]]
+    for array in (displacement, traction):  # each entry is known to one rank: the sum is exact
+        comm.Allreduce(MPI.IN_PLACE, array, MPI.SUM)
+    return displacement, traction * sign[:, None, None]
 
 
 @dataclass(frozen=True)
@@ -227,18 +215,15 @@ class BoundaryResponse:
 
     Load j is unit pressure (components r and z) and unit circumferential traction (theta) on
     contact element j, see ``boundary_conditions``.
-
-    Parameters
-    ----------
-    boundary : the boundary elements.
-    displacement : (m, 3, n) float, mm/MPa, of every node in r, z and theta.
-    traction : (k, 3, n) float, MPa/MPa, on every element, the loads included.
-    material : of the zone, its modulus over that of the body itself.
     """
 
+    #: the boundary elements
     boundary: BoundaryMesh
+    #: (m, 3, n) float, mm/MPa, of every node in r, z and theta
     displacement: FloatArray
+    #: (k, 3, n) float, MPa/MPa, on every element, the loads included
     traction: FloatArray
+    #: of the zone, its modulus over that of the body itself
     material: Material
 
 
@@ -395,5 +380,5 @@ def condense(problem: Problem, response: Response, slope: FloatArray | None = No
         torsion=response.displacement[:, 2],
         force_reaction=area @ response.traction[:, 1],
         torque_reaction=-(moment @ response.traction[:, 2]),
-        response=response,
+        cost=response.cost,
     )

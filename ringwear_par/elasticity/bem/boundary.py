@@ -41,26 +41,23 @@ class BoundaryMesh(NamedTuple):
     """Straight quadratic elements along a zone's boundary, counter-clockwise.
 
     A named tuple because compiled code reads it.
-
-    Parameters
-    ----------
-    nodes : (m, 2) float, mm, radius and height of element ends and mid-points.
-    elements : (k, 3) int, first, middle and last node of each element; the outward normal lies to
-        the right of the direction of travel.
-    contact : (n,) int, elements of the contact line, by increasing radius; none but in the zone at
-        the contact face.
-    fixed : (h,) int, elements of the fixed face; none but in the zone there.
-    inner_side, outer_side : int arrays, elements of the free cylindrical faces.
-    above, below : (q,) int, elements of the interfaces to the zones towards the contact face and
-        towards the fixed face, by increasing radius.
     """
 
+    #: (m, 2) float, mm, radius and height of element ends and mid-points
     nodes: FloatArray
+    #: (k, 3) int, first, middle and last node of each element; the outward normal lies to the right
+    #: of the direction of travel
     elements: IntArray
+    #: (n,) int, elements of the contact line, by increasing radius; none but in the zone at the
+    #: contact face
     contact: IntArray
+    #: (h,) int, elements of the fixed face; none but in the zone there
     fixed: IntArray
+    #: int arrays, elements of the free cylindrical faces
     inner_side: IntArray
     outer_side: IntArray
+    #: (q,) int, elements of the interfaces to the zones towards the contact face and towards the
+    #: fixed face, by increasing radius
     above: IntArray
     below: IntArray
 
@@ -229,12 +226,7 @@ def _side(
 
 
 def _lower_face(section: Section, line: ContactLine, face: FloatArray, worn: FloatArray) -> None:
-    """Lower the contact line's part of the element ends of a face by (n+1,) mm of wear.
-
-    Raises
-    ------
-    ComputationError : more is worn than half of the body's height.
-    """
+    """Lower the contact line's part of the element ends of a face by (n+1,) mm of wear."""
     first = int(np.flatnonzero(face[:, 0] == line.edges[-1])[0])
     contact = face[first : first + line.n + 1]
     thinnest = section.height + contact[:, 1].min()

@@ -1,4 +1,11 @@
-"""Two bodies in contact: everything that a wear history needs to know of their elasticity."""
+"""Two bodies in contact: everything that a wear history needs to know of their elasticity.
+
+By reciprocity ``diag(m) C`` is symmetric, m being the areas. The collocated compliance C is not
+quite: rows, the equations of elements, are right even for the tiniest; columns, the response of
+wide elements to a tiny loaded one, carry relative errors that differ from element to element, and
+exceed the tiny element's own compliance. The symmetric part alone therefore spoils the equations of
+the elements at an edge, by their whole pressure where that is regular, and however fine the mesh.
+"""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
@@ -7,16 +14,85 @@ from typing import Literal
 
 import numpy as np
 from mpi4py import MPI
-from scipy.linalg import eigh
+from scipy.linalg import cho_factor, cho_solve, eigh
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.bem.body import Compliance, compliance, compliances
+from ringwear_par.elasticity.bem.body import BodyCost, Compliance, compliance, compliances
 from ringwear_par.elasticity.bem.boundary import count_elements
-from ringwear_par.elasticity.bem.reciprocity import symmetric
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, pair_key
+from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, obliquity, pair_key, pair_slope
 from ringwear_par.elasticity.geometry.sections import Body
-from ringwear_par.elasticity.geometry.slopes import obliquity, pair_slope
 from ringwear_par.errors import ComputationError
+
+#: elements wider than this share of their radius are near the axis
+_NEAR_AXIS = 0.1
+#: largest change there, of an element's own compliance
+_MOST_CHANGED = 0.25
+
+
+def symmetric(line: ContactLine, normal: FloatArray) -> FloatArray:
+    """Return K, ``diag(m) C`` made symmetric such that it is right at every edge. Not collective.
+
+    The symmetric part S with a block secant correction (the update of Broyden, Fletcher, Goldfarb
+    and Shanno; Schnabel, "Quasi-Newton methods using multiple secant equations", 1983),
+
+        K = S - S P (P'S P)^-1 P'S + Y (Y'P)^-1 Y',    Y = diag(m) C P,
+
+    by which the pressures P under a rigid flat and a rigid bowed face are those of the collocated
+    equations, as far as Y'P is symmetric (what it is not vanishes with the mesh), and near edges
+    and corners what behaves like them. K is positive definite where S and the symmetric part of Y'P
+    are. Where there is contact at the axis but not at the edges, these two faces are no guide: S
+    has been corrected there before. What K still has more than the collocated compliance, histories
+    take from the gap (``contact.correction``).
+
+    Parameters
+    ----------
+    normal : (n, n) float, mm/MPa, collocated compliance C.
+
+    Returns
+    -------
+    (n, n) float, mm^3/MPa.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError : it is not positive definite.
+    """
+    m, r = line.area, line.r
+    total = m.sum()
+    weighted = m[:, None] * normal
+    part = 0.5 * (weighted + weighted.T)
+    faces = np.stack([np.ones_like(r), r**2 - m @ r**2 / total], axis=1)
+    p = np.linalg.solve(normal, faces)
+    if line.edges[0] == 0.0:
+        part += np.diag(_near_axis(line, weighted, p[:, 0]))
+    p /= (scale := np.sqrt(m @ p**2 / total))
+    y = m[:, None] * (faces / scale)
+    sp = part @ p
+    return _definite(part - _square(sp, p.T @ sp) + _square(y, y.T @ p))
+
+
+def _near_axis(line: ContactLine, weighted: FloatArray, flat: FloatArray) -> FloatArray:
+    """Return (n,) mm^3/MPa, what the symmetric part lacks on its diagonal near the axis.
+
+    With it, the equations of these elements hold under a rigid flat face, whose pressure ``flat``
+    varies smoothly there, as any does.
+    """
+    lost = 0.5 * ((weighted - weighted.T) @ flat)
+    most = _MOST_CHANGED * weighted.diagonal() * flat
+    guided = (line.width > _NEAR_AXIS * line.r) & (np.abs(lost) < most)
+    return np.divide(lost, flat, out=np.zeros_like(flat), where=guided)
+
+
+def _square(x: FloatArray, middle: FloatArray) -> FloatArray:
+    """Return ``x middle^-1 x'`` with the symmetric part of a positive definite middle."""
+    return x @ cho_solve(cho_factor(0.5 * (middle + middle.T)), x.T)
+
+
+def _definite(matrix: FloatArray) -> FloatArray:
+    """Return a matrix symmetric to the last bit, if it is positive definite."""
+    matrix = 0.5 * (matrix + matrix.T)
+    np.linalg.cholesky(matrix)
+    return matrix
+
 
 #: by which the compliance is changed to see what that does to the symmetric one
 _SHARE = 1e-4
@@ -28,56 +104,27 @@ _SHARES: dict[Entry, float] = {"thickness": 1e-3, "young": 1e-4, "poisson": 1e-4
 
 
 @dataclass(frozen=True)
-class BodyCost:
-    """What the boundary elements of bodies took (wall seconds on this rank)."""
-
-    kernel_evaluations: int = 0
-    seconds_assembly: float = 0.0
-    seconds_solution: float = 0.0
-
-    def __add__(self, other: "BodyCost") -> "BodyCost":
-        return BodyCost(
-            self.kernel_evaluations + other.kernel_evaluations,
-            self.seconds_assembly + other.seconds_assembly,
-            self.seconds_solution + other.seconds_solution,
-        )
-
-    @classmethod
-    def of(cls, bodies: Sequence[Compliance]) -> "BodyCost":
-        """Return the cost of these bodies together."""
-        return cls(
-            sum(body.response.kernel_evaluations for body in bodies),
-            sum(body.response.seconds_assembly for body in bodies),
-            sum(body.response.seconds_solution for body in bodies),
-        )
-
-
-@dataclass(frozen=True)
 class ContactCompliance:
-    """Contact line of two bodies and its compliance, with their Young's moduli.
+    """Contact line of two bodies and its compliance, with their Young's moduli."""
 
-    Parameters
-    ----------
-    line : the contact elements.
-    matrix : (n, n) float, mm^3/MPa, K: ``diag(m) C`` with C = C1/E1 + C2/E2 and the areas m,
-        made symmetric (see ``reciprocity.symmetric``).
-    twist : (n,) float, mm/MPa; area mean of the circumferential displacement jump per unit
-        circumferential traction on each element.
-    symmetry_defect : largest ``|m C - (m C)'|`` over the largest ``|m C|``; vanishes with the mesh.
-    force_reaction, torque_reaction : (2, n) float, mm^2 and mm^3; force and torque on the fixed
-        faces of lower and upper per unit pressure and unit shear on each element. Equilibrium asks
-        for the area, and true area times arm; the difference vanishes with the mesh.
-    slope : (n,) float, tan alpha of the normals that pressure acts along, see ``slopes``.
-    collocated : (n, n) float, mm/MPa, the compliance C as collocation gives it.
-    """
-
+    #: the contact elements
     line: ContactLine
+    #: (n, n) float, mm^3/MPa, K: ``diag(m) C`` with C = C1/E1 + C2/E2 and the areas m, made
+    #: symmetric (see ``symmetric``)
     matrix: FloatArray
+    #: (n,) float, mm/MPa; area mean of the circumferential displacement jump per unit
+    #: circumferential traction on each element
     twist: FloatArray
+    #: largest ``|m C - (m C)'|`` over the largest ``|m C|``; vanishes with the mesh
     symmetry_defect: float
+    #: (2, n) float, mm^2 and mm^3; force and torque on the fixed faces of lower and upper per unit
+    #: pressure and unit shear on each element. Equilibrium asks for the area, and true area times
+    #: arm; the difference vanishes with the mesh.
     force_reaction: FloatArray
     torque_reaction: FloatArray
+    #: (n,) float, tan alpha of the normals that pressure acts along, see ``pair_slope``
     slope: FloatArray
+    #: (n, n) float, mm/MPa, the compliance C as collocation gives it
     collocated: FloatArray
 
     @cached_property
@@ -93,15 +140,11 @@ class ContactCompliance:
 
 @dataclass(frozen=True)
 class ComplianceChange:
-    """Derivatives of a body's compliance at Young's modulus 1 with respect to a number.
+    """Derivatives of a body's compliance at Young's modulus 1 with respect to a number."""
 
-    Parameters
-    ----------
-    normal : (n, n) float, mm/MPa over the unit of the number.
-    twist : (n,) float, mm^3/MPa over that unit, of the area integral of ``torsion``.
-    """
-
+    #: (n, n) float, mm/MPa over the unit of the number
     normal: FloatArray
+    #: (n,) float, mm^3/MPa over that unit, of the area integral of ``torsion``
     twist: FloatArray
 
 
@@ -119,7 +162,7 @@ class ContactPair:
     twist : (2, n) float, mm^3/MPa; area integral of the circumferential displacement per unit
         circumferential traction.
     force_reaction, torque_reaction : (2, n) float, mm^2 and mm^3, as in ContactCompliance.
-    slope : (n,) float, tan alpha of the normals that pressure acts along, see ``slopes``.
+    slope : (n,) float, tan alpha of the normals that pressure acts along, see ``pair_slope``.
     key : what all this depends on, see ``pair_key``.
     cost : what it took; nothing where it was read from somewhere.
     """
@@ -131,7 +174,7 @@ class ContactPair:
     torque_reaction: FloatArray
     slope: FloatArray
     key: Hashable
-    cost: BodyCost = BodyCost()
+    cost: BodyCost = field(default_factory=BodyCost)
     #: the compliance asked for last, by its moduli: histories in a row often have the same
     _last: dict[tuple[float, float], ContactCompliance] = field(
         default_factory=dict, init=False, repr=False, compare=False
@@ -236,7 +279,7 @@ def join_bodies(
         np.array([body.torque_reaction for body in bodies]),
         slope,
         key,
-        BodyCost.of(new),
+        sum((body.cost for body in new), BodyCost()),
     )
 
 

@@ -26,18 +26,14 @@ _SINGULAR_POWER = 5
 
 
 class Quadrature(NamedTuple):
-    """Rules on [0, 1]; a named tuple because compiled code reads it.
+    """Rules on [0, 1]; a named tuple because compiled code reads it."""
 
-    Parameters
-    ----------
-    reach : (MAX_POINTS+1,) float, decreasing; n points serve where (d1 + d2)/L >= reach[n].
-    points, weights : (MAX_POINTS+1, MAX_POINTS) float; row n holds the n-point Gauss rule.
-    singular_points, singular_weights : rule for f + g log t, from the source outwards.
-    """
-
+    #: (MAX_POINTS+1,) float, decreasing; n points serve where (d1 + d2)/L >= reach[n]
     reach: FloatArray
+    #: (MAX_POINTS+1, MAX_POINTS) float; row n holds the n-point Gauss rule
     points: FloatArray
     weights: FloatArray
+    #: rule for f + g log t, from the source outwards
     singular_points: FloatArray
     singular_weights: FloatArray
 

@@ -30,51 +30,40 @@ class BoundaryConditions(NamedTuple):
     """Boundary conditions of every element, for the components r, z and theta.
 
     A named tuple because compiled code reads it, like ``DofMap``.
-
-    Parameters
-    ----------
-    fixed : (k, 3) bool, displacement zero on the element, traction unknown.
-    load : (k, 3) int, right-hand side that holds the element's known traction, -1 for none.
-    traction : (k, 3) float, MPa, that known traction.
-    n_loads : number of right-hand sides.
     """
 
+    #: (k, 3) bool, displacement zero on the element, traction unknown
     fixed: BoolArray
+    #: (k, 3) int, right-hand side that holds the element's known traction, -1 for none
     load: IntArray
+    #: (k, 3) float, MPa, that known traction
     traction: FloatArray
+    #: number of right-hand sides
     n_loads: int
 
 
 class DofMap(NamedTuple):
-    """Where each unknown of a zone stands, (r, z) and theta being two systems, -1 for none.
+    """Where each unknown of a zone stands, (r, z) and theta being two systems, -1 for none."""
 
-    Parameters
-    ----------
-    equation : (m, 3) int, row collocated at the node in that direction.
-    displacement : (m, 3) int, column of the nodal displacement.
-    traction : (k, 3) int, column of the element's traction.
-    sign : (k,) float, -1 on elements whose traction is the opposite of the unknown, else 1.
-    """
-
+    #: (m, 3) int, row collocated at the node in that direction
     equation: IntArray
+    #: (m, 3) int, column of the nodal displacement
     displacement: IntArray
+    #: (k, 3) int, column of the element's traction
     traction: IntArray
+    #: (k,) float, -1 on elements whose traction is the opposite of the unknown, else 1
     sign: FloatArray
 
 
 @dataclass(frozen=True)
 class Zone:
-    """A zone of a body, with all that its rows need.
+    """A zone of a body, with all that its rows need."""
 
-    Parameters
-    ----------
-    boundary : its boundary elements.
-    conditions : displacements and tractions known there.
-    material : its elasticity, the modulus over that of the body itself.
-    """
-
+    #: its boundary elements
     boundary: BoundaryMesh
+    #: displacements and tractions known there
     conditions: BoundaryConditions
+    #: its elasticity, the modulus over that of the body itself
     material: Material
 
 
@@ -82,32 +71,25 @@ class Moving(NamedTuple):
     """What moves when the geometry changes.
 
     The integrals of a source over an element stay as they are where neither of them moves.
-
-    Parameters
-    ----------
-    nodes : (m,) bool.
-    elements : (k,) bool, those with a node that moves.
     """
 
+    #: (m,) bool
     nodes: BoolArray
+    #: (k,) bool, those with a node that moves
     elements: BoolArray
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of one system owned by this rank: ``matrix @ unknowns = loads``.
+    """Rows of one system owned by this rank: ``matrix @ unknowns = loads``."""
 
-    Parameters
-    ----------
-    matrix : (local, n) float, column-major, as PETSc's dense matrices are.
-    loads : (local, n_loads) float, column-major.
-    start : number of the first row.
-    zones : numbers of the first rows of the body's zones.
-    """
-
+    #: (local, n) float, column-major, as PETSc's dense matrices are
     matrix: FloatArray
+    #: (local, n_loads) float, column-major
     loads: FloatArray
+    #: number of the first row
     start: int
+    #: numbers of the first rows of the body's zones
     zones: tuple[int, ...] = (0,)
 
 

@@ -28,9 +28,14 @@ from ringwear_par.elasticity.bem.boundary import node_wear, zone_meshes
 from ringwear_par.elasticity.bem.pair import ContactPair, join_bodies
 from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.bem.systems import Assembly, Moving, Zone, number_dofs
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, pair_key
+from ringwear_par.elasticity.geometry.mesh import (
+    ContactLine,
+    Mesh,
+    case_slopes,
+    pair_key,
+    pair_slope,
+)
 from ringwear_par.elasticity.geometry.sections import Body, Section
-from ringwear_par.elasticity.geometry.slopes import case_slopes, pair_slope
 
 
 def moving_parts(
@@ -96,7 +101,7 @@ class _MovingBody:
             evaluations = self._base[deep].kernel_evaluations
         rows = assemble(*arguments, self._base[deep])
         rows = Assembly(rows.normal, rows.torsion, rows.kernel_evaluations + evaluations)
-        assembled = Assembled.of(rows, problem, self._dofs, time.perf_counter() - started)
+        assembled = Assembled(rows, problem, self._dofs, time.perf_counter() - started)
         return condense(problem, solve_assembled([assembled], comm)[0], slope)
 
     def _is_deep(self, zones: Sequence[Zone]) -> bool:

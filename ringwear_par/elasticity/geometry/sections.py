@@ -1,4 +1,4 @@
-"""Meridian sections of rings and discs.
+"""Meridian sections of rings and discs, and their contact faces as case files give them.
 
 Every body is described in its own frame: the contact plane is z = 0, the contact face lies in it or
 below it, and the fixed face is z = -height. The upper ring is the mirror image of that picture,
@@ -18,7 +18,11 @@ from ringwear_par.errors import InputError
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
+from typing import NamedTuple
 
+#: the two bodies, in the order of everything that is of both
+BodyName = Literal["lower", "upper"]
+BODIES: tuple[BodyName, BodyName] = ("lower", "upper")
 #: vertices (r, z) of a face, a tuple so that it can be hashed
 Polyline = tuple[tuple[float, float], ...]
 #: how the fixed face is gripped: "clamped" fixes u_r too, "platen" leaves it free
@@ -31,21 +35,17 @@ _DENSE = 6
 
 @dataclass(frozen=True)
 class Section:
-    """Meridian section in the body's own frame (mm): a rectangle but for its contact face.
+    """Meridian section in the body's own frame (mm): a rectangle but for its contact face."""
 
-    Parameters
-    ----------
-    r : inner and outer radius; inner radius 0 is a solid disc.
-    height : distance from the fixed face to the contact plane.
-    face : contact face as a polyline of (r, z) from the inner to the outer radius, z <= 0; none is
-        the flat face.
-    layers : thicknesses of bonded layers of other materials, from the contact plane downwards; the
-        face lies within the first.
-    """
-
+    #: inner and outer radius; inner radius 0 is a solid disc
     r: tuple[float, float]
+    #: distance from the fixed face to the contact plane
     height: float
+    #: contact face as a polyline of (r, z) from the inner to the outer radius, z <= 0; none is the
+    #: flat face
     face: Polyline = ()
+    #: thicknesses of bonded layers of other materials, from the contact plane downwards; the face
+    #: lies within the first
     layers: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
@@ -162,21 +162,17 @@ class Material:
 
 @dataclass(frozen=True)
 class Body:
-    """An elastic body of revolution in contact, fixed at the face away from it.
+    """An elastic body of revolution in contact, fixed at the face away from it."""
 
-    Parameters
-    ----------
-    section : meridian section, mm, in the body's own frame.
-    young : MPa, Young's modulus, under the layers.
-    poisson : Poisson's ratio, likewise.
-    grip : how the face away from the contact is fixed.
-    layers : materials of the section's layers.
-    """
-
+    #: meridian section, mm, in the body's own frame
     section: Section
+    #: MPa, Young's modulus, under the layers
     young: float
+    #: Poisson's ratio, likewise
     poisson: float
+    #: how the face away from the contact is fixed
     grip: Grip
+    #: materials of the section's layers
     layers: tuple[Material, ...] = ()
 
     def __post_init__(self) -> None:
@@ -190,3 +186,189 @@ class Body:
         """Materials from the contact face downwards, moduli over that of the body itself."""
         base = Material(1.0, self.poisson)
         return *(Material(m.young / self.young, m.poisson) for m in self.layers), base
+
+
+Pair = tuple[float, float]
+#: what counts as equal, relative to the size of a body
+CLOSE = 1e-9
+#: the shapes that have names, and the units of their numbers
+SHAPE_UNITS = {"crown": "mm", "sphere": "mm", "cone": "deg", "fillet": "mm", "trace": "mm"}
+#: points of a crown or sphere, and of a fillet's quarter of a circle
+_SAMPLES, _ARC = 101, 31
+
+
+def chamfer_faults(chamfer: Pair, r: Pair, z: Pair) -> list[str]:
+    """Return the faults of the chamfers of a ring, "key = value: sentence"."""
+    said = f"chamfer = [{chamfer[0]:g}, {chamfer[1]:g}]"
+    faults = []
+    if r[0] == 0 and chamfer[0] > 0:
+        faults.append(f"{said}: a solid disc has no inner corner; the first must be 0 (mm)")
+    if sum(chamfer) >= r[1] - r[0]:
+        faults.append(
+            f"{said}: both together must be smaller than the width of the face, "
+            f"{r[1] - r[0]:g} (mm)"
+        )
+    if max(chamfer) >= z[1] - z[0]:
+        faults.append(f"{said}: must be smaller than the height, {z[1] - z[0]:g} (mm)")
+    return faults
+
+
+def chamfer_face(chamfer: Pair, r: Pair) -> Polyline:
+    """Return the contact face with its corners cut off at 45 degrees, in the body's own frame."""
+    (inner, outer), (a, b) = chamfer, r
+    if not any(chamfer):
+        return ()
+    points = [(a, -inner), (a + inner, 0.0), (b - outer, 0.0), (b, -outer)]
+    return tuple(p for p, keep in zip(points, (inner, True, True, outer), strict=True) if keep)
+
+
+class Shape(NamedTuple):
+    """A contact face by the name of its shape."""
+
+    #: one of ``SHAPE_UNITS``
+    name: str
+    #: what it has: radii in mm (of a fillet one or two), an angle in degrees, radii and heights in
+    #: mm in turns
+    numbers: tuple[float, ...]
+
+
+def shape_faults(shape: Shape, r: Pair, z: Pair) -> list[str]:
+    """Return the faults of the shape of a body's face, "key = value: sentence"."""
+    (a, b), height = r, z[1] - z[0]
+    first, faults = shape.numbers[0], []
+    said = f"profile = {{ {shape.name} = {first:g} }}"
+    if shape.name == "crown" and first <= 0.5 * (b - a):
+        faults.append(f"{said}: must be > {0.5 * (b - a):g}, half the width of the face (mm)")
+    elif shape.name == "sphere" and first <= b:
+        faults.append(f"{said}: must be > {b:g}, the outer radius (mm)")
+    elif shape.name == "fillet":
+        inner, outer = _fillets(shape.numbers, r)
+        said = f"profile = {{ fillet = [{inner:g}, {outer:g}] }}"
+        if a == 0 and inner > 0:
+            faults.append(f"{said}: a solid disc has no inner corner; the first must be 0 (mm)")
+        if inner + outer >= b - a:
+            faults.append(f"{said}: both together must be < {b - a:g}, the width of the face (mm)")
+    elif shape.name == "trace":
+        ends = shape.numbers[0], shape.numbers[-2]
+        if ends[0] > a + CLOSE * b or ends[1] < b - CLOSE * b:
+            faults.append(
+                f"profile: a trace from r = {ends[0]:g} to {ends[1]:g} mm; must cover the face, "
+                f"from {a:g} to {b:g} mm"
+            )
+    if not faults:
+        deepest = -min((depth for _, depth in shape_face(shape, r)), default=0.0)
+        if deepest >= height:
+            faults.append(
+                f"profile = {{ {shape.name} }}: recedes by {deepest:g}; must be < {height:g}, the "
+                "height of the body (mm)"
+            )
+    return faults
+
+
+def shape_face(shape: Shape, r: Pair) -> Polyline:
+    """Return a face of a sound shape in the body's own frame, its highest point at z = 0.
+
+    Curves are sampled so densely that they are taken for smooth.
+    """
+    (a, b), numbers = r, shape.numbers
+    if shape.name == "fillet":
+        return _filleted(*_fillets(numbers, r), r)
+    if shape.name == "trace":
+        radii, heights = np.array(numbers[::2]), np.array(numbers[1::2])
+        x = np.unique([a, *radii[(radii > a) & (radii < b)], b])
+        z = np.interp(x, radii, heights)
+    else:
+        x, size = np.linspace(a, b, _SAMPLES), numbers[0]
+        if shape.name == "cone":
+            x = np.array([a, b])
+            z = -math.tan(math.radians(size)) * x
+        else:
+            centre = 0.5 * (a + b) if shape.name == "crown" else 0.0
+            z = -((x - centre) ** 2) / (size + np.sqrt(size**2 - (x - centre) ** 2))
+    z = z - z.max()
+    return tuple(zip(x.tolist(), z.tolist(), strict=True)) if z.any() else ()
+
+
+def _fillets(numbers: tuple[float, ...], r: Pair) -> Pair:
+    """Return the radii at the inner and outer edge; one number is for the edges that there are."""
+    inner = 0.0 if len(numbers) == 1 and r[0] == 0 else numbers[0]
+    return inner, numbers[-1]
+
+
+def _filleted(inner: float, outer: float, r: Pair) -> Polyline:
+    """Return the flat face with edges rounded by quarters of circles."""
+    angles = np.radians(np.linspace(90.0, 0.0, _ARC))
+    arc = np.stack([np.sin(angles), np.cos(angles) - 1.0], axis=1)
+    a, b = r
+    points = [(a, 0.0), (b, 0.0)]
+    if inner > 0:
+        points[:1] = [(a + inner * (1.0 - x), inner * z) for x, z in arc]
+    if outer > 0:
+        points[-1:] = [(b - outer * (1.0 - x), outer * z) for x, z in arc[::-1]]
+    return tuple((float(x), float(z)) for x, z in points) if inner or outer else ()
+
+
+def _crosses(points: Polyline) -> bool:
+    """Tell whether two segments of a polyline that are not neighbours meet."""
+    xy = np.array(points)
+    start, end = xy[:-1], xy[1:]
+
+    def side(a: FloatArray, b: FloatArray, point: FloatArray) -> FloatArray:
+        """Return on which side of the segments from a to b points lie, by the sign."""
+        along, to = b - a, point - a
+        return along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0]
+
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    for i in range(len(start) - 2):
+        p, q, later = start[i], end[i], slice(i + 2, None)
+        a, b = start[later], end[later]
+        near = ((low[later] <= high[i]) & (high[later] >= low[i])).all(axis=1)
+        apart = side(p, q, a) * side(p, q, b) > 0
+        if (near & ~apart & (side(a, b, p) * side(a, b, q) <= 0)).any():
+            return True
+    return False
+
+
+def profile_faults(ring: str, profile: Polyline, r: Pair, z: Pair) -> list[str]:
+    """Return the faults of the profile of "lower" or "upper", "key = value: sentence"."""
+    faults = []
+
+    def said(i: int) -> str:
+        return f"profile[{i}] = [{profile[i][0]:.12g}, {profile[i][1]:.12g}]"
+
+    back = next((i for i, (p, q) in enumerate(itertools.pairwise(profile), 1) if q[0] <= p[0]), 0)
+    if back and _crosses(profile):
+        faults.append(f"{said(back)}: the profile crosses itself; r must increase along it")
+    elif back:
+        faults.append(
+            f"{said(back)}: the face does not face the other body where r does not increase; "
+            f"must be > {profile[back - 1][0]:.12g}, the radius before"
+        )
+    else:
+        for i, end, where in ((0, r[0], "inner"), (len(profile) - 1, r[1], "outer")):
+            if abs(profile[i][0] - end) > CLOSE * max(1.0, r[1]):
+                faults.append(
+                    f"{said(i)}: the profile must run from the inner to the outer radius; its "
+                    f"{where} end must have r = {end:.12g} (mm)"
+                )
+    slack = CLOSE * max(1.0, *map(abs, z))
+    lowest, highest = (
+        (z[0] + slack, z[1] + slack) if ring == "lower" else (z[0] - slack, z[1] - slack)
+    )
+    for i, (_, height) in enumerate(profile):
+        if ring == "lower" and not lowest < height <= highest:
+            faults.append(f"{said(i)}: leaves the body; z must be > {z[0]:g} and <= {z[1]:g} (mm)")
+        elif ring == "upper" and not lowest <= height < highest:
+            faults.append(f"{said(i)}: leaves the body; z must be >= {z[0]:g} and < {z[1]:g} (mm)")
+        else:
+            continue
+        break  # one sentence for all points outside
+    return faults
+
+
+def profile_face(ring: str, profile: Polyline, r: Pair, z: Pair) -> Polyline:
+    """Return a sound profile of "lower" or "upper" in the body's own frame, its ends snapped."""
+    radii = [r[0], *(p[0] for p in profile[1:-1]), r[1]]
+    heights_of_points = [p[1] - z[1] if ring == "lower" else z[0] - p[1] for p in profile]
+    heights = [min(0.0, v) for v in heights_of_points]  # the contact plane is met but for round-off
+    return tuple(zip(radii, heights, strict=True)) if any(heights) else ()

@@ -8,16 +8,9 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.bem.body import BoundaryResponse, boundary_responses, in_case_frame
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh, node_wear, zone_meshes
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh
-from ringwear_par.elasticity.geometry.sections import Body
-from ringwear_par.elasticity.geometry.slopes import pair_slope
-from ringwear_par.elasticity.stress.boundary_fields import (
-    BODIES,
-    FACES,
-    BoundaryFields,
-    Which,
-    joined,
-)
+from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, pair_slope
+from ringwear_par.elasticity.geometry.sections import BODIES, Body, BodyName
+from ringwear_par.elasticity.stress.fields import FACES, BoundaryFields, joined
 
 
 class BoundaryRecovery:
@@ -48,7 +41,7 @@ class BoundaryRecovery:
     ) -> None:
         self._bodies, self._line, self._mesh, self._planes = bodies, line, mesh, planes
         self._comm, self._fine = comm, fine
-        self._known: dict[Which, tuple[FloatArray, list[BoundaryResponse]]] = {}
+        self._known: dict[BodyName, tuple[FloatArray, list[BoundaryResponse]]] = {}
 
     def fields(
         self,
@@ -64,7 +57,7 @@ class BoundaryRecovery:
         measured along the common normal: displacements are those of the collocated equations, and
         the top of the upper body has come down by the approach. What remains there is the
         difference between the collocated compliance and the symmetric one that the contact was
-        solved with (see ``reciprocity``), which vanishes with the mesh. All of the contact slides,
+        solved with (see ``symmetric``), which vanishes with the mesh. All of the contact slides,
         so that friction is mu p everywhere.
 
         Parameters

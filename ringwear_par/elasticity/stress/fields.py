@@ -1,11 +1,71 @@
 """What is known of stresses in the bodies, after they have been computed or read."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
+
+#: faces of a body; their numbers are stored
+FACES = ("free", "contact", "fixed", "inner_side", "outer_side", "interface")
+
+
+@dataclass(frozen=True)
+class BoundaryFields:
+    """Fields on the boundary of one body, in the frame of the case.
+
+    Layers have boundaries of their own, one after another from the contact face on; an interface
+    has elements on both sides.
+    """
+
+    #: (m, 2) float, mm, r and z of the worn, undeformed body
+    nodes: FloatArray
+    #: (k, 3) int, first, middle and last node; the outward normal lies to the right
+    elements: IntArray
+    #: (k,) int, index in FACES
+    face: IntArray
+    #: (m, 3) float, mm, along r, z and theta, elastic but for the approach: the upper body's u_z
+    #: includes the descent of its fixed top
+    displacement: FloatArray
+    #: (k, 3) float, MPa, along r, z and theta, per area of the boundary, constant on each element.
+    #: On the contact line it is that of pressure along the common normal of the faces and of
+    #: friction; the axial force is that on the projected area.
+    traction: FloatArray
+    #: (k,) float, MPa and mm, 0 off the contact line
+    pressure: FloatArray
+    wear: FloatArray
+
+    @property
+    def contours(self) -> list[IntArray]:
+        """Numbers of the nodes on the boundary of each zone, along it."""
+        apart = (self.elements[1:, [0, 2]] != self.elements[:-1, [2, 0]]).all(axis=1)
+        zones = np.split(self.elements, np.flatnonzero(apart) + 1)
+        return [np.arange(zone.min(), zone.max() + 1) for zone in zones]
+
+
+def joined(zones: Sequence[BoundaryFields]) -> BoundaryFields:
+    """Return the fields of the zones of a body as one."""
+    if len(zones) == 1:
+        return zones[0]
+    first = np.cumsum([0, *(len(zone.nodes) for zone in zones[:-1])])
+    elements = [zone.elements + shift for zone, shift in zip(zones, first, strict=True)]
+    fields = [
+        np.concatenate([getattr(zone, name) for zone in zones])
+        for name in ("face", "displacement", "traction", "pressure", "wear")
+    ]
+    nodes = np.concatenate([zone.nodes for zone in zones])
+    return BoundaryFields(nodes, np.concatenate(elements), *fields)
+
+
+@dataclass(frozen=True)
+class BoundaryState:
+    """Fields on the boundaries of lower and upper after ``step`` steps, at ``time`` (s)."""
+
+    step: int
+    time: float
+    bodies: tuple[BoundaryFields, BoundaryFields]
 
 
 @dataclass(frozen=True)
@@ -24,15 +84,11 @@ class Largest:
 
 @dataclass(frozen=True)
 class Interfaces:
-    """Where the interfaces of a body are, from the contact face on; none of a body without layers.
+    """Where the interfaces of a body are, from the contact face on; none without layers."""
 
-    Parameters
-    ----------
-    r : (m,) float, mm, mid-points of their elements, the same for all, increasing.
-    z : (i,) float, mm, their heights in the frame of the case, unworn.
-    """
-
+    #: (m,) float, mm, mid-points of their elements, the same for all, increasing
     r: FloatArray
+    #: (i,) float, mm, their heights in the frame of the case, unworn
     z: FloatArray
 
 
@@ -41,26 +97,23 @@ class StressState:
     """Stresses after ``step`` steps, at ``time`` (s).
 
     Components, the last axis, are ``COMPONENTS``, in MPa.
-
-    Parameters
-    ----------
-    points : (p, 6) float, NaN in layers where they are worn through.
-    grid : (nr, nz, 6) float, likewise, and NaN outside the bodies.
-    surface : of the contact elements of lower and upper, (n, 6) float each, likewise.
-    largest : of lower and upper.
-    interfaces : of lower and upper, (i, 2, m, 6) float each, above and below every interface; NaN
-        where wear has come through to it.
-    layers : of lower and upper, (layers + 1,) float, the largest von Mises stress of each layer
-        and of the body itself; (0,) of one without.
     """
 
     step: int
     time: float
+    #: (p, 6) float, NaN in layers where they are worn through
     points: FloatArray
+    #: (nr, nz, 6) float, likewise, and NaN outside the bodies
     grid: FloatArray
+    #: of the contact elements of lower and upper, (n, 6) float each, likewise
     surface: tuple[FloatArray, FloatArray]
+    #: of lower and upper
     largest: tuple[Largest, Largest]
+    #: of lower and upper, (i, 2, m, 6) float each, above and below every interface; NaN where wear
+    #: has come through to it
     interfaces: tuple[FloatArray, FloatArray]
+    #: of lower and upper, (layers + 1,) float, the largest von Mises stress of each layer and of
+    #: the body itself; (0,) of one without
     layers: tuple[FloatArray, FloatArray]
 
     def without_fields(self) -> "StressState":
@@ -76,24 +129,20 @@ class StressState:
 
 @dataclass(frozen=True)
 class StressHistory:
-    """Stored stresses, and where they are.
+    """Stored stresses, and where they are."""
 
-    Parameters
-    ----------
-    points : (p, 2) float, mm, r and z in the frame of the case.
-    sides : of each, on which side of a face or an interface it is, "" where the case names none;
-        () where they are not known.
-    grid : radii and heights of the grid, mm; none of each where there is no grid.
-    exclude : mm, radius round edges in which the largest stress was not looked for.
-    interfaces : of lower and upper.
-    states : those that were asked for.
-    """
-
+    #: (p, 2) float, mm, r and z in the frame of the case
     points: FloatArray
+    #: of each, on which side of a face or an interface it is, "" where the case names none; ()
+    #: where they are not known
     sides: tuple[str, ...]
+    #: radii and heights of the grid, mm; none of each where there is no grid
     grid: tuple[FloatArray, FloatArray]
+    #: mm, radius round edges in which the largest stress was not looked for
     exclude: float
+    #: of lower and upper
     interfaces: tuple[Interfaces, Interfaces]
+    #: those that were asked for
     states: tuple[StressState, ...]
 
     @property

@@ -13,8 +13,7 @@ from ringwear_par.elasticity.bem.body import BoundaryResponse, in_case_frame
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh, zone_meshes
 from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh
-from ringwear_par.elasticity.geometry.sections import Body
-from ringwear_par.elasticity.stress.boundary_fields import BODIES, Which
+from ringwear_par.elasticity.geometry.sections import BODIES, Body, BodyName
 from ringwear_par.elasticity.stress.boundary_recovery import BoundaryRecovery
 from ringwear_par.elasticity.stress.fields import Interfaces, Largest, mises
 from ringwear_par.elasticity.stress.largest import Search, edges, zones_of
@@ -26,62 +25,50 @@ _BLOCK = 64
 
 
 class BodyStress(NamedTuple):
-    """Stress of one body, the same on all ranks.
+    """Stress of one body, the same on all ranks."""
 
-    Parameters
-    ----------
-    points : (p, 6) float, MPa, rr, tt, zz, rz, rt, tz at the points asked for; NaN where wear has
-        left none of the body, or of the layer.
-    surface : (n, 6) float, MPa, likewise on the contact elements.
-    largest : the largest von Mises stress outside the radius round edges.
-    interfaces : (i, 2, m, 6) float, MPa, above and below each interface, see ``Interfaces``.
-    layers : (layers + 1,) float, MPa, that in each layer and in the body itself; (0,) without.
-    """
-
+    #: (p, 6) float, MPa, rr, tt, zz, rz, rt, tz at the points asked for; NaN where wear has left
+    #: none of the body, or of the layer
     points: FloatArray
+    #: (n, 6) float, MPa, likewise on the contact elements
     surface: FloatArray
+    #: the largest von Mises stress outside the radius round edges
     largest: Largest
+    #: (i, 2, m, 6) float, MPa, above and below each interface, see ``Interfaces``
     interfaces: FloatArray
+    #: (layers + 1,) float, MPa, that in each layer and in the body itself; (0,) without
     layers: FloatArray
 
 
 class StressPoints(NamedTuple):
-    """Points of a body at which stress is wanted.
+    """Points of a body at which stress is wanted."""
 
-    Parameters
-    ----------
-    at : (p, 2) float, mm, r and z in the frame of the case.
-    sides : (p,) float, of points on interfaces: 1 for the material above, -1 for that below, 0 for
-        the one towards the contact face.
-    """
-
+    #: (p, 2) float, mm, r and z in the frame of the case
     at: FloatArray
+    #: (p,) float, of points on interfaces: 1 for the material above, -1 for that below, 0 for the
+    #: one towards the contact face
     sides: FloatArray
 
 
 @dataclass(frozen=True)
 class _Known:
-    """What is known of one body: points, their zones, and influences.
+    """What is known of one body: points, their zones, and influences."""
 
-    Parameters
-    ----------
-    search : its points come first.
-    under : of the points, elements of the contact line over or under them, -1 for none.
-    blocks : numbers of points and their influences; those that are this rank's.
-    surface : of the contact elements.
-    interfaces : of the elements above and below each interface.
-    under_interfaces : of these elements, as ``under``.
-    layers : number of zones.
-    """
-
+    #: its points come first
     search: Search
     points: FloatArray
     zones: IntArray
+    #: of the points, elements of the contact line over or under them, -1 for none
     under: IntArray
+    #: numbers of points and their influences; those that are this rank's
     blocks: list[tuple[IntArray, Influence]]
+    #: of the contact elements
     surface: Influence
+    #: of the elements above and below each interface
     interfaces: list[tuple[Influence, Influence]]
+    #: of these elements, as ``under``
     under_interfaces: IntArray
+    #: number of zones
     layers: int
 
     def stress(self, pressure: FloatArray, shear: FloatArray, comm: MPI.Comm) -> FloatArray:
@@ -228,7 +215,9 @@ class StressRecovery:
         )  # fmt: skip
 
 
-def interfaces(body: Body, line: ContactLine, mesh: Mesh, which: Which, plane: float) -> Interfaces:
+def interfaces(
+    body: Body, line: ContactLine, mesh: Mesh, which: BodyName, plane: float
+) -> Interfaces:
     """Return where the stresses along the interfaces of a body are. Not collective.
 
     Parameters
@@ -247,7 +236,7 @@ def _at(influence: Influence, elements: IntArray) -> Influence:
 
 
 def _beside_interfaces(
-    boundaries: Sequence[BoundaryMesh], faces: Sequence[Influence], which: Which
+    boundaries: Sequence[BoundaryMesh], faces: Sequence[Influence], which: BodyName
 ) -> list[tuple[Influence, Influence]]:
     """Return the stress above and below each interface, from those on the zones' boundaries."""
     sides = []

@@ -69,18 +69,15 @@ class Faces:
     """A boundary's elements in runs that are smooth, and where they lie along them.
 
     Runs end at corners and where the contact line or the fixed face does, as stresses jump there.
-
-    Parameters
-    ----------
-    runs : elements of each run, in the direction of travel.
-    run : (k,) int, run of each element.
-    middle : (k,) float, mm, arc of its mid-point from the start of its run.
-    sizes : (3, k) float, mm, size of elements about its first, middle and last node.
     """
 
+    #: elements of each run, in the direction of travel
     runs: tuple[IntArray, ...]
+    #: (k,) int, run of each element
     run: IntArray
+    #: (k,) float, mm, arc of its mid-point from the start of its run
     middle: FloatArray
+    #: (3, k) float, mm, size of elements about its first, middle and last node
     sizes: FloatArray
 
     def size(self, element: IntArray, t: FloatArray) -> FloatArray:

@@ -38,15 +38,11 @@ _TOLERANCE = 1e-8
 
 @dataclass(frozen=True)
 class Influence:
-    """Stress at points for loads on the contact elements; the body's modulus does not matter.
+    """Stress at points for loads on the contact elements; the body's modulus does not matter."""
 
-    Parameters
-    ----------
-    normal : (p, 4, n) float, rr, tt, zz, rz for unit pressures; NaN at points out of it.
-    torsion : (p, 2, n) float, rt, tz for unit shear, likewise.
-    """
-
+    #: (p, 4, n) float, rr, tt, zz, rz for unit pressures; NaN at points out of it
     normal: FloatArray
+    #: (p, 2, n) float, rt, tz for unit shear, likewise
     torsion: FloatArray
 
     def stress(self, pressure: FloatArray, shear: FloatArray) -> FloatArray:
@@ -56,18 +52,15 @@ class Influence:
 
 @dataclass(frozen=True)
 class Located:
-    """Where points are to a boundary.
+    """Where points are to a boundary."""
 
-    Parameters
-    ----------
-    element : (p,) int, the nearest; t : (p,) float, place on it of the nearest point.
-    foot : (p, 2) float, mm, that point.
-    distance : (p,) float, mm, to it, negative outside.
-    """
-
+    #: (p,) int, the nearest
     element: IntArray
+    #: (p,) float, place on it of the nearest point
     t: FloatArray
+    #: (p, 2) float, mm, that point
     foot: FloatArray
+    #: (p,) float, mm, to it, negative outside
     distance: FloatArray
 
 
@@ -95,14 +88,7 @@ def locate(boundary: BoundaryMesh, points: FloatArray) -> Located:
 
 
 class _Recipe:
-    """How the stress at points is made of integrals at samples and of stresses at mid-points.
-
-    Parameters
-    ----------
-    boundary : of the zone.
-    along : its faces.
-    points : (p, 2) float, mm.
-    """
+    """How stress at points (p, 2) is made of integrals at samples and stresses at mid-points."""
 
     def __init__(self, boundary: BoundaryMesh, along: Faces, points: FloatArray) -> None:
         self._boundary, self._faces = boundary, along
@@ -216,13 +202,9 @@ def _smooth(x: float) -> float:
 
 @dataclass(frozen=True)
 class ZoneStress:
-    """The stress in a zone and on its boundary, for all loads of its body. Not collective.
+    """The stress in a zone and on its boundary, for all loads of its body. Not collective."""
 
-    Parameters
-    ----------
-    zone : displacements and tractions on the boundary, for each load.
-    """
-
+    #: displacements and tractions on the boundary, for each load
     zone: BoundaryResponse
 
     @cached_property

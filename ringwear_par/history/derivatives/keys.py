@@ -5,12 +5,11 @@ from typing import Any
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import UNITS
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.elasticity.geometry.sections import BODIES
 from ringwear_par.errors import InputError, legible
 from ringwear_par.history.derivatives.elastic_numbers import elastic_numbers
-from ringwear_par.wear.law import Law
+from ringwear_par.wear.law import Law, parameters_of
 from ringwear_par.wear.layered import LayeredLaw
-from ringwear_par.wear.parameters import parameters_of
 
 #: names of a factor on all rates of a body, about 1, in the place of a case's key
 RATES = tuple(f"wear.{body}" for body in BODIES)

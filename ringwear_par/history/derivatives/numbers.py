@@ -12,15 +12,15 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import layer_entry
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.elasticity.geometry.slopes import obliquity
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.elasticity.geometry.mesh import obliquity
+from ringwear_par.elasticity.geometry.sections import BODIES
 from ringwear_par.history.derivatives.elastic_numbers import compliance_change, elastic_numbers
 from ringwear_par.history.derivatives.keys import RATES
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.compliances import key_of
 from ringwear_par.schedules import Quantity, Table, in_time
-from ringwear_par.wear.averaging import d_averaging
 from ringwear_par.wear.law import Law
+from ringwear_par.wear.laws.non_local import d_averaging
 from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
 

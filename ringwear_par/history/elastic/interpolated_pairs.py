@@ -22,8 +22,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.body import compliance
 from ringwear_par.elasticity.bem.pair import ComplianceChange, ContactPair, Entry
 from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh
-from ringwear_par.elasticity.geometry.sections import Body
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.elasticity.geometry.sections import BODIES, Body
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.elastic.bodies import bodies, operator_key
 

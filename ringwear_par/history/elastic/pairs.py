@@ -11,11 +11,12 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, need_case
 from ringwear_par.elasticity import pair_cache
 from ringwear_par.elasticity.bem.assembly import load_kernels
+from ringwear_par.elasticity.bem.body import BodyCost
 from ringwear_par.elasticity.bem.boundary import count_elements
-from ringwear_par.elasticity.bem.pair import BodyCost, ContactPair, assemble_pair
+from ringwear_par.elasticity.bem.pair import ContactPair, assemble_pair
 from ringwear_par.elasticity.bem.solve import solved_on_one_rank
 from ringwear_par.elasticity.bem.updated import UpdatedGeometry
-from ringwear_par.elasticity.geometry.slopes import pair_slope
+from ringwear_par.elasticity.geometry.mesh import pair_slope
 from ringwear_par.elasticity.stress.boundary_recovery import BoundaryRecovery
 from ringwear_par.history.elastic.bodies import bodies, operator_key
 

@@ -6,7 +6,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.stress.boundary_fields import BoundaryState
+from ringwear_par.elasticity.stress.fields import BoundaryState
 from ringwear_par.history.elastic.pairs import boundary_recovery
 from ringwear_par.history.observers.selection import Selection
 from ringwear_par.history.snapshots import Snapshot

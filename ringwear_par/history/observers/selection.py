@@ -5,8 +5,7 @@ from typing import TypeVar
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import SAME_TIME, Case
-from ringwear_par.elasticity.stress.boundary_fields import BoundaryState
-from ringwear_par.elasticity.stress.fields import StressState
+from ringwear_par.elasticity.stress.fields import BoundaryState, StressState
 from ringwear_par.history.snapshots import Instant
 
 Timed = TypeVar("Timed", BoundaryState, StressState)

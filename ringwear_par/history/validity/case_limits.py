@@ -11,9 +11,9 @@ from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.numbers import number_faults
 from ringwear_par.cases.stress import Stress
 from ringwear_par.cases.stress_points import check_stress
-from ringwear_par.cases.text import toml_value
 from ringwear_par.elasticity.bem.boundary import count_elements, face_elements, zone_meshes
 from ringwear_par.errors import InputError
+from ringwear_par.files.text import toml_value
 
 #: about how many points of both bodies are looked at for the largest stress
 SEARCHED = 4000.0

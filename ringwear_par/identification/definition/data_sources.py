@@ -16,7 +16,6 @@ from ringwear_par.cases.files.columns import (
     unit_by_name,
 )
 from ringwear_par.cases.tables import TableReader
-from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import (
     assumption,
     factor,
@@ -28,6 +27,7 @@ from ringwear_par.cases.units import (
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, and_more
+from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import BASE, Experiment, Settings
 from ringwear_par.identification.definition.schema import SD
 

@@ -13,8 +13,8 @@ from ringwear_par.cases.files.faults import Origin
 from ringwear_par.cases.files.keys import flatten, in_full, override
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader
-from ringwear_par.cases.text import shortened
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
+from ringwear_par.files.text import shortened
 from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.identification.definition.parameter_rules import refuse_both, refuse_unfit
 from ringwear_par.identification.definition.problem import Experiment, FittedParameter, Series

@@ -16,10 +16,9 @@ from ringwear_par.cases.files.keys import (
     written_units,
 )
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
-from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.units import has_unit, number_and_unit
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.text import parse_toml, read_text, refuse_depth
+from ringwear_par.files.text import parse_toml, read_text, refuse_depth, shortened, toml_value
 from ringwear_par.identification.definition import schema
 from ringwear_par.identification.definition.data_sources import check_censored
 from ringwear_par.identification.definition.experiments import ExperimentReader

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.files.suggestions import nearest_key
+from ringwear_par.cases.files.key_values import nearest_key
 from ringwear_par.cases.numbers import interval_of
 from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
-from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import factor, has_unit, in_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import MOST_FAULTS, legible
+from ringwear_par.files.text import shortened
 from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
 from ringwear_par.identification.definition.scatter import read_scatter
@@ -103,7 +103,7 @@ def flat_texts(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _parameter(
-    said: str, key: str, table: Any, faults: list[str], told_unit: str
+    said: str, key: str, table: Any, faults: list[str], named_unit: str
 ) -> FittedParameter | None:
     path, entry = split_key(key)
     allowed = None if isinstance(entry, int) else interval_of((path, entry))
@@ -136,8 +136,8 @@ def _parameter(
                 faults.append(f"{said}: {name} = {shortened(value)}: {allowed_unit}")
         if len(converted) < len(table.keys() - {"scatter"}):
             return None
-        if not told_unit and has_unit(table.get("start")):
-            told_unit = number_and_unit(table["start"])[1]
+        if not named_unit and has_unit(table.get("start")):
+            named_unit = number_and_unit(table["start"])[1]
         table = converted
     reader = TableReader(said, table, faults, PARAMETER)
     reader.raw("scatter")  # read above
@@ -156,7 +156,7 @@ def _parameter(
             reader.wrong("start", f"must be within its bounds, {bounds[0]:g} to {bounds[1]:g}")
     if len(faults) > before or start is None or bounds is None:
         return None
-    return FittedParameter(key, start, bounds, log, prior, scatter, told_unit)
+    return FittedParameter(key, start, bounds, log, prior, scatter, named_unit)
 
 
 def units_of(problem: Problem) -> dict[str, str]:

@@ -6,14 +6,14 @@ from typing import Any
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import key_of
-from ringwear_par.elasticity.stress.boundary_fields import BODIES
+from ringwear_par.elasticity.geometry.sections import BODIES
 from ringwear_par.errors import InputError
 from ringwear_par.history.derivatives.elastic_numbers import elastic_numbers
 from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.identification.definition.problem import FittedParameter
 from ringwear_par.studies.definition.variations import split_key
-from ringwear_par.wear.catalogue import LAWS
-from ringwear_par.wear.parameters import parameters_of
+from ringwear_par.wear.law import parameters_of
+from ringwear_par.wear.laws import LAWS
 
 
 def ordered_keys(parameters: Sequence[FittedParameter]) -> list[tuple[int, int]]:

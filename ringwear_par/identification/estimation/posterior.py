@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.files.ordinary import open_ordinary
-from ringwear_par.files.writing import atomic_write
+from ringwear_par.files.writing import atomic_write, open_ordinary
 from ringwear_par.identification.definition.problem import reflected
 from ringwear_par.identification.estimation.likelihood import MarginalLikelihood
 from ringwear_par.identification.estimation.misfit import Misfit

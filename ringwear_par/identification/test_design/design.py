@@ -36,7 +36,7 @@ from ringwear_par.identification.test_design.information import (
 from ringwear_par.identification.test_design.search import Design, Search
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, together
-from ringwear_par.results.outcomes import Outcome
+from ringwear_par.results.result import Outcome
 from ringwear_par.version import versions
 
 Source = Path | str | Mapping[str, Any]

@@ -12,12 +12,11 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.keys import flatten
-from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.units import has_unit, in_unit
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import legible
 from ringwear_par.files.folders import DESIGN, MAP, NEXT, json_bytes, new_files, write_contents
-from ringwear_par.files.text import parse_toml
+from ringwear_par.files.text import parse_toml, toml_value
 from ringwear_par.identification.definition.problem import Series
 from ringwear_par.identification.test_design.candidates import LOADS, Candidate, last_profiles
 from ringwear_par.identification.test_design.design import DesignResult

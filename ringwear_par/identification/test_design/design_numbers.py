@@ -16,7 +16,7 @@ from ringwear_par.identification.test_design.candidates import Candidate
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.search import Design
 from ringwear_par.pictures.designs import design_figure
-from ringwear_par.results.instants import time_unit, time_words
+from ringwear_par.results.key_numbers import time_unit, time_words
 
 _CRITERIA = {
     "D": "smallest volume of the confidence ellipsoid (D)",

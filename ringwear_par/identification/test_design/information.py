@@ -10,11 +10,10 @@ from scipy.stats import norm, qmc
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import factor
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError
-from ringwear_par.files.text import parse_json, read_text
+from ringwear_par.files.text import parse_json, read_text, shortened
 from ringwear_par.identification.definition.problem import (
     Experiment,
     FittedParameter,

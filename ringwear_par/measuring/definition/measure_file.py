@@ -11,11 +11,10 @@ from ringwear_par.cases.files.faults import Origin
 from ringwear_par.cases.files.keys import base_keys, flatten, in_full, kinds, override, plain
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
-from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.units import has_unit, in_unit
 from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.text import parse_toml, read_text, refuse_depth
+from ringwear_par.files.text import parse_toml, read_text, refuse_depth, shortened, toml_value
 from ringwear_par.measuring.definition import schema
 from ringwear_par.measuring.definition.problem import Limits, Problem, Test, Uncertainty
 from ringwear_par.measuring.definition.records import CHANNELS, Record, read_record

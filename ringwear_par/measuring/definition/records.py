@@ -10,11 +10,11 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.files.columns import UNITS, missing_column, unit_by_name
-from ringwear_par.cases.text import shortened
-from ringwear_par.cases.units import factor, told_unit
+from ringwear_par.cases.units import factor, named_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, and_more, unused_columns
+from ringwear_par.files.text import shortened
 
 #: units of channels; of a temperature the letter behind the degree
 CHANNELS = {"time": "s", "wear": "mm", "torque": "N mm", "load": "N", "temperature": "degC"}
@@ -297,7 +297,7 @@ def _may_be(table: Measurements, channel: str, column: str) -> bool:
     if channel == "time" and column.startswith("t") and _TEMPERATURE.search(label):
         return False
     try:
-        told_unit(label, CHANNELS[channel])
+        named_unit(label, CHANNELS[channel])
     except RejectedError:
         return False
     return True
@@ -346,7 +346,7 @@ def _times(table: Measurements, column: str, unit: str | None) -> tuple[FloatArr
     InputError : cells that are no times; times that go back, the first line of which is named.
     """
     filled = table.filled(column)
-    seconds = factor(unit or told_unit(table.label(column), "s") or "s", "s")
+    seconds = factor(unit or named_unit(table.label(column), "s") or "s", "s")
     times = seconds * table.numbers(column, filled, factor("h", "s") / seconds)
     places = np.flatnonzero(filled)
     back = np.flatnonzero(np.diff(times) < 0.0)
@@ -375,7 +375,7 @@ def _in_base(
     """Return the readings of a channel in its unit."""
     readings, label = table.numbers(column, rows), table.label(column)
     if channel != "temperature":
-        unit = unit or told_unit(label, CHANNELS[channel]) or CHANNELS[channel]
+        unit = unit or named_unit(label, CHANNELS[channel]) or CHANNELS[channel]
         return factor(unit, CHANNELS[channel]) * readings
     match = _TEMPERATURE.search(unit or label)
     degrees = match[1] if match else "C"

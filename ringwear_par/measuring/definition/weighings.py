@@ -14,8 +14,8 @@ from ringwear_par.cases.files.columns import unit_by_name
 from ringwear_par.cases.units import factor
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, measurements_in, unused_columns
-from ringwear_par.files.ordinary import read_bytes
 from ringwear_par.files.table_text import EMPTY
+from ringwear_par.files.writing import read_bytes
 
 _BEFORE = {"before", "vor", "vorher", "initial"}
 _AFTER = {"after", "nach", "nachher", "final"}

@@ -10,11 +10,10 @@ from ringwear_par.cases.files.keys import named_files, read_keys
 from ringwear_par.cases.files.law_trials import law_files, law_sources
 from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.errors import InputError
-from ringwear_par.files.writing import announce_replacement, check_writable
+from ringwear_par.files.writing import check_writable
 from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.checkpoints import restored
-from ringwear_par.results.storage.result_files import open_result, read_error, read_status
+from ringwear_par.results.storage.result_files import open_result, read_error, read_status, restored
 
 
 def reached_end(case: Case, result: Result) -> bool:
@@ -77,19 +76,10 @@ def prepare(
     return case, before
 
 
-def announce(output: Path) -> None:
-    """Say that a file will be replaced, once a case is known to have a history. On one rank."""
-    announce_replacement(output)
-
-
 def _interrupted(output: Path, case: Case, restart: bool) -> Result | None:
     """Return the result to go on with; refuse to lose one that was interrupted.
 
     A run that is complete, or that failed, is replaced without a question.
-
-    Raises
-    ------
-    InputError : the reason.
     """
     present = read_status(output)
     if present is None:

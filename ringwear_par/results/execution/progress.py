@@ -26,12 +26,7 @@ _BAR_SECONDS = 0.2
 
 
 class _Progress:
-    """A bar on a terminal, else lines.
-
-    Parameters
-    ----------
-    bar : how it looks, see tqdm.
-    """
+    """A bar on a terminal, which looks as tqdm has it, else lines."""
 
     def __init__(self, **bar: Any) -> None:
         self._begun = self._last = time.perf_counter()

@@ -24,10 +24,9 @@ from ringwear_par.results.execution.attributes import (
     times_through,
     wall_times,
 )
-from ringwear_par.results.execution.last_states import LastStates
-from ringwear_par.results.execution.stored_rows import StoredRows
+from ringwear_par.results.execution.stored_states import LastStates, StoredRows
 from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
-from ringwear_par.results.stress_variables import point_columns, stress_rows
+from ringwear_par.results.storage.result_variables import point_columns, stress_rows
 from ringwear_par.results.warnings import Warnings
 
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})

@@ -3,27 +3,88 @@
 import logging
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
+import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.unit_suspicions import unit_suspicions
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
+from ringwear_par.files.writing import announce_replacement
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, warn_of_threads
-from ringwear_par.results.execution.preparation import Figure, announce, prepare, reached_end
+from ringwear_par.results.execution.preparation import Figure, prepare, reached_end
 from ringwear_par.results.execution.progress import RunProgress, closing_lines, for_terminal
 from ringwear_par.results.execution.recorder import Recorder
-from ringwear_par.results.execution.stopping import StopSignals, remark
-from ringwear_par.results.execution.watch import Watch
+from ringwear_par.results.execution.stopping import StopSignals, name_of, remark
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import write_result
-from ringwear_par.results.unit_suspicions import unit_suspicions
 from ringwear_par.version import __version__
+
+log = logging.getLogger(__name__)
+
+#: wall seconds between checkpoints
+CHECKPOINT_SECONDS = 30.0
+
+
+class Watch:
+    """Observer in which ranks meet after every step, for a checkpoint or to stop.
+
+    Parameters
+    ----------
+    signals : noted here, acted upon when one of the ranks has received one.
+    save : writes a checkpoint of what there is; collective.
+    comm : communicator; calls are collective, and answered alike on all ranks.
+    """
+
+    def __init__(self, signals: StopSignals, save: Callable[[], object], comm: MPI.Comm) -> None:
+        self._signals, self._save, self._comm = signals, save, comm
+        self._saved = time.perf_counter()
+        #: why the last checkpoint was not written, "" if it was
+        self._lacking = ""
+        #: the signal that the ranks agreed to stop for, or 0
+        self.agreed = 0
+
+    @property
+    def signal_name(self) -> str:
+        """Name of the signal that stopped the history."""
+        return name_of(self.agreed)
+
+    def __call__(self, snapshot: Snapshot) -> bool:
+        """Return whether to stop after this state. Collective."""
+        if snapshot.passing or snapshot.step is None:
+            return False
+        received = self._signals.received
+        due = self._comm.rank == 0 and time.perf_counter() - self._saved > CHECKPOINT_SECONDS
+        if self._comm.size > 1:
+            request = np.array([received, due], dtype=np.int64)
+            self._comm.Allreduce(MPI.IN_PLACE, request, MPI.MAX)
+            received, due = int(request[0]), bool(request[1])
+        self.agreed = received
+        if due and not received and not snapshot.finished.all():
+            self._write_checkpoint()
+        return received != 0
+
+    def _write_checkpoint(self) -> None:
+        """Write a checkpoint; tell once why it cannot be, and once that it can again."""
+        lacking = ""
+        try:
+            self._save()
+        except ComputationError as error:
+            lacking = str(error)
+        if lacking != self._lacking and self._comm.rank == 0:
+            if lacking:
+                log.warning("checkpoint not written, going on: %s", lacking)
+            else:
+                log.info("checkpoints are written again")
+        self._lacking = lacking
+        self._saved = time.perf_counter()
+
 
 log = logging.getLogger(__name__)
 
@@ -78,7 +139,7 @@ def run_case(
             """Stop after a step, not at once, as soon as there is a state: an observer."""
             if not signals.noted:
                 if before is None and not overwrite and comm.rank == 0:
-                    announce(output)
+                    announce_replacement(output)
                 handlers.enter_context(signals)
             return False
 
@@ -117,14 +178,7 @@ def _log_continuation(output: Path, recorder: Recorder, before: Result) -> None:
 
 
 class _ResultFile:
-    """The result file of a history under way.
-
-    Parameters
-    ----------
-    path : of the file.
-    recorder : of the history.
-    comm : communicator of the history.
-    """
+    """The result file of a history under way."""
 
     def __init__(self, path: Path, recorder: Recorder, comm: MPI.Comm) -> None:
         self.path, self.recorder, self.comm = path, recorder, comm
@@ -158,10 +212,7 @@ class _ResultFile:
 def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) -> None:
     """Step a history to its end, or until an observer stops it. Collective.
 
-    Raises
-    ------
-    InputError : the case's own numbers do not go together, or an option for PETSc.
-    ComputationError : a step failed; the steps before it are in the file.
+    Where a step fails, the steps before it are in the file.
     """
     recorder, comm = file.recorder, file.comm
     with ExitStack() as resources:
@@ -169,7 +220,7 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
             since = 0.0 if recorder.start is None else float(recorder.start.state.time[0])
             observers.append(resources.enter_context(closing(RunProgress(since, case.time.end))))
         try:
-            with _doubting(case, path, comm):
+            with _logging_unit_suspicions(case, path, comm):
                 simulate_one(case, comm, start=recorder.start, observers=observers)
         except UnfitError as error:
             raise InputError(*(f"{path}: {fault}" for fault in error.faults)) from error
@@ -186,7 +237,7 @@ def _step(case: Case, path: Path, file: _ResultFile, observers: list[Observer]) 
 
 
 @contextmanager
-def _doubting(case: Case, path: Path, comm: MPI.Comm) -> Iterator[None]:
+def _logging_unit_suspicions(case: Case, path: Path, comm: MPI.Comm) -> Iterator[None]:
     """Log the suspicious units of a case that fails, but for those that its error names."""
     try:
         yield

@@ -58,8 +58,11 @@ class Stopped(BaseException):
         self.number = number
 
 
-class _Signals:
-    """Takes signals over; a context manager. An ignored SIGHUP stays so, as nohup wants it."""
+class StopSignals:
+    """Notes signals that ask to stop, instead of dying of them; a context manager.
+
+    An ignored SIGHUP stays so, as nohup wants it.
+    """
 
     def __init__(self) -> None:
         #: the last signal received, or 0
@@ -85,11 +88,7 @@ class _Signals:
         self.received = number
 
 
-class StopSignals(_Signals):
-    """Notes signals that ask to stop, instead of dying of them; a context manager."""
-
-
-class StopAtOnce(_Signals):
+class StopAtOnce(StopSignals):
     """Turns signals that ask to stop into ``Stopped``; a context manager."""
 
     def __init__(self) -> None:

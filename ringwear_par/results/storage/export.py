@@ -7,25 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.text import shortened
-from ringwear_par.elasticity.stress.boundary_fields import BODIES, BoundaryState
+from ringwear_par.elasticity.geometry.sections import BODIES
 from ringwear_par.elasticity.stress.fields import (
     COMPONENTS,
     SIDES,
+    BoundaryState,
     StressState,
     max_shear,
     mises,
     principal,
 )
 from ringwear_par.errors import InputError
+from ringwear_par.files.text import shortened
 from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import result_of
-from ringwear_par.results.storage.stored_stresses import (
-    Interface,
-    interfaces_of,
-    stresses,
-)
 from ringwear_par.results.storage.vtkhdf import (
     contours,
     interface_cells,
@@ -33,6 +29,7 @@ from ringwear_par.results.storage.vtkhdf import (
     surfaces,
     write_vtkhdf,
 )
+from ringwear_par.results.subsurface import Interface, interfaces_of, stresses
 from ringwear_par.results.variables import (
     HISTORIES,
     LAYER_HISTORIES,

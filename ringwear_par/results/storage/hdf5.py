@@ -21,8 +21,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
-from ringwear_par.files.ordinary import open_ordinary
-from ringwear_par.files.writing import atomic_write
+from ringwear_par.files.writing import atomic_write, open_ordinary
 from ringwear_par.results.variables import Variable
 
 log = logging.getLogger(__name__)
@@ -223,24 +222,15 @@ def check_times(times: FloatArray) -> None:
 # -- writing -------------------------------------------------------------------------------------
 
 
-class _Disk(io.RawIOBase):
-    """The disk under an HDF5 file; HDF5 never hears that it is full.
+class _Disk(io.FileIO):
+    """The disk under an HDF5 file, which is emptied; HDF5 never hears that it is full.
 
     HDF5 writes again while it takes its objects down, and a second failure ends the process. So
     the first one is kept for ``check``, and what is written from then on stays in memory.
-
-    Parameters
-    ----------
-    path : of a file, which is emptied.
-
-    Raises
-    ------
-    OSError : it cannot be made.
     """
 
     def __init__(self, path: Path) -> None:
-        self._handle = os.open(path, os.O_RDWR | os.O_TRUNC)
-        self._place = 0
+        super().__init__(path, "w+")
         self._failure: tuple[int | None, str] | None = None  # an error would hold frames
         self._unwritten: list[tuple[int, bytes]] = []
 
@@ -249,65 +239,38 @@ class _Disk(io.RawIOBase):
         if self._failure is not None:
             raise OSError(*self._failure)
 
-    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a place, counted from the beginning or from the end."""
-        start = os.fstat(self._handle).st_size if whence == os.SEEK_END else 0
-        self._place = start + offset
-        return self._place
-
-    def tell(self) -> int:
-        """Return the place."""
-        return self._place
-
     def readinto(self, buffer: Any) -> int:
         """Read from the place; what was never written is 0."""
-        wanted, size = memoryview(buffer), 0
-        while size < len(wanted):
-            count = os.preadv(self._handle, [wanted[size:]], self._place + size)
-            if not count:
-                break
-            size += count
+        wanted, place = memoryview(buffer), self.tell()
+        size = super().readinto(wanted)
         wanted[size:] = bytes(len(wanted) - size)
         for start, data in self._unwritten:
-            low, high = max(start, self._place), min(start + len(data), self._place + len(wanted))
+            low, high = max(start, place), min(start + len(data), place + len(wanted))
             if low < high:
-                wanted[low - self._place : high - self._place] = data[low - start : high - start]
+                wanted[low - place : high - place] = data[low - start : high - start]
         return len(wanted)
 
     def write(self, data: Any) -> int:
         """Write to the place: to the disk, to memory once that has failed."""
-        left = memoryview(data)
+        left, place = memoryview(data), self.tell()
         try:
             while len(left) and self._failure is None:
-                written = os.pwrite(self._handle, left, self._place + len(data) - len(left))
-                left = left[written:]
+                left = left[super().write(left) :]
         except OSError as error:
             self._failure = error.errno, error.strerror or str(error)
         if len(left):
-            self._unwritten.append((self._place + len(data) - len(left), bytes(left)))
+            self._unwritten.append((place + len(data) - len(left), bytes(left)))
         return len(data)
 
     def truncate(self, size: int | None = None) -> int:
         """Give the file a size."""
-        size = self._place if size is None else size
+        size = self.tell() if size is None else size
         try:
             if self._failure is None:
-                os.ftruncate(self._handle, size)
+                super().truncate(size)
         except OSError as error:
             self._failure = error.errno, error.strerror or str(error)
         return size
-
-    def close(self) -> None:
-        """Close the file; some disks tell only now that they are full.
-
-        Raises
-        ------
-        OSError : they do.
-        """
-        if not self.closed:
-            super().close()
-            self._unwritten.clear()
-            os.close(self._handle)
 
 
 @contextmanager

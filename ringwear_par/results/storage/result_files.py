@@ -6,27 +6,24 @@ that is there is whole.
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
+from ringwear_par.batched import one
+from ringwear_par.contact.problem import ContactState, WarmStart
 from ringwear_par.elasticity.geometry.mesh import ContactLine
-from ringwear_par.elasticity.stress.fields import (
-    COMPONENTS,
-    SIDES,
-    Interfaces,
-    Largest,
-    StressHistory,
-    StressState,
-)
-from ringwear_par.errors import ComputationError
+from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.writing import check_writable
+from ringwear_par.history.observers.worst_states import ENTRIES
+from ringwear_par.history.state import Progress, Start, State
 from ringwear_par.results import variables as table
 from ringwear_par.results.result import Checkpoint, Result
 from ringwear_par.results.storage.boundaries import read_boundaries, write_boundaries
-from ringwear_par.results.storage.checkpoints import read_checkpoint, write_checkpoint
 from ringwear_par.results.storage.hdf5 import (
     atomic_hdf5,
     check_times,
@@ -38,6 +35,7 @@ from ringwear_par.results.storage.hdf5 import (
     reading,
     write_variable,
 )
+from ringwear_par.results.storage.result_variables import coordinates, read_stress, result_variables
 from ringwear_par.results.variables import Variable
 
 _KIND = "a result file of ringwear"
@@ -147,7 +145,7 @@ def _read(file: h5py.File, path: Path) -> Result:
         _read_parameters(file, sizes),
         _read_stored(file, table.DERIVATIVES, sizes),
         layers=layers,
-        stress=_read_stress(file, sizes),
+        stress=read_stress(file, sizes),
     )
 
 
@@ -200,63 +198,6 @@ def _steps_made(file: h5py.File, sizes: dict[str, int]) -> Any:
     )
 
 
-def _read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
-    """Return the stored stresses, None where there are none; any exception means damage."""
-    if table.STRESS_TIME.name not in file:
-        return None
-    sizes = {**sizes, "component": len(COMPONENTS), table.SIDE.name: len(SIDES)}
-
-    def read(variable: Variable) -> Any:
-        return read_array(file, variable, sizes)
-
-    times, steps = read(table.STRESS_TIME), read(table.STRESS_STEPS_MADE)
-    check_times(times)
-    count = len(times)
-    points, at_points = np.empty((0, 2)), np.empty((count, 0, 6))
-    sides: tuple[str, ...] = ()
-    if table.STRESS.name in file:
-        points = np.stack([read(table.POINT_R), read(table.POINT_Z)], axis=1)
-        at_points = read(table.STRESS)
-        sides = tuple(find_texts(file, table.POINT_SIDE.name, sizes, "point")[()].tolist())
-        if not set(sides) <= set(table.POINT_SIDES):
-            raise ValueError(table.POINT_SIDE.name)
-    axes, on_grid = (np.empty(0), np.empty(0)), np.empty((count, 0, 0, 6))
-    if table.STRESS_GRID.name in file:
-        axes = read(table.GRID_R), read(table.GRID_Z)
-        on_grid = read(table.STRESS_GRID)
-    surface = [read(variable) for variable in table.SURFACE_STRESS]
-    none = Interfaces(np.empty(0), np.empty(0)), np.empty((count, 0, len(SIDES), 0, 6))
-    lower, upper = (
-        (Interfaces(read(names.r), read(names.z)), read(names.stress))
-        if names.stress.name in file
-        else none
-        for names in table.INTERFACES
-    )
-    largest = [
-        [Largest(*row) for row in zip(*(read(v).tolist() for v in variables), strict=True)]
-        for variables in table.MAX_MISES_OF
-    ]
-    layers = [  # which may have a dimension of their own
-        read_array(file, variable, {"stress_step": count})
-        if variable.name in file
-        else np.empty((count, 0))
-        for variable in table.MAX_MISES_LAYERS
-    ]
-    states = tuple(
-        StressState(
-            int(steps[t]), float(times[t]), at_points[t], on_grid[t],
-            (surface[0][t], surface[1][t]),
-            (largest[0][t], largest[1][t]),
-            (lower[1][t], upper[1][t]),
-            (layers[0][t], layers[1][t]),
-        )
-        for t in range(count)
-    )  # fmt: skip
-    return StressHistory(
-        points, sides, axes, float(read(table.EXCLUDE)), (lower[0], upper[0]), states
-    )
-
-
 # -- writing -------------------------------------------------------------------------------------
 
 
@@ -287,7 +228,7 @@ def write_result(path: Path, result: Result) -> None:
     OSError : the disk or the folder.
     """
     with atomic_hdf5(path) as (file, check_disk):
-        for variable, values in result.variables():
+        for variable, values in result_variables(result):
             write_variable(file, variable, values)
         check_disk()
         line = file.create_group("line")
@@ -300,7 +241,129 @@ def write_result(path: Path, result: Result) -> None:
         file.attrs.update(
             {
                 "software": table.SOFTWARE,
-                "coordinates": " ".join(result.coordinates),
+                "coordinates": " ".join(coordinates(result)),
                 **result.attributes,
             }
         )
+
+
+# -- where a history continues: which part of a ``Checkpoint`` each variable is --------------------
+
+_BODY = Variable("body", ("body",), "1", "0 lower, 1 upper", integer=True)
+#: parts of a ``Start`` that are arrays
+_STATE_ARRAYS = {
+    "state.wear": Variable("wear", ("body", "element"), "mm", "wear depth"),
+    "state.worn": Variable(
+        "worn", ("body",), "mm3", "time integral of the rate of the worn volume"
+    ),
+    "state.rates": Variable("rates", ("body", "element"), "mm/s", "rate of wear"),
+    "state.error": Variable(
+        "error", ("element",), "mm", "estimated error of wear that time steps have made"
+    ),
+    "state.meshed_wear": Variable(
+        "shape", ("body", "element"), "mm", "wear depth that the elements have followed"
+    ),
+    "state.gap_offset": Variable(
+        "fit", ("element",), "mm", "what elements are nearer since their slopes turned"
+    ),
+    "state.through": Variable(
+        "through", ("body",), "s", "when wear first got through all layers, or infinite"
+    ),
+    "state.contact.pressure": Variable("pressure", ("element",), "MPa", "contact pressure"),
+    "state.contact.gap": Variable("gap", ("element",), "mm", "gap between the deformed profiles"),
+    "warm.scaled_pressure": Variable(
+        "warm_scaled_pressure", ("element",), "1", "unknowns of the contact solver"
+    ),
+}
+#: of histories whose elements follow the wear, and of bodies with layers
+_OPTIONAL_ARRAYS = ("state.meshed_wear", "state.gap_offset", "state.through")
+#: parts that are numbers: their names in files, and their types
+_STATE_NUMBERS: dict[str, tuple[str, type]] = {
+    "progress.steps": ("step", int),
+    "state.time": ("time", float),
+    "state.energy": ("energy", float),
+    "progress.iterations": ("iterations", int),
+    "progress.next_step": ("next_step", float),
+    "progress.rejected": ("rejected", int),
+    "progress.interface": ("interface", float),
+    "updates": ("assemblies", int),
+    "state.contact.approach": ("approach", float),
+    "state.contact.force": ("force", float),
+    "warm.approach": ("warm_approach", float),
+}
+#: other attributes: a number, and the beginning of those that hold the worst of a history
+_PENDING, _WORST = "pending_iterations", "worst_"
+
+
+def restored(result: Result) -> Start:
+    """Return where a stored history continues.
+
+    Raises
+    ------
+    InputError : it was stored without.
+    """
+    if result.checkpoint is None:
+        raise InputError(f"{result.name}: holds no state to go on from; must be one of a run")
+    return result.checkpoint.start
+
+
+def write_checkpoint(group: h5py.Group, checkpoint: Checkpoint) -> None:
+    """Write a checkpoint to a group of a result file, whose elements it has."""
+    start = one(checkpoint.start, 0)
+    group.attrs.update(
+        {name: attrgetter(part)(start) for part, (name, _) in _STATE_NUMBERS.items()}
+    )
+    group.attrs[_PENDING] = checkpoint.pending_iterations
+    group.attrs.update({f"{_WORST}{name}": values for name, values in checkpoint.worst.items()})
+    write_variable(group, _BODY, np.arange(2))
+    for part, variable in _STATE_ARRAYS.items():
+        values = attrgetter(part)(start)
+        if values is not None:
+            write_variable(group, variable, values)
+
+
+def read_checkpoint(group: h5py.Group, sizes: Mapping[str, int]) -> Checkpoint:
+    """Return the checkpoint in a group of a result file.
+
+    Parameters
+    ----------
+    sizes : of the dimensions of the file.
+
+    Raises
+    ------
+    Exception : it is damaged, see ``reading``.
+    """
+    known = {**sizes, "body": 2}
+    parts: dict[str, Any] = {
+        part: np.array([read_number(group.attrs[name])], dtype=kind)
+        for part, (name, kind) in _STATE_NUMBERS.items()
+    }
+    for part, variable in _STATE_ARRAYS.items():
+        if variable.name in group or part not in _OPTIONAL_ARRAYS:
+            histories = (
+                variable.dimensions.index("body") + 1 if "body" in variable.dimensions else 0
+            )
+            parts[part] = np.expand_dims(read_array(group, variable, known), histories)
+    worst = {
+        name.removeprefix(_WORST): read_numbers(values)
+        for name, values in group.attrs.items()
+        if name.startswith(_WORST)
+    }
+    if any(len(values) != ENTRIES for values in worst.values()):
+        raise ValueError(_WORST)
+    return Checkpoint(_start(parts), int(read_number(group.attrs[_PENDING])), worst)
+
+
+def _start(parts: Mapping[str, Any]) -> Start:
+    """Return the start of these parts, of which it has no others."""
+
+    def of(owner: str) -> dict[str, Any]:
+        """Return the parts of an owner by their names in it."""
+        paths = {part: part.rpartition(".") for part in parts}
+        return {name: parts[part] for part, (table, _, name) in paths.items() if table == owner}
+
+    zero = np.zeros(1, dtype=np.int64)
+    contact = ContactState(**of("state.contact"), iterations=zero, residual=np.zeros(1))
+    state = State(**of("state"), contact=contact)
+    progress = replace(Progress.at_start(1), **of("progress"))
+    return Start(state, progress, WarmStart(**of("warm")), int(parts["updates"][0]))

@@ -11,16 +11,17 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.elasticity.stress.boundary_fields import BoundaryFields, BoundaryState
 from ringwear_par.elasticity.stress.fields import (
     COMPONENTS,
+    BoundaryFields,
+    BoundaryState,
     StressHistory,
     StressState,
     max_shear,
     mises,
 )
 from ringwear_par.results.storage.hdf5 import atomic_hdf5
-from ringwear_par.results.storage.stored_stresses import Interface
+from ringwear_par.results.subsurface import Interface
 
 _VERSION = (2, 0)
 #: VTK's numbers of a line through several points, and of a quadrangle
@@ -29,17 +30,13 @@ _POLYLINE, _QUAD = 4, 9
 
 @dataclass(frozen=True)
 class Cells:
-    """What a VTK file holds: points, cells of the same number of points, fields on both.
+    """What a VTK file holds: points, cells of the same number of points, fields on both."""
 
-    Parameters
-    ----------
-    points : (m, 3) float, mm.
-    cells : (c, q) int, points of each cell.
-    point_data, cell_data : by name, (m,), (c,) or with three columns.
-    """
-
+    #: (m, 3) float, mm
     points: FloatArray
+    #: (c, q) int, points of each cell
     cells: IntArray
+    #: by name, (m,), (c,) or with three columns
     point_data: dict[str, Any]
     cell_data: dict[str, Any]
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.errors import InputError, legible
+from ringwear_par.files.text import shortened, toml_value
 from ringwear_par.studies.analysis.regression import Part
 from ringwear_par.studies.analysis.responses import DEPTHS, LARGEST
 from ringwear_par.studies.storage.end_values import end_value_of

@@ -9,7 +9,6 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.numbers import Number, interval_of
-from ringwear_par.studies.definition.designs import Draft
 from ringwear_par.studies.definition.texts import Place
 from ringwear_par.studies.definition.variations import Column, path_of, split_key, varied_keys
 
@@ -35,18 +34,24 @@ class CaseColumns:
     numbers: Mapping[Number, int]
 
     @classmethod
-    def of(cls, draft: Draft) -> "CaseColumns":
-        """Return all cases of a draft."""
+    def of(
+        cls, base: Mapping[str, Any], names: tuple[str, ...], columns: tuple[Column, ...]
+    ) -> "CaseColumns":
+        """Return all cases of a study."""
         numbers: dict[Number, int] = {}
-        for i, (path, entry) in enumerate(map(split_key, draft.names)):
-            if isinstance(entry, int) or draft.columns[i].numbers is None:
+        paths = {*base, *map(path_of, names)}
+        for i, (path, entry) in enumerate(map(split_key, names)):
+            if isinstance(entry, int) or columns[i].numbers is None:
                 continue
             body, _, name = path.partition(".")
-            if name == "young" and _has_layers(draft, body):
+            if name == "young" and f"{body}.layers" in paths:
                 continue  # of other layers: no one factor of the elasticity
             if interval_of((path, entry)) is not None:
                 numbers[path, entry] = i
-        return cls(draft.base, draft.names, draft.columns, numbers)
+        return cls(base, names, columns, numbers)
+
+    def __len__(self) -> int:
+        return len(self.columns[0])
 
     def part(self, cases: slice | IntArray) -> "CaseColumns":
         """Return some of the cases."""
@@ -66,7 +71,7 @@ class CaseColumns:
     @cached_property
     def kinds(self) -> IntArray:
         """(cases,) number of the kind that each case is of."""
-        kinds = np.zeros(len(self.columns[0]), dtype=np.int64)
+        kinds = np.zeros(len(self), dtype=np.int64)
         for i, column in enumerate(self.columns):
             if i not in self.numbers.values():
                 kinds = kinds * (int(column.codes.max(initial=0)) + 1) + column.codes
@@ -80,7 +85,7 @@ class CaseColumns:
 
     def inside(self) -> BoolArray:
         """Return in which cases all numbers are right by themselves."""
-        good = np.ones(len(self.columns[0]), dtype=bool)
+        good = np.ones(len(self), dtype=bool)
         for number, i in self.numbers.items():
             interval, values = interval_of(number), self.columns[i].numbers
             assert interval is not None
@@ -95,12 +100,6 @@ class CaseColumns:
             for number, i in self.numbers.items()
             if (values := self.columns[i].numbers) is not None
         }
-
-
-def _has_layers(draft: Draft, body: str) -> bool:
-    """Tell whether a body may have layers in a study."""
-    path = f"{body}.layers"
-    return path in draft.base or any(path_of(name) == path for name in draft.names)
 
 
 def by_kind(kinds: IntArray) -> Iterator[tuple[int, IntArray]]:

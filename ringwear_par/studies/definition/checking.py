@@ -19,7 +19,7 @@ from ringwear_par.cases.numbers import needs_reading
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic.bodies import operator_key, young
 from ringwear_par.history.validity.case_limits import check_memory, check_mesh
-from ringwear_par.studies.definition.case_columns import CaseColumns, by_kind
+from ringwear_par.studies.definition.case_columns import by_kind
 from ringwear_par.studies.definition.designs import Draft
 from ringwear_par.studies.definition.identities import identities_of
 
@@ -73,7 +73,7 @@ class _Checker:
 
     def __init__(self, draft: Draft, first: int, last: int, ranks: int) -> None:
         self._draft, self._first, self._ranks = draft, first, ranks
-        self.rows, count = CaseColumns.of(draft).part(slice(first, last)), last - first
+        self.rows, count = draft.cases.part(slice(first, last)), last - first
         self.checked = CheckedCases(
             np.zeros(0, dtype="S16"), np.zeros(count, dtype=np.int64), np.zeros((count, 2)),
             np.zeros(count), {}, {}, {}, [], 0,
@@ -195,7 +195,9 @@ def refuse_bad_cases(
     InputError : the faults of its first bad cases, and those of its operators.
     """
     of_cases = [fault for part in stretches for fault in part.faults][:LOOKED_AT]
-    faults = case_faults(draft.name, of_cases, sum(part.bad for part in stretches), draft.count)
+    faults = case_faults(
+        draft.name, of_cases, sum(part.bad for part in stretches), len(draft.cases)
+    )
     operator_faults: dict[Hashable, tuple[str, ...]] = {}
     for part in stretches:
         operator_faults = {**part.operator_faults, **operator_faults}

@@ -13,13 +13,20 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.key_values import unknown_key
 from ringwear_par.cases.files.keys import base_keys, in_full, kinds, plain
-from ringwear_par.cases.files.suggestions import unknown_key
 from ringwear_par.cases.layers import LAYERS
-from ringwear_par.cases.text import shortened, toml_value
-from ringwear_par.cases.values import RejectedError
+from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
-from ringwear_par.files.text import parse_toml, parse_value, read_text, refuse_depth
+from ringwear_par.files.text import (
+    parse_toml,
+    parse_value,
+    read_text,
+    refuse_depth,
+    shortened,
+    toml_value,
+)
+from ringwear_par.studies.definition.case_columns import CaseColumns
 from ringwear_par.studies.definition.schema import DESIGN, MOST_CASES
 from ringwear_par.studies.definition.variations import (
     Column,
@@ -48,23 +55,14 @@ class Draft:
     ----------
     name : what messages call it.
     text : the TOML text of the study.
-    base : dotted keys and raw values of the base case.
-    names : the varied keys, as the study names them.
     method : of the design.
-    columns : raw values in all cases, in the order of ``names``.
+    cases : all of them.
     """
 
     name: str
     text: str
-    base: Mapping[str, Any]
-    names: tuple[str, ...]
     method: str
-    columns: tuple[Column, ...]
-
-    @property
-    def count(self) -> int:
-        """Number of the cases."""
-        return len(self.columns[0])
+    cases: CaseColumns
 
 
 def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
@@ -125,7 +123,7 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
         column.mapped(partial(_in_full, key, folder)) if column.numbers is None else column
         for key, column in zip(names, columns, strict=True)
     )
-    return Draft(name, text, base, names, method, complete)
+    return Draft(name, text, method, CaseColumns.of(base, names, complete))
 
 
 def _in_full(name: str, folder: Path, value: Any) -> Any:
@@ -143,28 +141,19 @@ def read_design(name: str, table: Mapping[str, Any], faults: list[str]) -> dict[
     ------
     InputError : the method is wrong; with all faults.
     """
-
-    def read(key: str) -> Any:
-        value = table.get(key, DESIGN[key].default)
-        try:
-            return DESIGN[key].read(value)
-        except RejectedError as reason:
-            words = f"= {shortened(value)}" if key in table else "is missing"
-            detail = f" ({reason})" if str(reason) else ""
-            faults.append(f"{name}: design.{key} {words}: {DESIGN[key].rule}{detail}")
-            return None
-
-    method = read("method")
-    if method is None:
+    before, reader = len(faults), TableReader(f"{name}: [design]", table, faults, DESIGN)
+    method = reader.read("method")
+    if len(faults) > before:
         raise InputError(*faults)
-    allowed = {"grid": (), "list": ("file",)}.get(method, ("count", "seed"))
-    faults += [
-        f"{name}: design.{legible(key)} = {shortened(value)}: must be absent; method = "
-        f'"{method}" knows {", ".join(("method", *allowed))}'
-        for key, value in table.items()
-        if key not in ("method", *allowed)
-    ]
-    return {"method": method, **{key: read(key) for key in allowed}}
+    needed = {"grid": (), "list": ("file",)}.get(method, ("count",))
+    design = {"method": method, **{key: reader.read(key) for key in needed}}
+    for key in needed:
+        if key not in reader:
+            reader.wrong(key, DESIGN[key].rule)
+    if "count" in needed:
+        design["seed"] = reader.read("seed")
+    reader.finish(f'unknown key of method = "{method}"')
+    return design
 
 
 def drawn(

@@ -21,8 +21,6 @@ from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.files.text import read_text
 from ringwear_par.studies.definition.case_columns import CaseColumns, by_kind
 
-#: defaults of before keys had to be given: the ids of the cases of then have to stay
-_NOT_IN_IDS = {f"wear.{body}.law": "threshold" for body in ("lower", "upper")}
 #: cases whose ids are made at once
 _WINDOW = 2**14
 
@@ -77,7 +75,7 @@ def _id_pieces(case_keys: Mapping[str, Any], numbers: Mapping[Number, int]) -> l
             pieces.append("]")
         else:
             value = key.read(raw)
-            if value != _NOT_IN_IDS.get(path, key.default):
+            if value != key.default:
                 pieces.append(_pair(path, value))
     return pieces
 

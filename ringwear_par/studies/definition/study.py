@@ -13,8 +13,8 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.numbers import with_numbers
-from ringwear_par.cases.text import toml_value
 from ringwear_par.elasticity.bem.boundary import count_elements
+from ringwear_par.files.text import toml_value
 from ringwear_par.studies.definition.case_columns import CaseColumns, Groups, by_kind
 from ringwear_par.studies.definition.checking import (
     CheckedCases,
@@ -159,7 +159,9 @@ def read_study(source: Path | str | Mapping[str, Any], ranks_per_case: int = 1) 
     InputError : all faults of the study together, or those of its first bad cases.
     """
     draft = read_draft(source)
-    return _complete(draft, [check_cases(draft, 0, draft.count, ranks_per_case)], ranks_per_case)
+    return _complete(
+        draft, [check_cases(draft, 0, len(draft.cases), ranks_per_case)], ranks_per_case
+    )
 
 
 def read_study_together(
@@ -172,7 +174,7 @@ def read_study_together(
     from ringwear_par.parallel import on_first_rank, together
 
     draft = on_first_rank(comm, lambda: read_draft(source))
-    first, last = (draft.count * i // comm.size for i in (comm.rank, comm.rank + 1))
+    first, last = (len(draft.cases) * i // comm.size for i in (comm.rank, comm.rank + 1))
     with together(comm):
         stretch = check_cases(draft, first, last, ranks_per_case)
     stretches = comm.gather(stretch)
@@ -198,7 +200,7 @@ def _complete(draft: Draft, stretches: Sequence[CheckedCases], ranks: int) -> St
     identities = np.concatenate([part.identities for part in stretches])
     moduli = np.concatenate([part.moduli for part in stretches])
     work = np.concatenate([part.work for part in stretches])
-    cases = CaseColumns.of(draft)
+    cases = draft.cases
     firsts = np.sort(np.unique(identities, return_index=True)[1])
     if len(firsts) < len(identities):  # some cases are there twice
         cases, identities, operators = cases.part(firsts), identities[firsts], operators[firsts]

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ringwear_par.cases.text import toml_text
+from ringwear_par.files.text import toml_text
 
 _PLACE = re.compile("\0([0-9]+)\0")  # no text of a case has a zero byte
 

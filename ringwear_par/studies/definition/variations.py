@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.files.key_values import unknown_key
 from ringwear_par.cases.files.keys import override
-from ringwear_par.cases.files.suggestions import unknown_key
 from ringwear_par.cases.layers import LAYERS, entries_of
 from ringwear_par.cases.schema import BY_PATH, base_unit, key_of, layer_entry
 from ringwear_par.cases.tables import Key
-from ringwear_par.cases.text import shortened, toml_value
 from ringwear_par.cases.units import factor, has_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError, is_finite, is_number
 from ringwear_par.errors import MOST_FAULTS, legible
+from ringwear_par.files.text import shortened, toml_value
 from ringwear_par.studies.definition.schema import MOST_CASES
 
 #: samples are not nearer to the ends of a range than this part of it, which may be open ones

@@ -2,7 +2,7 @@
 
 Every team first takes whole groups of cases, longest first, so that an operator is assembled once,
 by the team that takes its group. When no group is left untaken, a team that is free helps with the
-group that has most cases left.
+group that has most cases left; it assembles the operator once more, if that is not cached.
 
 Rank 0 computes cases like all others, and answers them between two steps of its own. Questions with
 answers work on every network; memory that other ranks change without rank 0's doing does not (Open
@@ -31,11 +31,10 @@ _QUESTION_TAG, _ANSWER_TAG = 1, 2
 
 
 class _Question(IntEnum):
-    """A question to rank 0: more cases, nobody to draw any more, whether that is so."""
+    """A question to rank 0: more cases, nobody to draw any more."""
 
     DRAW = auto()
     STOP = auto()
-    LOOK = auto()
 
 
 class Stretch(NamedTuple):
@@ -63,7 +62,7 @@ class CaseQueue:
         self, sizes: Sequence[int] | IntArray, teams: int, seconds: Sequence[float]
     ) -> None:
         self._sizes = np.array(sizes, dtype=np.int64)
-        self._left, self._ended = self._sizes.copy(), np.zeros_like(self._sizes)
+        self._left = self._sizes.copy()
         self._seconds, self._drawn = np.array(seconds, dtype=float), np.zeros_like(self._sizes)
         self._all_left, self._untaken = int(self._sizes.sum()), 0
         self._teams = teams
@@ -98,15 +97,12 @@ class CaseQueue:
                 return group
         return int(self._left.argmax())
 
-    def count(self, group: int, done: int, failed: int, seconds: float) -> bool:
-        """Count cases that have ended; tell whether they were the last of their group."""
-        ended = done + failed
+    def count(self, group: int, done: int, failed: int, seconds: float) -> None:
+        """Count cases that have ended."""
         self.done += done
         self.failed += failed
-        self._ended[group] += ended
-        if ended:  # of late: cases that step side by side take less than a first one
-            self._seconds[group] = seconds / ended
-        return bool(ended) and self._ended[group] == self._sizes[group]
+        if done + failed:  # of late: cases that step side by side take less than a first one
+            self._seconds[group] = seconds / (done + failed)
 
 
 class SharedQueue:
@@ -120,7 +116,6 @@ class SharedQueue:
     comm : communicator.
     teams : into which it is divided.
     seconds : estimate for a case of each group.
-    group_ended : called on rank 0 with the number of a group whose last case has ended.
     """
 
     def __init__(
@@ -129,13 +124,12 @@ class SharedQueue:
         comm: MPI.Intracomm,
         teams: int,
         seconds: Sequence[float],
-        group_ended: Callable[[int], None],
     ) -> None:
         self._comm = comm.Dup()  # no message of anybody else
         queue = CaseQueue(sizes, teams, seconds)  # as it begins, every rank knows it
         dealt = {leader: queue.draw(leader) for leader in range(0, comm.size, comm.size // teams)}
         self._queue = queue if comm.rank == 0 else None
-        self._group_ended, self._status = group_ended, MPI.Status()
+        self._status = MPI.Status()
         self._dealt, self._group = dealt.get(comm.rank) or _NO_CASES, 0
         self._stopped = False
         self._done, self._failed, self._seconds = 0, 0, 0.0
@@ -161,13 +155,6 @@ class SharedQueue:
         """Let nobody draw any more. Not collective."""
         if not self._stopped or self._done + self._failed:
             self._ask(_Question.STOP)
-
-    @property
-    def stopped(self) -> bool:
-        """Whether nobody is to draw any more."""
-        if not self._stopped:
-            self._ask(_Question.LOOK)
-        return self._stopped
 
     def ended(self) -> tuple[int, int]:
         """Return how many cases are done, and how many have failed: (0, 0) but on rank 0."""
@@ -227,8 +214,7 @@ class SharedQueue:
         queue = self._queue
         assert queue is not None
         kind, group, done, failed, microseconds = question.tolist()
-        if done + failed and queue.count(group, done, failed, 1e-6 * microseconds):
-            self._group_ended(group)
+        queue.count(group, done, failed, 1e-6 * microseconds)
         queue.stopped |= kind == _Question.STOP
         drawn = queue.draw(rank) if kind == _Question.DRAW else None
         return np.array([*(drawn or _NO_CASES), queue.stopped], dtype=np.int64)

@@ -4,7 +4,6 @@ import logging
 from collections import defaultdict
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 from mpi4py import MPI
 
@@ -23,13 +22,6 @@ from ringwear_par.studies.definition.variations import is_whole
 from ringwear_par.studies.execution.batches import computed
 
 log = logging.getLogger(__name__)
-
-
-class _Steps(NamedTuple):
-    """Ends of the steps of all cases, s, and the paces of each; None: as cases say."""
-
-    times: Sequence[float] | None
-    paces: Sequence[FloatArray] | None
 
 
 def simulate_all(
@@ -86,7 +78,7 @@ def results_of(
     step_times : s, ends of the steps of all cases, which end alike; None: as cases say.
     paces : (2, steps) factors on the rates of each, see ``history.loop.simulate``.
     """
-    steps = _Steps(step_times, paces)
+    steps = None if step_times is None else [step_times] * len(cases)
     results: dict[int, Result | FailedResult] = {}
     groups: dict[Hashable, list[int]] = defaultdict(list)
     for number, checked in enumerate(_checked(cases, comm, derivatives)):
@@ -112,10 +104,10 @@ def results_of(
             waiting.append((pair, mine))
         if len(dealt) // comm.size > rounds:  # every rank has something to do
             with together(comm):
-                results.update(_simulated(cases, waiting, batch, derivatives, steps))
+                results.update(_simulated(cases, waiting, batch, derivatives, steps, paces))
             waiting = []
     with together(comm):  # or the others would wait for its results
-        results.update(_simulated(cases, waiting, batch, derivatives, steps))
+        results.update(_simulated(cases, waiting, batch, derivatives, steps, paces))
     if comm.size > 1:
         for place, number in enumerate(dealt):  # one by one: all might be too much for a message
             results[number] = comm.bcast(results.get(number), place % comm.size)
@@ -149,15 +141,16 @@ def _simulated(
     work: Sequence[tuple[ContactPair, Sequence[int]]],
     batch: int | None,
     derivatives: Sequence[str],
-    steps: _Steps,
+    steps: Sequence[Sequence[float]] | None,
+    paces: Sequence[FloatArray] | None,
 ) -> Iterator[tuple[int, Result | FailedResult]]:
     """Yield numbers and results of cases, by the pair that they share, on this rank alone."""
     for pair, numbers in work:
         chosen = [cases[number] for number in numbers]
         blocks = computed(
             chosen, pair, batch=batch, results=True, derivatives=derivatives,
-            step_times=None if steps.times is None else [steps.times] * len(chosen),
-            paces=None if steps.paces is None else [steps.paces[n] for n in numbers],
+            step_times=None if steps is None else steps[: len(chosen)],
+            paces=None if paces is None else [paces[n] for n in numbers],
         )  # fmt: skip
         for block in blocks:
             for place, result in zip(block.numbers, block.results(), strict=True):

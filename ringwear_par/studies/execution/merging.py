@@ -5,11 +5,11 @@ import time
 from contextlib import suppress
 
 import numpy as np
+from mpi4py import MPI
 
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.results.storage.hdf5 import UnreadableError
 from ringwear_par.studies.execution.plan import Plan
-from ringwear_par.studies.execution.shared_pairs import PATIENCE_SECONDS
 from ringwear_par.studies.execution.summary import Summary
 from ringwear_par.studies.storage.blocks import DamagedError
 from ringwear_par.studies.storage.case_index import CaseIndex
@@ -21,22 +21,21 @@ from ringwear_par.version import versions
 
 log = logging.getLogger(__name__)
 
-#: s, between two looks for cases that another machine has stored
-_LATE_SECONDS = 0.2
+#: s, how long cases that another machine has stored may stay unseen (NFS: a minute by default), and
+#: between two looks for them
+_PATIENCE_SECONDS, _NAP_SECONDS = 75.0, 0.2
 
 
 @reporting_unreadable()
-def merge_if_well(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
+def merge_if_well(plan: Plan, summary: Summary, well: bool, comm: MPI.Comm) -> tuple[int, int]:
     """Merge if all is well and this is no slice; return how many cases are stored, done and failed.
 
-    On one rank.
+    On rank 0 of comm, which the others help, see ``parallel.results_of_tasks``.
 
     Raises
     ------
     RingwearError, OSError : the disk.
     """
-    with suppress(OSError):
-        plan.folder.drop_operators()
     if not well:
         with suppress(RingwearError, OSError):  # there is trouble enough to tell
             return plan.count(plan.folder.scan(mend=False)[0])
@@ -46,7 +45,7 @@ def merge_if_well(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
         index = _scan(plan, awaited)
         try:
             if not plan.folder.part:
-                _merge(plan, summary, index)
+                _merge(plan, summary, index, comm)
         except DamagedError as error:
             log.warning("%s", plan.folder.mend(error.path))
             awaited = 0  # the cases in it will not come to light
@@ -56,18 +55,18 @@ def merge_if_well(plan: Plan, summary: Summary, well: bool) -> tuple[int, int]:
 
 def _scan(plan: Plan, awaited: int) -> CaseIndex:
     """Return the stored cases; if they are fewer than awaited, network disks may show them late."""
-    limit = time.monotonic() + PATIENCE_SECONDS
+    limit = time.monotonic() + _PATIENCE_SECONDS
     while True:
         index, notes = plan.folder.scan(mend=True)
         for note in notes:
             log.warning("%s", note)
         if notes or sum(plan.count(index)) >= awaited or time.monotonic() > limit:
             return index
-        time.sleep(_LATE_SECONDS)
+        time.sleep(_NAP_SECONDS)
 
 
-def _merge(plan: Plan, summary: Summary, index: CaseIndex) -> None:
-    """Write results.h5 and cases.csv of all that is stored, then drop the shards. On one rank.
+def _merge(plan: Plan, summary: Summary, index: CaseIndex, comm: MPI.Comm) -> None:
+    """Write results.h5 and cases.csv of all that is stored, then drop the shards. On rank 0.
 
     Raises
     ------
@@ -101,6 +100,6 @@ def _merge(plan: Plan, summary: Summary, index: CaseIndex) -> None:
         "ranks": ranks,
         **versions(),
     }
-    write_results(folder.path, cases, attributes)
+    write_results(folder.path, cases, attributes, comm)
     if ended >= summary.done + summary.failed:  # else they may yet come to light
         folder.forget_shards()

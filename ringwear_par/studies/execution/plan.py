@@ -40,7 +40,6 @@ class Request:
     ranks_per_case : size of the teams; divides the number of ranks.
     part : which slice, and of how many; None for the whole, which merges.
     retry_failed : compute failed cases again.
-    mix_versions : go on where another version has computed cases.
     """
 
     folder: Path
@@ -48,7 +47,6 @@ class Request:
     ranks_per_case: int = 1
     part: tuple[int, int] | None = None
     retry_failed: bool = False
-    mix_versions: bool = False
 
     @property
     def teams(self) -> int:
@@ -107,7 +105,6 @@ class Plan:
     folder : its files.
     todo : for each group of the study, its cases that are to be computed here.
     checkpoints : ids of cases that were interrupted.
-    interrupted : those of them that continue from their checkpoint.
     in_slice : (cases,) which cases are of this slice.
     done, failed : how many of them had ended before.
     not_in_study : how many cases the folder holds that are not of the study.
@@ -121,7 +118,6 @@ class Plan:
     folder: SweepFolder
     todo: Groups
     checkpoints: frozenset[str]
-    interrupted: frozenset[str]
     in_slice: BoolArray
     done: int
     failed: int
@@ -157,6 +153,10 @@ class Plan:
         groups: list[int] = np.flatnonzero(self.todo.sizes).tolist()
         return groups
 
+    def first_case(self, group: int) -> Case:
+        """Return the first case of a group that is to be computed."""
+        return self.study.case(int(self.todo[group][0]))
+
     def memory_needed(self) -> float:
         """Return an estimate of the bytes that all ranks need together, libraries excluded.
 
@@ -165,7 +165,7 @@ class Plan:
         request, left = self.request, self.left
         if not left:
             return 0.0
-        first = [self.study.case(int(self.todo[group][0])) for group in left]
+        first = [self.first_case(group) for group in left]
         if self.all_assemble:
             # beside the one history that this counts, every other team has its own
             histories = max(
@@ -213,21 +213,18 @@ def make_plan(study: Study, request: Request, locks: ExitStack | None) -> Plan:
     status = np.where(entry >= 0, index["status"][entry], -1) if len(index) else entry
     ended = (status == DONE) | ((status == FAILED) & (not request.retry_failed))
     todo = study.members.only(in_slice & ~ended)
-    if not request.mix_versions:
-        _refuse_other_versions(path, index, entry[ended], bool(len(todo.cases)))
+    _refuse_other_versions(path, index, entry[ended], bool(len(todo.cases)))
     stored = in_slice & ended
     flags: Counter[tuple[str, ...]] = Counter()
     for kind, n in Counter(index["kind"][entry[stored]].tolist()).items():
         if index.kinds[kind].flags:
             flags[index.kinds[kind].flags] += n
-    checkpoints = frozenset(path.stem for path in folder.checkpoints())
     plan = Plan(
         request,
         study,
         folder,
         todo,
-        checkpoints,
-        checkpoints - _of_other_versions(index),
+        frozenset(path.stem for path in folder.checkpoints()),
         in_slice,
         int((status[stored] == DONE).sum()),
         int((status[stored] == FAILED).sum()),
@@ -237,13 +234,6 @@ def make_plan(study: Study, request: Request, locks: ExitStack | None) -> Plan:
     )  # fmt: skip
     _check_memory(plan)
     return plan
-
-
-def _of_other_versions(index: CaseIndex) -> set[str]:
-    """Return the ids of cases that another version began: a case has one from start to end."""
-    kinds = [i for i, kind in enumerate(index.kinds) if kind.version != __version__]
-    ids: list[bytes] = index["id"][np.isin(index["kind"], kinds)].tolist()
-    return {identity.decode() for identity in ids}
 
 
 def _refuse_other_versions(folder: Path, index: CaseIndex, stored: IntArray, more: bool) -> None:
@@ -263,8 +253,7 @@ def _refuse_other_versions(folder: Path, index: CaseIndex, stored: IntArray, mor
         known = ", ".join(f"{n} by {version}" for version, n in counts.most_common() if n)
         raise InputError(
             f"{folder}: holds cases computed by another version of ringwear-par ({known}; this is "
-            f"{__version__}); must be a new folder, or --mix-versions (in Python "
-            "mix_versions=True), and the variable version tells them apart"
+            f"{__version__}); must be a new folder"
         )
 
 

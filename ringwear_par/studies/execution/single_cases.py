@@ -11,12 +11,11 @@ from ringwear_par.history.lockstep import must_run_alone
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Observer
 from ringwear_par.results.execution.recorder import Recorder
+from ringwear_par.results.execution.run import Watch
 from ringwear_par.results.execution.stopping import StopSignals
-from ringwear_par.results.execution.watch import Watch
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.studies.execution.batches import PairResources
-from ringwear_par.studies.execution.shared_pairs import StorageError
-from ringwear_par.studies.execution.team_store import TeamStore
+from ringwear_par.studies.execution.team_store import StorageError, TeamStore
 
 #: histories of more steps are computed alone, with checkpoints
 LONG_STEPS = 20_000

@@ -18,7 +18,7 @@ from ringwear_par.studies.storage.results_file import RESULTS, TABLE, count_flag
 
 log = logging.getLogger(__name__)
 
-_PARTS = ("stepping", "assembly", "waiting", "output")
+_PARTS = ("stepping", "assembly", "output")
 
 
 @dataclass
@@ -27,7 +27,6 @@ class Timings:
 
     stepping: float = 0.0
     assembly: float = 0.0
-    waiting: float = 0.0
     output: float = 0.0
     operators: int = 0
     worst: float = 0.0

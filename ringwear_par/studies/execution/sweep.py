@@ -1,15 +1,14 @@
 """``ringwear sweep``: every case of a study, on all ranks, never lost.
 
-Teams of ranks draw cases from a queue. An operator is assembled once for all the cases that share
-it, put into a file, and mapped by every team that needs it, so that a node holds it once; the file
-goes with the group's last case. Cases that have ended are in the team's shard before the next are
-drawn.
+Teams of ranks draw cases from a queue. An operator is assembled for all the cases that share it: by
+all ranks where there are fewer than teams, else by the team that needs it. Cases that have ended
+are in the team's shard before the next are drawn.
 """
 
 import logging
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,15 +16,15 @@ from typing import Any
 from mpi4py import MPI
 
 from ringwear_par.errors import RingwearError
-from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads
+from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads, with_help_of_all
 from ringwear_par.results.execution.progress import SweepProgress
 from ringwear_par.results.execution.stopping import StopSignals
 from ringwear_par.studies.definition.study import Study, read_study_together
 from ringwear_par.studies.execution.case_queue import SharedQueue
 from ringwear_par.studies.execution.estimate import estimate
 from ringwear_par.studies.execution.merging import merge_if_well
+from ringwear_par.studies.execution.pairs import load_kernels_of, pair_of
 from ringwear_par.studies.execution.plan import Plan, Request, make_plan
-from ringwear_par.studies.execution.shared_pairs import load_kernels_of, provide_all_pairs
 from ringwear_par.studies.execution.summary import Summary, Timings, trouble_of
 from ringwear_par.studies.execution.team_store import TeamStore
 from ringwear_par.studies.execution.teams import Team
@@ -43,7 +42,6 @@ def sweep(
     ranks_per_case: int = 1,
     part: tuple[int, int] | None = None,
     retry_failed: bool = False,
-    mix_versions: bool = False,
 ) -> Summary:
     """Compute every case of a study, or go on with it. Collective on comm.
 
@@ -55,7 +53,6 @@ def sweep(
     ranks_per_case : size of the teams; must divide the number of ranks.
     part : which slice, and of how many; None for the whole, which merges.
     retry_failed : compute failed cases again.
-    mix_versions : go on where another version of ringwear-par has computed cases.
 
     Raises
     ------
@@ -63,7 +60,7 @@ def sweep(
     ComputationError : cases failed, the sweep was stopped, or the disk.
     """
     comm = MPI.COMM_WORLD if comm is None else comm
-    request = Request(Path(folder), comm.size, ranks_per_case, part, retry_failed, mix_versions)
+    request = Request(Path(folder), comm.size, ranks_per_case, part, retry_failed)
     summary, trouble = _sweep(study, request, comm)
     if trouble is not None:
         raise trouble
@@ -78,14 +75,13 @@ def run_sweep(
     ranks_per_case: int = 1,
     part: tuple[int, int] | None = None,
     retry_failed: bool = False,
-    mix_versions: bool = False,
     dry_run: bool = False,
 ) -> None:
     """Sweep and print the summary, or in a dry run an estimate.
 
     Collective on comm.
     """
-    request = Request(Path(folder), comm.size, ranks_per_case, part, retry_failed, mix_versions)
+    request = Request(Path(folder), comm.size, ranks_per_case, part, retry_failed)
     if dry_run:
         text = estimate(_plan(study, request, comm, None), comm)
         if comm.rank == 0:
@@ -123,11 +119,6 @@ def _sweep(
             stored = plan.done + plan.failed
             if stored:
                 log.info("%d of %d cases are there already", stored, plan.total)
-            unused = plan.checkpoints - plan.interrupted
-            todo = plan.study.identities[plan.todo.cases] if unused else ()
-            anew = sum(identity.decode() in unused for identity in todo)
-            if anew:
-                log.warning("%d interrupted cases of another version start anew", anew)
         team = comm.Split(comm.rank // request.ranks_per_case, comm.rank)
         try:
             return _compute(plan, started, comm, team)
@@ -139,17 +130,14 @@ def _compute(
     plan: Plan, started: float, comm: MPI.Intracomm, team: MPI.Comm
 ) -> tuple[Summary, RingwearError | None]:
     load_kernels_of(plan, comm)
-    timings = Timings()
-    if plan.all_assemble:
-        provide_all_pairs(plan, comm, timings)
-
-    def group_ended(group: int) -> None:
-        with suppress(OSError):  # or else at the end
-            plan.folder.operator(group).unlink()
-
+    timings, begun = Timings(), time.perf_counter()
+    groups = plan.left if plan.all_assemble else []
+    pairs = {group: pair_of(plan.first_case(group), comm) for group in groups}
+    timings.operators = len(pairs)
+    timings.assembly = time.perf_counter() - begun
     work, todo = plan.study.work, plan.todo
     seconds = [float(work[todo[group][:1]].sum()) for group in range(len(todo))]
-    queue = SharedQueue(todo.sizes, comm, plan.request.teams, seconds, group_ended)
+    queue = SharedQueue(todo.sizes, comm, plan.request.teams, seconds)
     trouble: RingwearError | None = None
     with StopSignals() as signals, ExitStack() as at_end:
         progress = None
@@ -158,7 +146,7 @@ def _compute(
             at_end.callback(progress.close)
         try:
             with TeamStore(plan, comm.rank // team.size, team) as store:
-                Team(plan, team, queue, store, signals, progress, timings).work()
+                Team(plan, team, queue, store, signals, progress, timings, pairs).work()
         except RingwearError as error:
             trouble = error
             queue.stop()
@@ -182,7 +170,7 @@ def _compute(
             plan.done + done,
             plan.failed + failed,
             done + failed,
-            sum(t.operators for t in of_ranks) // (comm.size if plan.all_assemble else team.size),
+            len(pairs) or sum(t.operators for t in of_ranks) // team.size,
             0.0,
             1e-6 * comm.allreduce(peak_memory(), MPI.MAX),
             of_ranks,
@@ -190,7 +178,9 @@ def _compute(
         )
         counted = summary.done, summary.failed
         try:
-            done, failed = on_first_rank(comm, lambda: merge_if_well(plan, summary, not troubles))
+            done, failed = with_help_of_all(
+                comm, lambda: merge_if_well(plan, summary, not troubles, comm)
+            )
             merged = not troubles and not plan.folder.part
             summary = replace(summary, done=done, failed=failed, merged=merged)
         except RingwearError as error:  # of the disk

@@ -3,17 +3,15 @@
 import logging
 from dataclasses import replace
 
-import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.cases.unit_suspicions import without_intended_numbers
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.results.result import HistoryColumns, Result
-from ringwear_par.results.storage.checkpoints import restored
 from ringwear_par.results.storage.hdf5 import UnreadableError
-from ringwear_par.results.storage.result_files import open_result, write_result
-from ringwear_par.results.unit_suspicions import but_varied
+from ringwear_par.results.storage.result_files import open_result, restored, write_result
 from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.execution.plan import CaseSet, Plan
 from ringwear_par.studies.storage.blocks import DAMAGE, Block
@@ -21,6 +19,10 @@ from ringwear_par.studies.storage.shards import Shard
 from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)
+
+
+class StorageError(ComputationError):
+    """The disk; not the fault of a case."""
 
 
 class TeamStore:
@@ -60,15 +62,14 @@ class TeamStore:
 
         Return the columns as they are stored.
         """
-        case, steps, varied = cases.cases[0], None, self._plan.study.names
+        case, varied = cases.cases[0], self._plan.study.names
         flags = zip(columns.flags, cases.cases, strict=True)
-        columns = replace(columns, flags=tuple(but_varied(f, case, varied) for f, case in flags))
-        if case.output.times:  # before which a number of steps is not unique
-            first = columns.offsets[:-1]
-            steps = np.arange(len(columns.steps)) - np.repeat(first, np.diff(columns.offsets))
+        columns = replace(
+            columns, flags=tuple(without_intended_numbers(f, case, varied) for f, case in flags)
+        )
         deep = case.output.profiles == "all"
         texts = [case.text for case in cases.cases]
-        block = Block.of(columns, case.line, cases.ids, texts, __version__, deep=deep, steps=steps)
+        block = Block.of(columns, case.line, cases.ids, texts, __version__, deep=deep)
 
         def store() -> None:
             assert self._shard is not None
@@ -88,7 +89,7 @@ class TeamStore:
 
     def read_checkpoint(self, identity: str) -> Result | None:
         """Return the checkpoint of an interrupted case; None where there is no good one."""
-        if identity not in self._plan.interrupted:
+        if identity not in self._plan.checkpoints:
             return None
         path = self._plan.folder.checkpoint(identity)
 

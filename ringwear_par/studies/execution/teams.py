@@ -14,19 +14,11 @@ from ringwear_par.results.execution.stopping import StopSignals
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.studies.execution.batches import PairResources, computed, failed_columns
 from ringwear_par.studies.execution.case_queue import SharedQueue, Stretch
+from ringwear_par.studies.execution.pairs import Pairs, pair_of
 from ringwear_par.studies.execution.plan import CaseSet, Plan
-from ringwear_par.studies.execution.shared_pairs import (
-    StoppedError,
-    StorageError,
-    await_pair,
-    provide_pair,
-)
 from ringwear_par.studies.execution.single_cases import is_batchable, simulate_alone
 from ringwear_par.studies.execution.summary import Timings
 from ringwear_par.studies.execution.team_store import TeamStore
-
-#: s, between two questions of a team that waits for a pair whether all are to stop
-_ASK_SECONDS = 0.5
 
 
 class Team:
@@ -41,6 +33,7 @@ class Team:
     signals : that ask to stop.
     progress : bar of rank 0 of the sweep, else None.
     timings : where the time goes.
+    pairs : by group, those that all ranks have assembled; the others are assembled here.
     """
 
     def __init__(
@@ -52,9 +45,11 @@ class Team:
         signals: StopSignals,
         progress: SweepProgress | None,
         timings: Timings,
+        pairs: Pairs,
     ) -> None:
         self._plan, self._comm, self._queue, self._store = plan, comm, queue, store
         self._signals, self._progress, self._timings = signals, progress, timings
+        self._pairs = pairs
         self._options_checked = False
         self._group = -1
         self._resources: PairResources | None = None
@@ -92,16 +87,12 @@ class Team:
             drawn = self._plan.cases(*stretch)
         try:
             resources = self._resources_of(stretch, drawn.cases[0])
-        except StoppedError:
-            return False
-        except StorageError:
-            raise
         except ComputationError as error:  # the same for all of them
             self._add(failed_columns(drawn.cases, error, self._comm), drawn, 0.0)
             return True
         places: list[int] = []
         if self._comm.size == 1:
-            begun, cases = self._plan.interrupted, zip(drawn.ids, drawn.cases, strict=True)
+            begun, cases = self._plan.checkpoints, zip(drawn.ids, drawn.cases, strict=True)
             places = [
                 i for i, (n, case) in enumerate(cases) if n not in begun and is_batchable(case)
             ]
@@ -172,28 +163,22 @@ class Team:
             self._queue.count(len(cases.ids) - failed, failed, seconds)
 
     def _resources_of(self, stretch: Stretch, case: Case) -> PairResources:
-        """Return the pair of a group, with its stresses; its first case's team assembles it."""
+        """Return the pair of a group, with its stresses.
+
+        Raises
+        ------
+        ComputationError : there is no such pair.
+        InputError : an option for PETSc.
+        """
         group = stretch.group
         if self._resources is None or group != self._group:
-            if stretch.first == 0 and not self._plan.all_assemble:
-                provide_pair(self._plan, group, self._comm, self._timings)
-            t0, last_question = time.perf_counter(), 0.0
-
-            def stopped() -> bool:
-                nonlocal last_question
-                if time.perf_counter() - last_question > _ASK_SECONDS:
-                    last_question = time.perf_counter()
-                    if self._queue.stopped:
-                        return True
-                self._queue.serve()
-                if self._progress is not None:
-                    self._progress()
-                return False
-
-            pair = await_pair(
-                self._plan.folder.operator(group), case, self._comm, stopped,
-                lambda: self._signals.received,
-            )  # fmt: skip
-            self._timings.waiting += time.perf_counter() - t0
+            pair = self._pairs.get(group)
+            if pair is None:
+                started = time.perf_counter()
+                pair = pair_of(case, self._comm)
+                self._timings.operators += stretch.first == 0
+                self._timings.assembly += time.perf_counter() - started
+            if isinstance(pair, ComputationError):
+                raise pair
             self._resources, self._group = PairResources(pair, self._comm), group
         return self._resources

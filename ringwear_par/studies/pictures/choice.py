@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.cases.text import shortened
 from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import InputError
-from ringwear_par.files.text import parse_value
+from ringwear_par.files.text import parse_value, shortened
 from ringwear_par.pictures.style import in_words, number_text
 from ringwear_par.studies.analysis.predictions import USELESS, Surrogate, share_words
 from ringwear_par.studies.analysis.regression import Part, untested

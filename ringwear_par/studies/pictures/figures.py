@@ -7,7 +7,6 @@ Sobol sequence or of a grid is no sample of it.
 import logging
 import textwrap
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -16,14 +15,14 @@ from matplotlib.figure import Figure
 from ringwear_par.errors import InputError
 from ringwear_par.pictures.matplotlib import draw, legend_shape
 from ringwear_par.pictures.panels import Panel
-from ringwear_par.pictures.style import STYLE, NotebookFigure, check_format, plain, save_figure
+from ringwear_par.pictures.style import STYLE, NotebookFigure, plain
 from ringwear_par.studies.analysis.predictions import Surrogate
 from ringwear_par.studies.analysis.sensitivity import Indices, sensitivity_indices
 from ringwear_par.studies.analysis.surrogate import surrogate
 from ringwear_par.studies.pictures.choice import Choice, choose
 from ringwear_par.studies.pictures.effects import effects, index_panels, pointed_cases
 from ringwear_par.studies.pictures.histories import FEW, histories
-from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
+from ringwear_par.studies.storage.ensemble import Ensemble
 
 log = logging.getLogger(__name__)
 
@@ -35,22 +34,6 @@ _PANEL, _WIDTH = (2.3, 2.1), 7.2
 _LEGEND_LINE, _TITLE_LINE = 0.18, 0.15
 #: letters of a line in a title, of a legend above a panel, and of a label along its height
 _TITLE_LETTERS, _LEGEND_LETTERS, _LABEL_LETTERS = 100, 34, 26
-
-
-def plot_sweep(folder: Path, output: Path) -> None:
-    """Draw a sweep's results. On one rank.
-
-    Parameters
-    ----------
-    folder : of the sweep.
-    output : picture; its ending chooses the format.
-
-    Raises
-    ------
-    InputError : the folder holds no results or no case that is done, or an unknown format.
-    """
-    check_format(output)
-    save_figure(draw_sweep_and_surrogate(read_ensemble(folder)), output)
 
 
 def draw_sweep_and_surrogate(ensemble: Ensemble) -> Figure:

@@ -12,7 +12,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.pictures.panels import GREY, Axis, Band, Curve, Panel
 from ringwear_par.pictures.style import COLOURS
-from ringwear_par.results.instants import time_unit
+from ringwear_par.results.key_numbers import time_unit
 from ringwear_par.studies.analysis.responses import chosen_cases
 from ringwear_par.studies.pictures.choice import LOG_VALUE, Choice, spans
 from ringwear_par.studies.storage.end_values import display_of

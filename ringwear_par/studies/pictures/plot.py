@@ -31,8 +31,8 @@ def plot(
 
     Parameters
     ----------
-    results : a result or a result file, or several; the folder of a sweep; or a case, whose rig is
-        drawn as a section through the axis.
+    results : a result or a result file, or several; the folder of a sweep; or a case or its file,
+        whose rig is drawn as a section through the axis.
     panels : names, in a list or separated by commas; None for wear and penetration.
     steps : comma-separated step numbers of the profiles.
     profiles_of : those of the results whose profiles and sections are drawn; () for all.
@@ -47,21 +47,23 @@ def plot(
     if isinstance(results, Case):
         return draw_rig(results)
     several = [results] if isinstance(results, Result | str | Path) else results
-    if isinstance(several, Sequence):
-        folders = [s for s in several if isinstance(s, str | Path) and Path(s).is_dir()]
-        if folders:
-            refuse_drawn(Path(folders[0]))
-        if folders and (len(several) > 1 or panels is not None or steps or times or profiles_of):
+    sources = several if isinstance(several, Sequence) else ()
+    for path in (Path(source) for source in sources if isinstance(source, str | Path)):
+        if not path.is_dir() and path.suffix != ".toml":
+            continue
+        refuse_drawn(path)
+        if len(sources) > 1 or panels is not None or steps or times or profiles_of:
             raise InputError(
-                f"{folders[0]}: is a folder; must be the only thing to be drawn, without panels, "
-                "steps, times and profiles_of"
+                f"{path}: is a {'folder' if path.is_dir() else 'case'}; must be the only thing to "
+                "be drawn, without panels, steps, times and profiles of some"
             )
-        if folders:
-            from ringwear_par.studies.pictures.figures import draw_sweep_and_surrogate
-            from ringwear_par.studies.storage.ensemble import read_ensemble
+        if not path.is_dir():
+            return draw_rig(read_case(path))
+        from ringwear_par.studies.pictures.figures import draw_sweep_and_surrogate
+        from ringwear_par.studies.storage.ensemble import read_ensemble
 
-            return draw_sweep_and_surrogate(read_ensemble(Path(folders[0])))
-    return figures.plot(results, panels or figures.DEFAULT, steps, profiles_of, times)
+        return draw_sweep_and_surrogate(read_ensemble(path))
+    return figures.plot(several, panels or figures.DEFAULT, steps, profiles_of, times)
 
 
 def plot_stored(
@@ -82,27 +84,5 @@ def plot_stored(
     ------
     InputError : what cannot be drawn or written.
     """
-    options = {"panels": panels, "steps": steps, "profiles-of": profiles_of, "times": times}
-    used = [name for name, option in options.items() if option is not None]
-    folders = [path for path in results if path.is_dir()]
-    cases = [path for path in results if path.suffix == ".toml"]
-    if not folders and not cases:
-        panels = panels or figures.DEFAULT
-        figures.plot_files(results, output, panels, steps or "", profiles_of or (), times or "")
-        return
-    alone, kind = (folders[0], "a folder") if folders else (cases[0], "a case")
-    if folders:
-        refuse_drawn(alone)
-    if len(results) > 1:
-        raise InputError(f"{alone}: is {kind}; must be the only thing to be drawn")
-    if used:
-        raise InputError(
-            f"--{used[0]}: must be absent where {alone}, {kind}, is drawn; it is for result files"
-        )
-    if cases:
-        check_format(output)
-        save_figure(draw_rig(read_case(alone)), output)
-        return
-    from ringwear_par.studies.pictures.figures import plot_sweep
-
-    plot_sweep(folders[0], output)
+    check_format(output)
+    save_figure(plot(results, panels, steps or "", profiles_of or (), times or ""), output)

@@ -26,7 +26,7 @@ import numpy as np
 from ringwear_par.arrays import IntArray
 from ringwear_par.elasticity.geometry.mesh import ContactLine
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.ordinary import open_ordinary
+from ringwear_par.files.writing import open_ordinary
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.results.storage.hdf5 import UnreadableError
 from ringwear_par.results.variables import LINE
@@ -67,6 +67,9 @@ class DamagedError(ComputationError):
     def __init__(self, path: Path) -> None:
         super().__init__(f"{path}: is damaged")
         self.path = path
+
+    def __reduce__(self) -> tuple[type["DamagedError"], tuple[Path]]:
+        return type(self), (self.path,)
 
 
 @contextmanager
@@ -176,7 +179,6 @@ class Block:
         version: str,
         *,
         deep: bool,
-        steps: IntArray | None = None,
     ) -> "Block":
         """Return histories as they were computed as a block.
 
@@ -186,10 +188,8 @@ class Block:
         ids, texts : of the cases.
         version : of ringwear-par that computed them.
         deep : whether fields are stored at every stored state, or at the last one only.
-        steps : (rows,) names of the stored states; None: the numbers of the steps made.
         """
         columns = {
-            "step": histories.steps if steps is None else steps,
             **histories.histories,
             **histories.layers,
             **histories.stress,
@@ -215,7 +215,7 @@ class Block:
     def packed(self) -> bytes:
         """Return the block as ``unpack_header`` reads it."""
         data = {
-            name: np.ascontiguousarray(values, dtype=_dtype(name)).tobytes()
+            name: np.ascontiguousarray(values, dtype="<f8").tobytes()
             for name, values in self.columns.items()
         }
         data[_TEXTS] = zlib.compress(_BETWEEN.join(self.texts).encode(), 1)
@@ -239,10 +239,6 @@ def _checksum(numbers: tuple[int, int, int], header: bytes) -> int:
     return zlib.crc32(header, zlib.crc32(repr(numbers).encode()))
 
 
-def _dtype(name: str) -> Any:
-    return np.dtype("<i8" if name == "step" else "<f8")
-
-
 @dataclass(frozen=True, eq=False)
 class PackedBlock(CaseBlock):
     """A packed block of a file.
@@ -261,7 +257,7 @@ class PackedBlock(CaseBlock):
     def read(self, names: Iterable[str]) -> dict[str, Any]:
         """Return the stored ones of some columns."""
         return {
-            name: np.frombuffer(part, _dtype(name)).reshape(-1, *shape_of(name, self.sizes))
+            name: np.frombuffer(part, "<f8").reshape(-1, *shape_of(name, self.sizes))
             for name, part in self._bytes(names).items()
         }
 

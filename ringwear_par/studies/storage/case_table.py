@@ -6,20 +6,20 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import h5py
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.schema import unit_of
-from ringwear_par.cases.text import toml_value
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
+from ringwear_par.files.text import toml_value
 from ringwear_par.results.variables import POINT_R, POINT_SIDE, POINT_Z, Variable
 from ringwear_par.studies.definition.variations import Column, own_key, value_of
-from ringwear_par.studies.storage.case_variables import WINDOW, CaseVariable, write_texts
+from ringwear_par.studies.storage.case_variables import WINDOW, CaseVariable, text_dtype
 from ringwear_par.studies.storage.end_values import END_VALUES, end_value_of, entries
 from ringwear_par.studies.storage.results_file import TABLE
 from ringwear_par.studies.storage.stored_variables import OF_CASES, axis_of, entry_label
@@ -28,28 +28,6 @@ from ringwear_par.studies.storage.stored_variables import OF_CASES, axis_of, ent
 TABLE_MEANINGS = f"{TABLE}-metadata.json"
 #: columns of the table before and after the end values
 _BEFORE, _AFTER = ("status", "error"), ("seconds", "in_study", "version", "flags")
-
-
-class Words(NamedTuple):
-    """Texts of cases, few of which differ.
-
-    Parameters
-    ----------
-    distinct : as bytes.
-    codes : (cases,) int, which of them each case has.
-    """
-
-    distinct: Any
-    codes: IntArray
-
-    @classmethod
-    def of(cls, texts: Sequence[str], codes: IntArray) -> "Words":
-        """Return the words of some texts and the numbers of those that cases have."""
-        return cls(np.array([text.encode() for text in texts] or [b""])[: len(texts)], codes)
-
-    def part(self, cases: slice) -> Any:
-        """Return the texts of some cases, as bytes."""
-        return self.distinct[self.codes[cases]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,20 +45,20 @@ class CaseTable:
 
     ids: Any
     varied: Mapping[str, Column]
-    words: Mapping[str, Words]
+    words: Mapping[str, Column]
     numbers: Mapping[str, Any]
     end_values: Mapping[str, FloatArray]
 
     def store(self, file: h5py.File) -> None:
         """Write the variables into a results file that does not have them yet."""
         for name, words in self.words.items():
-            write_texts(file, OF_CASES[name], words.distinct.dtype.itemsize, words.part)
+            _store_texts(file, OF_CASES[name], words)
         for name, values in self.numbers.items():
-            CaseVariable(file, OF_CASES[name], values.dtype).write(0, values)
+            _store(file, OF_CASES[name], values)
         for name, values in self.end_values.items():
             stored = END_VALUES[name].stored
             if stored.name not in file:  # a time of a layer is an end value, and stored as it is
-                CaseVariable(file, stored, float).write(0, values)
+                _store(file, stored, values)
         for name, column in self.varied.items():
             self._store_varied(file, name, column)
         file.attrs["coordinates"] = " ".join(self.varied)
@@ -89,13 +67,12 @@ class CaseTable:
         """Write a varied key, as texts where its values are not all numbers."""
         variable = Variable(name, ("case",), unit_of(name) or "1", own_key(name).meaning)
         if column.numbers is not None:
-            CaseVariable(file, variable, float).write(0, column.numbers)
+            _store(file, variable, column.numbers)
         elif all(value is None or is_number(value) for value in column.distinct):
             values = column.by_case(lambda value: math.nan if value is None else float(value))
-            CaseVariable(file, variable, float).write(0, np.array(values))
+            _store(file, variable, np.array(values))
         else:
-            words = Words.of(list(map(_cell, column.distinct)), column.codes.astype(np.int64))
-            write_texts(file, variable, words.distinct.dtype.itemsize, words.part)
+            _store_texts(file, variable, column.mapped(_cell))
 
     def write_csv(self, path: Path) -> None:
         """Write the table."""
@@ -115,9 +92,9 @@ class CaseTable:
 
     def _rows(self, cases: slice) -> Iterator[tuple[str, ...]]:
         seconds = self.numbers["seconds"][cases].tolist()
-        words = {name: _texts(words.part(cases)) for name, words in self.words.items()}
+        words = {name: column.part(cases).by_case() for name, column in self.words.items()}
         return zip(
-            _texts(self.ids[cases]),
+            self.ids[cases].astype(str).tolist(),
             *(column.part(cases).by_case(_cell) for column in self.varied.values()),
             *(words[name] for name in _BEFORE),
             *(
@@ -158,6 +135,20 @@ class CaseTable:
         return json.dumps(table, indent=1) + "\n"
 
 
+def _store(file: h5py.File, variable: Variable, values: Any) -> None:
+    """Write numbers of all cases, (cases,) or more."""
+    column = CaseVariable(file, variable, values.dtype, WINDOW)
+    column.write_all(lambda cases: values[cases])
+
+
+def _store_texts(file: h5py.File, variable: Variable, column: Column) -> None:
+    texts = [text.encode() for text in column.distinct]
+    kind = text_dtype(max(map(len, texts), default=1))
+    distinct = np.array(texts, dtype=kind)
+    stored = CaseVariable(file, variable, kind, WINDOW)
+    stored.write_all(lambda cases: distinct[column.codes[cases]])
+
+
 def extended(varied: Mapping[str, Column], texts: Iterable[str]) -> dict[str, Column]:
     """Return columns of varied keys with further cases, whose values are looked up in their texts.
 
@@ -193,10 +184,6 @@ def _cell(value: Any) -> str:
     if isinstance(value, str):
         return value
     return "" if value is None else toml_value(value)
-
-
-def _texts(words: Any) -> list[str]:
-    return [word.decode() for word in words.tolist()]
 
 
 def _column(name: str, meaning: str, unit: str) -> dict[str, str]:

@@ -3,21 +3,20 @@
 import math
 import zlib
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import h5py
 import numpy as np
 
-from ringwear_par.results.variables import ELEMENT, Variable
-from ringwear_par.studies.storage.results_file import SAME_STEPS, cases_at_once, power_of_2
+from ringwear_par.results.variables import ELEMENT, LINE, Variable
+from ringwear_par.studies.storage.results_file import power_of_2
 from ringwear_par.studies.storage.stored_variables import AXES
 
 #: of a chunk in the file
 _CHUNK_BYTES = 256e3
 #: most cases that are made texts of, or are rows of a table, at once
 WINDOW = 2**13
-#: a variable whose first chunk gzip makes so much smaller is stored so; it takes no time then
-_WORTH_IT = 8
 #: with which xarray takes bytes for the texts that they are
 _ENCODED = {"_Encoding": "utf-8"}
 
@@ -30,7 +29,7 @@ def text_dtype(size: int) -> Any:
 def make_scales(
     file: h5py.File, ids: Any, steps: int, elements: int, axes: Mapping[str, int]
 ) -> None:
-    """Make the dimensions; ``step`` is numbered, until it is known to be the same in all cases.
+    """Make the dimensions.
 
     Parameters
     ----------
@@ -41,8 +40,7 @@ def make_scales(
     meaning = "case, by its content"
     file["case"].attrs.update({"units": "1", "long_name": meaning, **_ENCODED})
     file.create_dataset("step", data=np.arange(steps))
-    meaning = "stored step (their numbers differ from case to case)"
-    file["step"].attrs.update({"units": "1", "long_name": meaning, SAME_STEPS: 0})
+    file["step"].attrs.update({"units": "1", "long_name": "stored state of each case"})
     file.create_dataset("element", data=np.arange(elements))
     file["element"].attrs.update(ELEMENT.attributes)
     for name, size in axes.items():
@@ -52,83 +50,115 @@ def make_scales(
         file[name].make_scale(name)
 
 
-class CaseVariable:
-    """A variable over all cases, in chunks that hold whole histories as far as they are small.
+@dataclass(frozen=True)
+class Chunks:
+    """How a variable over all cases is cut and compressed in their file.
 
-    A compressed one is compressed here: HDF5 would do it as well, but much of what gzip is worth
-    its time for is the same again and again, such as the radii of the contact elements.
+    A chunk holds whole histories, as far as they are small. They are compressed here, such that
+    HDF5 knows how to read them, by any rank and twice as fast as HDF5 would do it: runs of the same
+    byte are looked for only. Most of what can be saved is in these, once the bytes of all numbers
+    are sorted by their weight: padding, exponents, what does not change.
 
     Parameters
     ----------
-    file : with the dimensions.
-    variable : which.
+    name : of the variable.
+    shape : of all its values, cases first.
     kind : type of the values.
-    window : cases that are written at once; a chunk has no more.
-    sample : its first values, which say whether gzip is worth it; or else ``gzip``.
+    sizes : of a chunk.
     """
 
-    def __init__(
-        self,
-        file: h5py.File,
-        variable: Variable,
-        kind: Any,
-        window: int = WINDOW,
-        *,
-        sample: Any = None,
-        gzip: bool = False,
-    ) -> None:
-        shape = tuple(len(file[name]) for name in variable.dimensions)
+    name: str
+    shape: tuple[int, ...]
+    kind: Any
+    sizes: tuple[int, ...]
+
+    @classmethod
+    def of(cls, name: str, shape: tuple[int, ...], kind: Any, window: int) -> "Chunks":
+        """Return the chunks of a variable.
+
+        Parameters
+        ----------
+        window : cases that are written at once; a chunk has no more.
+        """
         size, chunks = np.dtype(kind).itemsize, list(shape)
         for axis in range(len(shape)):
             rest = size * math.prod(chunks[axis + 1 :])
             chunks[axis] = min(shape[axis], max(1, int(_CHUNK_BYTES // rest)))
         rows = power_of_2(_CHUNK_BYTES / (size * math.prod(chunks[1:])))
         chunks[0] = min(shape[0], rows, window)
-        if sample is not None:
-            first = np.ascontiguousarray(sample[tuple(map(slice, chunks))]).tobytes()
-            gzip = len(zlib.compress(first, 1)) * _WORTH_IT < len(first)
-        extra: dict[str, Any] = {"compression": "gzip", "compression_opts": 1} if gzip else {}
-        if np.dtype(kind).kind == "f":
-            extra["fillvalue"] = np.nan
-        self._dataset = file.create_dataset(
-            variable.name, shape, dtype=kind, chunks=tuple(chunks), **extra
-        )
-        self._dataset.attrs.update(variable.attributes)
-        if np.dtype(kind).kind == "S":
-            self._dataset.attrs.update(_ENCODED)
-        for axis, name in enumerate(variable.dimensions):
-            self._dataset.dims[axis].attach_scale(file[name])
-        self._direct = gzip and tuple(chunks[1:]) == shape[1:]
-        #: the last chunk, and its compressed bytes
-        self._chunk = (b"", b"")
+        return cls(name, shape, kind, tuple(chunks))
 
-    def write(self, start: int, values: Any) -> None:
-        """Write the values of cases from one on: whole chunks, but for the last."""
-        dataset = self._dataset
-        if not self._direct:
-            dataset[start : start + len(values)] = values
-            return
-        rows, rest = dataset.chunks[0], (0,) * (dataset.ndim - 1)
+    @property
+    def is_text(self) -> bool:
+        """Whether the values are texts, whose bytes are not sorted."""
+        return np.dtype(self.kind).kind == "S"
+
+    def packed(self, values: Any) -> Any:
+        """Return the values of some cases as ``write`` takes them: the bytes of each chunk."""
+        if self.sizes[1:] != self.shape[1:]:  # of huge histories: HDF5 has to cut them
+            return values
+        packed: list[bytes] = []
+        before, rows = b"", self.sizes[0]
         for first in range(0, len(values), rows):
-            data = np.ascontiguousarray(values[first : first + rows], dtype=dataset.dtype).tobytes()
-            data += bytes(math.prod(dataset.chunks) * dataset.dtype.itemsize - len(data))
-            if data != self._chunk[0]:
-                self._chunk = data, zlib.compress(data, 1)
-            dataset.id.write_direct_chunk((start + first, *rest), self._chunk[1])
+            data = np.ascontiguousarray(values[first : first + rows], dtype=self.kind).tobytes()
+            data += bytes(math.prod(self.sizes) * np.dtype(self.kind).itemsize - len(data))
+            packed.append(packed[-1] if data == before else self._compressed(data))
+            before = data
+        return packed
+
+    def _compressed(self, data: bytes) -> bytes:
+        """Return a chunk as HDF5's filters "shuffle" and "deflate" would make it."""
+        strategy = zlib.Z_DEFAULT_STRATEGY
+        if not self.is_text:
+            table = np.frombuffer(data, np.uint8).reshape(-1, np.dtype(self.kind).itemsize)
+            data = table.T.tobytes()
+            if self.name not in LINE:  # which repeats from case to case: that is no run
+                strategy = zlib.Z_RLE
+        gzip = zlib.compressobj(1, zlib.DEFLATED, zlib.MAX_WBITS, zlib.DEF_MEM_LEVEL, strategy)
+        return gzip.compress(data) + gzip.flush()
 
 
-def write_texts(
-    file: h5py.File, variable: Variable, longest: int, texts: Callable[[slice], Any]
-) -> None:
-    """Write texts of cases, window by window.
+class CaseVariable:
+    """A variable over all cases in their file.
 
     Parameters
     ----------
-    longest : bytes of the longest.
-    texts : returns those of a stretch of the cases, as bytes.
+    file : with the dimensions.
+    variable : which.
+    kind : type of the values.
+    window : cases that are written at once.
     """
-    kind = text_dtype(longest)
-    window = min(WINDOW, cases_at_once(kind.itemsize))
-    column, count = CaseVariable(file, variable, kind, window, gzip=True), len(file["case"])
-    for start in range(0, count, window):
-        column.write(start, texts(slice(start, min(start + window, count))))
+
+    def __init__(self, file: h5py.File, variable: Variable, kind: Any, window: int) -> None:
+        self._window = window
+        shape = tuple(len(file[name]) for name in variable.dimensions)
+        self.chunks = chunks = Chunks.of(variable.name, shape, kind, window)
+        fill = {"fillvalue": np.nan} if np.dtype(kind).kind == "f" else {}
+        self._dataset = file.create_dataset(
+            variable.name, shape, dtype=kind, chunks=chunks.sizes, compression="gzip",
+            compression_opts=1, shuffle=not chunks.is_text, **fill,
+        )  # fmt: skip
+        self._dataset.attrs.update({**variable.attributes, **(_ENCODED if chunks.is_text else {})})
+        for axis, name in enumerate(variable.dimensions):
+            self._dataset.dims[axis].attach_scale(file[name])
+
+    def write(self, start: int, packed: Any) -> None:
+        """Write the values of cases from one on, see ``Chunks.packed``."""
+        if not isinstance(packed, list):
+            self._dataset[start : start + len(packed)] = packed
+            return
+        rows, rest = self.chunks.sizes[0], (0,) * (self._dataset.ndim - 1)
+        for number, chunk in enumerate(packed):
+            self._dataset.id.write_direct_chunk((start + number * rows, *rest), chunk)
+
+    def write_all(self, values: Callable[[slice], Any]) -> None:
+        """Write the values of all cases, window by window.
+
+        Parameters
+        ----------
+        values : returns those of a stretch of the cases.
+        """
+        count = self.chunks.shape[0]
+        for start in range(0, count, self._window):
+            part = values(slice(start, min(start + self._window, count)))
+            self.write(start, self.chunks.packed(part))

@@ -1,8 +1,8 @@
 """The folder of a sweep: which cases it holds, and where; one sweep at a time is at work in it.
 
 ``results.h5`` and ``cases.csv`` are written when a sweep ends; until then its cases are in
-``shards``, checkpoints of those that were interrupted in ``inflight``, shared operators in
-``operators``. Slices of a study have files of their own until the whole is merged.
+``shards``, checkpoints of those that were interrupted in ``inflight``. Slices of a study have files
+of their own until the whole is merged.
 """
 
 import fcntl
@@ -17,8 +17,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ringwear_par.errors import ComputationError, InputError
-from ringwear_par.files.ordinary import open_ordinary
-from ringwear_par.files.writing import check_writable, remove_leftovers, unwritable
+from ringwear_par.files.writing import check_writable, open_ordinary, remove_leftovers, unwritable
 from ringwear_par.results.storage.hdf5 import UnreadableError
 from ringwear_par.studies.storage import shards
 from ringwear_par.studies.storage.blocks import INCOMPLETE, CaseBlock
@@ -37,7 +36,7 @@ def reporting_unreadable() -> Iterator[None]:
 
 #: how names of shards end
 SHARD = ".blocks"
-_FOLDERS = ("shards", "inflight", "operators")
+_FOLDERS = ("shards", "inflight")
 
 
 @dataclass(frozen=True)
@@ -65,10 +64,6 @@ class SweepFolder:
         """Return the files of all cases that were interrupted."""
         return sorted((self.path / "inflight").glob("*.h5"))
 
-    def operator(self, group: int) -> Path:
-        """Return the file of a group's operator."""
-        return self.path / "operators" / f"{self.part or 'all'}_{group}.npy"
-
     @property
     def stopped(self) -> Path:
         """The file that is there after a stop: run the same command again."""
@@ -91,18 +86,12 @@ class SweepFolder:
 
     def clear(self) -> None:
         """Remove the half-written files of a killed sweep. Needs the folder's lock."""
-        self.drop_operators()
         self.stopped.unlink(missing_ok=True)
         if not self.part:
             for path in self.path.glob("STOPPED.*"):
                 path.unlink(missing_ok=True)
             remove_leftovers(self.path)
             remove_leftovers(self.path / "inflight")
-
-    def drop_operators(self) -> None:
-        """Remove the operators, which are assembled again where they are needed."""
-        for path in (self.path / "operators").glob(f"{self.part or '*'}_*"):
-            path.unlink(missing_ok=True)
 
     # -- which cases it holds ----------------------------------------------------------------------
 

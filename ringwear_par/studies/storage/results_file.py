@@ -20,8 +20,8 @@ from ringwear_par.results.storage.hdf5 import (
     read_words,
     reading,
 )
-from ringwear_par.results.stress_variables import side_numbers
-from ringwear_par.results.variables import POINT_SIDE, STEP
+from ringwear_par.results.storage.result_variables import side_numbers
+from ringwear_par.results.variables import POINT_SIDE
 from ringwear_par.studies.storage.blocks import (
     BY_CASE,
     BY_STATE,
@@ -45,8 +45,6 @@ FILE_KIND = "a results file of ringwear sweep"
 RESULTS, TABLE = "results.h5", "cases.csv"
 #: of the cases that are read or written at once
 _WINDOW_BYTES = 24e6
-#: attribute of ``step``: whether all histories begin with the same numbers of steps made
-SAME_STEPS = "same_in_all_cases"
 #: between the flags of a case
 _SEPARATOR = ", "
 
@@ -104,11 +102,7 @@ class ResultsBlock(CaseBlock):
             for name in names:
                 if name not in self.axes:
                     continue
-                if name == STEP.name:
-                    steps = read_array(file, STEP, {}).astype(float)
-                    values = np.broadcast_to(steps, self._is_state.shape)
-                else:
-                    values = file[name][self.stretch]
+                values = file[name][self.stretch]
                 if name == POINT_SIDE.name:
                     values = side_numbers(values)
                 columns[name] = values[self._is_state] if self.axes[name] == BY_STATE else values
@@ -169,8 +163,6 @@ def _blocks(path: Path, file: h5py.File) -> list[CaseBlock]:
         for name, table in tables.items()
         if "step" in STORED[name].dimensions and table.ndim == 1 + len(STORED[name].dimensions)
     }
-    if file["step"].attrs[SAME_STEPS]:
-        axes[STEP.name] = BY_STATE
     longest = _longest(file["case_toml"])
     widths = [math.prod(table.shape[1:]) * table.dtype.itemsize for table in tables.values()]
     stretch = cases_at_once(max(longest, 1, *widths))

@@ -6,56 +6,58 @@ with NaN; ``steps_stored`` and ``elements`` say how much is there. Both files ap
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.files.writing import atomic_write
+from ringwear_par.parallel import results_of_tasks
 from ringwear_par.results.storage.hdf5 import atomic_hdf5
-from ringwear_par.results.stress_variables import side_words
 from ringwear_par.results.variables import (
     EDGE_ELEMENT,
     HISTORIES,
     LINE,
     POINT_SIDE,
-    STEP,
+    POINT_SIDES,
     Variable,
-    edge_elements,
 )
 from ringwear_par.studies.definition.variations import Column
 from ringwear_par.studies.storage.blocks import STATUS, CaseBlock, Kind
 from ringwear_par.studies.storage.case_index import ENTRY, CaseIndex
-from ringwear_par.studies.storage.case_table import TABLE_MEANINGS, CaseTable, Words, extended
+from ringwear_par.studies.storage.case_table import TABLE_MEANINGS, CaseTable, extended
 from ringwear_par.studies.storage.case_variables import (
     WINDOW,
     CaseVariable,
     make_scales,
     text_dtype,
-    write_texts,
 )
-from ringwear_par.studies.storage.end_values import BY_SOURCE, STRESS_STATES, last_with_stress
-from ringwear_par.studies.storage.padded_tables import CommonSteps, body_last, fill
+from ringwear_par.studies.storage.case_windows import CaseWindow, texts_of
 from ringwear_par.studies.storage.results_file import (
     RESULTS,
-    SAME_STEPS,
     SOFTWARE,
     TABLE,
     cases_at_once,
     join_flags,
+    power_of_2,
 )
 from ringwear_par.studies.storage.stored_variables import (
     AXES,
     FIELDS,
     OF_CASES,
     STORED,
-    STRESS,
-    has_layers,
     over_cases,
 )
+
+#: cases that a rank fills at once, at least
+_LEAST_WINDOW = 1024
+#: of the longest name of a point's side
+_SIDE_BYTES = max(map(len, POINT_SIDES))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +82,12 @@ class CaseList:
     texts: Callable[[IntArray], list[str]]
 
 
-def write_results(folder: Path, cases: CaseList, attributes: Mapping[str, Any]) -> None:
-    """Write the files by rename, the units of the table beside it. Call on one rank only.
+def write_results(
+    folder: Path, cases: CaseList, attributes: Mapping[str, Any], comm: MPI.Comm
+) -> None:
+    """Write the files by rename, the units of the table beside it. Call on rank 0 of comm only.
+
+    Within ``parallel.with_help_of_all``.
 
     Parameters
     ----------
@@ -100,9 +106,7 @@ def write_results(folder: Path, cases: CaseList, attributes: Mapping[str, Any]) 
         atomic_hdf5(folder / RESULTS) as (file, check_disk),
     ):
         writer = _Writer(file, cases, check_disk)
-        end_values = writer.write_histories()
-        writer.write_texts()
-        table = writer.case_table(end_values)
+        table = writer.case_table(writer.write_histories(comm))
         table.store(file)
         file.attrs.update({"software": SOFTWARE, **attributes})
         table.write_csv(rows)
@@ -127,32 +131,22 @@ class _Writer:
         self._cases["kind"] = self._cases["block"] = -1
         self._stored = cases.entry >= 0
         self._cases[self._stored] = cases.index.entries[cases.entry[self._stored]]
-        self._rows = self._cases["rows"]
-        numbers = np.unique(self._cases["block"][self._stored])
-        self._blocks = [cases.index.blocks[block] for block in numbers.tolist()]
+        numbers = np.unique(self._cases["block"][self._stored]).tolist()
+        self._blocks = {number: cases.index.blocks[number] for number in numbers}
         axes: dict[str, int] = {}
-        for block in self._blocks:
+        for block in self._blocks.values():
             for axis, size in block.sizes.items():
                 if axis in AXES:
                     axes[axis] = max(size, axes.get(axis, 0))
         make_scales(
-            file, cases.ids, int(self._rows.max(initial=0)) or 1,
+            file, cases.ids, int(self._cases["rows"].max(initial=0)) or 1,
             int(self._cases["elements"].max(initial=0)) or 1, axes,
         )  # fmt: skip
 
-    def _by_block(self, cases: IntArray) -> Iterator[tuple[CaseBlock, IntArray]]:
-        """Yield the blocks of some stored cases, with the cases of each."""
-        cases = cases[np.argsort(self._cases["block"][cases], kind="stable")]
-        numbers = self._cases["block"][cases]
-        for part in np.split(cases, np.flatnonzero(np.diff(numbers)) + 1) if len(cases) else ():
-            yield self._list.index.blocks[self._cases["block"][part[0]]], part
-
-    # -- histories ---------------------------------------------------------------------------------
-
     def _variables(self) -> dict[str, Variable]:
         """Return the variables that the file is to have of each case's history."""
-        names = {name for block in self._blocks for name in block.axes}
-        deep = any(block.deep for block in self._blocks)
+        names = {name for block in self._blocks.values() for name in block.axes}
+        deep = any(block.deep for block in self._blocks.values())
         variables = {
             name: v for name, v in STORED.items() if name in names | HISTORIES.keys() | LINE.keys()
         }
@@ -163,117 +157,78 @@ class _Writer:
                 variables[name] = variables[name].at_last_step()
         return variables
 
-    def write_histories(self) -> dict[str, FloatArray]:
-        """Write the variables of the cases' histories, block by block of a window of cases.
+    def write_histories(self, comm: MPI.Comm) -> dict[str, FloatArray]:
+        """Write the histories and texts of the cases, window by window, which all ranks fill.
 
         Return the end values by name, (cases,) or (cases, layers or points).
         """
         variables, count = self._variables(), len(self._cases)
-        shapes = {
-            name: tuple(len(self._file[axis]) for axis in variable.dimensions)
+        longest = max((block.longest for block in self._blocks.values()), default=1)
+        for part in _stretches(count, WINDOW):
+            longest = max(longest, *(len(text.encode()) for text in self._missing_texts(part)), 1)
+        size = sum(
+            8 * math.prod(len(self._file[axis]) for axis in variable.dimensions)
+            for variable in variables.values()
+        )
+        window = min(cases_at_once(size), max(power_of_2(count / comm.size), _LEAST_WINDOW))
+        columns = {
+            name: CaseVariable(
+                self._file, over_cases(variable),
+                text_dtype(_SIDE_BYTES) if name == POINT_SIDE.name else np.dtype(float), window,
+            )
             for name, variable in variables.items()
-        }
-        window = cases_at_once(8 * sum(map(math.prod, shapes.values())))
-        columns: dict[str, CaseVariable] = {}
+        }  # fmt: skip
+        texts = CaseVariable(self._file, OF_CASES["case_toml"], text_dtype(longest), window)
+        chunks = {name: column.chunks for name, column in columns.items()}
+        columns[texts.chunks.name] = texts
+        windows = (
+            CaseWindow(
+                self._cases[part],
+                self._blocks_of(part),
+                chunks,
+                self._missing_texts(part),
+                texts.chunks,
+            )
+            for part in _stretches(count, window)
+        )
         end_values: dict[str, FloatArray] = {}
-        steps = CommonSteps()
-        for start in range(0, max(count, 1), window):
-            stop = min(start + window, count)
-            tables = {
-                name: np.full((stop - start, *shape), np.nan) for name, shape in shapes.items()
-            }
-            for block, cases in self._by_block(start + np.flatnonzero(self._rows[start:stop])):
-                places, stored = self._cases["place"][cases], block.read((STEP.name, *variables))
-                steps.add(stored.pop(STEP.name, None), block.offsets, places)
-                for name, values in stored.items():
-                    if has_layers(variables[name]):
-                        values = body_last(values, tables[name].shape[-1])
-                    fill(tables[name], cases - start, values, block, name, places)
-            if EDGE_ELEMENT.name in tables:
-                pressure = tables["pressure"]
-                edges = np.where(np.isnan(pressure), np.nan, edge_elements(pressure))
-                tables[EDGE_ELEMENT.name] = edges
-            for name, values in self._end_values(start, tables):
-                if not start:
-                    end_values[name] = np.full((count, *values.shape[1:]), np.nan)
-                end_values[name][start:stop] = values
-            for name, table in tables.items():
-                kind: Any = float
-                if name == POINT_SIDE.name:
-                    table = side_words(table)
-                    kind = text_dtype(table.dtype.itemsize)
-                    table = table.astype(kind)
-                if not start:
-                    columns[name] = CaseVariable(
-                        self._file, over_cases(variables[name]), kind, window, sample=table
-                    )
-                columns[name].write(start, table)
+        with closing(results_of_tasks(comm, (cases.fill for cases in windows))) as filled:
+            for part, of_window in zip(_stretches(count, window), filled, strict=True):
+                for name, packed in of_window.chunks.items():
+                    columns[name].write(part.start, packed)
+                for name, values in of_window.end_values.items():
+                    if not part.start:
+                        end_values[name] = np.full((count, *values.shape[1:]), np.nan)
+                    end_values[name][part] = values
                 self._check_disk()
-        if steps.names is not None and len(steps.names) == len(self._file["step"]):
-            self._file["step"][:] = steps.names.astype(int)
-            self._file["step"].attrs.update({"long_name": STEP.meaning, SAME_STEPS: 1})
         return end_values
 
-    def _end_values(
-        self, start: int, tables: Mapping[str, FloatArray]
-    ) -> Iterator[tuple[str, FloatArray]]:
-        """Yield the end values of a window of cases."""
-        stressed = tables.get(STRESS_STATES)
-        for source, end_value in BY_SOURCE.items():
-            if source not in tables:
-                continue
-            table = tables[source]
-            last = self._rows[start : start + len(table)] - 1
-            if source in STRESS and stressed is not None:
-                last = last_with_stress(stressed)
-            yield end_value.name, end_value.of(table, last)
+    def _blocks_of(self, cases: slice) -> dict[int, CaseBlock]:
+        numbers = np.unique(self._cases["block"][cases]).tolist()
+        return {number: self._blocks[number] for number in numbers if number >= 0}
 
-    # -- one of each case --------------------------------------------------------------------------
-
-    def _texts(self, cases: IntArray) -> list[str]:
-        """Return the texts of some cases."""
-        texts = np.empty(len(cases), dtype=object)
-        stored = self._stored[cases]
-        where = np.flatnonzero(stored)
-        for block, part in self._by_block(cases[stored]):
-            at = where[np.searchsorted(cases[stored], part)]
-            texts[at] = block.texts(self._cases["place"][part].tolist())
-        if not stored.all():
-            texts[~stored] = self._list.texts(cases[~stored])
-        return texts.tolist()
-
-    def write_texts(self) -> None:
-        """Write the texts of all cases."""
-        longest = max((block.longest for block in self._blocks), default=1)
-        missing = np.flatnonzero(~self._stored)
-        for start in range(0, len(missing), WINDOW):
-            texts = self._list.texts(missing[start : start + WINDOW])
-            longest = max(longest, *(len(text.encode()) for text in texts))
-
-        def part(cases: slice) -> Any:
-            texts = self._texts(np.arange(cases.start, cases.stop))
-            return np.array([text.encode() for text in texts], dtype=text_dtype(longest))
-
-        write_texts(self._file, OF_CASES["case_toml"], longest, part)
-        self._check_disk()
+    def _missing_texts(self, cases: slice) -> list[str]:
+        """Return the texts of those of some cases that were not begun."""
+        missing = np.flatnonzero(~self._stored[cases])
+        return self._list.texts(cases.start + missing) if len(missing) else []
 
     def case_table(self, end_values: Mapping[str, FloatArray]) -> CaseTable:
         """Return the numbers and words of all cases."""
         varied, count = self._list.varied, len(self._cases)
         known = min((len(column) for column in varied.values()), default=count)
-        windows = (np.arange(at, min(at + WINDOW, count)) for at in range(known, count, WINDOW))
+        gone = (self._cases[known:][part] for part in _stretches(count - known, WINDOW))
         used, code = np.unique(self._cases["kind"], return_inverse=True)
         none = Kind("")
         kinds = [self._list.index.kinds[i] if i >= 0 else none for i in used.tolist()]
         return CaseTable(
             self._list.ids,
-            extended(varied, (text for cases in windows for text in self._texts(cases))),
+            extended(varied, (text for cases in gone for text in texts_of(cases, self._blocks))),
             {
-                "status": Words.of(STATUS, self._cases["status"]),
-                "error": Words.of([kind.error for kind in kinds], code),
-                "in_study": Words.of(("no", "yes"), self._list.in_study.astype(int)),
-                "version": Words.of([kind.version for kind in kinds], code),
-                "flags": Words.of([join_flags(kind.flags) for kind in kinds], code),
+                "status": Column.chosen(STATUS, self._cases["status"]),
+                "error": Column.chosen([kind.error for kind in kinds], code),
+                "in_study": Column.chosen(("no", "yes"), self._list.in_study.astype(int)),
+                "version": Column.chosen([kind.version for kind in kinds], code),
+                "flags": Column.chosen([join_flags(kind.flags) for kind in kinds], code),
             },
             {
                 name: self._cases[{"steps_stored": "rows"}.get(name, name)]
@@ -281,3 +236,8 @@ class _Writer:
             },
             end_values,
         )
+
+
+def _stretches(count: int, size: int) -> Iterator[slice]:
+    """Yield stretches of so many cases, the last one of fewer."""
+    return (slice(start, min(start + size, count)) for start in range(0, count, size))

@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from ringwear_par.errors import ComputationError
-from ringwear_par.files.ordinary import open_ordinary
-from ringwear_par.files.writing import atomic_write
+from ringwear_par.files.writing import atomic_write, open_ordinary
 from ringwear_par.studies.storage.blocks import (
     MARKER,
     Block,

@@ -17,7 +17,6 @@ from ringwear_par.results.variables import (
     POINT_STRESS,
     POINTS,
     PROFILES,
-    STEP,
     TIMES_THROUGH,
     UPPER_LAYER,
     Variable,
@@ -33,8 +32,6 @@ FIELDS = {**PROFILES, **LAYER_PROFILES}
 OF_A_CASE = {**TIMES_THROUGH, **POINTS}
 #: the stored variables of a case's history; all but ``HISTORIES`` are of some cases only
 STORED = {**AT_STATES, **LINE, **FIELDS, **OF_A_CASE}
-#: and the numbers of the steps, which all cases of a file may have in common
-COLUMNS = {STEP.name: STEP, **STORED}
 
 #: variables of results.h5 with dimension (case,)
 OF_CASES = {
@@ -104,4 +101,4 @@ def shape_of(name: str, sizes: Mapping[str, int]) -> tuple[int, ...]:
 
 
 def _axes(name: str) -> tuple[str, ...]:
-    return tuple(axis for axis in COLUMNS[name].dimensions if axis != "step")
+    return tuple(axis for axis in STORED[name].dimensions if axis != "step")

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.schedules import Stacked, Table, value
-from ringwear_par.wear.law import Law
+from ringwear_par.wear.law import Coefficient, Law
 from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.parameters import Coefficient
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,13 @@ the averages.
 from dataclasses import dataclass, field
 from typing import Annotated
 
+import numpy as np
+
+from ringwear_par.arrays import COMPLEX_STEP, FloatArray
+from ringwear_par.errors import ComputationError
+from ringwear_par.wear.law import Law, Parameter
 from ringwear_par.wear.laws.threshold import ThresholdLaw
-from ringwear_par.wear.parameters import Parameter
+from ringwear_par.wear.local_state import LocalState
 
 
 @dataclass(frozen=True)
@@ -47,3 +52,62 @@ class NonLocalLaw(ThresholdLaw):
     def per_energy(self, friction: float) -> float | None:
         """Return None: the sliding speed is not averaged."""
         return None
+
+
+#: how often averages are scaled at most, and to what they have to keep constants by then
+_SCALINGS, _SCALED = 1000, 1e-10
+
+
+def averaging(r: FloatArray, area: FloatArray, length: complex) -> FloatArray:
+    """Return the (n, n) matrix of Gaussian averages over a length.
+
+    Rows sum to 1 and ``diag(area) A`` is symmetric, so that constants and area integrals are
+    kept (Sinkhorn's scaling).
+
+    Raises
+    ------
+    ComputationError : the scaling does not settle.
+    """
+    if length == 0.0:
+        return np.eye(len(r))
+    kernel = np.exp(-0.5 * ((r[:, None] - r) / length) ** 2) * area[:, None] * area
+    scale = 1.0 / np.sqrt(kernel.sum(axis=1) / area)
+    for _ in range(_SCALINGS):
+        sums = scale * (kernel @ scale) / area
+        error = np.abs(sums - 1.0).max()
+        if error < 1e-14:
+            break
+        scale = scale / np.sqrt(sums)
+    if not error <= _SCALED:
+        raise ComputationError(
+            f"wear law: averages over {np.real(length):g} mm keep constants to {error:.1e} only, "
+            f"after {_SCALINGS} scalings (allowed {_SCALED:g})"
+        )
+    symmetric = scale[:, None] * kernel * scale
+    matrix = symmetric / area[:, None]
+    return matrix / matrix.sum(axis=1)[:, None]
+
+
+def d_averaging(r: FloatArray, area: FloatArray, length: float) -> FloatArray:
+    """Return the derivative of the matrix of averages with respect to its length, (n, n) 1/mm."""
+    return np.imag(averaging(r, area, length + 1j * COMPLEX_STEP)) / COMPLEX_STEP
+
+
+def averaged(average: FloatArray, x: FloatArray) -> FloatArray:
+    """Return averages, (..., n), of x, without BLAS: its rounding may turn on where x lies.
+
+    Parameters
+    ----------
+    average : (..., n, n) float.
+    """
+    products: FloatArray = average * x[..., None, :]
+    return products.sum(axis=-1)
+
+
+def averaged_rate(
+    law: Law, at: LocalState, average: FloatArray | None, p: FloatArray
+) -> FloatArray:
+    """Return the rate of wear under a law, (..., n) mm/s, with its average if it is non-local."""
+    if average is None:
+        return law.rate(p, at)
+    return averaged(average, law.rate(averaged(average, p), at))

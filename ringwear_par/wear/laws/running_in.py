@@ -9,9 +9,9 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, value
+from ringwear_par.wear.law import Coefficient, Parameter, Threshold
 from ringwear_par.wear.laws.threshold import AboveThreshold
 from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.parameters import Coefficient, Parameter, Threshold
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,8 @@ from typing import Annotated, Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.wear.law import Law
+from ringwear_par.wear.law import Law, Parameter
 from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.parameters import Parameter
 
 
 @dataclass(frozen=True)

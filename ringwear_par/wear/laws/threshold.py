@@ -6,9 +6,8 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.schedules import Quantity, Stacked, Table, value
-from ringwear_par.wear.law import Law
+from ringwear_par.wear.law import Coefficient, Law, Threshold
 from ringwear_par.wear.local_state import LocalState
-from ringwear_par.wear.parameters import Coefficient, Threshold
 
 
 class AboveThreshold(Law):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringwear_par.cases.units import factor, number_in, told_unit, unit_of_column
+from ringwear_par.cases.units import factor, named_unit, number_in, unit_of_column
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError
 from ringwear_par.files.measurements import read_measurements
@@ -136,14 +136,14 @@ def test_units_of_columns():
     ],
 )  # fmt: skip
 def test_units_of_quotients(name, base, unit):
-    assert told_unit(name, base) == unit
+    assert named_unit(name, base) == unit
 
 
 @pytest.mark.parametrize("name", ["v_mm/s", "v / (mm/s)", "F [N/mm]", "k / mm3/(N m)"])
 def test_quotients_in_units_of_something_else(name):
     for base in ("s", "mm", "N mm"):
         with pytest.raises(RejectedError, match="by its name"):
-            told_unit(name, base)
+            named_unit(name, base)
 
 
 def test_files_of_any_size_are_looked_at_once(tmp_path):
@@ -161,11 +161,11 @@ def test_files_of_any_size_are_looked_at_once(tmp_path):
 
 def test_endings_that_do_not_fit():
     names = ("z_um", "z", "wear_lower", "z_2", "höhe", "z_A1")
-    assert [told_unit(name, "mm") for name in names] == ["um", *[None] * 5]
+    assert [named_unit(name, "mm") for name in names] == ["um", *[None] * 5]
     for name, base, said in (
         ("z_MPa", "mm", "is in MPa by its name"), ("p_Nm", "mm", "is in Nm by its name"),
         ("z_s", "mm", "is in s by its name"), ("F (kN)", "mm", "is in kN by its name"),
         ("Drehmoment_Nm", "g", "is in Nm by its name"), ("z_um [tip]", "mm", r"ends with \[tip\]"),
     ):  # fmt: skip
         with pytest.raises(RejectedError, match=said):
-            told_unit(name, base)
+            named_unit(name, base)

@@ -283,7 +283,7 @@ def test_what_cannot_be_is_refused(tables, change, told, comm):
 
 def test_the_folder_holds_what_to_do_next(tables, laboratory, tmp_path, comm, capsys, monkeypatch):
     folder, _ = laboratory
-    from ringwear_par.cases.text import toml_value
+    from ringwear_par.files.text import toml_value
 
     source = folder / "fit.toml"
     lines = [f"{key} = {toml_value(value)}" for key, value in tables().items()]

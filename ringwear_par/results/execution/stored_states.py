@@ -1,17 +1,19 @@
-"""Observer that stores the variables of histories, row by row."""
+"""Observers of stored states: rows of variables, and last states, from which histories go on."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, IntArray, share
+from ringwear_par import batched
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, share
 from ringwear_par.cases.case import Case
 from ringwear_par.history.derivatives.keys import units_of
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.tangent import variables as derivatives_of
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.history.state import State
+from ringwear_par.history.state import Start, State
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import HISTORIES, VARIABLES, derivative_names, layer_names
 
@@ -36,7 +38,7 @@ def row(physics: Physics, state: State) -> dict[str, Any]:
         "worn_volume_upper": volumes[1],
         "dissipated_energy": state.energy,
         "pressure": contact.pressure,
-        "gap": contact.gap,
+        "gap": np.where(contact.pressure > 0.0, 0.0, contact.gap),  # in contact all but round-off
         "wear_lower": state.wear[0],
         "wear_upper": state.wear[1],
     }
@@ -187,3 +189,76 @@ class StoredRows:
 def at_rows(name: str, rows: Any) -> tuple[Any, ...]:
     """Return the index of some rows of a variable, or histories: parameters may come first."""
     return (*(slice(None),) * VARIABLES[name].dimensions.index("step"), rows)
+
+
+@dataclass(frozen=True)
+class LastState:
+    """The present or last states of B histories."""
+
+    #: to continue from, without derivatives
+    start: Start
+    #: (B,) of the compliances
+    symmetry_defect: FloatArray
+    #: (B,) whether the histories have come to their ends
+    finished: BoolArray
+
+    @classmethod
+    def of(cls, snapshot: Snapshot, places: IntArray) -> "LastState":
+        """Return the states of some histories of a snapshot."""
+        physics, state = snapshot.physics, replace(snapshot.state, tangent=None)
+        start = Start(state, snapshot.progress, snapshot.contacts.warm, physics.updates)
+        defect = physics.compliances.symmetry_defect
+        return batched.take(cls(start, defect, snapshot.finished), places)
+
+
+class LastStates:
+    """The state from which each of B histories can go on: an observer. Not collective.
+
+    Parameters
+    ----------
+    count : B.
+    results : whether the states at the ends of the histories are wanted.
+    """
+
+    def __init__(self, count: int, results: bool = True) -> None:
+        self._results = results
+        #: the last snapshot that histories went on from; None before the first
+        self.snapshot: Snapshot | None = None
+        #: (2, B) s, when wear got through all layers of lower and upper, by the end of a history
+        self.through = np.full((2, count), np.inf)
+        self._ended: dict[int, tuple[LastState, int]] = {}
+
+    def __call__(self, snapshot: Snapshot) -> bool:
+        """Take new states."""
+        if snapshot.passing:
+            return False
+        self.snapshot = snapshot
+        places = np.flatnonzero(snapshot.finished)
+        if not len(places):
+            return False
+        numbers = snapshot.numbers[places]
+        if snapshot.state.through is not None:
+            self.through[:, numbers] = snapshot.state.through[:, places]
+        if self._results:
+            states = LastState.of(snapshot, places)
+            self._ended |= {number: (states, i) for i, number in enumerate(numbers.tolist())}
+        return False
+
+    def state(self, number: int) -> LastState:
+        """Return the state of a history at its end, or its present one, as of one of B = 1."""
+        if number in self._ended:
+            states, place = self._ended[number]
+            return batched.take(states, np.array([place]))
+        assert self.snapshot is not None
+        return LastState.of(self.snapshot, np.flatnonzero(self.snapshot.numbers == number))
+
+    @property
+    def physics(self) -> Physics:
+        """The physics of the last snapshot."""
+        assert self.snapshot is not None
+        return self.snapshot.physics
+
+    @property
+    def finished(self) -> bool:
+        """Whether a single history has come to its end."""
+        return self.snapshot is not None and bool(self.snapshot.finished.all())

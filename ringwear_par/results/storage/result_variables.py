@@ -1,15 +1,17 @@
-"""Stored stresses as variables of a result's file, and as rows of a sweep."""
+"""A result as variables with their values, for its file, for xarray and for sweeps."""
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import h5py
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.stress.fields import (
     COMPONENTS,
     SIDES,
+    Interfaces,
     Largest,
     StressHistory,
     StressState,
@@ -18,10 +20,72 @@ from ringwear_par.elasticity.stress.fields import (
     principal,
 )
 from ringwear_par.results import variables as table
-from ringwear_par.results.variables import Variable, layer_axis
+from ringwear_par.results.result import Result
+from ringwear_par.results.storage.hdf5 import check_times, find_texts, read_array
+from ringwear_par.results.variables import Variable, edge_elements, layer_axis
+
+if TYPE_CHECKING:
+    import xarray
 
 
-def stress_coordinates(history: StressHistory) -> tuple[str, ...]:
+def to_xarray(result: Result) -> "xarray.Dataset":
+    """Return the dataset that xarray makes of a result's file, see ``Result.to_xarray``."""
+    return table.to_dataset(
+        result_variables(result), result.attributes, coordinates(result), result.name
+    )
+
+
+def result_variables(result: Result) -> list[tuple[Variable, Any]]:
+    """Return every variable on the contact line and in time, with its values."""
+    line, numbered = result.line, not np.array_equal(result.step, result.steps_made)
+    pairs: list[tuple[Variable, Any]] = [
+        (table.STATE_NUMBER if numbered else table.STEP, result.step),
+        *([(table.STEPS_MADE, result.steps_made)] if numbered else []),
+        (table.ELEMENT, np.arange(line.n)),
+        *((table.HISTORIES[name], values) for name, values in result.histories.items()),
+        *((variable, getattr(line, name)) for name, variable in table.LINE.items()),
+        *((table.PROFILES[name], values) for name, values in result.profiles.items()),
+    ]
+    if "pressure" in result.profiles:
+        edge = edge_elements(result.profiles["pressure"])
+        pairs.append((table.EDGE_ELEMENT, edge.astype(table.EDGE_ELEMENT.dtype)))
+    pairs += _layer_variables(result)
+    if result.parameters:
+        pairs.append((table.PARAMETER, list(result.parameters)))
+        pairs.append((table.PARAMETER_UNIT, list(result.parameters.values())))
+    pairs += [(table.DERIVATIVES[name], values) for name, values in result.derivatives.items()]
+    if result.stress is not None and result.stress.states:
+        pairs += _stress_variables(result.stress)
+    return [(variable.stored_as(np.ndim(values)), values) for variable, values in pairs]
+
+
+def _layer_variables(result: Result) -> list[tuple[Variable, Any]]:
+    """Return the variables of layers, with their coordinates."""
+    pairs: list[tuple[Variable, Any]] = []
+    counts = [result.layers[v].shape[1] if v in result.layers else 0 for v in table.LAYER_VOLUMES]
+    for name, values in result.layers.items():
+        variable = table.LAYERS[name]
+        if name in table.LAYER_VOLUMES:
+            layer = layer_axis(list(table.LAYER_VOLUMES).index(name), counts)
+            if all(layer != coordinate for coordinate, _ in pairs):
+                pairs.insert(0, (layer, np.arange(values.shape[1])))
+            variable = replace(variable, dimensions=("step", layer.name))
+        pairs.append((variable, values))
+    return pairs
+
+
+def coordinates(result: Result) -> tuple[str, ...]:
+    """Return the names of a result's coordinates that are no dimensions."""
+    names = table.COORDINATES if result.parameters else table.COORDINATES[:-1]
+    if result.stress is None or not result.stress.states:
+        return names
+    return (*names, *_stress_coordinates(result.stress))
+
+
+# -- stresses --------------------------------------------------------------------------------------
+
+
+def _stress_coordinates(history: StressHistory) -> tuple[str, ...]:
     """Return the names of the coordinates that are no dimensions; there is a state at least."""
     of_points = tuple(name for name, _ in _points(history))
     of_interfaces = (
@@ -33,7 +97,7 @@ def stress_coordinates(history: StressHistory) -> tuple[str, ...]:
     return (table.STRESS_TIME.name, *of_points, *of_interfaces)
 
 
-def stress_variables(history: StressHistory) -> list[tuple[Variable, Any]]:
+def _stress_variables(history: StressHistory) -> list[tuple[Variable, Any]]:
     """Return every variable of stored stresses with its values; there is a state at least."""
     states = history.states
     pairs: list[tuple[Variable, Any]] = [
@@ -169,3 +233,60 @@ def side_numbers(words: Any) -> FloatArray:
 def _columns(variables: tuple[Variable, ...], places: list[Largest]) -> list[tuple[Variable, Any]]:
     rows = zip(*((place.mises, place.r, place.z, place.layer) for place in places), strict=True)
     return [(v, np.array(row, v.dtype)) for v, row in zip(variables, rows, strict=True)]
+
+
+def read_stress(file: h5py.File, sizes: dict[str, int]) -> StressHistory | None:
+    """Return the stored stresses, None where there are none; any exception means damage."""
+    if table.STRESS_TIME.name not in file:
+        return None
+    sizes = {**sizes, "component": len(COMPONENTS), table.SIDE.name: len(SIDES)}
+
+    def read(variable: Variable) -> Any:
+        return read_array(file, variable, sizes)
+
+    times, steps = read(table.STRESS_TIME), read(table.STRESS_STEPS_MADE)
+    check_times(times)
+    count = len(times)
+    points, at_points = np.empty((0, 2)), np.empty((count, 0, 6))
+    sides: tuple[str, ...] = ()
+    if table.STRESS.name in file:
+        points = np.stack([read(table.POINT_R), read(table.POINT_Z)], axis=1)
+        at_points = read(table.STRESS)
+        sides = tuple(find_texts(file, table.POINT_SIDE.name, sizes, "point")[()].tolist())
+        if not set(sides) <= set(table.POINT_SIDES):
+            raise ValueError(table.POINT_SIDE.name)
+    axes, on_grid = (np.empty(0), np.empty(0)), np.empty((count, 0, 0, 6))
+    if table.STRESS_GRID.name in file:
+        axes = read(table.GRID_R), read(table.GRID_Z)
+        on_grid = read(table.STRESS_GRID)
+    surface = [read(variable) for variable in table.SURFACE_STRESS]
+    none = Interfaces(np.empty(0), np.empty(0)), np.empty((count, 0, len(SIDES), 0, 6))
+    lower, upper = (
+        (Interfaces(read(names.r), read(names.z)), read(names.stress))
+        if names.stress.name in file
+        else none
+        for names in table.INTERFACES
+    )
+    largest = [
+        [Largest(*row) for row in zip(*(read(v).tolist() for v in variables), strict=True)]
+        for variables in table.MAX_MISES_OF
+    ]
+    layers = [  # which may have a dimension of their own
+        read_array(file, variable, {"stress_step": count})
+        if variable.name in file
+        else np.empty((count, 0))
+        for variable in table.MAX_MISES_LAYERS
+    ]
+    states = tuple(
+        StressState(
+            int(steps[t]), float(times[t]), at_points[t], on_grid[t],
+            (surface[0][t], surface[1][t]),
+            (largest[0][t], largest[1][t]),
+            (lower[1][t], upper[1][t]),
+            (layers[0][t], layers[1][t]),
+        )
+        for t in range(count)
+    )  # fmt: skip
+    return StressHistory(
+        points, sides, axes, float(read(table.EXCLUDE)), (lower[0], upper[0]), states
+    )

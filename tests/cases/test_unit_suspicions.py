@@ -5,8 +5,8 @@ from mpi4py import MPI
 from paths import CASES, PAPER
 
 import ringwear_par as rw
+from ringwear_par.cases.unit_suspicions import unit_suspicions
 from ringwear_par.history.loop import simulate_one
-from ringwear_par.results.unit_suspicions import unit_suspicions
 
 LAYERED = CASES / "wear_through.toml"
 

@@ -1,0 +1,267 @@
+"""Trials of laws before they are used: of users' code, and of derivatives against rates.
+
+Derivatives are held against rates by Taylor tests.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.wear.checked_law import CheckedLaw, CompletedLaw
+from ringwear_par.wear.increment import WearIncrement
+from ringwear_par.wear.law import Law, WearLaw
+from ringwear_par.wear.laws.non_local import averaging
+from ringwear_par.wear.local_state import LocalState
+
+#: round-off of a rate, relative to the largest one
+_NOISE = 1e-14
+#: halvings of the interval of pressures in which a rate may jump
+_BISECTIONS = 30
+#: up to which laws are tried with many histories, MPa
+_TRIED_PRESSURE = 300.0
+
+
+@dataclass(frozen=True)
+class Remainders:
+    """A Taylor test: ``|f(p + h d) - f(p) - h f'(p) d|`` at halved h falls with order 2."""
+
+    #: h, in the unit of what is varied
+    steps: tuple[float, ...]
+    #: largest remainder of all elements at each, relative to the largest ``|f'(p) d|``
+    remainders: tuple[float, ...]
+    #: whether at the smallest h no element's remainder is more than h times what the derivative
+    #: changes on the way, so that kinks, and nothing else, may spoil the order
+    bounded: bool
+
+    @property
+    def order(self) -> float:
+        """Smallest observed order; infinity where no remainder is left but round-off."""
+        pairs = [
+            math.log(a / b) / math.log(h / k)
+            for a, b, h, k in zip(
+                self.remainders, self.remainders[1:], self.steps, self.steps[1:], strict=False
+            )
+            if b > 1e-9 * k
+        ]
+        return min(pairs, default=math.inf)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the derivative is one: order near 2, or less because of kinks."""
+        return self.order > 1.9 or self.bounded
+
+
+def taylor_test(
+    law: Law, at: LocalState, p: FloatArray, direction: FloatArray, step: float = 0.0
+) -> Remainders:
+    """Compare a law's derivative with respect to pressure with its rate. Not collective.
+
+    Parameters
+    ----------
+    law : any law, built in or the user's.
+    at : local state at which it is tried.
+    p : (n,) float, MPa.
+    direction : (n,) float, at most 1.
+    step : s; the wear over an implicit step is tried, memory included; 0 for the rate alone.
+    """
+    average = averaging(at.r, np.ones_like(at.r), float(law.length)) if law.length else None
+    wear = WearIncrement((law, None), (at, at), step or 1.0, (average, None))
+
+    def f(h: float) -> FloatArray:
+        return wear.depth(p + h * direction) if step else law.rate(p + h * direction, at)
+
+    def slope(h: float) -> FloatArray:
+        q = p + h * direction
+        return wear.jacobian(q) @ direction if step else law.d_rate_dp(q, at) * direction
+
+    return _remainders(f, slope, float(p.max()))
+
+
+def taylor_test_wear(law: Law, at: LocalState, p: FloatArray, scale: float) -> Remainders:
+    """Compare a law's derivative with respect to worn depth with its rate. Not collective.
+
+    Parameters
+    ----------
+    scale : mm, over which the rate changes.
+    """
+
+    def worn(h: float) -> LocalState:
+        return replace(at, wear=at.wear + h)
+
+    return _remainders(
+        lambda h: law.rate(p, worn(h)), lambda h: law.d_rate_dwear(p, worn(h)), scale, _NOISE
+    )
+
+
+def taylor_test_parameter(law: Law, at: LocalState, p: FloatArray, name: str) -> Remainders:
+    """Compare a law's derivative with respect to a numeric parameter with its rate.
+
+    Not collective.
+    """
+    here = law.parameter(name, at)
+
+    def changed(h: float) -> Law:
+        return law.with_parameter(name, here + h)
+
+    return _remainders(
+        lambda h: changed(h).rate(p, at),
+        lambda h: changed(h).d_rate_dparameter(name, p, at),
+        float(np.abs(here).max()) or 1.0,
+        _NOISE,
+    )
+
+
+def depends(law: Law, at: LocalState, p: FloatArray, name: str) -> bool:
+    """Tell whether a law's rate changes at all with a numeric parameter. Not collective."""
+    here = law.parameter(name, at)
+    close = here + 2.0**-8 * (float(np.abs(here).max()) or 1.0)
+    return not np.array_equal(law.with_parameter(name, close).rate(p, at), law.rate(p, at))
+
+
+def _remainders(
+    f: Callable[[float], FloatArray],
+    slope: Callable[[float], FloatArray],
+    scale: float,
+    noise: float = 0.0,
+) -> Remainders:
+    """Compare values along a line, at h <= scale / 2^8 from its start, with their derivative.
+
+    The noise, relative to the largest value, may be round-off.
+    """
+    along, start = slope(0.0), f(0.0)
+    size = float(np.abs(along).max()) or 1.0
+    steps = tuple(scale * 2.0**-i for i in range(8, 13))
+    off = np.array([np.abs(f(h) - start - h * along) for h in steps])
+    off = np.maximum(off - noise * np.abs(start).max(), 0.0)
+    change = np.abs(slope(steps[-1]) - along)
+    bounded = off[-1] <= steps[-1] * (2.0 * change + 1e-9 * size)  # the mean value theorem
+    return Remainders(steps, tuple((off.max(axis=1) / size).tolist()), bool(bounded.all()))
+
+
+def check_user_slope(law: CheckedLaw, at: LocalState, pressure: float) -> None:
+    """Refuse a user's law that gives another slope than that of its rate. Not collective.
+
+    Raises
+    ------
+    InputError : it is.
+    """
+    if law.defined("d_rate_dp") is None:
+        return
+    rng = np.random.default_rng(1)
+    tried = pressure * rng.uniform(0.01, 0.99, len(at.r))
+    if not taylor_test(law, at, tried, rng.uniform(-1.0, 1.0, len(at.r))).passed:
+        raise InputError(
+            f"{law.called}: d_rate_dp() is not the derivative of rate() with respect to p; "
+            "must be (see ringwear laws)"
+        )
+
+
+def check_object(law: object) -> None:
+    """Refuse what is no law at all, or says nonsense of itself. Not collective.
+
+    Raises
+    ------
+    InputError : what it is, and what it must be.
+    """
+    must = "must be an object with rate(p, local)"
+    if isinstance(law, type):
+        raise InputError(f"{law.__name__} is a class; {must}, as {law.__name__}(...) may be")
+    if not (isinstance(law, WearLaw) and callable(law.rate)):
+        raise InputError(f"{type(law).__name__} is no wear law; {must}")
+    for name, kind in (("length", "a number (mm)"), ("breakpoints", "a list of times (s)")):
+        try:
+            getattr(CompletedLaw(law), name)
+        except Exception as error:  # whatever a user's code may raise
+            raise InputError(f"{type(law).__name__}: {name}: {error}; must be {kind}") from error
+
+
+def check_user_law(law: CheckedLaw, at: LocalState, pressure: float) -> None:
+    """Refuse a user's law that is no law, tried at pressures up to a given one (MPa).
+
+    Not collective.
+
+    Raises
+    ------
+    InputError : it wears without pressure, gives NaN or negative rates, or rates that fall or jump.
+    """
+    p = np.linspace(0.0, 1.0, 33)[:, None] * np.full_like(at.r, pressure)
+    rates = []
+    for row in p:
+        try:
+            rates.append(law.rate(row, at))
+            law.d_rate_dp(row, at)
+            law.d_rate_dwear(row, at)
+        except ComputationError as error:
+            raise InputError(str(error)) from error
+    table = np.array(rates)
+    if table[0].any():
+        e = int(np.flatnonzero(table[0])[0])
+        raise InputError(
+            f"{law.called}: rate() gives {table[0, e]:g} without pressure (time {at.time:g} s, "
+            f"element {e}, r = {at.r[e]:.6g} mm); must be 0: no wear without contact"
+        )
+    fall = np.diff(table, axis=0) < -1e-12 * table.max(initial=0.0)
+    if fall.any():
+        i, e = (int(v[0]) for v in np.nonzero(fall))
+        raise InputError(
+            f"{law.called}: rate() falls from {table[i, e]:g} to {table[i + 1, e]:g} between "
+            f"p = {p[i, e]:.6g} and {p[i + 1, e]:.6g} MPa (time {at.time:g} s, element {e}, "
+            f"r = {at.r[e]:.6g} mm); must not fall with pressure"
+        )
+    jump = _jump(law, at, p[:, 0], table)
+    if jump:
+        raise InputError(jump)
+
+
+def serves_many(law: Law, r: FloatArray) -> bool:
+    """Tell whether a law gives many histories at once, (B, n), what it gives each by itself.
+
+    Code that was written for one history may take rows for elements, or look at all pressures at
+    once. Not collective.
+
+    Parameters
+    ----------
+    r : (n,) float, mm.
+    """
+    shares = np.linspace(0.0, 1.0, 3 * len(r)).reshape(3, -1)
+    p, wear, speed = _TRIED_PRESSURE * shares, 1e-3 * shares[::-1], np.array([[1.0], [2.0], [3.0]])
+    at = LocalState(np.arange(3.0), r, speed * r, np.array([0.1, 0.2, 0.3]), wear, 5.0 * speed * r)
+    for method in ("rate", "d_rate_dp", "d_rate_dwear"):
+        try:
+            alone = [getattr(law, method)(p[i], at.history(i)) for i in range(3)]
+        except Exception:  # nothing that company would change: its histories will tell
+            continue
+        try:
+            if not np.array_equal(getattr(law, method)(p, at), alone):
+                return False
+        except Exception:  # whatever a user's code may raise
+            return False
+    return True
+
+
+def _jump(law: CheckedLaw, at: LocalState, p: FloatArray, rates: FloatArray) -> str:
+    """Return where the rate jumps with pressure, "" if it does not: by bisection of steep pieces.
+
+    Rates are (k, n) mm/s, at increasing pressures, (k,) MPa.
+    """
+    e = int(rates[-1].argmax())
+    rise = np.diff(rates[:, e])
+    i = int(rise.argmax())
+    low, high, below, above = p[i], p[i + 1], rates[i, e], rates[i + 1, e]
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        rate = law.rate(np.full_like(at.r, middle), at)[e]
+        if rate - below > above - rate:
+            high, above = middle, rate
+        else:
+            low, below = middle, rate
+    if above - below <= 1e-3 * rise[i]:
+        return ""
+    return (
+        f"{law.called}: rate() jumps from {below:g} to {above:g} at p = {low:.6g} MPa "
+        f"(time {at.time:g} s, element {e}, r = {at.r[e]:.6g} mm); must be continuous in p"
+    )
