@@ -20,7 +20,7 @@ from ringwear_par.reports.blocks import (
     Tiles,
     software,
 )
-from ringwear_par.results.instants import time_unit, time_words
+from ringwear_par.results.key_numbers import time_unit, time_words
 
 #: s, after which a browser loads the page of a test that runs again
 _REFRESH = 10

@@ -10,8 +10,8 @@ import numpy as np
 from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, measurements_in
-from ringwear_par.files.ordinary import read_bytes
 from ringwear_par.files.text import parse_toml, read_text
+from ringwear_par.files.writing import read_bytes
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem, Series
 from ringwear_par.identification.definition.scatter import check_scatter

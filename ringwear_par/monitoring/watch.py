@@ -13,7 +13,7 @@ from ringwear_par.monitoring.outlook import surprise, time_to, times_of, widths
 from ringwear_par.pictures.panels import Axis, Band, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.prediction.prediction import TimeTo
-from ringwear_par.results.instants import time_unit
+from ringwear_par.results.key_numbers import time_unit
 from ringwear_par.results.variables import DISPLAY_UNITS
 
 #: windows of a test in which readings are compared with what is expected of them
