@@ -14,6 +14,7 @@ from ringwear_par.errors import warning_lines
 from ringwear_par.identification.definition.problem import body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
 from ringwear_par.identification.evidence import probabilities
+from ringwear_par.identification.scatter.material import known_sizes
 
 if TYPE_CHECKING:
     from ringwear_par.identification.estimation.posterior import Posterior
@@ -291,6 +292,7 @@ def prediction(fit: "FitResult") -> str:
     outcome = fit.to_dict()
     lines += _parameter_lines(outcome)
     lines += [f"  {line}" for line in process_lines(outcome)]
+    lines += [f"  {line}" for line in known_sizes(problem, outcome["specimens"])]
     for one in fit.parameters:
         if one.direction:
             lines.append(f"  {one.key} would not be identified: {one.direction}")

@@ -10,9 +10,8 @@ from laboratory import CASE, END, SD_PENETRATION, fit_tables, history, penetrati
 from mpi4py import MPI
 from scipy.special import logsumexp
 
-from ringwear_par.cases.text import toml_text
 from ringwear_par.errors import InputError
-from ringwear_par.files.text import parse_json
+from ringwear_par.files.text import parse_json, toml_text
 from ringwear_par.identification.definition.problem import Series
 from ringwear_par.monitoring.bank import quantiles
 from ringwear_par.monitoring.follow import run_follow
