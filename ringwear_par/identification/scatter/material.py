@@ -39,8 +39,8 @@ def known_sizes(problem: Problem, specimens: int) -> list[str]:
     ----------
     specimens : of the planned tests.
     """
-    fitted = [p.key for p in problem.parameters
-              if p.scatter is not None and p.scatter.sizes.get("specimen", 0.0) is None]  # fmt: skip
+    scatters = [(p.key, p.scatter.sizes) for p in problem.parameters if p.scatter is not None]
+    fitted = [key for key, sizes in scatters if sizes.get("specimen", 0.0) is None]
     if not fitted:
         return []
     sentence = f"the scatter of {', '.join(fitted)} is taken as known"
