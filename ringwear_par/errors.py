@@ -1,6 +1,6 @@
 """The two ways a command can fail, with their exit statuses; warnings; how messages show texts."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -51,6 +51,12 @@ class ValidityWarning:
     def to_dict(self) -> dict[str, Any]:
         """Return its fields, as JSON files have them."""
         return asdict(self)
+
+    @classmethod
+    def of(cls, entry: Mapping[str, Any]) -> "ValidityWarning":
+        """Return the warning with these fields, see ``to_dict``."""
+        keys, experiments = (tuple(entry[name]) for name in ("keys", "experiments"))
+        return cls(entry["code"], entry["text"], keys, experiments, dict(entry["values"]))
 
 
 def warning_lines(sentences: Iterable[str]) -> list[str]:

@@ -109,7 +109,7 @@ def coverage(asked: Problem, repeats: int) -> tuple[FloatArray, FloatArray, Floa
     ]
     known: dict[tuple[int, bytes], np.ndarray] = {}
     for misfit in posed:
-        misfit.response_cache = known  # the histories do not depend on the noise
+        misfit.responses.known = known  # the histories do not depend on the noise
     begun, before = time.process_time(), histories.count
 
     def fitted(misfit: Misfit, wait_for: WaitFor) -> tuple[Any, Any]:
@@ -119,7 +119,7 @@ def coverage(asked: Problem, repeats: int) -> tuple[FloatArray, FloatArray, Floa
         freedom = misfit.n + len(misfit.priors) - len(misfit.names)
         return values, [2 * found.evaluation.objective / freedom, found.converged]
 
-    rows = side_by_side([partial(fitted, misfit) for misfit in posed], posed[0].compute)
+    rows = side_by_side([partial(fitted, misfit) for misfit in posed], posed[0].responses.compute)
     seconds = time.process_time() - begun
     spent = histories.count - before
     values, quality = (np.array(part, dtype=float) for part in zip(*rows, strict=True))

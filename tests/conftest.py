@@ -3,7 +3,7 @@
 Run as ``pytest`` or as ``mpirun -n 2 python -m pytest --with-mpi``. On several ranks run the tests
 that take the communicator ``comm``, directly or by a fixture, but for those marked ``serial``, as a
 rule with their whole file, where each rank would but repeat what one does. The mark ``ranks``
-brings back a test of such a file.
+brings back a test of such a file, and ``several`` one that compares ranks.
 """
 
 import os
@@ -27,6 +27,7 @@ def pytest_configure(config):
     config._failures, config._sync = [], None
     config.addinivalue_line("markers", "serial: ranks would but repeat it, or it starts programs")
     config.addinivalue_line("markers", "ranks: runs on several ranks, in a file that is serial")
+    config.addinivalue_line("markers", "several: likewise, and would show nothing on one rank")
     config.addinivalue_line("markers", "slow: of files that take a minute or so, which go first")
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
         return  # workers run the tests, and would inherit what MPI puts into the environment
@@ -53,21 +54,24 @@ def pytest_ignore_collect(collection_path, config):
         return None
     text = collection_path.read_text(encoding="utf-8")
     serial = re.search(r"^pytestmark = \[?\s*pytest\.mark\.serial", text, re.MULTILINE)
-    return True if serial and "mark.ranks" not in text else None
+    brought_back = "mark.ranks" in text or "mark.several" in text
+    return True if serial and not brought_back else None
 
 
 def _runs_on_ranks(item):
-    marks = [mark.name for mark in item.iter_markers() if mark.name in ("serial", "ranks")]
+    known = ("serial", "ranks", "several")
+    marks = [mark.name for mark in item.iter_markers() if mark.name in known]
     return "comm" in item.fixturenames and marks[:1] != ["serial"]  # the closest comes first
 
 
 def pytest_collection_modifyitems(config, items):
     if config._sync is None:
+        left_out = [item for item in items if item.get_closest_marker("several")]
         items.sort(key=lambda item: item.get_closest_marker("slow") is None)
-        return
-    alone = [item for item in items if not _runs_on_ranks(item)]
-    config.hook.pytest_deselected(items=alone)
-    items[:] = [item for item in items if item not in set(alone)]
+    else:
+        left_out = [item for item in items if not _runs_on_ranks(item)]
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = [item for item in items if item not in set(left_out)]
 
 
 @pytest.hookimpl(hookwrapper=True)

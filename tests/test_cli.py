@@ -38,10 +38,7 @@ def test_run_plot_and_status_0(tmp_path, ranks):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([PAPER, "-o", "a.h5", "--set", "mesh.contact_elements=1000000000"], "GB of memory"),
         ([PAPER, "-o", "a.h5", "--", "-contact_tao_typ", "tron"], "did you mean -contact_tao_type"),
-        ([PAPER, "-o", "a.h5", "--", "-contact_tao_type", "lmvm"], "must be one of python, tron"),
-        ([PAPER, "-o", "a.h5", "--", "-bem_pc_type", "nonsense"], "-bem_... options"),
         ([PAPER, "-o", "a.h5", "--", "-malloc_debug", "maybe"], "Unknown logical value: maybe"),
         ([PAPER], "the following arguments are required"),
     ],
@@ -150,20 +147,6 @@ def test_a_quiet_end_when_the_reader_leaves():
     result = subprocess.run(["bash", "-c", text], env=SHELL_ENVIRONMENT, capture_output=True,
                             text=True, timeout=60, check=False)  # fmt: skip
     assert result.stderr == ""
-
-
-def test_explicit_scheme_warns_with_the_largest_stable_step(tmp_path):
-    result = ringwear("run", PAPER, "-o", "a.h5", "--set", "time.scheme=explicit", "time.steps=9",
-                      ranks=2, cwd=tmp_path)  # fmt: skip
-    assert result.returncode == 0, result.stderr
-    assert sentences(result) == []
-    told = [line for line in result.stdout.splitlines() if line.startswith("warning: ")]
-    assert len(told) == 1
-    assert "largest stable step" in told[0]
-    limit = float(told[0].split("mesh is ")[1].split(" s ")[0])
-    result = ringwear("run", PAPER, "-o", "b.h5", "--set", "time.scheme=explicit", "time.steps=9",
-                      f"time.step={0.99 * limit}", cwd=tmp_path)  # fmt: skip
-    assert "warning" not in result.stdout
 
 
 def test_loaded_code_is_the_code_that_assembles():

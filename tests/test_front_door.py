@@ -1,7 +1,7 @@
 """What users call from Python: the numbers of the command, errors, many cases, on any ranks."""
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,31 +65,6 @@ def test_a_pair_of_another_shape_is_refused(case, pair, comm):
         rw.simulate(case.replace({"upper.r": [28.0, 31.5]}), comm, pair=pair)
 
 
-@pytest.mark.ranks
-def test_simulate_all_keeps_the_order_and_the_numbers(case, comm):
-    """Shapes, moduli and schemes mixed; one of them fails, and says why."""
-    changes = [
-        {"wear.lower.k": 1e-8},
-        {"upper.r": [28.0, 31.5]},
-        {"load.pressure": 1e9},  # wears half of the body off
-        {"lower.young": 2e4},
-        {"time.scheme": "adaptive"},
-        {"wear.lower.k": 3e-7},
-    ]
-    cases = [case.replace(c) for c in changes]
-    found = rw.simulate_all(cases, comm)
-    assert isinstance(found[2], rw.FailedResult)
-    assert isinstance(found[2].error, rw.ComputationError)
-    assert "more than half of its height" in str(found[2].error)
-    assert found[2].case == cases[2].text
-    for i in (0, 1, 3, 4, 5):
-        alone = rw.simulate(cases[i], comm)
-        assert found[i].case == cases[i].text
-        for name in ("time", "penetration", "pressure"):
-            one, other = found[i].to_xarray()[name], alone.to_xarray()[name]
-            assert one.values == pytest.approx(other.values, rel=1e-9, abs=1e-15), name
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -116,38 +91,6 @@ def test_numbers_of_cases_that_were_not_read_are_checked(case, comm, changes, sa
 def test_simulate_all_refuses_a_batch_that_is_no_count(case, comm, batch):
     with pytest.raises(rw.InputError, match=f"batch = {batch!r}: must be a whole number >= 1"):
         rw.simulate_all([case], comm, batch=batch)
-
-
-@dataclass(frozen=True)
-class Own:
-    """A law that says nothing but its rate: the threshold law of the paper."""
-
-    k: float
-    p0: float
-
-    def rate(self, p, local):
-        """Return the rate of wear, mm/s."""
-        return self.k * local.friction * local.speed * np.maximum(p - self.p0, 0.0)
-
-
-@pytest.mark.parametrize("scheme", ["implicit", "adaptive"])
-def test_a_law_needs_a_rate_only(case, pair, comm, scheme):
-    case = case.replace({"time.scheme": scheme})
-    own = replace(case, wear_lower=Own(1e-7, 40.0))
-    exact = rw.simulate(case, comm, pair=pair).histories["penetration"]
-    found = rw.simulate(own, comm, pair=pair).histories["penetration"]
-    assert found == pytest.approx(exact, rel=1e-6, abs=1e-9)
-    law = Own(1e-7, 40.0)
-    assert isinstance(law, rw.WearLaw)
-
-
-def test_bad_input_is_told(case, comm):
-    with pytest.raises(rw.InputError, match=r"load\.presure: unknown key .*load\.pressure"):
-        case.replace({"load.presure": 50})
-    with pytest.raises(rw.InputError, match="GB of memory"):
-        rw.simulate(case.replace({"mesh.contact_elements": 200_000}), comm)
-    with pytest.raises(rw.InputError, match="interpenetrate"):
-        rw.simulate(case.replace({"lower.z": [0.0, 20.5]}), comm)
 
 
 def test_what_is_no_case_is_told_what_makes_one(case, comm):

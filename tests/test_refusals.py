@@ -40,6 +40,7 @@ def ringwear(shared_path, comm, monkeypatch, capfd):
         ([PAPER, "-o", "a.h5", "--set", "wear.lower.K=1"], "did you mean wear.lower.k?"),
         ([PAPER, "-o", "a.h5", "--set", "time.tolerance=1e-5"], 'needs time.scheme = "adaptive"'),
         ([PAPER, "-o", "no/a.h5"], "its folder no does not exist"),
+        ([PAPER, "-o", "a.txt"], "a.txt: its ending must be one of .h5, .hdf5, .nc; ringwear exp"),
         ([PAPER, "-o", "taken.h5"], "not a result file of ringwear"),
         ([PAPER, "-o", "a.h5", "--plot", "no/a.png"], "its folder no does not exist"),
         ([PAPER, "-o", "a.h5", "--plot", "a.xyz"], "its ending must be one of"),
@@ -69,6 +70,8 @@ def ringwear(shared_path, comm, monkeypatch, capfd):
             "stress.grid.n = [10000, 10000]: needs about",
         ),
         ([PAPER, "-o", "a.h5", "--", "-bem_nonsense", "3"], "-bem_nonsense: no solver"),
+        ([PAPER, "-o", "a.h5", "--", "-contact_tao_type", "lmvm"], "must be one of python, tron"),
+        ([PAPER, "-o", "a.h5", "--", "-bem_pc_type", "nonsense"], "-bem_... options"),
     ],
 )
 def test_bad_input_is_said_once_with_status_2(ringwear, shared_path, comm, words, said):
@@ -134,12 +137,3 @@ def test_a_folder_that_cannot_be_written_is_refused(ringwear, shared_path, comm,
     assert status == 2, errors
     assert errors.startswith("ringwear: ")
     assert errors.count("ringwear: ") == errors.count("\n") == 1
-
-
-@pytest.mark.serial
-@pytest.mark.parametrize("command", ["sweep", "plot", "export", "laws", "verify", "info"])
-def test_help_has_an_example_that_can_be_typed(capsys, command):
-    with pytest.raises(SystemExit) as ended:
-        main([command, "--help"])
-    assert ended.value.code == 0
-    assert f"example:\n  ringwear {command}" in capsys.readouterr().out.replace("mpirun -n 4 ", "")

@@ -8,7 +8,7 @@ from typing import Any
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.files.keys import in_full, override
+from ringwear_par.cases.files.keys import in_full
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.explorer.controls import controls_of
@@ -25,9 +25,6 @@ from ringwear_par.results.result import Result
 
 #: about how many states of fixed steps are kept: more would not be seen
 _STATES = 400
-#: tolerances of sketches over those of a case: of ten of scripts/cases they took a sixth to nearly
-#: all of the time, and their penetrations were off by 1e-3 at most
-_COARSER, _ROUGHER = 10.0, 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +68,7 @@ class Exploration:
         texts: Mapping[str, str],
         assembling: Callable[[], None] = lambda: None,
         *,
-        sketch: bool = False,
-        stops: Callable[[float], bool] = lambda share: False,
+        stops: Callable[[float], bool] = lambda fraction: False,
     ) -> Explored | None:
         """Return the history of other numbers; None: it was stopped.
 
@@ -80,8 +76,7 @@ class Exploration:
         ----------
         texts : by the names of controls, perhaps with units.
         assembling : called before bodies are assembled.
-        sketch : whether coarser steps will do.
-        stops : called after every step with the share of the time that is done; whether to stop.
+        stops : called after every step with the fraction of the time that is done; whether to stop.
 
         Raises
         ------
@@ -91,10 +86,7 @@ class Exploration:
         keys, controls = changed_keys(self._keys, self.controls, texts)
         case = make_case(in_full(keys, Path()), self._name)
         check_case(case, 1, self._name)
-        stored = _stored(keys, case)
-        if sketch:
-            stored = override(stored, _coarse(case))
-        drawn = make_case(in_full(stored, Path()), self._name)
+        drawn = make_case(in_full(_stored(keys, case), Path()), self._name)
         pair = None
         if not drawn.follows_wear:  # of which each history assembles anew
             if self._pair is None or self._pair.key != operator_key(drawn):
@@ -130,13 +122,3 @@ def _stored(keys: Mapping[str, Any], case: Case) -> dict[str, Any]:
     if not case.output.times:
         stored["output.every"] = 1 if case.time.adaptive else max(1, case.time.steps // _STATES)
     return stored
-
-
-def _coarse(case: Case) -> dict[str, Any]:
-    """Return the keys of coarser steps than those of a case."""
-    return {
-        "time.scheme": "adaptive",
-        "time.tolerance": _COARSER * case.time.tolerance,
-        "time.pressure_tolerance": _ROUGHER * case.time.pressure_tolerance,
-        **({} if case.output.times else {"output.every": 1}),
-    }

@@ -8,7 +8,7 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import InputError
-from ringwear_par.explorer.measured import Laid
+from ringwear_par.explorer.measured import MeasuredColumn
 from ringwear_par.pictures import bokeh, runs
 from ringwear_par.pictures.panels import Axis, Curve, Panel, Points
 from ringwear_par.pictures.runs import HISTORY_PANELS
@@ -45,7 +45,7 @@ class Drawing:
     result : with all profiles.
     first : that of the case file.
     case : of the result, which tells densities.
-    share : of the whole time, which is chosen.
+    instant : that is chosen, from 0 to 1 at the end of the history.
     menu : name of the second chart over time.
     laid : readings to be laid over it.
     """
@@ -53,15 +53,15 @@ class Drawing:
     result: Result
     first: Result
     case: Case
-    share: float
+    instant: float
     menu: str
-    laid: Sequence[Laid]
+    laid: Sequence[MeasuredColumn]
 
     @property
     def row(self) -> int:
         """The stored state nearest to the chosen time."""
         time = self.result.histories["time"]
-        return int(np.abs(time - self.share * time[-1]).argmin())
+        return int(np.abs(time - self.instant * time[-1]).argmin())
 
     @property
     def chosen_time(self) -> str:
@@ -137,7 +137,7 @@ def _before(curve: Curve, when: str) -> Curve:
     return replace(curve, name=name, colour=_GREY, dash=1, width=1.6)
 
 
-def _points(readings: Laid, x: Any, y: Any, number: int) -> Points:
+def _points(readings: MeasuredColumn, x: Any, y: Any, number: int) -> Points:
     """Return readings, whose colour is not that of a curve."""
     colour = COLOURS[(2 + number) % len(COLOURS)]
     return Points(x, y, readings.column, colour, hollow=True)

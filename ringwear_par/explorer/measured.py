@@ -35,7 +35,7 @@ LARGEST = 5_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Laid:
+class MeasuredColumn:
     """A column of a table over its times or radii.
 
     Parameters
@@ -138,7 +138,7 @@ def _densities(case: Case, result: Result, body: str) -> dict[str, float | None]
     return {key: density for i, (key, density, volume) in parts if i == 0 or volume > 0.0}
 
 
-def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
+def read_table(content: bytes, name: str, case: Case) -> list[MeasuredColumn]:
     """Return the columns of a table that can be laid over the charts of a case.
 
     One column is the time or the radius, by its name; the others are quantities by theirs, and
@@ -162,7 +162,7 @@ def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
     along = _TIME.match(first) is None
     base = BASE["r" if along else "time"]
     unit = _unit(name, table.label(first), base)
-    share = factor(unit or base, base)
+    scale = factor(unit or base, base)
     x_assumption = ""
     if not (unit or (not along and table.names_seconds(first, table.filled(first)))):
         x_assumption = f"{name}: {assumption(first, base)}"
@@ -173,14 +173,14 @@ def read_table(content: bytes, name: str, case: Case) -> list[Laid]:
         rows = table.filled(first, column)
         if not rows.any():
             continue
-        x = share * table.numbers(first, rows, None if along else factor("h", "s") / share)
+        x = scale * table.numbers(first, rows, None if along else factor("h", "s") / scale)
         order = np.argsort(x, kind="stable")
         raw, quantity = (
             table.numbers(column, rows)[order],
             _quantity(table.label(column), along, case),
         )
         label = table.label(column)
-        columns.append(Laid(name, label, quantity, along, x[order], raw, x_assumption))
+        columns.append(MeasuredColumn(name, label, quantity, along, x[order], raw, x_assumption))
     if not columns:
         raise InputError(f"{name}: has no readings beside {legible(first)}; must have some")
     return columns

@@ -22,7 +22,7 @@ from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError, RingwearError, reason_of
 from ringwear_par.explorer.exploring import Exploration, Explored
 from ringwear_par.explorer.figures import MENU, Drawing, figures
-from ringwear_par.explorer.measured import LARGEST, Laid, read_table
+from ringwear_par.explorer.measured import LARGEST, MeasuredColumn, read_table
 from ringwear_par.explorer.sliders import Control
 from ringwear_par.pictures.rig import rig_address
 from ringwear_par.reports.run_page import key_rows, worn_table
@@ -38,8 +38,6 @@ _FOLDED = ("Shape",)
 #: what the page asks for at first
 _START: dict[str, Any] = {"n": 0, "values": {}, "instant": 1.0, "menu": "volume",
                           "moving": False}  # fmt: skip
-#: s; histories that take longer are sketched while a slider moves
-_SLOW = 0.05
 #: s between messages on how far a history is
 _PROGRESS = 0.2
 _BAD_WISH = "the page sent a wish that cannot be read; load it again"
@@ -94,9 +92,8 @@ class Page:
         self._first: Result | None = None
         #: why the last wish could not be computed
         self._faults: tuple[str, ...] = ()
-        self._sketched, self._slow = False, False
         #: by numbers that stay theirs
-        self._laid: dict[int, Laid] = {}
+        self._laid: dict[int, MeasuredColumn] = {}
         self._numbers = count()
         self._seconds = 0.0
         for root in (*figures(), self._talk):
@@ -119,7 +116,7 @@ class Page:
         session = None if context is None else context.session
         return self._gone or (session is not None and not session.connection_count)
 
-    def _stops(self, share: float) -> bool:
+    def _stops(self, fraction: float) -> bool:
         """Tell how far a history is; return whether it is of no use. In the main thread."""
         # what the page shows of the same history needs no other
         another = self._wanted["values"] != self._computing["values"]
@@ -128,7 +125,7 @@ class Page:
         now = time.perf_counter()
         if now - self._progress_time > _PROGRESS:
             self._progress_time = now
-            self._later(lambda: self._tell({"progress": share}))
+            self._later(lambda: self._tell({"progress": fraction}))
         return False
 
     # -- histories ---------------------------------------------------------------------------------
@@ -141,8 +138,7 @@ class Page:
         self._wanted = wanted
         if self._busy:
             return
-        known = self._drawn is not None and wanted["values"] == self._drawn["values"]
-        if known and (wanted.get("moving") or not self._sketched):
+        if self._drawn is not None and wanted["values"] == self._drawn["values"]:
             self._draw(wanted["n"])
         else:
             self._start()
@@ -158,13 +154,10 @@ class Page:
             return
         wanted, started = self._wanted, time.perf_counter()
         self._computing, self._progress_time = wanted, started
-        sketch = bool(wanted.get("moving")) and self._slow
         outcome: Explored | tuple[str, ...] | None
         try:
             values = wanted["values"]
-            outcome = self._exploration.compute(
-                values, self._assembling, sketch=sketch, stops=self._stops
-            )
+            outcome = self._exploration.compute(values, self._assembling, stops=self._stops)
         except InputError as error:
             outcome = error.faults
         except RingwearError as error:
@@ -173,7 +166,7 @@ class Page:
             log.exception("a history failed unexpectedly")
             outcome = (f"failed unexpectedly: {reason_of(error)}",)
         seconds = time.perf_counter() - started
-        self._later(lambda: self._computed(wanted, outcome, seconds, sketch))
+        self._later(lambda: self._computed(wanted, outcome, seconds))
 
     def _assembling(self) -> None:
         """Say that the bodies are assembled. In the main thread."""
@@ -184,7 +177,6 @@ class Page:
         wanted: dict[str, Any],
         outcome: Explored | tuple[str, ...] | None,
         seconds: float,
-        sketch: bool,
     ) -> None:
         self._busy = False
         if outcome is None:  # stopped: nobody is there, or wants something else
@@ -193,9 +185,7 @@ class Page:
             return
         if isinstance(outcome, Explored):
             self._explored, self._drawn, self._faults = outcome, wanted, ()
-            self._sketched, self._seconds = sketch, seconds
-            if not sketch:
-                self._slow = seconds > _SLOW
+            self._seconds = seconds
             if self._first is None and not wanted["values"]:
                 self._first = outcome.result
         else:
@@ -261,9 +251,8 @@ class Page:
                 faults += error.faults
             columns.append({"number": number, **_column(one, off)})
         menu = wanted["menu"] if wanted["menu"] in MENU else _START["menu"]
-        share = float(wanted["instant"])
         first = result if self._first is None else self._first
-        drawing = Drawing(result, first, explored.case, share, menu, good)
+        drawing = Drawing(result, first, explored.case, float(wanted["instant"]), menu, good)
         numbers = key_numbers(result)
         known = [] if self._first is None else key_rows(key_numbers(first))
         before = {name: value for name, value, _ in known}
@@ -273,7 +262,7 @@ class Page:
                 "n": n, "faults": self._faults,
                 # those that cannot be computed stay as the user has them
                 "controls": {} if self._faults else _states(explored.controls.values()),
-                "doubts": [*map(with_signs, result.doubts)],
+                "doubts": [with_signs(doubt.text) for doubt in result.doubts],
                 "summary": with_signs(result.summary()), "case": explored.text,
                 # sliders that move wait for no drawing
                 "rig": "" if wanted["moving"] else rig_address(explored.case),
@@ -282,7 +271,6 @@ class Page:
                 "worn": [] if worn is None else [worn.header, *worn.rows],
                 "chosen": drawing.chosen_time, "charts": drawing.columns(), "laid": columns,
                 "laid_fault": ". ".join(dict.fromkeys(faults)), "seconds": self._seconds,
-                "sketch": self._sketched and not self._faults,
             }
         )  # fmt: skip
 
@@ -314,7 +302,7 @@ def _wish_fault(wish: dict[str, Any]) -> str:
     return "" if good else _BAD_WISH
 
 
-def _column(one: Laid, off: float | None) -> dict[str, Any]:
+def _column(one: MeasuredColumn, off: float | None) -> dict[str, Any]:
     """Return the entries of the page about a column that is laid over it."""
     far = ""
     if off is not None:

@@ -107,20 +107,22 @@ def quantity(
         )  # fmt: skip
         return
     value, user_unit = _with_unit(raw, unit)
-    share = factor(user_unit, unit) if user_unit else 1.0
+    unit_scale = factor(user_unit, unit) if user_unit else 1.0
     reach = _linear
     if label.rpartition(" ")[2] in _LOGARITHMIC or (interval is None and _extreme(value)):
         reach = _logarithmic
     size = label.rpartition(" ")[2]
     if value:  # positions are round in the unit that is shown
         if interval is not None and user_unit:
-            interval = Interval(interval.low / share, interval.high / share, interval.ends)
+            interval = Interval(
+                interval.low / unit_scale, interval.high / unit_scale, interval.ends
+            )
         low, high, step, log = reach(size, value, interval)
     else:
         low, high, step, log = reach(size, value, interval)
-        low, high = _round(low / share), _round(high / share)
+        low, high = _round(low / unit_scale), _round(high / unit_scale)
         if not log:
-            step = nice(step / share)
+            step = nice(step / unit_scale)
     yield Control(
         name, path, entry, group, label, meaning, user_unit or unit, bool(user_unit), value,
         min(low, value), max(high, value), step, log, assembles=assembles,
@@ -132,11 +134,11 @@ def length(
 ) -> Control:
     """Return the control of one of a pair of lengths, between two (mm)."""
     value, user_unit = _with_unit(keys[path][place], "mm")
-    share = factor(user_unit, "mm") if user_unit else 1.0
+    unit_scale = factor(user_unit, "mm") if user_unit else 1.0
     return Control(
         _name(path, place), path, place, group, label, BY_PATH[path].meaning, user_unit or "mm",
-        bool(user_unit), value, _round(low / share), _round(high / share),
-        nice((high - low) / share / POSITIONS),
+        bool(user_unit), value, _round(low / unit_scale), _round(high / unit_scale),
+        nice((high - low) / unit_scale / POSITIONS),
         assembles=True,
     )  # fmt: skip
 

@@ -105,6 +105,23 @@ def new_files(folder: Path, files: Sequence[str], command: str) -> Iterator[None
         raise ComputationError(f"{name}: {error.strerror or error}") from error
 
 
+def write_outcome(
+    folder: Path, command: str, contents: Mapping[str, Callable[[], bytes | None]]
+) -> None:
+    """Write the files of a folder, which is made; the last one says that it is whole. On one rank.
+
+    Parameters
+    ----------
+    command : whose outcome they are, see ``refuse_others``; contents : see ``write_contents``.
+
+    Raises
+    ------
+    InputError, ComputationError : the folder or the disk.
+    """
+    with new_files(folder, [*contents], command):
+        write_contents(folder, contents)
+
+
 def write_contents(folder: Path, contents: Mapping[str, Callable[[], bytes | None]]) -> None:
     """Write files, one after the other, each whole. On one rank.
 

@@ -10,7 +10,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.problem import Experiment, Series
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.pictures import fits
-from ringwear_par.pictures.matplotlib import panel_grid
+from ringwear_par.pictures.matplotlib import panel_figure, panel_grid
 from ringwear_par.pictures.panels import Panel
 from ringwear_par.pictures.style import STYLE, NotebookFigure
 
@@ -37,17 +37,17 @@ def plot(fit: FitResult) -> Figure:
     for first in range(0, len(curves), across):
         beside = curves[first : first + across]
         rows += [[*map(fits.readings, beside)], [*map(fits.residuals, beside)]]
+    if not single:
+        return panel_figure(rows, size, [5, 2] * down)
+    strip = [[fits.single_readings(single)]]
+    if not curves:
+        return panel_figure(strip, (size[0], _LEGEND + heights[1]))
     with matplotlib.rc_context(STYLE):
         chart = NotebookFigure(figsize=size, layout="constrained")
-        if not single:
-            panel_grid(chart, rows, [5, 2] * down)
-        elif not curves:
-            chart.set_figheight(_LEGEND + heights[1])
-            panel_grid(chart, [[fits.single_readings(single)]])
-        else:  # labels of the strip make no panel above it narrower
-            parts: Any = chart.subfigures(2, 1, height_ratios=heights)
-            panel_grid(parts[0], rows, [5, 2] * down)
-            panel_grid(parts[1], [[fits.single_readings(single)]], legend=False)
+        # labels of the strip make no panel above it narrower
+        parts: Any = chart.subfigures(2, 1, height_ratios=heights)
+        panel_grid(parts[0], rows, [5, 2] * down)
+        panel_grid(parts[1], strip, legend=False)
     return chart
 
 
@@ -60,6 +60,7 @@ def drawn_series(
         experiment.name, series.name, series.quantity, series.unit, series.x, scale * series.value,
         scale * fit.evaluation.model[part], scale * misfit.sd[part], scale * fit.band[part],
         -fit.evaluation.noise[part], misfit.problem.settings.level, experiment.case.contact,
+        misfit.censored[part],
     )  # fmt: skip
 
 
@@ -69,11 +70,7 @@ def plot_parameters(fit: FitResult) -> Figure:
         zip((p.key for p in fit.parameters), fit.posterior.samples.T, strict=True)
     )  # fmt: skip
     rows = fits.fitted_keys(fit.to_dict(), samples)
-    with matplotlib.rc_context(STYLE):
-        size = 1.2 + 2.7 * len(rows), 0.9 + 2.5 * len(rows)
-        chart = NotebookFigure(figsize=size, layout="constrained")
-        panel_grid(chart, rows)
-    return chart
+    return panel_figure(rows, (1.2 + 2.7 * len(rows), 0.9 + 2.5 * len(rows)))
 
 
 def plot_specimens(fit: FitResult) -> Figure:
@@ -89,8 +86,5 @@ def plot_specimens(fit: FitResult) -> Figure:
         raise InputError("plot_specimens: no key of the fit has scatter; must be a fit with one")
     widest = max(len(one["each"]) for one in scattering.values())
     size = max(_NARROWEST, 0.7 * min(widest, 16)), _LEGEND + _HEIGHT * len(scattering)
-    with matplotlib.rc_context(STYLE):
-        chart = NotebookFigure(figsize=size, layout="constrained")
-        panels = ([fits.specimens(k, one, outcome["level"])] for k, one in scattering.items())
-        panel_grid(chart, list(panels))
-    return chart
+    panels = [[fits.specimens(k, one, outcome["level"])] for k, one in scattering.items()]
+    return panel_figure(panels, size)

@@ -21,9 +21,6 @@ from ringwear_par.parallel import on_first_rank, together
 from ringwear_par.results.execution.stopping import StopSignals
 from ringwear_par.version import versions
 
-#: attributes of a misfit that a fit changes
-_CHANGED = ("data", "noise_scale", "steps", "response_cache")
-
 
 def fit(
     source: Path | str | Mapping[str, Any],
@@ -120,11 +117,13 @@ def _fit_law(
                 covariance=material.covariance,
             )  # fmt: skip
         solution = replace(solution, histories=rounds.count)
-        misfit.keep_only(solution.x, None if material is None else material.test_unknowns)
-        return solution, material, *(getattr(misfit, name) for name in _CHANGED)
+        test_unknowns = None if material is None else material.test_unknowns
+        responses.keep_only(misfit.values_of_tests(solution.x, test_unknowns))
+        changed = misfit.data, misfit.noise_scale, responses.steps, responses.known
+        return solution, material, changed
 
-    solution, material, *state = rounds.lead(lead)
-    for name, value in zip(_CHANGED, state, strict=True):
-        setattr(misfit, name, value)
-    misfit.part_from_histories()
+    responses = misfit.responses
+    solution, material, changed = rounds.lead(lead)
+    misfit.data, misfit.noise_scale, responses.steps, responses.known = changed
+    responses.part_from_histories()
     return FitResult(**vars(solution), misfit=misfit, material=material, versions=versions())

@@ -135,6 +135,9 @@ def _write(file: h5py.File, fit: FitResult) -> None:
                 meaning = "mean depth worn beyond what the law says, as the readings tell it"
                 put(name, excess[:, body], "mm", meaning)
                 put(f"{name}_sd", excess_sd[:, body], "mm", f"sd of {name}")
+        if misfit.censored[part].any():
+            meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
+            put("censored", misfit.censored[part], "1", meaning)
         put("residual", -fit.evaluation.noise[part], "1", "data less model over its noise, white")
         put(
             "sensitivity", fit.evaluation.sensitivity[part], f"{base}/{PARAMETER_UNIT.name}",

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -11,22 +11,15 @@ from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning
-from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import GROWTH_TIME
-from ringwear_par.identification.definition.user_units import in_users_unit, specific_wear_rate
-from ringwear_par.identification.estimation.conditions import conditional_verdicts
 from ringwear_par.identification.estimation.intervals import (
-    ParameterEstimate,
     information,
     name_of,
     without_nuisances,
 )
 from ringwear_par.identification.estimation.misfit import Misfit
-from ringwear_par.identification.estimation.record_checks import record_warnings
 from ringwear_par.identification.estimation.solution import Solution
-from ringwear_par.identification.estimation.starts import StartOutcome
 from ringwear_par.identification.model.histories import MOST_SHIFT_SD
-from ringwear_par.identification.scatter.disagreement import disagreements
 from ringwear_par.identification.scatter.material import Material
 from ringwear_par.results.result import Outcome
 
@@ -58,8 +51,8 @@ class FitResult(Outcome, Solution):
     """
 
     functions: ClassVar = {
-        "summary": f"{_ROOM}.summary", "warnings": f"{_ROOM}.summary",
-        "save": f"{_ROOM}.fit_folder", "plot": f"{_ROOM}.figures",
+        "summary": f"{_ROOM}.summary", "to_dict": f"{_ROOM}.fit_numbers",
+        "doubts": f"{_ROOM}.fit_doubts", "save": f"{_ROOM}.fit_folder", "plot": f"{_ROOM}.figures",
         "plot_parameters": f"{_ROOM}.figures", "plot_specimens": f"{_ROOM}.figures",
         "to_arviz": f"{_ROOM}.arviz_groups", "log_evidence": f"{_ROOM}.evidence",
     }  # fmt: skip
@@ -237,129 +230,8 @@ class FitResult(Outcome, Solution):
 
     @cached_property
     def doubts(self) -> tuple[ValidityWarning, ...]:
-        """What records say against the model or the intervals; ``warnings`` has their texts."""
-        misfit, x, evaluation = self.misfit, self.x, self.evaluation
-        sizes = None
-        if self.material is None:
-            test_unknowns = np.tile(x[: len(self.parameters)], (len(misfit.problem.experiments), 1))
-        else:
-            test_unknowns = self.material.test_unknowns
-            if misfit.problem.settings.process:
-                evaluation = misfit.evaluate(x, test_unknowns)
-                sizes = self.material.sizes_of_process
-        return (
-            *record_warnings(misfit, x, self.evaluation),
-            *disagreements(misfit, x, evaluation, test_unknowns, sizes),
-            *(() if self.material is None else self.material.warnings),
-            *self._conditions,
-        )
-
-    @cached_property
-    def _conditions(self) -> tuple[ValidityWarning, ...]:
-        """Warnings about keys that are identified only while others are at their bounds."""
-        m = len(self.parameters)
-        if self.material is None:  # linear intervals are those with all keys free
-            covariance, narrowed = self.covariance[:m, :m], [*self.profiles]
-        else:
-            covariance = self.material.unbounded.covariance
-            narrowed = [one.key for one in self.parameters]
-        return tuple(
-            conditional_verdicts(self.parameters, covariance, narrowed, self.keys_at_bound)
-        )
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What speaks against taking the numbers as they are, a sentence each."""
-        return tuple(self.apply("warnings"))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the contents of fit.json."""
-        problem = self.misfit.problem
-        return {
-            "parameters": self._parameters(),
-            "keys": [p.key for p in self.parameters],
-            "covariance": _finite(self.natural_covariance),
-            "information": self.information.tolist(),
-            "log": [p.log for p in problem.parameters],
-            "level": problem.settings.level,
-            "chi2": self.chi2,
-            "n_data": self.n,
-            "degrees_of_freedom": self.freedom,
-            "p_value": self.p_value,
-            "flagged": self.flagged,
-            "aic": self.aic,
-            "bic": self.bic,
-            "log_evidence": self.apply("log_evidence"),
-            "specimens": len({e.groups[0] for e in problem.experiments}),
-            "process": {} if self.material is None else self.material.process,
-            "experiments": self.experiments,
-            "nuisance": self.nuisances,
-            "histories": self.histories,
-            "histories_of_profiles": self.histories_of_profiles,
-            "steps": self.misfit.steps,
-            "moved_by_shorter_steps": dict(self.discretisation_shift_sd),
-            "warnings": list(self.warnings),
-            "doubts": [doubt.to_dict() for doubt in self.doubts],
-            "starts": [_started(one, problem.keys) for one in self.starts],
-            "profiles": {key: _finite(table) for key, table in self.profiles.items()},
-            "alternatives": {
-                name: {
-                    k: v
-                    for k, v in other.to_dict().items()
-                    if k not in ("alternatives", "data", "key")
-                }
-                for name, other in self.alternatives.items()
-            }
-            | {name: {"error": reason} for name, reason in self.failed.items()},
-            "method": problem.settings.method,
-            "loss": problem.settings.loss,
-            "versions": dict(self.versions),
-            "data": dict(problem.hashes),
-            "key": problem.key,
-        }
-
-    def _parameters(self) -> dict[str, Any]:
-        problem = self.misfit.problem
-        units, bounds = units_of(problem), {p.key: p.bounds for p in problem.parameters}
-        entries = {
-            p.key: {
-                **_parameter(p),
-                "bounds": list(bounds[p.key]),
-                "of": "specimens",
-                "interval_of": "likelihood profile" if p.key in self.profiles else "linear model",
-                "unit": units[p.key],
-            }
-            for p in self.parameters
-        }
-        if self.material is not None:
-            for j, entry in enumerate(entries.values()):
-                entry.update(self.material.entry(j))
-        for key, bound in (warning.keys for warning in self._conditions):
-            entries[key].setdefault("conditional_on", []).append(bound)
-        if self.posterior is not None:
-            samples = self.posterior.samples
-            ends = self.posterior.interval(problem.settings.level)
-            for j, entry in enumerate(entries.values()):
-                entry["posterior"] = {
-                    "median": float(np.median(samples[:, j])),
-                    "sd": float(samples[:, j].std(ddof=1)),
-                    "interval": ends[:, j].tolist(),
-                    "effective_samples": self.posterior.effective,
-                }
-        self._add_users_units(entries)
-        return entries
-
-    def _add_users_units(self, entries: dict[str, Any]) -> None:
-        problem = self.misfit.problem
-        covariance = self.natural_covariance.tolist()
-        for parameter in problem.parameters:
-            entry = entries[parameter.key]
-            case = problem.experiments[0].case
-            if (numbers := in_users_unit(parameter, entry, case)) is not None:
-                entry["told"] = numbers
-            rate = specific_wear_rate(problem, parameter.key, entries, covariance)
-            if rate is not None:
-                entry["specific_wear_rate"] = rate
+        """What speaks against taking the numbers as they are."""
+        return tuple(self.apply("doubts"))
 
     @property
     def experiments(self) -> dict[str, dict[str, Any]]:
@@ -397,6 +269,16 @@ class FitResult(Outcome, Solution):
                 of_series[kind] = entry
         return nuisances
 
+    def to_arviz(self) -> "InferenceData":
+        """Return draws and the log likelihood of each reading, as ArviZ has them.
+
+        Raises
+        ------
+        InputError : arviz is not installed; limits, or a loss without a normal distribution.
+        """
+        data: InferenceData = self.apply("to_arviz")
+        return data
+
     def plot_parameters(self) -> "Figure":
         """Return the figure of the fitted keys: ellipses, likelihood profiles, samples."""
         figure: Figure = self.apply("plot_parameters")
@@ -412,16 +294,6 @@ class FitResult(Outcome, Solution):
         figure: Figure = self.apply("plot_specimens")
         return figure
 
-    def to_arviz(self) -> "InferenceData":
-        """Return draws and the log likelihood of each reading, as ArviZ has them.
-
-        Raises
-        ------
-        InputError : arviz is not installed; limits, or a loss without a normal distribution.
-        """
-        data: InferenceData = self.apply("to_arviz")
-        return data
-
     def correlations(self) -> list[tuple[str, str, float]]:
         """Return pairs of fitted keys and nuisances and their correlation, the strongest first."""
         sds, names = self.standard_deviations, self.misfit.names
@@ -433,25 +305,3 @@ class FitResult(Outcome, Solution):
             if i < j and i < len(self.parameters)
         ]
         return sorted(pairs, key=lambda pair: -abs(pair[2]))
-
-
-def _parameter(estimate: ParameterEstimate) -> dict[str, Any]:
-    entry = asdict(estimate)
-    del entry["key"]
-    entry["interval"] = list(estimate.interval)
-    if not estimate.direction:
-        del entry["direction"]
-    return entry
-
-
-def _started(outcome: StartOutcome, keys: tuple[str, ...]) -> dict[str, Any]:
-    entry = asdict(outcome)
-    del entry["unknowns"], entry["number"]
-    for name in ("start", "optimum"):
-        entry[name] = dict(zip(keys, entry[name], strict=False))
-    entry["objective"] = outcome.objective if np.isfinite(outcome.objective) else None
-    return entry
-
-
-def _finite(table: FloatArray) -> list[list[float | None]]:
-    return [[v if np.isfinite(v) else None for v in row] for row in table.tolist()]

@@ -1,20 +1,17 @@
 """The figure of a measurement: records, block means and the part that numbers are of."""
 
-from collections.abc import Iterator
+from collections.abc import Mapping
+from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.measuring.analysis.budget import Estimate
-from ringwear_par.measuring.analysis.numbers import TestNumbers, friction_readings
-from ringwear_par.measuring.analysis.steady_part import Blocks
-from ringwear_par.measuring.measure_numbers import estimate_text
+from ringwear_par.measuring.measure_numbers import entry_text
 from ringwear_par.measuring.measure_result import MeasureResult
-from ringwear_par.pictures.matplotlib import panel_grid
+from ringwear_par.pictures.matplotlib import panel_figure
 from ringwear_par.pictures.panels import GREY, Axis, Band, Curve, Panel, Points
-from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure
+from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.key_numbers import time_unit
 
 #: inches of a panel, and of a legend above them all
@@ -30,82 +27,82 @@ _MICROMETRE = "\N{MICRO SIGN}m"
 
 def plot(result: MeasureResult) -> Figure:
     """Return a row a test: depth and friction over time, with the steady part and its numbers."""
-    rows = [list(panels(test)) for test in result.tests]
-    size = _WIDTH * max(map(len, rows)), _HEIGHT * len(rows) + _LEGEND
-    with matplotlib.rc_context(STYLE):
-        chart = NotebookFigure(figsize=size, layout="constrained")
-        panel_grid(chart, rows)
-    return chart
+    rows = [[*panels(name, entry).values()] for name, entry in result.to_dict()["tests"].items()]
+    return panel_figure(rows, (_WIDTH * max(map(len, rows)), _HEIGHT * len(rows) + _LEGEND))
 
 
-def panels(test: TestNumbers) -> Iterator[Panel]:
-    """Yield the panels of a test: its depth, its friction coefficient, as far as they were read."""
-    record = test.test.record
-    if record.wear is not None and test.wear_blocks is not None and test.wear_rate is not None:
-        rate = test.wear_rate
-        start = record.wear[np.isfinite(record.wear)][0]
-        words = estimate_text(3.6e6 * rate.value, 3.6e6 * rate.u, f"{_MICROMETRE}/h")
-        blocks = Blocks(test.wear_blocks.time, 1e3 * (test.wear_blocks.value - start))
-        yield _panel(
-            test, 1e3 * (record.wear - start), blocks, rate, 1e3 * rate.value,
-            f"worn depth ({_MICROMETRE})", words,
-        )  # fmt: skip
-    readings = friction_readings(test.test)
-    if readings is not None and test.friction_blocks is not None and test.friction is not None:
-        friction = test.friction
-        words = f"\N{GREEK SMALL LETTER MU} = {estimate_text(friction.value, friction.u)}"
-        yield _panel(
-            test, readings, test.friction_blocks, friction, 0.0, "friction coefficient", words
+def panels(name: str, entry: Mapping[str, Any]) -> dict[str, Panel]:
+    """Return the panels of a test by channel: depth and friction, if they were read.
+
+    Parameters
+    ----------
+    entry : of the test, as in measure.json.
+    """
+    channels, charts = entry["channels"], {}
+    if "wear" in channels:
+        wear, rate = channels["wear"], entry["wear_rate"]
+        start = wear["readings"][0]
+        readings, means = (1e3 * (np.array(wear[n]) - start) for n in ("readings", "block_means"))
+        words = f"{name}: {entry_text(rate, 3.6e6, f'{_MICROMETRE}/h')}"
+        charts["wear"] = _panel(
+            entry, wear, readings, means, 1e3 * rate["value"], f"worn depth ({_MICROMETRE})", words
         )
+    if "friction" in channels:
+        friction = channels["friction"]
+        readings, means = (np.array(friction[n]) for n in ("readings", "block_means"))
+        words = f"{name}: \N{GREEK SMALL LETTER MU} = {entry_text(entry['friction'])}"
+        charts["friction"] = _panel(
+            entry, friction, readings, means, 0.0, "friction coefficient", words
+        )
+    return charts
 
 
 def _panel(
-    test: TestNumbers,
+    entry: Mapping[str, Any],
+    channel: Mapping[str, Any],
     readings: FloatArray,
-    blocks: Blocks,
-    estimate: Estimate,
+    means: FloatArray,
     slope: float,
     label: str,
-    words: str,
+    title: str,
 ) -> Panel:
     """Return the panel of a channel.
 
     Parameters
     ----------
-    readings : (n,) of the record, in the unit of ``label``.
-    slope : per s, of the line over the part.
-    words : the number that it tells.
+    readings, means : in the unit of ``label``.
+    slope : per s, of the line over the part; 0: it is level.
     """
-    record, part = test.test.record, test.part
-    unit, seconds = time_unit(record.end)
-    read = readings[np.isfinite(readings)]
-    largest = float(np.abs(read).max())
-    room = max(_ROOM * float(np.ptp(read)), _FLAT * largest) or 1.0
-    low, high = float(read.min()) - room, float(read.max()) + room
-    inside = blocks.time >= part.start
-    time, level = blocks.time[inside], float(blocks.value[inside].mean())
-    ends = np.array([part.start, record.end])
-    line = level + slope * (ends - float(time.mean()))
+    end, start = float(entry["end"]), float(entry["steady_from"]["value"])
+    unit, seconds = time_unit(end)
+    room = max(_ROOM * float(np.ptp(readings)), _FLAT * float(np.abs(readings).max())) or 1.0
+    low, high = float(readings.min()) - room, float(readings.max()) + room
+    time = np.array(channel["block_time"])
+    inside = time >= start
+    ends = np.array([start, end])
+    line = means[inside].mean() + slope * (ends - time[inside].mean())
     if slope == 0.0:
-        line = np.full(2, estimate.value)
-    name = "last third, not steady" if not part.steady else "steady part"
-    shade = COLOURS[1] if not part.steady else COLOURS[2]
+        line = np.full(2, entry["friction"]["value"])
+    steady = entry["steady"]
+    name = "steady part" if steady else "last third, not steady"
+    limits = np.full(2, low), np.full(2, high)
     return Panel(
-        Axis(f"time ({unit})", ends=(0.0, record.end / seconds)), Axis(label, ends=(low, high)),
-        f"{test.name}: {words}",
-        bands=[
-            Band(ends / seconds, np.full(2, low), np.full(2, high), name, ("", ""), shade, 0.15)
+        Axis(f"time ({unit})", ends=(0.0, end / seconds)), Axis(label, ends=(low, high)), title,
+        bands=[Band(ends / seconds, *limits, name, ("", ""), COLOURS[2 if steady else 1], 0.15)],
+        points=[
+            Points(np.array(channel["time"]) / seconds, readings, "readings", GREY, 1.8, 0.4)
         ],
-        points=[Points(record.time / seconds, readings, "readings", GREY, 1.8, opacity=0.4)],
         curves=[
-            Curve(*_with_gaps(blocks, seconds), "block means", COLOURS[0], width=1.2),
+            Curve(*_with_gaps(time, means, seconds), "block means", COLOURS[0], width=1.2),
             Curve(ends / seconds, line, "rate, or mean level", COLOURS[4], dash=1, width=2.0),
         ],
     )  # fmt: skip
 
 
-def _with_gaps(blocks: Blocks, seconds: float) -> tuple[FloatArray, FloatArray]:
+def _with_gaps(
+    time: FloatArray, values: FloatArray, seconds: float
+) -> tuple[FloatArray, FloatArray]:
     """Return times, in a unit of so many seconds, and values, with a gap where nothing was read."""
-    steps = np.diff(blocks.time)
+    steps = np.diff(time)
     gaps = np.flatnonzero(steps > _GAP * np.median(steps)) + 1
-    return np.insert(blocks.time, gaps, np.nan) / seconds, np.insert(blocks.value, gaps, np.nan)
+    return np.insert(time, gaps, np.nan) / seconds, np.insert(values, gaps, np.nan)

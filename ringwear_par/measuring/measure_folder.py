@@ -10,8 +10,7 @@ from ringwear_par.files.folders import (
     MEASURED_ROWS,
     RECORDS,
     json_bytes,
-    new_files,
-    write_contents,
+    write_outcome,
 )
 from ringwear_par.measuring.measure_numbers import QUANTITIES
 from ringwear_par.measuring.measure_result import MeasureResult
@@ -21,19 +20,13 @@ FILES = (MEASURE, MEASURED_ROWS, RECORDS)
 
 
 def save(result: MeasureResult, folder: Path) -> None:
-    """Write all files; measure.json, which says that it is whole, the last. On one rank.
-
-    Raises
-    ------
-    InputError, ComputationError : the folder or the disk.
-    """
-    with new_files(folder, FILES, "measure"):
-        contents: dict[str, Callable[[], bytes | None]] = {
-            RECORDS: lambda: picture(result.plot, str(folder / RECORDS)),
-            MEASURED_ROWS: lambda: table(result).encode(),
-            MEASURE: lambda: json_bytes(result.to_dict()),
-        }
-        write_contents(folder, contents)
+    """Write all files, see ``write_outcome``."""
+    contents: dict[str, Callable[[], bytes | None]] = {
+        RECORDS: lambda: picture(result.plot, str(folder / RECORDS)),
+        MEASURED_ROWS: lambda: table(result).encode(),
+        MEASURE: lambda: json_bytes(result.to_dict()),
+    }
+    write_outcome(folder, "measure", contents)
 
 
 def table(result: MeasureResult) -> str:

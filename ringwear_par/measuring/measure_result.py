@@ -4,17 +4,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
+
 from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
 from ringwear_par.measuring.analysis.budget import Estimate
 from ringwear_par.measuring.analysis.numbers import (
     PSI_FT_MIN,
     TestNumbers,
+    friction_readings,
 )
 from ringwear_par.measuring.analysis.repeats import Repeats
 from ringwear_par.measuring.analysis.whole_test import WholeTest
 from ringwear_par.measuring.definition.problem import Problem
 from ringwear_par.results.result import Outcome
 
+#: readings of a channel that figures draw
+_MOST_READINGS = 1000
 #: um/h and in/h in a mm/s
 UM_PER_H, IN_PER_H = 3.6e6, 3600.0 / 25.4
 
@@ -89,6 +94,7 @@ def _test(numbers: TestNumbers) -> dict[str, Any]:
         "temperature": None
         if numbers.temperature is None
         else {"mean": numbers.temperature[0], "max": numbers.temperature[1], "unit": "degC"},
+        "channels": _channels(numbers),
         "duration": test.duration,
         "end": record.end,
         "file": record.file,
@@ -100,6 +106,26 @@ def _test(numbers: TestNumbers) -> dict[str, Any]:
         "notes": list(numbers.notes),
     }  # fmt: skip
     return entry
+
+
+def _channels(numbers: TestNumbers) -> dict[str, dict[str, list[float]]]:
+    """Return the readings of wear (mm) and friction, thinned where they are many, and their means.
+
+    Times are in s.
+    """
+    record, channels = numbers.test.record, {}
+    for name, readings, blocks in (
+        ("wear", record.wear, numbers.wear_blocks),
+        ("friction", friction_readings(numbers.test), numbers.friction_blocks),
+    ):
+        if readings is not None and blocks is not None:
+            rows = np.flatnonzero(np.isfinite(readings))
+            rows = rows[:: -(-len(rows) // _MOST_READINGS)]
+            channels[name] = {
+                "time": record.time[rows].tolist(), "readings": readings[rows].tolist(),
+                "block_time": blocks.time.tolist(), "block_means": blocks.value.tolist(),
+            }  # fmt: skip
+    return channels
 
 
 def _entry(estimate: Estimate | None) -> dict[str, Any] | None:

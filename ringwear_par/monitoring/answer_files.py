@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 from ringwear_par.errors import InputError
-from ringwear_par.files.folders import FOLLOW, json_bytes, new_files, write_contents
+from ringwear_par.files.folders import FOLLOW, json_bytes, write_outcome
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.monitoring.answer import Answer
 from ringwear_par.monitoring.watch import Watch
@@ -45,9 +45,8 @@ class AnswerFiles:
         ComputationError : the disk.
         """
         self.answer = answer
-        with new_files(self._folder, (FOLLOW, PAGE), "follow"):
-            content = {**answer.to_dict(), "versions": versions()}
-            write_contents(self._folder, {FOLLOW: lambda: json_bytes(content)})
+        content = {**answer.to_dict(), "versions": versions()}
+        write_outcome(self._folder, "follow", {FOLLOW: lambda: json_bytes(content)})
         now = time.monotonic()
         if last or now - self._paged > _PAUSE:
             self._record = watch.record(problem)

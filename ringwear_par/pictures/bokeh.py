@@ -4,7 +4,7 @@ A figure has one source of data for each kind of mark, the same ones whatever it
 page that is open changes a chart by new columns.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import matplotlib
@@ -29,6 +29,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.pictures.panels import Axis, Band, Cells, Curve, Panel, Points
 from ringwear_par.pictures.style import CELL_COLOURS
 
+_MARKERS = {"dot": "circle", "level": "dash", "up": "triangle", "down": "inverted_triangle"}
 #: in the order of matplotlib's
 DASHES = ("solid", "dashed", "dashdot", "dotted", "dotdash")
 #: kinds of marks from the hindmost to the foremost, and their columns
@@ -365,10 +366,12 @@ def _add_colours(plot: Any, cells: Cells, drawn: Any) -> None:
 
 def _points(points: Points) -> Iterator[tuple[Any, ...]]:
     cases = np.full(len(points.x), -1) if points.cases is None else points.cases
-    fill = None if points.hollow or points.level else points.colour
-    errors: Sequence[float] = [] if points.errors is None else points.errors.tolist()
-    words = (f"\N{PLUS-MINUS SIGN} {error:.3g}" for error in errors)
-    style = points.size, points.opacity, "dash" if points.level else "circle"
+    fill = None if points.hollow or points.marker == "level" else points.colour
+    words: Iterator[str] = iter(())
+    if points.errors is not None:
+        ends = zip(points.y - points.errors, points.y + points.errors, strict=True)
+        words = (f"from {low:.4g} to {high:.4g} ({points.probability})" for low, high in ends)
+    style = points.size, points.opacity, _MARKERS[points.marker]
     for x, y, case in zip(points.x.tolist(), points.y.tolist(), cases.tolist(), strict=True):
         yield x, y, points.name, points.colour, fill, *style, case, next(words, "")
 

@@ -3,33 +3,11 @@
 from collections.abc import Mapping
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 
 from ringwear_par.cases.units import in_signs
-from ringwear_par.pictures.matplotlib import panel_grid
 from ringwear_par.pictures.panels import Axis, Bars, Cells, Panel, Points
-from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure
-
-#: inches of a panel, and of a test of a design that bars show
-_WIDTH, _HEIGHT, _LINE = 4.6, 4.2, 0.2
-
-
-def design_figure(outcome: Mapping[str, Any]) -> Figure:
-    """Return the panels of a design side by side.
-
-    Parameters
-    ----------
-    outcome : the contents of design.json.
-    """
-    panels = design_panels(outcome)
-    lines = sum(len(one["experiments"]) for one in outcome["designs"])
-    with matplotlib.rc_context(STYLE):
-        size = _WIDTH * len(panels), max(_HEIGHT, _LINE * lines)
-        chart = NotebookFigure(figsize=size, layout="constrained")
-        panel_grid(chart, [panels])
-    return chart
+from ringwear_par.pictures.style import COLOURS
 
 
 def design_panels(outcome: Mapping[str, Any]) -> list[Panel]:

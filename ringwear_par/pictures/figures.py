@@ -134,24 +134,21 @@ class FigureFile:
         ------
         InputError : the reason.
         """
-        _check_figure(self.path, stored)
+        check_format(self.path)
+        if stored is None:
+            return
+        missing = {"wear_lower", "wear_upper"} - set(stored.fields)
+        if missing:
+            raise InputError(
+                f"{self.path}: needs {' and '.join(sorted(missing))}, which output.fields leaves "
+                "out"
+            )
+        if stored.profiles != "all":
+            raise InputError(f'{self.path}: needs output.profiles = "all"')
 
     def draw(self, results: Path) -> None:
         """Draw the default panels of a result file."""
         plot_files([results], self.path)
-
-
-def _check_figure(output: Path, stored: Output | None) -> None:
-    check_format(output)
-    if stored is None:
-        return
-    missing = {"wear_lower", "wear_upper"} - set(stored.fields)
-    if missing:
-        raise InputError(
-            f"{output}: needs {' and '.join(sorted(missing))}, which output.fields leaves out"
-        )
-    if stored.profiles != "all":
-        raise InputError(f'{output}: needs output.profiles = "all"')
 
 
 def _place(source: Source) -> Result | Path:

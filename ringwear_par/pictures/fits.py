@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.stats import chi2, norm
@@ -50,6 +50,7 @@ class Series:
     residuals : (n,) float, in standard deviations of the noise.
     level : confidence of the bands.
     edges : mm, of the contact, where the model of a profile is broken; () if they are not known.
+    censored : (n,) int, -1 where the true value is at most the reading, 1 where at least, else 0.
     """
 
     experiment: str
@@ -63,7 +64,8 @@ class Series:
     band: FloatArray
     residuals: FloatArray
     level: float
-    edges: tuple[float, ...] = ()
+    edges: tuple[float, ...]
+    censored: IntArray
 
     @property
     def profile(self) -> bool:
@@ -107,6 +109,34 @@ class Series:
         return np.flatnonzero(broken & self.profile) + 1
 
 
+def _data(
+    series: Series,
+    x: FloatArray,
+    y: FloatArray,
+    size: float = 4.0,
+    errors: FloatArray | None = None,
+) -> list[Points]:
+    """Return readings as dots, and those that are limits as arrows to where the truth is."""
+    arrows: list[Literal["up", "down"]] = ["up", "down"]
+    if series.profile:  # depths grow downwards
+        arrows.reverse()
+    points = []
+    kinds: list[tuple[int, str, Literal["dot", "up", "down"]]] = [
+        (0, "data", "dot"), (1, "at least", arrows[0]), (-1, "at most", arrows[1])
+    ]  # fmt: skip
+    for side, name, marker in kinds:
+        rows = series.censored == side
+        if rows.any():
+            count = int(rows.sum())
+            words = f"{count} limit{'s' * (count > 1)}, {name}" if side else name
+            bars = None if side or errors is None else errors[rows]
+            points.append(
+                Points(x[rows], y[rows], words, GREY, size + 2.0 * abs(side), marker=marker,
+                       errors=bars, probability=f"{100 * series.level:g} %")
+            )  # fmt: skip
+    return points
+
+
 def readings(series: Series) -> Panel:
     """Return readings with the model, its band and that of readings; gaps where none were."""
     x, below = series.along()
@@ -129,7 +159,7 @@ def readings(series: Series) -> Panel:
     return Panel(
         below, Axis(series.label, reversed=series.profile), series.title,
         curves=[Curve(broken(x), broken(series.model), "model", COLOURS[1])],
-        bands=bands, points=[Points(x, series.data, "data", GREY, 4.0, errors=noise)],
+        bands=bands, points=_data(series, x, series.data, errors=noise),
     )  # fmt: skip
 
 
@@ -139,7 +169,7 @@ def residuals(series: Series) -> Panel:
     reach = max(_REACH, 1.1 * float(np.abs(series.residuals).max()))
     return Panel(
         below, Axis("residual / sd", ends=(-reach, reach)), f"{series.title}, residuals",
-        points=[Points(x, series.residuals, "", GREY, 4.0)],
+        points=_data(series, x, series.residuals),
         levels=(-series.quantile, series.quantile),
     )  # fmt: skip
 
@@ -154,11 +184,13 @@ def single_readings(every: Sequence[Series]) -> Panel:
     words = []
     for series in every:
         unit, (sd, band) = in_signs(series.unit), (quantile * series.sd, quantile * series.band)
-        intervals = (
+        reading, of_model = (
             f"{value[0]:.4g} {unit} from {(value - reach)[0]:.4g} to {(value + reach)[0]:.4g}"
             for value, reach in ((series.data, sd), (series.model, band))
         )
-        words.append("\n".join([legible(series.title), "\nmodel ".join(intervals)]))
+        if side := int(series.censored[0]):
+            reading = f"{'at least' if side > 0 else 'at most'} {series.data[0]:.4g} {unit}"
+        words.append("\n".join([legible(series.title), reading, f"model {of_model}"]))
     reach = max(_REACH, 1.1 * float(np.abs(residuals).max()), 1.1 * float(model.max()))
     ends = np.array([-0.6, len(every) - 0.4])
     return Panel(
@@ -169,7 +201,11 @@ def single_readings(every: Sequence[Series]) -> Panel:
             Bars(places, model, f"{level} of the model", COLOURS[1], None, -model, 0.7, 0.35),
         ],
         curves=[Curve(np.zeros(2), ends, "model", COLOURS[1])],
-        points=[Points(residuals, places, "data", GREY, 6.0)],
+        points=[
+            points
+            for series, place in zip(every, places, strict=True)
+            for points in _data(series, series.residuals, np.array([place]), 6.0)
+        ],
     )  # fmt: skip
 
 
@@ -180,7 +216,7 @@ def users_unit(entry: Mapping[str, Any]) -> tuple[str, float]:
     ----------
     entry : of the key, as in fit.json.
     """
-    if (converted := entry.get("told")) is not None:
+    if (converted := entry.get("in_users_unit")) is not None:
         return str(converted["unit"]), float(converted["scale"])
     return "" if entry["unit"] in ("1", "-") else str(entry["unit"]), 1.0
 
@@ -368,9 +404,10 @@ def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
                 Band(ends, low, high, name, (f"{name}, from", f"{name}, to"), opacity=opacity)
             )
     drawn = []
+    alone = [one["alone"] for one in entries.values()]
     for name, values_of, colour, shift in (
-        ("by its own readings", [one["alone"] for one in entries.values()], GREY, -_ASIDE),
-        ("in the light of the others", list(entries.values()), COLOURS[1], _ASIDE),
+        ("a specimen, by its own readings", alone, GREY, -_ASIDE),
+        ("a specimen, by all readings", list(entries.values()), COLOURS[1], _ASIDE),
     ):
         values, sds = (
             np.array([np.nan if one is None else one[n] / scale for one in values_of], dtype=float)
@@ -378,7 +415,7 @@ def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
         )
         drawn.append(
             Points(places + shift, values, name, colour, 6.0, hollow=shift < 0.0,
-                   errors=quantile * sds)
+                   errors=quantile * sds, probability=f"{100 * level:g} %")
         )  # fmt: skip
     names = (
         tuple(entries) if len(entries) <= _NAMED else tuple(map(str, range(1, len(entries) + 1)))

@@ -5,12 +5,21 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from ringwear_par.pictures.panels import Axis, Cells, Curve, Label, Panel
-from ringwear_par.pictures.style import CELL_COLOURS, DASHES, number_text, plain, set_legend
+from ringwear_par.pictures.style import (
+    CELL_COLOURS,
+    DASHES,
+    STYLE,
+    NotebookFigure,
+    number_text,
+    plain,
+    set_legend,
+)
 
 #: letters of the labels in a line of a legend, with what is beside each, and its most columns
 _LETTERS, _GLYPH, _MOST_COLUMNS = 54, 5, 3
@@ -18,6 +27,9 @@ _LETTERS, _GLYPH, _MOST_COLUMNS = 54, 5, 3
 _LETTERS_OF_INCH = 15.0
 #: widths of lines of a page, in those of a figure; of sizes of points
 _WIDTH, _SIZE = 0.65, 0.7
+_MARKERS = {"dot": "o", "level": "_", "up": "^", "down": "v"}
+#: most intervals between numbers of an axis below, whose labels would run together
+_MOST_INTERVALS = 5
 #: so many points are a picture in drawings, whose files would be large
 _MANY = 200
 #: share of a panel's height that a label takes
@@ -47,10 +59,10 @@ def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
         _draw_curve(axes, curve)
     for points in panel.points:
         axes.plot(
-            points.x, points.y, linestyle="none", marker="_" if points.level else "o",
+            points.x, points.y, linestyle="none", marker=_MARKERS[points.marker],
             color=points.colour, markersize=_SIZE * points.size, alpha=points.opacity,
             markerfacecolor="none" if points.hollow else points.colour, label=plain(points.name),
-            markeredgewidth=1.0 if points.hollow or points.level else 0.0,
+            markeredgewidth=1.0 if points.hollow or points.marker == "level" else 0.0,
             rasterized=len(points.x) > _MANY, zorder=2.0 if points.cases is None else 1.5,
         )  # fmt: skip
         if points.errors is not None:
@@ -90,6 +102,21 @@ def _draw_cells(axes: Any, cells: Cells) -> None:
         bar.ax.yaxis.set_minor_locator(NullLocator())
     bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value, 6)))
     bar.set_label(plain(cells.label))
+
+
+def panel_figure(
+    rows: Sequence[Sequence[Panel]], size: tuple[float, float], heights: Sequence[float] = ()
+) -> NotebookFigure:
+    """Return a figure of rows of panels under one legend, see ``panel_grid``.
+
+    Parameters
+    ----------
+    size : inches.
+    """
+    with matplotlib.rc_context(STYLE):
+        chart = NotebookFigure(figsize=size, layout="constrained")
+        panel_grid(chart, rows, heights)
+    return chart
 
 
 def panel_grid(
@@ -153,6 +180,8 @@ def _set_axis(axes: Any, name: str, axis: Axis) -> None:
         getattr(axes, f"set_{name}lim")(0.0, _ROOM * high if high > 0.0 else 1.0)
     if axis.categories:
         _set_categories(axes, name, axis.categories)
+    elif name == "x" and not axis.log:
+        axes.xaxis.set_major_locator(MaxNLocator(_MOST_INTERVALS, steps=[1, 2, 2.5, 5, 10]))
     elif axis.log:
         _label_decades(getattr(axes, f"{name}axis"))
     if axis.reversed:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -109,8 +110,9 @@ class Points:
     Parameters
     ----------
     size : pixels of a page.
-    hollow : whether only their outlines are drawn; level : whether they are short level lines.
-    errors : (n,) float, half-lengths of upright bars.
+    marker : "dot", "level" (a short line), or an arrow "up" or "down".
+    hollow : whether only their outlines are drawn.
+    errors : (n,) float, half-lengths of upright bars; probability : of the truth within a bar.
     cases : (n,) int, rows of a list of words that are at the pointer, which panels share, or -1;
         files have such points behind curves.
     """
@@ -121,9 +123,10 @@ class Points:
     colour: str = GREY
     size: float = 5.0
     opacity: float = 1.0
+    marker: Literal["dot", "level", "up", "down"] = "dot"
     hollow: bool = False
-    level: bool = False
     errors: FloatArray | None = None
+    probability: str = "95 %"
     cases: IntArray | None = None
 
 

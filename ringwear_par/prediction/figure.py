@@ -1,12 +1,11 @@
 """The figure of a prediction: the penetration over time, its median and its bands."""
 
-import matplotlib
 from matplotlib.figure import Figure
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.pictures.matplotlib import panel_grid
+from ringwear_par.pictures.matplotlib import panel_figure
 from ringwear_par.pictures.panels import Axis, Band, Curve, Panel
-from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure
+from ringwear_par.pictures.style import COLOURS
 from ringwear_par.prediction.prediction import Prediction
 from ringwear_par.results.key_numbers import time_unit
 from ringwear_par.results.variables import DISPLAY_UNITS
@@ -39,7 +38,5 @@ def panel(time: FloatArray, quantiles: FloatArray, of: str) -> Panel:
 
 def plot(prediction: Prediction) -> Figure:
     """Return the figure of ``panel``."""
-    with matplotlib.rc_context(STYLE):
-        chart = NotebookFigure(figsize=_SIZE, layout="constrained")
-        panel_grid(chart, [[panel(prediction.time, prediction.quantiles(), prediction.whose)]])
-    return chart
+    band = panel(prediction.time, prediction.quantiles(), prediction.whose)
+    return panel_figure([[band]], _SIZE)

@@ -109,7 +109,7 @@ def _knowledge(name: str, outcome: Mapping[str, Any], values: FittedValues) -> F
     return FitKnowledge(
         name, values, {key: str(p["unit"]) for key, p in parameters.items()},
         {key: str(p["verdict"]) for key, p in parameters.items()},
-        len(outcome["warnings"]),
+        len(outcome["doubts"]),
     )  # fmt: skip
 
 

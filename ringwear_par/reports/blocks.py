@@ -1,7 +1,7 @@
 """What a page is made of: sections of paragraphs, tables, texts, pictures and charts."""
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ringwear_par.pictures.panels import Panel
@@ -197,7 +197,28 @@ class Page:
         return sum(isinstance(b, Picture) for section in self.sections for b in section.blocks)
 
 
-def software(versions: dict[str, str]) -> Table:
+def reproduced(
+    first: str,
+    commands: str,
+    sources: Sequence[Source],
+    versions: Mapping[str, str],
+    tables: Sequence[Table] = (),
+    data: Mapping[str, str] | None = None,
+) -> Section:
+    """Return the section about how to compute the same again.
+
+    Parameters
+    ----------
+    first : what is to be done before the commands are typed.
+    versions : of the software; data : SHA-256 of files by name.
+    """
+    blocks: list[Block] = [Lines([first]), Source("Commands", commands), *sources]
+    if data:
+        blocks.append(Table("Data files, by their SHA-256", ("file", "hash"), [*data.items()]))
+    return Section("How to reproduce", [*blocks, *tables, software(versions)])
+
+
+def software(versions: Mapping[str, str]) -> Table:
     """Return the table of the versions that computed something."""
     names = {"version": "ringwear-par"}
     rows = [(names.get(n, n.replace("_", " ")), value) for n, value in versions.items()]

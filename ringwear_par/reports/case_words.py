@@ -1,14 +1,26 @@
 """The case of a result in words: its rig, its bodies and laws, its load and time, its text."""
 
+import re
+
 from ringwear_par.cases.case import CHANGED, Case, Ring
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.files.reading import make_case
+from ringwear_par.cases.units import SPECIFIC, factor, in_signs
 from ringwear_par.errors import InputError
 from ringwear_par.pictures.rig import GRIPS, pressing, rig_svg, turning
 from ringwear_par.reports.blocks import Block, Lines, Picture, Source, Table
 from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.result import Result
 from ringwear_par.schedules import quantity_text
+
+#: a wear coefficient of a law in words
+_COEFFICIENT = re.compile(r"(\d\S*) 1/MPa")
+
+
+def _with_rate(coefficient: re.Match[str]) -> str:
+    """Return a wear coefficient, and the same in the unit of specific wear rates."""
+    rate = float(coefficient[1]) / factor(SPECIFIC, "1/MPa")
+    return f"{coefficient[0]} ({rate:g} {in_signs(SPECIFIC)})"
 
 
 def case_words(result: Result) -> tuple[list[Block], list[Block]]:
@@ -20,7 +32,11 @@ def case_words(result: Result) -> tuple[list[Block], list[Block]]:
     rig: list[Block] = []
     blocks: list[Block] = []
     laws = {body: about.get(f"law_{body}") for body in ("lower", "upper")}
-    wear = [(f"wear of {body}", law or "none") for body, law in laws.items() if law is not None]
+    wear = [
+        (f"wear of {body}", _COEFFICIENT.sub(_with_rate, law) or "none")
+        for body, law in laws.items()
+        if law is not None
+    ]
     try:
         case = None if text.startswith(CHANGED) else _without_laws(text, result.name)
     except InputError:  # of a version that had other keys

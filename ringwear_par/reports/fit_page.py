@@ -14,10 +14,12 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.files import folders
 from ringwear_par.files.text import parse_json
 from ringwear_par.files.text import read_text as read_file
-from ringwear_par.files.writing import read_bytes
-from ringwear_par.identification.summary import (
+from ringwear_par.identification.fit_rows import (
+    LAWS,
+    SERIES,
     counted,
     goodness,
+    key_rows,
     law_rows,
     limits,
     of_specimens,
@@ -33,14 +35,13 @@ from ringwear_par.reports.blocks import (
     Charts,
     Lines,
     Page,
-    Picture,
     Section,
     Source,
     Table,
     Tile,
     Tiles,
     checks_tile,
-    software,
+    reproduced,
 )
 from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.storage.hdf5 import read_text, reading
@@ -86,24 +87,15 @@ def stored_outcome(path: Path, kind: str) -> Iterator[dict[str, Any]]:
         raise InputError(fault) from error
 
 
-def stored_picture(title: str, path: Path, alt: str) -> Picture:
-    """Return a picture of the folder.
-
-    Raises
-    ------
-    InputError : it cannot be read.
-    """
-    try:
-        return Picture(title, read_bytes(path), "image/png", alt)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-
-
 def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:
     sections = [Section("Summary", _summary(outcome))]
     level = float(outcome["level"])
     series, samples, text = _readings(folder / folders.READINGS, level)
-    blocks = Lines(_bands(level)), Charts(_series_charts(series)), _series_table(outcome)
+    blocks = (
+        Lines(_bands(level)),
+        Charts(_series_charts(series)),
+        _cells("Series", SERIES, series_rows(outcome)),
+    )
     sections.append(Section("Data, model and residuals", blocks))
     keys = [
         Chart(f"keys-{i}-{j}", panel, f"{panel.y.label} over {panel.x.label}; numbers above")
@@ -112,35 +104,24 @@ def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:
     ]
     sections.append(Section("Likelihoods and ellipses", [Charts(keys)]))
     if outcome["alternatives"]:
-        sections.append(Section("Other laws", [_alternatives(outcome)]))
+        sections.append(Section("Other laws", [_cells("Laws compared", LAWS, law_rows(outcome))]))
     sections.append(_reproduced(outcome, text))
     return sections
 
 
 def _summary(outcome: Mapping[str, Any]) -> list[Block]:
     parameters, level = outcome["parameters"], float(outcome["level"])
-    warnings = list(outcome["warnings"])
     lines = [
         f"{counted(outcome['n_data'], 'reading')}, {counted(len(parameters), 'parameter')}, "
         f"{outcome['histories']} histories by {outcome['method']}, loss {outcome['loss']}",
         goodness(outcome),
     ]
     blocks: list[Block] = [_tiles(outcome)]
-    if warnings:
-        blocks.append(Lines([*map(with_signs, warnings)], warning=True))
-    blocks += [Lines(lines), _estimates("Estimates", parameters, level), *_scatter(outcome)]
+    if doubts := [with_signs(doubt["text"]) for doubt in outcome["doubts"]]:
+        blocks.append(Lines(doubts, warning=True))
+    blocks += [Lines(lines), _estimates(parameters, level), *_scatter(outcome)]
     if random_wear := process_lines(outcome):
         blocks.append(Lines([*map(with_signs, random_wear)]))
-    unidentified = [
-        f"{key}: {one['direction']}" for key, one in parameters.items() if one.get("direction")
-    ]
-    everything = ["All fitted keys are identified: the readings determine each of them."]
-    if unidentified:
-        blocks.append(
-            Lines([f"Not determined by the readings \N{EN DASH} {line}" for line in unidentified])
-        )
-    elif all(one["verdict"] == "identified" for one in parameters.values()):
-        blocks.append(Lines(everything))
     if len(parameters) > 1:
         blocks.append(_correlations(outcome))
     return blocks
@@ -149,54 +130,34 @@ def _summary(outcome: Mapping[str, Any]) -> list[Block]:
 def _tiles(outcome: Mapping[str, Any]) -> Tiles:
     """Return the answers of a fit."""
     percent, tiles = f"{100 * outcome['level']:g} %", []
-    for key, one in outcome["parameters"].items():
-        entry = one.get("told") or one
-        known = one["verdict"] != "not identified" and None not in entry["interval"]
-        low, high = entry["interval"]
-        value, note = f"{entry['estimate']:.4g}", str(one["verdict"])
-        if known:
-            note = f"{low:.4g} to {high:.4g} ({percent})"
-        elif (low is None) != (high is None):
-            value, note = limits(entry["interval"], 4), f"{percent}, {note}"
-        if "per" in entry:
-            note = f"per {entry['per']}; {note}"
-        unit = in_signs(str(entry["unit"])) if entry["unit"] not in ("1", "-") else ""
-        tiles.append(Tile(key, value, unit, note))
-    return Tiles([*tiles, checks_tile(len(outcome["warnings"]))])
+    for key, entry in outcome["parameters"].items():
+        row = key_rows(key, entry)[0]
+        unlimited = [end is None for end in row.interval]
+        value, note = f"{row.estimate:.4g}", row.verdict
+        if not any(unlimited):
+            note = f"{limits(row.interval, 4)} ({percent})"
+        elif not all(unlimited):
+            value, note = limits(row.interval, 4), f"{percent}, {note}"
+        tiles.append(Tile(key, value, in_signs(row.unit), note))
+    return Tiles([*tiles, checks_tile(len(outcome["doubts"]))])
 
 
-def _estimates(caption: str, parameters: Mapping[str, Any], level: float) -> Table:
-    percent = f"{100 * level:g} %"
-    header = ["key", "estimate", "sd", "unit", f"{percent} from", f"{percent} to", "verdict"]
-    sampled = any("posterior" in one for one in parameters.values())
+def _estimates(parameters: Mapping[str, Any], level: float) -> Table:
+    percent, header = f"{100 * level:g} %", ["key", "estimate", "sd", "unit"]
+    header += [f"{percent} from", f"{percent} to", "verdict"]
+    sampled = any("posterior" in entry for entry in parameters.values())
     if sampled:
         header += ["posterior median", "posterior from", "posterior to"]
     rows = []
-    for key, one in parameters.items():
-        low, high = one["interval"]
-        row = [
-            key, _number(one["estimate"], 5), _number(one["sd"], 2), in_signs(str(one["unit"])),
-            _number(low, 5), _number(high, 5), str(one["verdict"]),
-        ]  # fmt: skip
-        if sampled:
-            posterior = one["posterior"]
-            row += [_number(v, 5) for v in (posterior["median"], *posterior["interval"])]
-        rows.append(row)
-        rows += _other_units(one, len(header))
-    return Table(caption, header, rows)
-
-
-def _other_units(one: Mapping[str, Any], columns: int) -> list[list[str]]:
-    """Return rows of a key in the unit that the user writes, and as a specific wear rate."""
-    rows = []
-    for name, label in (("told", ""), ("specific_wear_rate", "specific wear rate")):
-        if (entry := one.get(name)) is not None:
-            row = [
-                label, _number(entry["estimate"], 5), _number(entry["sd"], 2),
-                in_signs(str(entry["unit"])), *(_number(end, 5) for end in entry["interval"]),
+    for key, entry in parameters.items():
+        for row in key_rows(key, entry):
+            cells = [
+                row.label, _number(row.estimate, 5), _number(row.sd, 2), in_signs(row.unit),
+                *(_number(end, 5) for end in row.interval), row.verdict or with_signs(row.note),
             ]  # fmt: skip
-            rows.append([*row, *[""] * (columns - len(row))])
-    return rows
+            posterior = [_number(value, 5) for value in row.posterior] or [""] * 3
+            rows.append(cells + posterior * sampled)
+    return Table("Estimates", header, rows)
 
 
 def _scatter(outcome: Mapping[str, Any]) -> list[Block]:
@@ -232,14 +193,11 @@ def _correlations(outcome: Mapping[str, Any]) -> Table:
     return Table("Correlations of the estimates", ["key", *keys], rows)
 
 
-def _series_table(outcome: Mapping[str, Any]) -> Table:
-    rows = [
-        (f"{row.experiment}, {row.name}", str(row.n), f"{row.chi2:.4g}", in_signs(row.unit),
-         _number(row.noise, 3), with_signs(row.nuisances))
-        for row in series_rows(outcome)
-    ]  # fmt: skip
-    header = ("series", "readings", "chi2", "unit", "fitted noise", "nuisances")
-    return Table("Series", header, rows)
+def _cells(caption: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Return a table of cells of the summary, in the signs of pages."""
+    signs = [in_signs if name == "unit" else with_signs for name in header]
+    cells = [[sign(cell) or _DASH for sign, cell in zip(signs, row, strict=True)] for row in rows]
+    return Table(caption, header, cells)
 
 
 def _readings(path: Path, level: float) -> tuple[list[fits.Series], dict[str, FloatArray], str]:
@@ -260,9 +218,11 @@ def _series_of(group: h5py.Group, level: float) -> fits.Series:
     data, model, sd, band = (scale * group[n][()] for n in ("data", "model", "sd", "band"))
     x, residuals = group["r" if "r" in group else "time"][()], group["residual"][()]
     edges = tuple(group.attrs["contact"].tolist())
+    censored = group["censored"][()] if "censored" in group else np.zeros(len(x), dtype=int)
     return fits.Series(
-        experiment, name, quantity, unit, x, data, model, sd, band, residuals, level, edges
-    )
+        experiment, name, quantity, unit, x, data, model, sd, band, residuals, level, edges,
+        censored.astype(int),
+    )  # fmt: skip
 
 
 def _series_charts(every: Sequence[fits.Series]) -> list[Chart]:
@@ -294,24 +254,6 @@ def _groups(file: h5py.File) -> Iterator[h5py.Group]:
     names = [name for name in file if name.partition("_")[0].isdigit()]
     for name in sorted(names, key=lambda name: int(name.partition("_")[0])):
         yield file[name]
-
-
-def _alternatives(outcome: Mapping[str, Any]) -> Table:
-    rows = []
-    for row in law_rows(outcome):
-        difference = _DASH if row.aic_difference is None else f"{row.aic_difference:+.1f}"
-        numbers = [difference, *(_number(n, 5) for n in (row.bic, row.chi2, row.probability))]
-        rows.append([row.name, *numbers, with_signs(row.parameters), row.verdict])
-    header = (
-        "law",
-        "AIC above the smallest",
-        "BIC",
-        "chi2",
-        "probability",
-        "parameters",
-        "verdict",
-    )
-    return Table("Laws compared", header, rows)
 
 
 def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
@@ -360,13 +302,7 @@ def _reproduced(outcome: Mapping[str, Any], text: str) -> Section:
          str(one["error"] or "")]
         for number, one in enumerate(outcome["starts"], start=1)
     ]  # fmt: skip
-    blocks: list[Block] = [Lines([first]), Source("Commands", commands), Source("Fit file", text)]
-    if outcome["data"]:
-        blocks.append(
-            Table("Data files, by their SHA-256", ("file", "hash"), [*outcome["data"].items()])
-        )
-    if starts:
-        header = ("start", "half the sum of squares, with priors", "converged", "error")
-        blocks.append(Table("Starts", header, starts))
-    blocks.append(software(outcome["versions"]))
-    return Section("How to reproduce", blocks)
+    header = ("start", "half the sum of squares, with priors", "converged", "error")
+    tables = [Table("Starts", header, starts)] if starts else []
+    source = Source("Fit file", text)
+    return reproduced(first, commands, [source], outcome["versions"], tables, outcome["data"])

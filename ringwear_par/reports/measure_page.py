@@ -1,6 +1,5 @@
 """The page of a measurement, from what its folder holds."""
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 from ringwear_par.cases.units import SPECIFIC, in_signs, with_signs
 from ringwear_par.errors import legible
 from ringwear_par.files import folders
+from ringwear_par.measuring.figures import panels
 from ringwear_par.measuring.measure_numbers import (
     FRICTION,
     LOAD,
@@ -23,6 +23,8 @@ from ringwear_par.measuring.measure_numbers import (
 )
 from ringwear_par.reports.blocks import (
     Block,
+    Chart,
+    Charts,
     Lines,
     Page,
     Section,
@@ -31,17 +33,15 @@ from ringwear_par.reports.blocks import (
     Tile,
     Tiles,
     checks_tile,
-    software,
+    reproduced,
 )
-from ringwear_par.reports.fit_page import stored_outcome, stored_picture
+from ringwear_par.reports.fit_page import stored_outcome
 
 _DASH = "\N{EN DASH}"
 #: what the forms of standards have and no file of a rig tells
 _OPEN = "not in the files; to be added by hand"
 #: more of a page are no answer
 _MOST_TILES = 6
-#: units behind numbers with a power of ten
-_UNIT = re.compile(r"\bmm3\b|\bum/h\b")
 _BUDGETS = {
     "specific_wear_rate": "specific wear rate of the steady part",
     "friction": "friction coefficient",
@@ -59,7 +59,7 @@ def measure_page(folder: Path) -> Page:
     with stored_outcome(folder / folders.MEASURE, "the outcome of ringwear measure") as outcome:
         sections = [
             Section("Summary", list(_summary(outcome))),
-            *_records(folder),
+            Section("Records", [_records(outcome)]),
             Section("Wear, in the form of ASTM C808", _wear(outcome)),
             Section("Friction, in the form of ASTM G115", _friction(outcome)),
             Section("Budgets of uncertainty", [_method(), *_budgets(outcome)]),
@@ -75,7 +75,7 @@ def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
     if not sentences:
         sentences = ["Numbers of these specimens only: repeats of a material scatter more"]
     yield _tiles(outcome)
-    yield Lines([_signs(sentence) for sentence in sentences])
+    yield Lines([with_signs(sentence) for sentence in sentences])
     rows = [
         [name, _bare(entry["specific_wear_rate"]), _customary(entry),
          _bare(entry["wear_rate"], 3.6e6), _bare(entry["friction"]), steady_text(entry)]
@@ -122,16 +122,13 @@ def _tiles(outcome: Mapping[str, Any]) -> Tiles:
     return Tiles([*tiles[:_MOST_TILES], checks_tile(doubts)])
 
 
-def _records(folder: Path) -> list[Section]:
-    picture = folder / folders.RECORDS
-    if not picture.exists():
-        return []
-    alt = (
-        "Worn depth and friction coefficient of each test over time, with block means and the part "
-        "that gives the numbers in the table above"
-    )
-    title = "Readings, block means and steady parts"
-    return [Section("Records", [stored_picture(title, picture, alt)])]
+def _records(outcome: Mapping[str, Any]) -> Charts:
+    """Return the charts of all records."""
+    return Charts([
+        Chart(f"{channel}-{number}", panel, f"Line chart: {panel.y.label} over time, {panel.title}")
+        for number, (name, entry) in enumerate(outcome["tests"].items(), start=1)
+        for channel, panel in panels(name, entry).items()
+    ])  # fmt: skip
 
 
 def _wear(outcome: Mapping[str, Any]) -> list[Block]:
@@ -186,7 +183,7 @@ def _rows(
     return [
         (
             name or f"{quantity.name} ({in_signs(quantity.unit)})",
-            [_signs(quantity.text(entry)) or _DASH for entry in tests.values()],
+            [quantity.text(entry) or _DASH for entry in tests.values()],
         )
         for quantity in quantities
     ]
@@ -241,28 +238,19 @@ def _reproduced(outcome: Mapping[str, Any]) -> Section:
         "ringwear measure measure.toml -o out/measure\nringwear report out/measure -o report.html\n"
     )
     first = "Save the measure file as measure.toml beside its case and its records, then type:"
-    blocks: list[Block] = [
-        Lines([first]), Source("Commands", commands),
-        Source("Measure file", outcome["measure_file"]),
-        Table("Data files, by their SHA-256", ("file", "hash"), [*outcome["data"].items()]),
-        software(outcome["versions"]),
-    ]  # fmt: skip
-    return Section("How to reproduce", blocks)
-
-
-def _signs(text: str) -> str:
-    return _UNIT.sub(lambda unit: in_signs(unit[0]), text)
+    source = Source("Measure file", outcome["measure_file"])
+    return reproduced(first, commands, [source], outcome["versions"], data=outcome["data"])
 
 
 def _text(entry: Mapping[str, Any] | None) -> str:
-    return _DASH if entry is None else _signs(entry_text(entry))
+    return _DASH if entry is None else with_signs(entry_text(entry))
 
 
 def _bare(entry: Mapping[str, Any] | None, factor: float = 1.0) -> str:
     """Return an entry of measure.json with its uncertainty, without its unit."""
-    return _DASH if entry is None else _signs(entry_text(entry, factor, ""))
+    return _DASH if entry is None else entry_text(entry, factor, "")
 
 
 def _customary(entry: Mapping[str, Any]) -> str:
     rate = entry["specific_wear_rate"]
-    return _DASH if rate is None else _signs(estimate_text(rate["us"]["value"], rate["us"]["u"]))
+    return _DASH if rate is None else estimate_text(rate["us"]["value"], rate["us"]["u"])

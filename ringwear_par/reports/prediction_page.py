@@ -17,7 +17,7 @@ from ringwear_par.reports.blocks import (
     Section,
     Source,
     Table,
-    software,
+    reproduced,
 )
 from ringwear_par.reports.fit_page import stored_outcome
 from ringwear_par.results.variables import DISPLAY_UNITS
@@ -56,8 +56,7 @@ def prediction_page(folder: Path) -> Page:
             Section("Summary", [Lines(answer), *([Lines(warnings, warning=True)] * bool(warnings)),
                                 Table("Quantiles of the draws", header, rows)]),
             Section("Penetration", [Charts([Chart("band", band, label, wide=True)])]),
-            Section("How to reproduce", [Source("Case file, as case.toml", outcome["case"]),
-                                         Source("Command", command),
-                                         software(outcome["versions"])]),
+            reproduced("Save the case file as case.toml, then type:", command,
+                       [Source("Case file", outcome["case"])], outcome["versions"]),
         ]  # fmt: skip
     return Page("Prediction", f"Predicted: {legible(folder.resolve().name)}", sections)

@@ -20,12 +20,11 @@ from ringwear_par.reports.blocks import (
     Page,
     Picture,
     Section,
-    Source,
     Table,
     Tile,
     Tiles,
     checks_tile,
-    software,
+    reproduced,
 )
 from ringwear_par.reports.case_words import case_words
 from ringwear_par.results.key_numbers import (
@@ -38,13 +37,11 @@ from ringwear_par.results.key_numbers import (
 from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import nearest_states
 from ringwear_par.results.summary import checks
-from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES
 
-_TABULATED = [v for name, v in HISTORIES.items() if name not in ("twist", "contact_iterations")]
 #: most instants of a slider
 _SLIDER = 120
-#: instants of the table of histories
-_INSTANTS = 21
+#: rows of a table that is not folded
+_SHORT = 21
 
 
 def run_page(result: Result) -> Page:
@@ -75,7 +72,7 @@ def run_page(result: Result) -> Page:
     sections.append(
         Section("Worn profiles and pressure", [Lines([absence]) if drawn is None else drawn])
     )
-    sections.append(Section("Histories", [histories(result), _history_table(result)]))
+    sections.append(Section("Histories", [histories(result)]))
     sections += _stresses(result)
     sections.append(Section("The case", case))
     sections.append(Section("Balances", [_errors(result)]))
@@ -161,20 +158,6 @@ def worn_table(numbers: Iterable[KeyNumber]) -> Table | None:
     return Table("Wear", header, rows)
 
 
-def _history_table(result: Result) -> Table:
-    """Return the histories at some instants, for those who do not see charts."""
-    count = len(result.step)
-    rows = np.unique(np.linspace(0, count - 1, _INSTANTS).round().astype(int)).tolist()
-    units = [DISPLAY_UNITS.get(v.name, (v.unit, 1.0)) for v in _TABULATED]
-    both = list(zip(_TABULATED, units, strict=True))
-    header = [f"{v.name.replace('_', ' ')} ({in_signs(unit)})" for v, (unit, _) in both]
-    table = [
-        [f"{factor * result.histories[v.name][row]:.6g}" for v, (_, factor) in both] for row in rows
-    ]
-    caption = f"{len(rows)} of the {count} stored states as numbers"
-    return Table(caption, header, table, folded=True)
-
-
 def _errors(result: Result) -> Table:
     caption = "Errors, the worst of all steps"
     rows = key_rows(check_numbers(result))
@@ -214,7 +197,7 @@ def _stresses(result: Result) -> list[Section]:
     ]
     header = ("time (s)", "ring", "von Mises (MPa)", "at r (mm)", "z (mm)")
     caption = f"Largest von Mises stress, {result.stress.exclude:g} mm and more from edges"
-    blocks.append(Table(caption, header, rows, folded=len(rows) > _INSTANTS))
+    blocks.append(Table(caption, header, rows, folded=len(rows) > _SHORT))
     return [Section("Stress inside", blocks)]
 
 
@@ -236,9 +219,7 @@ def _reproduced(result: Result) -> Section:
     }
     names = [name for name in about if name == "version" or name.endswith("_version")]
     used = {name: str(about[name]) for name in [*names, "mpi_library"] if name in about}
-    blocks: list[Block] = [Lines([f"{first}, then type:"]), Source("Commands", commands)]
-    blocks.append(software(used))
     rows = [("MPI ranks", str(ranks)), *((f"{k}, s", v) for k, v in seconds.items())]
     caption = "Ranks, and seconds that it took"
-    blocks.append(Table(caption, ("what", "value"), rows, folded=True))
-    return Section("How to reproduce", blocks)
+    table = Table(caption, ("what", "value"), rows, folded=True)
+    return reproduced(f"{first}, then type:", commands, [], used, [table])

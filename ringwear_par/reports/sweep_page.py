@@ -22,7 +22,7 @@ from ringwear_par.reports.blocks import (
     Tile,
     Tiles,
     checks_tile,
-    software,
+    reproduced,
 )
 from ringwear_par.results.key_numbers import number_words
 from ringwear_par.studies.analysis.responses import done_cases
@@ -250,11 +250,9 @@ def _reproduced(ensemble: Ensemble) -> Section:
         "Save the study as study.toml beside the case file that it names; the text of a case below "
         "has all its keys, those that vary with their values of this case. Then type:"
     )
-    blocks: list[Block] = [Lines([first]), Source("Commands", commands)]
-    blocks.append(Source("Study", str(about["study"])))
+    sources = [Source("Study", str(about["study"]))]
     if len(ensemble.ids):
-        blocks.append(Source(f"Case {ensemble.ids[0]} of the study", ensemble.text(0)))
+        sources.append(Source(f"Case {ensemble.ids[0]} of the study", ensemble.text(0)))
     names = [name for name in about if name == "version" or name.endswith("_version")]
-    blocks.append(software({name: str(about[name]) for name in [*names, "mpi_library"]
-                            if name in about}))  # fmt: skip
-    return Section("How to reproduce", blocks)
+    versions = {name: str(about[name]) for name in [*names, "mpi_library"] if name in about}
+    return reproduced(first, commands, sources, versions)

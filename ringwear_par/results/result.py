@@ -12,7 +12,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.batched import one
 from ringwear_par.elasticity.geometry.mesh import ContactLine
 from ringwear_par.elasticity.stress.fields import BoundaryState, StressHistory
-from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.errors import InputError, RingwearError, ValidityWarning
 from ringwear_par.files.text import parse_toml
 from ringwear_par.history.state import Progress, Start, State
 
@@ -197,9 +197,9 @@ class Result(Outcome):
         }
 
     @property
-    def doubts(self) -> tuple[str, ...]:
-        """Warnings about the validity of the answer, a sentence each."""
-        return tuple(json.loads(self.attributes["doubts"]))
+    def doubts(self) -> tuple[ValidityWarning, ...]:
+        """Warnings about the validity of the answer."""
+        return tuple(map(ValidityWarning.of, json.loads(self.attributes["doubts"])))
 
     @property
     def user_laws(self) -> dict[str, str]:

@@ -50,7 +50,7 @@ def summary(result: Result, verbose: bool = False) -> str:
     assert result.checkpoint is not None
     if verbose:
         return _in_full(result, numbers, result.checkpoint)
-    warnings = [*_unfinished(result.attributes, result.checkpoint), *result.doubts]
+    warnings = _warnings(result, result.checkpoint)
     wrong, errors = checks(result)
     words = [f"{len(warnings)} warning{'s' * (len(warnings) > 1)}, above"] if warnings else []
     words += [f"wrong: {', '.join(map(str, wrong))}"] if wrong else []
@@ -126,7 +126,7 @@ def _in_full(result: Result, numbers: list[KeyNumber], last: Checkpoint) -> str:
     time_steps = checks.pop(TIME_STEPS, None)
     lines = [
         *([title] if title else []),
-        *warning_lines([*_unfinished(about, last), *result.doubts]),
+        *warning_lines(_warnings(result, last)),
         *(f"{group}: {', '.join(map(str, them))}" for group, them in in_groups(numbers).items()),
         *_wearing(about),
         *(
@@ -158,7 +158,7 @@ def to_dict(result: Result) -> dict[str, Any]:
         "title": result.attributes["title"],
         "status": result.attributes["status"],
         "error": result.attributes["error"],
-        "warnings": list(result.doubts),
+        "doubts": [doubt.to_dict() for doubt in result.doubts],
         "numbers": {
             number.name: {
                 "value": None if np.isnan(number.value) else float(number.value),
@@ -176,6 +176,11 @@ def _steps(about: Mapping[str, Any], last: Checkpoint) -> str:
         return f"{steps} of {about['time_steps']} {scheme} steps of {about['time_step']:g} s"
     repeated = f" (and {last.progress.rejected} repeated)" if last.progress.rejected else ""
     return f"{steps} {scheme} steps{repeated} to {last.state.time:g} s"
+
+
+def _warnings(result: Result, last: Checkpoint) -> list[str]:
+    """Return the sentences that come first: how far the history is, and what is doubted."""
+    return [*_unfinished(result.attributes, last), *(doubt.text for doubt in result.doubts)]
 
 
 def _unfinished(about: Mapping[str, Any], last: Checkpoint) -> list[str]:

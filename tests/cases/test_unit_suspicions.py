@@ -121,10 +121,10 @@ def test_a_run_that_fails_by_deep_wear_asks_for_the_unit(scheme):
 def test_much_wear_is_one_warning_that_asks_for_the_unit():
     keys = washer(1.2e-6, 0.6) | {"mesh.contact_elements": 12}
     result = rw.simulate(rw.read_case(PAPER, keys), MPI.COMM_SELF)
-    (text,) = [text for text in result.doubts if "wear.lower.k" in text]
+    (text,) = [one.text for one in result.doubts if "wear.lower.k" in one.text]
     assert "more than 5 % of a body's height" in text
     assert text.endswith('if it is in mm3/(N m), write "1.2e-06 mm3/(N m)"')
-    assert result.to_dict()["warnings"].count(text) == 1
+    assert [doubt["text"] for doubt in result.to_dict()["doubts"]].count(text) == 1
 
 
 def soft(young, poisson, pressure):
@@ -176,7 +176,8 @@ def test_moduli_of_soft_materials_are_not_doubted(young, poisson, pressure):
 )  # fmt: skip
 def test_bodies_that_are_apart(load, said):
     keys = {"upper.z": [21, 41], "time.steps": 1, "mesh.contact_elements": 12, **load}
-    (text,) = rw.simulate(rw.read_case(PAPER, keys), MPI.COMM_SELF).doubts
+    (doubt,) = rw.simulate(rw.read_case(PAPER, keys), MPI.COMM_SELF).doubts
+    text = doubt.text
     assert text.startswith("the unloaded faces are 1 mm apart (lower.z ends at 20 mm, upper.z beg")
     assert said in text
 

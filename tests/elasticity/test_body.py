@@ -108,7 +108,7 @@ def test_clamped_is_stiffer_than_platen(comm):
     assert mean[0] < mean[1] < 1.05 * mean[0]
 
 
-@pytest.mark.ranks
+@pytest.mark.several
 def test_same_compliance_on_any_number_of_ranks(comm):
     """To the last bit, whoever solved which of the systems."""
     body = condensed(LOWER, Mesh(32), comm)

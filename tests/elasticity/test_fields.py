@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import xarray
 from paths import CASES, PAPER
-from stored import assert_same
 
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.stress.fields import FACES
@@ -188,37 +187,7 @@ def test_which_states_are_stored(overrides, times, shared_path, comm):
         assert [state.time for state in open_result(path).boundary] == times
 
 
-@pytest.mark.parametrize(
-    ("stop", "overrides"),
-    [
-        (2, ["output.boundary=last"]),
-        (5, ["output.times=[10, 50, 100]"]),
-        (2, ["output.boundary=[1, 10, 20, 30, 40, 50]", "output.every=3"]),
-        (5, ["output.boundary=all", *MOVING, "mesh.geometry_tolerance=0.004"]),
-    ],
-)
-def test_restart_equals_an_uninterrupted_run(shared_path, comm, restarted, overrides, stop):
-    case = shared_path / "case.toml"
-    if comm.rank == 0:
-        text = FIELDS.read_text()
-        case.write_text(text if "times" in overrides[0] else text.replace("times =", "# times ="))
-    comm.Barrier()
-    whole, parts = restarted(case, ["mesh.contact_elements=16", *overrides], stop, "SIGTERM")
-    if comm.rank == 0:
-        assert "boundary/upper/displacement_z" in assert_same(whole, parts)
-
-
-@pytest.mark.ranks
-def test_a_longer_history_has_another_last_state(shared_path, comm):
-    path = shared_path / "run.h5"
-    words = ["mesh.contact_elements=16", "output.boundary=last", "output.every=6"]
-    run_case(PAPER, path, [*words, "time.steps=8"], comm=comm)
-    run_case(PAPER, path, [*words, "time.steps=10"], comm=comm, restart=True)
-    if comm.rank == 0:
-        assert [state.step for state in open_result(path).boundary] == [10]
-
-
-@pytest.mark.ranks
+@pytest.mark.several
 def test_the_same_on_any_number_of_ranks(shared_path, comm):
     from mpi4py import MPI
 

@@ -76,7 +76,7 @@ def test_as_many_equations_as_unknowns(body, contact):
         assert (own.sign < 0.0).nonzero()[0].tolist() == sorted(zone.boundary.below)
 
 
-@pytest.mark.ranks
+@pytest.mark.several
 @pytest.mark.parametrize(("body", "contact"), [BODIES[0], BODIES[3]])
 def test_same_compliance_on_any_number_of_ranks(body, contact, comm):
     found = condensed(body, Mesh(24), comm, contact)

@@ -226,16 +226,3 @@ def test_pairs_are_used_again(comm):
     ):  # fmt: skip
         exploration.compute(numbers, assembling)
         assert len(said) == times
-
-
-def test_sketches_are_coarse_and_near(comm):
-    for path in (PAPER, CASES / "crown.toml"):
-        exploration = Exploration(raw_keys(path, []), path.name, comm)
-        found, sketch = (exploration.compute({}, sketch=so) for so in (False, True))
-        assert sketch.text == found.text
-        assert sketch.result.steps_made[-1] < 0.6 * found.result.steps_made[-1]
-        ends = [one.result.histories["penetration"][-1] for one in (sketch, found)]
-        assert ends[0] == pytest.approx(ends[1], rel=2e-3)
-
-
-# -- figures and measurements ----------------------------------------------------------------------

@@ -19,7 +19,7 @@ from ringwear_par.cases.units import with_signs
 pytestmark = [pytest.mark.serial, in_browser]
 
 #: what is drawn and told once nothing is under way
-REST = "page.drawn > 0 && !page.flying && !page.waiting && !page.sketch && page.n >= {n}"
+REST = "page.drawn > 0 && !page.flying && !page.waiting && page.n >= {n}"
 LINES = "page.talk.document.get_model_by_name('{name}-{kind}').data"
 
 

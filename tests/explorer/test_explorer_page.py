@@ -60,7 +60,7 @@ def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
     exploration, talk, work, ask = visited.exploration, visited.talk, visited.work, visited.ask
     computed, compute = [], exploration.compute
 
-    def counted(texts, assembling, sketch, stops):
+    def counted(texts, assembling, stops):
         computed.append(texts)
         if texts == {"wear.lower.k": "5"}:
             raise ZeroDivisionError("of a fault in the code")
@@ -86,12 +86,6 @@ def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
     told = work()
     assert told["n"] == 12
     assert told["faults"] == []
-    visited.page._slow, exploration.compute = True, compute
-    talk.request = json.dumps({**json.loads(talk.request), "n": 12.5, "moving": True,
-                             "values": {"wear.lower.k": "2e-7"}})  # fmt: skip
-    assert work()["sketch"] is True
-    talk.request = json.dumps({**json.loads(talk.request), "n": 12, "moving": False})
-    assert work()["sketch"] is False  # the same numbers, but at rest
     visited.page._left(None)
     ask(13, **{"wear.lower.k": "9e-8"})
     assert work()["n"] == 12  # nobody is there to see it

@@ -6,6 +6,7 @@ import signal
 import socket
 import sys
 from contextlib import suppress
+from types import SimpleNamespace
 
 import pytest
 from commands import ringwear, sentences
@@ -103,18 +104,11 @@ def test_what_is_refused(words, said, tmp_path, capfd):
         assert lines == refused("run", "-o", tmp_path / "never.h5")
 
 
-def test_two_ranks_are_refused():
-    done = ringwear("explore", PAPER, "--no-browser", ranks=2)
-    assert done.returncode == 2
-    assert sentences(done) == [
-        "ringwear: explore: is started on 2 ranks; must be on one, without mpirun, as one page "
-        "computes one history at a time"
-    ]
-
-
-def test_a_missing_package_is_named(monkeypatch, comm):
+def test_ranks_and_a_missing_package_are_refused(monkeypatch, comm):
     from ringwear_par.explorer.server import explore
 
+    with pytest.raises(rw.InputError, match="is started on 2 ranks; must be on one, without mpi"):
+        explore(PAPER, [], comm=SimpleNamespace(size=2), browser=False)
     for name in [n for n in sys.modules if n.partition(".")[0] == "bokeh"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "bokeh", None)

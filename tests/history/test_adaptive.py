@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from paths import PAPER
-from stored import assert_same
 
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Load, Output, Stepping
@@ -16,7 +14,6 @@ from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes import sdirk2
-from ringwear_par.results.storage import result_files as results
 from ringwear_par.schedules import Table, integral
 from ringwear_par.verification.histories import OMEGA
 from ringwear_par.wear.laws.non_local import NonLocalLaw
@@ -254,18 +251,3 @@ def test_errors_that_stay_too_large_are_told_with_their_tolerances(stepped, monk
         ComputationError, match=r"^errors exceed time.tolerance = 2e-06 mm or .*0\.1"
     ):
         stepped(time=until(10.0))
-
-
-@pytest.mark.ranks
-@pytest.mark.parametrize(
-    ("stop", "extra"), [(1, "output.profiles=last"), (6, "output.times=[1, 5, 6.5]")]
-)
-def test_restart_equals_an_uninterrupted_run(comm, restarted, stop, extra):
-    """The error that is carried along is stored, too."""
-    keys = ["mesh.contact_elements=16", "time.scheme=adaptive", "time.end=50", extra]
-    whole, parts = restarted(PAPER, keys, stop, f"SIGTERM after step {stop} .at .* of 50 s")
-    if comm.rank == 0:
-        assert results.read_status(parts)[0] == "complete"
-        assert assert_same(whole, parts)["checkpoint/error"].any()
-        errors = [results.open_result(path).balances["step_error"] for path in (whole, parts)]
-        assert errors[0] == errors[1] > 0.0

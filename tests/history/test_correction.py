@@ -10,7 +10,6 @@ import random_cases
 from mpi4py import MPI
 from one_contact import OneContact
 from paths import CASES
-from stored import assert_same
 
 from ringwear_par.cases.case import Load, Stepping
 from ringwear_par.cases.files.reading import make_case, read_case
@@ -252,16 +251,7 @@ def test_histories_together_are_corrected_as_if_alone(cases, comm):
     assert len(counts) > 1
 
 
-@pytest.mark.ranks
-def test_a_restart_goes_on_to_the_last_bit(comm, restarted):
-    time = '{scheme="explicit", step=0.1, steps=12}'
-    keys = ["mesh.contact_elements=24", f"time={time}", "wear.lower.p0=0", "upper.grip=platen"]
-    whole, parts = restarted(CHAMFER, keys, 5, "SIGTERM after step 5")
-    if comm.rank == 0:
-        assert_same(whole, parts)
-
-
-@pytest.mark.ranks
+@pytest.mark.several
 @pytest.mark.parametrize("number", NUMBERS[:1])
 def test_ranks_find_the_same(cases, number, comm):
     """Assembled and solved together as by one rank alone; each rank corrects by itself."""

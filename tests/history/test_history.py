@@ -154,7 +154,7 @@ def test_implicit_steps_of_any_length_are_smooth(stepped):
         assert history.balances.force <= 1e-10
 
 
-@pytest.mark.ranks
+@pytest.mark.several
 def test_same_history_on_any_number_of_ranks(stepped, comm):
     """Twice: bitwise on the same ranks."""
     _, states = stepped(time=steps("implicit", 1.0, 10))

@@ -1,4 +1,4 @@
-"""Histories that wear through layers: balances, accuracy, thresholds, batches, restarts, ranks."""
+"""Histories that wear through layers: balances, accuracy, thresholds, batches, ranks."""
 
 import itertools
 
@@ -13,7 +13,6 @@ from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.observers.trace import Trace, trace
-from ringwear_par.results.storage import result_files as files
 from ringwear_par.studies.execution.batches import computed
 
 CASE = CASES / "wear_through.toml"
@@ -150,23 +149,12 @@ def test_layers_of_other_thicknesses_step_together_as_alone(pair):
             np.testing.assert_array_equal(whole[name], values, err_msg=name)
 
 
+@pytest.mark.several
 def test_ranks_have_the_same_history(comm, pair):
     case = case_of(**{"time.end": 60.0})
     together, alone = trace(case, comm), trace(case, ALONE, pair=pair)
     np.testing.assert_allclose(together.last.wear, alone.last.wear, atol=2e-6)
     np.testing.assert_allclose(together.last.through, alone.last.through, rtol=1e-6)
-
-
-def test_a_restart_goes_on_where_a_coating_is_partly_gone(restarted):
-    settings = ["mesh.contact_elements=16", "time.end=90.0"]
-    whole, parts = restarted(CASE, settings, 16)
-    one, other = files.open_result(whole), files.open_result(parts)
-    assert 0.0 < one.attributes["time_through_lower"] < one.histories["time"][16] < 90.0
-    for name in ("wear_lower", "pressure"):
-        np.testing.assert_array_equal(one.profiles[name], other.profiles[name])
-    for name in one.layers:
-        np.testing.assert_array_equal(one.layers[name], other.layers[name])
-    assert one.attributes["time_through_lower"] == other.attributes["time_through_lower"]
 
 
 KEYS = (

@@ -30,7 +30,22 @@ def found(tmp_path_factory):
 def series_at(radii, edges, quantity="profile.lower", unit="um"):
     x = np.array(radii)
     columns = dict.fromkeys(("data", "model", "sd", "band", "residuals"), 0.0 * x)
-    return fits.Series("test", "profile", quantity, unit, x, **columns, level=0.95, edges=edges)
+    return fits.Series(
+        "test", "profile", quantity, unit, x, **columns, level=0.95, edges=edges,
+        censored=np.zeros(len(x), dtype=int),
+    )  # fmt: skip
+
+
+def test_limits_are_arrows_to_where_the_truth_is():
+    """Depths grow downwards."""
+    for quantity, markers in (
+        ("penetration", ["dot", "up", "down"]), ("profile.lower", ["dot", "down", "up"]),
+    ):  # fmt: skip
+        series = replace(series_at([1.0, 2, 3, 4], (), quantity), censored=np.array([0, 1, -1, 1]))
+        points = fits.readings(series).points
+        assert [one.marker for one in points] == markers
+        assert [one.name for one in points] == ["data", "2 limits, at least", "1 limit, at most"]
+        assert [one.x.tolist() for one in points] == [[1.0], [2.0, 4.0], [3.0]]
 
 
 def test_a_profile_is_broken_at_edges_and_gaps():
@@ -58,12 +73,6 @@ def test_a_profile_is_broken_at_edges_and_gaps():
 )
 def test_axes_are_in_words(quantity, unit, said):
     assert series_at([1.0], (), quantity, unit).label == said
-
-
-def test_notebooks_show_a_fit(found):
-    picture, size = found.plot()._repr_png_()
-    assert picture.startswith(b"\x89PNG")
-    assert size["width"] > size["height"] > 0
 
 
 def test_residuals_are_data_less_model(found):

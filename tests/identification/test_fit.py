@@ -74,6 +74,7 @@ def test_both_methods_find_the_same(tables, comm):
     assert one.chi2 == pytest.approx(other.chi2, rel=1e-6)
 
 
+@pytest.mark.several
 def test_any_number_of_ranks_finds_the_same(tables, comm):
     from mpi4py import MPI
 
@@ -160,7 +161,7 @@ def test_friction_and_coefficient_are_one_number_without_torque(tables, comm):
     assert by_key["wear.lower.p0"].verdict == "identified"
     product = by_key["contact.friction"].estimate * by_key["wear.lower.k"].estimate
     assert product == pytest.approx(0.1 * TRUTH["wear.lower.k"], rel=0.02)
-    assert any("only contact.friction x wear.lower.k" in s for s in found.warnings)
+    assert any("only contact.friction x wear.lower.k" in doubt.text for doubt in found.doubts)
 
 
 @pytest.mark.serial
@@ -186,7 +187,6 @@ def test_residuals_that_trend_are_a_doubt(share, tables, comm, tmp_path):
     assert mu.estimate == pytest.approx(0.1, rel=0.1 if share else 0.01)
     for doubt in doubts:
         assert doubt["experiments"] == ("test 1",)
-        assert doubt["text"] in found.warnings
         assert "readings of test 1, torque, trend away from the model" in doubt["text"]
         assert "intervals are too narrow" in doubt["text"]
 
@@ -225,12 +225,9 @@ def test_what_is_one_with_an_unknown_is_unknown(tables, comm):
 @pytest.mark.serial
 def test_a_threshold_at_its_bound_has_an_upper_limit(comm, tmp_path):
     truth = {"wear.lower.k": 1.3e-7, "wear.lower.p0": 0.0}
-    for seed in range(1, 9):
-        written = write_tests(tmp_path, seed=seed, truth=truth)
-        found = fit(fit_tables(tmp_path, written, intervals=["profile"], starts=1), comm)
-        threshold = found.parameters[1]
-        if threshold.verdict == "at bound":
-            break
+    written = write_tests(tmp_path, truth=truth)  # whose noise leads below 0
+    found = fit(fit_tables(tmp_path, written, intervals=["profile"], starts=1), comm)
+    threshold = found.parameters[1]
     assert threshold.verdict == "at bound"
     assert threshold.estimate == 0.0
     assert threshold.interval[0] is None
@@ -281,7 +278,6 @@ def test_other_laws_are_told_not_to_fit(tables, comm):
             "parameters": {"wear.lower.k": FITTED["wear.lower.k"]},
         }
     }
-    assert fit(given, comm).alternatives == {}
     found = fit(given, comm, compare=True)
     other = found.alternatives["archard"]
     assert other.flagged
@@ -296,12 +292,13 @@ def test_other_laws_are_told_not_to_fit(tables, comm):
 
 
 @pytest.mark.serial
-def test_a_law_that_fails_leaves_the_fit(tables, comm, monkeypatch):
+def test_a_law_that_fails_leaves_the_fit(tables, comm, monkeypatch, tmp_path):
+    """Names of laws are no names of files."""
     given = tables(starts=1, intervals=["profile"])
     sought = {"wear.lower.k": FITTED["wear.lower.k"]}
     given["compare"] = {
         "bad": {"set": {}, "parameters": sought},
-        "good": {"set": {}, "parameters": sought},
+        "../../good": {"set": {}, "parameters": sought},
     }
 
     def failing(misfit, number, start, wait_for):
@@ -311,25 +308,16 @@ def test_a_law_that_fails_leaves_the_fit(tables, comm, monkeypatch):
 
     solved = starts_room._solved
     monkeypatch.setattr(starts_room, "_solved", failing)
-    found = fit(given, comm, compare=True)
+    folder = tmp_path / "deep" / "out"
+    found = fit_problem(read_fit(given), comm, compare=True, folder=folder)
+    written = [path.relative_to(folder).as_posix() for path in tmp_path.rglob("*.json")]
+    assert {"progress/0-0.json", "progress/2-0.json"} <= {*written}
     assert set(found.profiles) == set(TRUTH)
     told = found.to_dict()["alternatives"]
     assert "it broke" in told["bad"]["error"]
-    assert told["good"]["aic"] > found.aic
-    assert not told["good"]["profiles"]
+    assert told["../../good"]["aic"] > found.aic
+    assert not told["../../good"]["profiles"]
     assert "  bad: failed: " in found.summary()
-
-
-@pytest.mark.serial
-def test_names_of_laws_are_no_names_of_files(tables, comm, tmp_path):
-    given = tables(starts=1)
-    law = {"set": {}, "parameters": {"wear.lower.k": FITTED["wear.lower.k"]}}
-    given["compare"] = {"fit": law, "../../evil": law}
-    folder = tmp_path / "deep" / "out"
-    found = fit_problem(read_fit(given), comm, compare=True, folder=folder)
-    assert [len(other.parameters) for other in found.alternatives.values()] == [1, 1]
-    kept = sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*.json"))
-    assert kept == [f"deep/out/progress/{law}-0.json" for law in range(3)]
 
 
 @pytest.mark.serial
@@ -347,7 +335,7 @@ def test_readings_that_cannot_be_are_named(tables, comm):
     lines[40] = f"{r},{float(depth) + 40.0}"
     path.write_text("\n".join(lines) + "\n")
     try:
-        told = "\n".join(fit(given, comm).warnings)
+        told = "\n".join(doubt.text for doubt in fit(given, comm).doubts)
     finally:
         path.write_text(whole)
     assert "the model does not fit" in told

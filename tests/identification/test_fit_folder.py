@@ -144,7 +144,9 @@ def test_a_complete_fit_is_left_as_it_is(written, comm, monkeypatch, caplog):
 def test_a_fit_goes_on_with_the_starts_that_are_kept(written, comm, monkeypatch):
     """If it was stopped; one that has failed leaves nothing in the way of the next."""
     path, folder = written
-    whole = fit_problem(read_fit(path), comm)
+    whole = rw.fit(path)
+    assert "wear.lower.k" in repr(whole)
+    assert pickle.loads(pickle.dumps(whole)).to_dict() == whole.to_dict()  # no engine in it
 
     def fails_with(error):
         calls = []
@@ -179,21 +181,14 @@ def test_a_fit_goes_on_with_the_starts_that_are_kept(written, comm, monkeypatch)
     # those at the optimum of a start that was kept are computed once more, in two tests
     assert 0 <= told["histories"] - whole.histories <= 2
 
-
-@pytest.mark.serial
-def test_histories_of_a_fit_that_goes_on_are_all_counted(written, comm, monkeypatch):
-    """Where all starts were kept."""
-    path, folder = written
-    whole = fit_problem(read_fit(path), comm)
-
     def stopping(*args):
         raise StoppedError("the power failed")
 
-    with monkeypatch.context() as patch:
+    with monkeypatch.context() as patch:  # once all starts are kept
         patch.setattr(solution_room, "likelihood_profiles", stopping)
         with pytest.raises(StoppedError, match="the power failed"):
-            run_fit(path, folder, comm)
-    again = fit_problem(read_fit(path), comm, folder=folder)
+            run_fit(path, folder.with_name("later"), comm)
+    again = fit_problem(read_fit(path), comm, folder=folder.with_name("later"))
     assert 0 <= again.histories - whole.histories <= 2
 
 
@@ -208,16 +203,6 @@ def test_another_case_is_another_problem(written):
     finally:
         case.write_text(text)
     assert read_fit(path).key == before
-
-
-@pytest.mark.serial
-def test_the_front_door(tables):
-    found = rw.fit(tables(starts=1))
-    assert isinstance(found, rw.FitResult)
-    assert "wear.lower.k" in repr(found)
-    assert found.plot().axes
-    assert "identified" in found.summary()
-    assert pickle.loads(pickle.dumps(found)).to_dict() == found.to_dict()  # no engine in it
 
 
 @pytest.mark.serial

@@ -50,11 +50,12 @@ def records():
     }
 
 
-@pytest.fixture
-def warm(records, tmp_path):
+@pytest.fixture(scope="module")
+def warm(records, tmp_path_factory):
     """Function that makes a fit file of tests on a warm rig, with some nuisances."""
 
     def made(nuisance, growth=GROWTH, seed=3, **fit):
+        tmp_path = tmp_path_factory.mktemp("warm")
         rng = np.random.default_rng(seed)
         experiments = []
         for pressure, (t, z) in records.items():
@@ -90,9 +91,14 @@ def test_derivatives(warm):
         assert change / (2.0 * step[j]) == pytest.approx(jacobian[:, j], rel=1e-6, abs=1e-9)
 
 
-def test_growth_is_no_wear(warm):
+@pytest.fixture(scope="module")
+def found(warm):
+    """The fit of a warm rig."""
+    return rw.fit(warm({"offset": {}, "thermal": THERMAL}), MPI.COMM_SELF)
+
+
+def test_growth_is_no_wear(warm, found):
     cold = rw.fit(warm({"offset": {}}), MPI.COMM_SELF)
-    found = rw.fit(warm({"offset": {}, "thermal": THERMAL}), MPI.COMM_SELF)
     k = {one.key: one for one in cold.parameters}[K]
     assert abs(k.estimate - TRUTH[K]) > 3.0 * k.sd
     assert cold.p_value < 1e-6
@@ -133,22 +139,22 @@ def test_coverage(warm):
 
 
 @pytest.mark.parametrize("noise", ["scatter", "process"])
-def test_growth_beside_other_noise(warm, noise):
+def test_growth_beside_other_noise(warm, found, noise):
     """Estimates are those of the plain fit where scatter and the noise of wear are next to none."""
     tables = warm({"offset": {}, "thermal": THERMAL})
-    plain = rw.fit(tables, MPI.COMM_SELF).to_dict()
+    plain = found.to_dict()
     if noise == "scatter":
         tables["fit"]["parameters"][K] |= {"scatter": 1e-4}
     else:
         tables["fit"]["process"] = {"wear.lower": {"size": 1e-9}}
-    found = rw.fit(tables, MPI.COMM_SELF).to_dict()
+    other = rw.fit(tables, MPI.COMM_SELF).to_dict()
     for key, one in plain["parameters"].items():
-        assert abs(found["parameters"][key]["estimate"] - one["estimate"]) < 0.1 * one["sd"]
+        assert abs(other["parameters"][key]["estimate"] - one["estimate"]) < 0.1 * one["sd"]
     for test, one in plain["nuisance"].items():
-        growth, same = (of["penetration"]["thermal"] for of in (one, found["nuisance"][test]))
-        for entry, other in ((growth, same), (growth["time"], same["time"])):
-            assert abs(other["estimate"] - entry["estimate"]) < 0.1 * entry["sd"]
-            assert other["sd"] == pytest.approx(entry["sd"], rel=0.1)
+        growth, same = (of["penetration"]["thermal"] for of in (one, other["nuisance"][test]))
+        for entry, again in ((growth, same), (growth["time"], same["time"])):
+            assert abs(again["estimate"] - entry["estimate"]) < 0.1 * entry["sd"]
+            assert again["sd"] == pytest.approx(entry["sd"], rel=0.1)
 
 
 def test_a_drift_is_much_like_growth(warm):

@@ -73,25 +73,13 @@ def change(name, old, new):
     ("name", "old", "new", "said"),
     [
         # each laboratory's file in a broken version
-        ("W1.csv", "t / min;", "t;", 't: no unit; name it t / s, or units = { time = "s" }'),
-        ("W1.csv", "/ µm;M", "/ bar;M", "the column Verschleiß / bar is in bar by its name"),
         ("W1.csv", "4,0;", "4,0;;", "W1.csv: line 9: has 5 values; must have 4, as line 6"),
-        ("W1.csv", "\r\n6,0;", "\r\nsechs;", "W1.csv: line 10: t / min = sechs: must be a number"),
         ("W2.csv", "2026-03-14 08:19:00", "2026-03-14 08:16:00", "W2.csv: line 6: timestamp = "
          "2026-03-14 08:16:00: goes back, line 5 has 2026-03-14 08:17:00"),
-        ("W2.csv", "2026-03-14 08:19:00", "2026-13-14 08:19:00", "W2.csv: line 6: timestamp = "
-         "2026-13-14 08:19:00: there is no such day"),
-        ("W2.csv", "2026-03-14 08:19:00", "eight", "W2.csv: line 6: timestamp = eight: must be a"),
-        ("W2.csv", "wear [µm]", "wear", 'wear: no unit; name it wear / um, or units = {'),
         ("W2.csv", "timestamp,", "wann,", "has the columns wann, wear [µm], friction torque [Nm]; "
          "must have one of time"),
-        ("W3.csv", "Weg / mm\t", "", "must have 2, as the first line"),
-        ("W3.csv", "17.03.2026 17:40:30", "17.03.2026 27:40:30", "there is no such hour"),
-        ("W4.csv", "0:03:00;", "0:03:00,", "W4.csv: line 5: has 2 values; must have 3"),
         ("W4.csv", "torque_Nm", "depth_mm", "columns depth_um and depth_mm may both be of"),
-        ("W4.csv", "torque_Nm", "depth_um", "line 1: depth_um: names two columns; must be one"),
         ("masses.csv", "W2;", "W1;", "masses.csv: line 4: W1: has two rows"),
-        ("masses.csv", "W4;41", "W4;einundvierzig", "must be a number"),
         # keys
         ("measure.toml", "masses.csv", "mass.csv", "measure.toml: measure.masses: mass.csv"),
         ("measure.toml", "sd =", "u =", "masses: u: unknown key; must be one of file, sd"),

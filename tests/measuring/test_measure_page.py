@@ -19,7 +19,7 @@ def page(tmp_path_factory):
     result = rw.measure(ROOT / "scripts/measure/measure.toml")
     result.save(folder / "out")
     told = rw.report(folder / "out", folder / "page.html")
-    assert told == f"{folder}/page.html: Measurement of wear and friction, 1 figure"
+    assert told == f"{folder}/page.html: Measurement of wear and friction, 8 figures"
     text = (folder / "page.html").read_text(encoding="utf-8")
     body = re.sub(r"<(script|style).*?</\1>", " ", text, flags=re.DOTALL)
     return result, " ".join(html.unescape(re.sub("<[^>]+>", " ", body)).split())

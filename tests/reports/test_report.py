@@ -182,11 +182,6 @@ def test_a_run_is_told_in_the_numbers_of_its_summary(folder, pages):
     lower, upper = page.rows("body")["lower"], page.rows("body")["upper"]
     assert lower == [number.short for number in numbers if number.group == "lower"]
     assert upper[2] == "\N{EN DASH}"  # its density is not given
-    (stored,) = (table for table in page.tables if "time (s)" in table[0])
-    told = (("torque", "N m", 1e-3), ("dissipated_energy", "J", 1e-3))
-    for name, unit, factor in (*told, ("penetration", "\N{MICRO SIGN}m", 1e3), ("force", "N", 1.0)):
-        column = stored[0].index(f"{name.replace('_', ' ')} ({unit})")
-        assert stored[-1][column] == f"{factor * result.histories[name][-1]:.6g}"
     errors = page.rows("check")
     held = errors["largest relative errors of all steps, contact force against the applied force"]
     assert held[0] == f"{result.balances['force']:.1e}"
@@ -225,7 +220,7 @@ def test_the_case_is_told_in_words_and_as_text(folder, pages):
     assert words["lower body"][0].startswith("ring of radii 20 to 40 mm, height 20 mm; Young's")
     assert "contact face: flat; density 0.0078" in words["lower body"][0]
     law = rw.open_result(folder / "run.h5").attributes["law_upper"]
-    assert words["wear of upper"] == [law]
+    assert words["wear of upper"] == [f"{law} (2e-05 mm\N{SUPERSCRIPT THREE}/(N m))"]
     assert "mean pressure 80 MPa" in words["load"][0]
     assert words["time"] == ["8 implicit steps of 1 s, 8 s in all"]
     stored = rw.open_result(folder / "run.h5").case
@@ -323,7 +318,7 @@ def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
     told["parameters"]["wear.lower.p0"] |= one
     one = {"verdict": "at bound", "interval": [None, 1.25e-7]}
     told["parameters"]["wear.lower.k"] |= one
-    told["warnings"], told["p_value"] = ["p0 is a guess"], None
+    told["doubts"], told["p_value"] = [{"text": "p0 is a guess"}], None
     told["covariance"][1][1] = None
     told["alternatives"]["power"] = {"error": "no history"}
     (tmp_path / "fit/fit.json").write_text(json.dumps(told))
@@ -346,7 +341,7 @@ def test_what_a_fit_leaves_open_and_a_design_are_told(folder, tmp_path):
     assert page.rows("95 % from")["wear.lower.p0"][1:] == [
         dash, "MPa", dash, dash, "not identified"
     ]  # fmt: skip
-    assert f"Not determined by the readings {dash} wear.lower.p0: as k" in page.text
+    assert "p0 is a guess" in page.text
     assert re.search(r"wear.lower.k\s*less than 1.25e-07 1/MPa\s*95 %, at bound", page.text)
     assert ("p", {"class": "warning"}) in page.elements
     assert page.rows("AIC above the smallest")["power"][-1] == "failed: no history"
@@ -440,7 +435,7 @@ def test_missing_packages_are_told(folder, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("ranks", on_ranks(0, 2))
+@pytest.mark.parametrize("ranks", on_ranks(2))
 def test_the_command(ranks, folder, tmp_path):
     done = ringwear("report", folder / "run.h5", "-o", tmp_path / "page.html", ranks=ranks)
     assert done.returncode == 0, done.stderr

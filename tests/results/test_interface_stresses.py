@@ -151,7 +151,7 @@ def comm_self():
     return MPI.COMM_SELF
 
 
-@pytest.mark.ranks
+@pytest.mark.several
 def test_the_same_on_all_ranks(result):
     alone = rw.simulate(both_bodies(stress__times="all"), comm_self())
     for one, other in zip(alone.stress.states, result.stress.states, strict=True):
@@ -240,7 +240,8 @@ def test_points_in_material_that_is_worn_away_are_doubted():
     """Once, by name; not on faces, nor where a layer has gone, nor where elements follow."""
 
     def doubted(points, **more):
-        texts = worn_through("fixed", 30.0, stress__points=points, **more).doubts
+        found = worn_through("fixed", 30.0, stress__points=points, **more)
+        texts = [doubt.text for doubt in found.doubts]
         return [text for text in texts if "stress.points" in text]
 
     face, layer, shallow, deep = [30.0, 20.0, "below"], [30.0, 19.999], [30.0, 19.996], [30.0, 19.9]
@@ -249,7 +250,8 @@ def test_points_in_material_that_is_worn_away_are_doubted():
     assert "stress.points[3], at r = 30, z = 19.996 mm, lies 0.004 mm under the unworn face" in text
     assert "is worn off there at t = 180 s (1 more of stress.points likewise)" in text
     assert doubted([shallow], stress__times=[0.0]) == []
-    moved = worn_through("updated", 30.0, stress__points=[shallow]).doubts
+    found = worn_through("updated", 30.0, stress__points=[shallow])
+    moved = [doubt.text for doubt in found.doubts]
     assert not [text for text in moved if "stress.points" in text]
 
 
@@ -268,7 +270,7 @@ def test_the_largest_stress_is_of_what_is_left(geometry):
 
 def test_the_largest_stress_beside_a_free_edge_of_an_interface_is_doubted(result):
     def doubted(of):
-        return [text for text in of.doubts if "free edge of the interface" in text]
+        return [one.text for one in of.doubts if "free edge of the interface" in one.text]
 
     (text,) = doubted(result)
     assert "largest von Mises stress of upper" in text

@@ -167,9 +167,11 @@ def test_shares_are_one_at_most():
 
 
 def test_a_worn_layer_of_another_modulus_is_a_doubt(result):
-    assert not any("elasticity is computed with the unworn layer" in text for text in result.doubts)
+    assert not any(
+        "elasticity is computed with the unworn layer" in doubt.text for doubt in result.doubts
+    )
     hard = rw.simulate(rw.read_case(CASE, SMALL), MPI.COMM_SELF)
-    (doubt,) = [text for text in hard.doubts if "unworn layer," in text]
+    (doubt,) = [one.text for one in hard.doubts if "unworn layer," in one.text]
     assert "lower.layers[0] is worn off where it bears load" in doubt
 
 

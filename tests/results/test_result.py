@@ -15,7 +15,6 @@ from stored import contents
 
 import ringwear_par as rw
 from ringwear_par.cases.case import Stepping
-from ringwear_par.errors import InputError
 from ringwear_par.results.execution import run as driver
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.key_numbers import by_name, check_numbers, key_numbers
@@ -144,19 +143,6 @@ def test_all_groups_open_as_a_tree(computed, comm, words):
                     assert group[variable.name].attrs["long_name"] == variable.meaning
             assert "2 " in group.face.attrs["long_name"]
         assert tree["line/edges"].size == 17
-
-
-def test_damaged_files_are_one_sentence(computed, comm):
-    path, _ = computed("paper.toml", SMALL)
-    if comm.rank > 0:
-        return
-    with h5py.File(path, "r+") as file:
-        del file["approach"]
-    with pytest.raises(InputError, match=r"run.h5: is not a result file of ringwear, or is dam"):
-        open_result(path)
-    path.write_bytes(path.read_bytes()[:2000])
-    with pytest.raises(InputError, match=r"run.h5: is not a result file of ringwear, or is dam"):
-        open_result(path)
 
 
 @pytest.mark.ranks

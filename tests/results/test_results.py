@@ -1,11 +1,11 @@
-"""Result files: opened by xarray, restarted exactly, never half there."""
+"""Result files: opened by xarray, of the steps and fields asked for, never half there."""
 
 import h5py
 import numpy as np
 import pytest
 import xarray
 from paths import PAPER
-from stored import assert_same, contents
+from stored import contents
 
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.pictures.figures import FigureFile
@@ -56,31 +56,6 @@ def test_only_the_steps_and_fields_asked_for(shared_path, comm):
             assert list(data.time.values) == [0, 8, 16, 20]
             assert "gap" not in data
             assert int(data.contact_iterations.sum()) >= 20
-
-
-@pytest.mark.parametrize(
-    ("stop", "extra"),
-    [
-        (1, []), (7, ["time.scheme=explicit", "time.step=0.05"]), (7, ["output.every=6"]),
-        (19, ["output.profiles=last"]),
-    ],
-)  # fmt: skip
-def test_restart_equals_an_uninterrupted_run(shared_path, comm, stopped_after, stop, extra):
-    whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
-    run_case(PAPER, whole, [*SMALL, *extra], comm=comm)
-    with (
-        stopped_after(stop),
-        pytest.raises(ComputationError, match=f"SIGTERM after step {stop} of 20"),
-    ):
-        run_case(PAPER, parts, [*SMALL, *extra], comm=comm)
-    if comm.rank == 0:
-        assert results.read_status(parts) == ("incomplete", stop)
-    with pytest.raises(InputError, match="interrupted after step"):
-        run_case(PAPER, parts, [*SMALL, *extra], comm=comm)
-    run_case(PAPER, parts, [*SMALL, *extra], comm=comm, restart=True)
-    if comm.rank == 0:
-        assert_same(whole, parts)
-        assert results.read_status(parts) == ("complete", 20)
 
 
 def test_a_longer_history_extends_a_complete_one(shared_path, comm):

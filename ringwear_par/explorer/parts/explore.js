@@ -1,7 +1,7 @@
 "use strict";
 const find = (id) => document.getElementById(id);
 const element = (name, text = "", more = {}) => Object.assign(document.createElement(name), { textContent: text, ...more });
-const page = { talk: null, n: 0, flying: false, waiting: false, values: {}, instant: 1, menu: find("menu").value, moving: false, sketch: false };
+const page = { talk: null, n: 0, flying: false, waiting: false, values: {}, instant: 1, menu: find("menu").value, moving: false };
 
 // -- what is asked for: one wish at a time, the last one next, so that moves never queue up
 function ask() {
@@ -24,7 +24,7 @@ function rest() {
   clearTimeout(resting);
   resting = setTimeout(() => {
     if (page.flying) return;
-    if (page.sketch) { page.moving = false; ask(); } else say(page.words ?? "");
+    say(page.words ?? "");
   }, 300);
 }
 function say(words, busy = false) {
@@ -76,8 +76,6 @@ function hear(told) {
   if (told.assembling) { say("Assembling the bodies \u2026", true); return; }
   const faults = told.faults ?? [], answered = told.n === page.n;
   const rested = !page.waiting && (answered || !page.flying);
-  page.sketch = Boolean(told.sketch);
-  if (page.sketch) say("A sketch in coarser steps, until the slider rests.", true);
   if (answered && page.flying) land(); else if (!page.flying) rest();
   page.drawn = (page.drawn ?? 0) + 1;
   if (told.faults) {

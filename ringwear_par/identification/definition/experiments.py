@@ -1,5 +1,6 @@
 """``[[experiment]]``: tests of a fit file, each with its case and its measurements."""
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -194,8 +195,12 @@ def _named(series: list[Series]) -> tuple[Series, ...]:
     """Return series with names that differ."""
     counts: dict[str, int] = {}
     named = []
+    several = [quantity for quantity, n in Counter(s.quantity for s in series).items() if n > 1]
     for one in series:
-        name = one.quantity if one.at is None else f"{one.quantity} at {one.at:g} s"
+        at = one.at
+        if at is None and one.n == 1 and one.quantity in several:  # weighings
+            at = float(one.x[0])
+        name = one.quantity if at is None else f"{one.quantity} at {at:g} s"
         counts[name] = counts.get(name, 0) + 1
         if counts[name] > 1:
             name = f"{name} ({counts[name]})"

@@ -102,7 +102,10 @@ def read_fit(
     _check_counts(name, parameters, experiments, faults)
     check_scatter(name, parameters, experiments, settings, faults)
     check_censored(name, settings, experiments, faults)
+    before = len(faults)
     check_process(name, settings.process, experiments, settings.intervals, faults)
+    # what is wrong with it whatever the law is said once
+    process_of_laws = settings.process if len(faults) == before else {}
     alternatives = {}
     for law, (changes, law_parameters) in laws.items():
         alternatives[law] = Problem(
@@ -114,7 +117,7 @@ def read_fit(
         linear = replace(settings, intervals=("linear",))
         check_scatter(f"{name}: compare.{law}", law_parameters, experiments, linear, faults)
         changed = alternatives[law].experiments
-        check_process(alternatives[law].name, settings.process, changed, ("linear",), faults)
+        check_process(alternatives[law].name, process_of_laws, changed, ("linear",), faults)
     if faults:
         raise InputError(*faults)
     return Problem(

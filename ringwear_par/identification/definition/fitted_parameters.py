@@ -21,6 +21,9 @@ from ringwear_par.identification.definition.scatter import read_scatter
 from ringwear_par.identification.definition.schema import PARAMETER
 from ringwear_par.studies.definition.variations import split_key
 
+#: other units of keys, by the case's
+_EXAMPLES = {"1/MPa": "mm3/(N m)", "MPa": "GPa", "mm": "um", "mm/s": "um/h", "rad/s": "rpm"}
+
 
 def unnested(table: Mapping[str, Any]) -> dict[str, Any]:
     """Return entries by dotted key, whether written quoted or not."""
@@ -89,7 +92,9 @@ def read_units(said: str, table: Any, parameters: Any, faults: list[str]) -> dic
             factor(str(unit), base_unit(key))
         except RejectedError:
             base = base_unit(key) or "a parameter"
-            faults.append(f'{said}."{legible(key)}" = {shortened(unit)}: must be a unit of {base}')
+            example = f', such as "{_EXAMPLES[base]}"' if base in _EXAMPLES else ""
+            state = f'{said}."{legible(key)}" = {shortened(unit)}'
+            faults.append(f"{state}: must be a unit of {base}{example}")
     return units
 
 

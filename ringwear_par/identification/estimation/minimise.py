@@ -74,7 +74,7 @@ def minimise(
     new_points: list[FloatArray] = []
 
     def evaluate(x: FloatArray) -> Evaluation:
-        if not misfit.is_computed(x):
+        if not misfit.responses.are_known(x):
             new_points.append(x)
             if wait_for is not None:
                 wait_for(x)
@@ -105,7 +105,7 @@ def minimise(
         if more < _ITERATIONS or not gain > _NO_GAIN:
             break
     evaluation = evaluate(x)
-    misfit.forget(new_points, x)
+    misfit.responses.forget(new_points, x)
     good = still or _gradient(evaluation, x, box, free) <= _GOOD_GRADIENT
     return Optimum(x, evaluation, good, iterations, len(new_points))
 

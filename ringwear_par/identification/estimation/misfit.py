@@ -22,7 +22,8 @@ from ringwear_par.identification.definition.problem import (
     Problem,
     Series,
 )
-from ringwear_par.identification.model.histories import ROUGH_STEPS, STEPS, Histories, HistoryError
+from ringwear_par.identification.estimation.responses import Responses
+from ringwear_par.identification.model.histories import Histories, HistoryError
 from ringwear_par.identification.model.noise import (
     censored_rows,
     log_constant,
@@ -92,14 +93,11 @@ class Misfit:
     lower, upper : (u,) bounds.
     priors : of unknowns, by their numbers.
     noise_scale : of each series, by which its sd is multiplied.
-    steps : about how many a history makes.
-    exact : whether the operators of histories are; those of a search may be interpolated.
-    response_cache : readings of each test with derivatives, or why there are none, by its number
-        and the bytes of the keys' values.
+    responses : readings of the tests' histories.
     """
 
     def __init__(self, problem: Problem, histories: Histories) -> None:
-        self.problem, self._histories = problem, histories
+        self.problem, self.responses = problem, Responses(problem, histories)
         self._m = len(problem.parameters)
         self.records: list[Record] = []
         self.n = 0
@@ -113,8 +111,6 @@ class Misfit:
                  for r in self.records]  # fmt: skip
         self.censored = np.concatenate(sides)
         self.noise_scale = np.ones(len(self.records))
-        self.steps, self.exact = STEPS, True
-        self.response_cache: dict[tuple[int, bytes], FloatArray | HistoryError] = {}
         self._lay_out_unknowns()
 
     def _lay_out_unknowns(self) -> None:
@@ -161,62 +157,6 @@ class Misfit:
         """Return the fitted keys' values (m,) of unknowns, nuisances among them or not."""
         return self.problem.values(x[: self._m])
 
-    def allowed(self, points: FloatArray) -> BoolArray:
-        """Return at which unknowns (p, m) of the fitted keys all rules of the laws hold, (p,)."""
-        return self._histories.allowed(np.array([self.values(x) for x in points]))
-
-    # readings of the model: one history a test
-
-    def compute(self, points: Sequence[FloatArray]) -> None:
-        """Have the histories at unknowns computed together, and keep them. Not collective."""
-        tests = range(len(self.problem.experiments))
-        self._compute([(test, v) for v in map(self.values, points) for test in tests])
-
-    def _compute(self, wanted: Sequence[tuple[int, FloatArray]]) -> None:
-        """Have the histories of tests at values of the keys computed together, and keep them."""
-        new = {(test, v.tobytes()): v for test, v in wanted}
-        new = {key: v for key, v in new.items() if key not in self.response_cache}
-        values = list({v.tobytes(): v for v in new.values()}.values())
-        numbers = {v.tobytes(): i for i, v in enumerate(values)}
-        pairs = [(numbers[content], test) for test, content in new]
-        if pairs:
-            responses = self._histories.read(np.array(values), pairs, self.steps, exact=self.exact)
-            self.response_cache.update(zip(new, responses, strict=True))
-
-    def is_computed(self, x: FloatArray) -> bool:
-        """Tell whether the histories at unknowns were computed."""
-        return (0, self.values(x).tobytes()) in self.response_cache
-
-    def forget(self, points: Sequence[FloatArray], but: FloatArray) -> None:
-        """Forget the histories at unknowns, but for those at some."""
-        past = {self.values(x).tobytes() for x in points} - {self.values(but).tobytes()}
-        for key in [key for key in self.response_cache if key[1] in past]:
-            del self.response_cache[key]
-
-    def keep_only(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> None:
-        """Forget all histories but those at unknowns, see ``evaluate``. Not collective."""
-        self._response(x, test_unknowns)
-        remaining = {
-            (test, values.tobytes())
-            for test, values in enumerate(self.values_of_tests(x, test_unknowns))
-        }
-        self.response_cache = {k: v for k, v in self.response_cache.items() if k in remaining}
-
-    def part_from_histories(self) -> None:
-        """Let the histories' engines and communicator go: responses computed so far remain."""
-        del self._histories
-
-    def refine(self) -> None:
-        """Have histories make twice as many steps from now on."""
-        self.steps *= 2
-        self.response_cache = {}
-
-    def be_exact(self, exact: bool) -> None:
-        """Have histories on exact operators from now on, or rough ones: interpolated, few steps."""
-        if exact != self.exact:
-            self.steps = STEPS if exact else ROUGH_STEPS
-            self.exact, self.response_cache = exact, {}
-
     def values_of_tests(self, x: FloatArray, test_unknowns: FloatArray | None) -> list[FloatArray]:
         """Return the fitted keys' values (m,) of each test.
 
@@ -229,16 +169,7 @@ class Misfit:
         return [self.values(unknowns) for unknowns in test_unknowns]
 
     def _response(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> FloatArray:
-        """Return the readings of all tests and their derivatives by the values, (n, 1 + m)."""
-        wanted = list(enumerate(self.values_of_tests(x, test_unknowns)))
-        self._compute(wanted)
-        responses = []
-        for test, values in wanted:
-            response = self.response_cache[test, values.tobytes()]
-            if isinstance(response, HistoryError):
-                raise response
-            responses.append(response)
-        return np.concatenate(responses)
+        return self.responses.of_tests(self.values_of_tests(x, test_unknowns))
 
     def model_readings(self, x: FloatArray) -> FloatArray:
         """Return the readings (n,) as the model has them without nuisances. Not collective.
@@ -362,11 +293,11 @@ class Misfit:
         ----------
         x, evaluation, covariance : the optimum, the residuals there, (u, u) of the unknowns.
         """
-        finer = self._histories.responses(self.values(x)[None], 2 * self.steps, derivatives=False)
-        if isinstance(finer[0], HistoryError):
-            log.warning("what shorter steps would change is not known: %s", finer[0])
+        finer = self.responses.in_shorter_steps(self.values(x))
+        if isinstance(finer, HistoryError):
+            log.warning("what shorter steps would change is not known: %s", finer)
             return None
-        change = self.whitened(finer[0][:, 0] - self.model_readings(x))
+        change = self.whitened(finer - self.model_readings(x))
         growth = (
             loss_roots(self.problem.settings.loss, evaluation.noise + change)[0]
             - evaluation.residuals[: self.n]

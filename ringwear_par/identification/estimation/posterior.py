@@ -91,7 +91,7 @@ def sample_posterior(
         scores = np.full(len(points), -np.inf)
         inside = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
         values = np.array([misfit.values(point) for point in points[inside]]).reshape(-1, m)
-        responses = histories.responses(values, misfit.steps, derivatives=False)
+        responses = histories.responses(values, misfit.responses.steps, derivatives=False)
         for i, value, readings in zip(inside, values, responses, strict=True):
             if not isinstance(readings, Exception):
                 scores[i] = marginal(value, readings[:, 0])
@@ -146,7 +146,7 @@ def _start(misfit: Misfit, x: FloatArray, covariance: FloatArray, walkers: int) 
     wide = np.abs(shifts) > high - low
     start = reflected(x[:m] + np.where(wide, drawn * spread, shifts), low, high)
     for _ in range(_NEARER):  # towards the optimum, which is a case
-        out = ~misfit.allowed(start)
+        out = ~misfit.responses.allowed(start)
         start[out] = 0.5 * (start[out] + x[:m])
     return start
 

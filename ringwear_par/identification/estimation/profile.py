@@ -100,7 +100,7 @@ def likelihood_profiles(
         partial(_limit, misfit, optimum, covariance, j, (-1.0, 1.0)[side], root, tables[j])
         for j, side, root in searched
     ]
-    limits = side_by_side(searches, misfit.compute)
+    limits = side_by_side(searches, misfit.responses.compute)
     better = [one.better for one in limits if one.better is not None]
     if better:
         best = min(better, key=lambda one: one.evaluation.objective)

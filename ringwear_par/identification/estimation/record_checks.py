@@ -192,9 +192,9 @@ def _responding(misfit: Misfit, start: FloatArray) -> BoolArray:
         return responding
     most = max(_POINTS, problem.settings.starts)
     points = [np.concatenate([row, start[m:]]) for row in case_points(misfit, most)]
-    misfit.compute(points)
+    misfit.responses.compute(points)
     responding = np.logical_or.reduce([responding, *map(at, points)])
-    misfit.forget(points, start)
+    misfit.responses.forget(points, start)
     return responding
 
 

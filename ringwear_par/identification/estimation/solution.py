@@ -91,16 +91,16 @@ def solve(misfit: Misfit, rounds: Rounds, law: str, stored: StoredStarts) -> Sol
     """
     keys, prefix = misfit.problem.keys, f"{law}: " if law else ""
     _begin(misfit)
-    misfit.be_exact(not rounds.operators.are_interpolated)
+    misfit.responses.be_exact(not rounds.operators.are_interpolated)
     starts = solve_starts(misfit, rounds, law, stored)
-    misfit.be_exact(True)
+    misfit.responses.be_exact(True)
     x = np.array(_best(starts, misfit.problem.name).unknowns)
     histories_of_profiles = 0
     while True:
         optimum = _with_noise(misfit, x)
         parameters, covariance = estimates(misfit, optimum.x, optimum.evaluation)
         shift = misfit.discretisation_shift(optimum.x, optimum.evaluation, covariance)
-        may_halve = misfit.steps < STEPS << _HALVINGS
+        may_halve = misfit.responses.steps < STEPS << _HALVINGS
         if shift is not None and may_halve and np.abs(shift).max() > MOST_SHIFT_SD:
             _refine(misfit, shift)
             x = optimum.x
@@ -169,8 +169,8 @@ def _with_noise(misfit: Misfit, x: FloatArray) -> Optimum:
 def _refine(misfit: Misfit, shift: FloatArray) -> None:
     """Halve the steps, and say why."""
     most = int(np.abs(shift).argmax())
-    misfit.refine()
+    misfit.responses.refine()
     log.info(
         "steps half as long move %s by %.2g sd; the fit goes on with %d instead of %d a test",
-        misfit.problem.keys[most], shift[most], misfit.steps, misfit.steps // 2,
+        misfit.problem.keys[most], shift[most], misfit.responses.steps, misfit.responses.steps // 2,
     )  # fmt: skip

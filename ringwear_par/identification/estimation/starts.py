@@ -163,7 +163,7 @@ def case_points(misfit: Misfit, count: int) -> FloatArray:
     good: list[FloatArray] = []
     for _ in range(_DOUBLINGS):
         drawn = low + (high - low) * sampler.random(more)
-        good += list(drawn[misfit.allowed(drawn)])
+        good += list(drawn[misfit.responses.allowed(drawn)])
         if len(good) >= count:
             return np.array(good[:count])
         more = sampler.num_generated
@@ -190,7 +190,9 @@ def start_points(misfit: Misfit, histories: Histories) -> FloatArray:
     values = np.array([misfit.values(x) for x in drawn])
     marginal = MarginalLikelihood(misfit, np.append(first[0], misfit.expected_nuisances))
     moves, improbable = np.zeros((len(drawn), m)), np.full(len(drawn), np.inf)
-    for i, response in enumerate(histories.responses(values, ROUGH_STEPS, exact=misfit.exact)):
+    for i, response in enumerate(
+        histories.responses(values, ROUGH_STEPS, exact=misfit.responses.exact)
+    ):
         if not isinstance(response, Exception):
             slopes = misfit.whitened(response[:, 1:] * problem.slopes(values[i]))
             moves[i] = np.linalg.norm(slopes, axis=0)
@@ -233,7 +235,7 @@ def solve_starts(
         progress.write(outcomes[-1])
 
     def compute(points: list[FloatArray]) -> None:
-        misfit.compute(points)
+        misfit.responses.compute(points)
         histories.tell(_state(name, len(numbers), outcomes))
 
     for first in range(0, len(left), _MOST_TOGETHER):
@@ -245,7 +247,7 @@ def solve_starts(
 def solve_from(misfit: Misfit, number: int, x: FloatArray) -> StartOutcome:
     """Return the outcome of one more start, from unknowns (u,). Not collective."""
     start = x[: len(misfit.problem.parameters)]
-    (outcome,) = side_by_side([partial(_solved, misfit, number, start)], misfit.compute)
+    (outcome,) = side_by_side([partial(_solved, misfit, number, start)], misfit.responses.compute)
     return outcome
 
 
@@ -268,10 +270,10 @@ def _solved(misfit: Misfit, number: int, unknowns: FloatArray, wait_for: WaitFor
         wait_for(x)
 
     try:
-        if not misfit.is_computed(first):
+        if not misfit.responses.are_known(first):
             count_and_wait(first)
         optimum = minimise(misfit, misfit.with_best_nuisances(values), count_and_wait)
-        misfit.forget([first], optimum.x)
+        misfit.responses.forget([first], optimum.x)
     except StoppedError:
         raise
     except RingwearError as error:

@@ -15,7 +15,7 @@ from ringwear_par.cases.files.keys import flatten
 from ringwear_par.cases.units import has_unit, in_unit
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import legible
-from ringwear_par.files.folders import DESIGN, MAP, NEXT, json_bytes, new_files, write_contents
+from ringwear_par.files.folders import DESIGN, MAP, NEXT, json_bytes, write_outcome
 from ringwear_par.files.text import parse_toml, toml_value
 from ringwear_par.identification.definition.problem import Series
 from ringwear_par.identification.test_design.candidates import LOADS, Candidate, last_profiles
@@ -30,19 +30,13 @@ _EQUAL = 1e-6
 
 
 def save(design: DesignResult, folder: Path) -> None:
-    """Write all three files; design.json, which says that it is whole, the last. On one rank.
-
-    Raises
-    ------
-    InputError, ComputationError : the folder or the disk.
-    """
-    with new_files(folder, FILES, "fit"):
-        contents: dict[str, Callable[[], bytes | None]] = {
-            MAP: lambda: picture(design.plot, str(folder / MAP)),
-            NEXT: lambda: next_tests(design).encode(),
-            DESIGN: lambda: json_bytes(design.to_dict()),
-        }
-        write_contents(folder, contents)
+    """Write all three files, see ``write_outcome``."""
+    contents: dict[str, Callable[[], bytes | None]] = {
+        MAP: lambda: picture(design.plot, str(folder / MAP)),
+        NEXT: lambda: next_tests(design).encode(),
+        DESIGN: lambda: json_bytes(design.to_dict()),
+    }
+    write_outcome(folder, "fit", contents)
 
 
 def next_tests(design: DesignResult) -> str:

@@ -16,7 +16,8 @@ from ringwear_par.identification.scatter.material import known_sizes
 from ringwear_par.identification.test_design.candidates import Candidate
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.search import Design
-from ringwear_par.pictures.designs import design_figure
+from ringwear_par.pictures.designs import design_panels
+from ringwear_par.pictures.matplotlib import panel_figure
 from ringwear_par.results.key_numbers import time_unit, time_words
 
 _CRITERIA = {
@@ -24,6 +25,8 @@ _CRITERIA = {
     "A": "smallest mean variance over the widths of the bounds (A)",
     "eig": "largest expected gain of information (eig)",
 }
+#: inches of a panel, and of a test of a design that bars show
+_WIDTH, _HEIGHT, _LINE = 4.6, 4.2, 0.2
 #: designs that a summary shows
 _LISTED = 5
 
@@ -80,7 +83,10 @@ def to_dict(design: DesignResult) -> dict[str, Any]:
 
 def plot(design: DesignResult) -> Figure:
     """Return the map of predicted standard deviations, or bars of those of the best designs."""
-    return design_figure(to_dict(design))
+    outcome = to_dict(design)
+    panels = design_panels(outcome)
+    lines = sum(len(one["experiments"]) for one in outcome["designs"])
+    return panel_figure([panels], (_WIDTH * len(panels), max(_HEIGHT, _LINE * lines)))
 
 
 def _map(design: DesignResult) -> dict[str, Any] | None:

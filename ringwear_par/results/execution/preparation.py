@@ -15,6 +15,9 @@ from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import open_result, read_error, read_status, restored
 
+#: of result files
+_ENDINGS = (".h5", ".hdf5", ".nc")
+
 
 def reached_end(case: Case, result: Result) -> bool:
     """Tell whether a result has come to the end of a case."""
@@ -62,6 +65,11 @@ def prepare(
         check_writable(output)
         if output.exists() and path.exists() and output.samefile(path):
             raise InputError(f"{output}: is the case file itself; must be another name")
+        if output.suffix and output.suffix not in _ENDINGS:
+            raise InputError(
+                f"{output}: its ending must be one of {', '.join(_ENDINGS)}; ringwear export "
+                "writes tables of results"
+            )
         if case is not None and not overwrite:
             before = _interrupted(output, case, restart)
     except InputError as error:

@@ -233,7 +233,7 @@ class Recorder:
                 "symmetry_defect": float(last.symmetry_defect[0]),
                 "step_error_time": float(self._balances.step_error_time[number]),
                 "closing_contact": int(self._balances.closing_contact[number]),
-                "doubts": json.dumps([warning.text for warning in warnings]),
+                "doubts": json.dumps([warning.to_dict() for warning in warnings]),
             },
             Checkpoint(last.start, int(self._rows.pending[number]), self.warnings.worst(number)),
             parameters=self._rows.parameters,

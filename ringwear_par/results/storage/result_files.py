@@ -17,7 +17,7 @@ import numpy as np
 from ringwear_par.batched import one
 from ringwear_par.contact.problem import ContactState, WarmStart
 from ringwear_par.elasticity.geometry.mesh import ContactLine
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError, InputError, ValidityWarning
 from ringwear_par.files.writing import check_writable
 from ringwear_par.history.observers.worst_states import ENTRIES
 from ringwear_par.history.state import Progress, Start, State
@@ -187,7 +187,8 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
     if attributes["status"] not in ("complete", "incomplete"):
         raise ValueError("status")
     doubts, laws = json.loads(attributes["doubts"]), json.loads(attributes["user_laws"])
-    for text in (*doubts, *laws, *laws.values()):
+    texts = [ValidityWarning.of(doubt).text for doubt in doubts]
+    for text in (*texts, *laws, *laws.values()):
         read_text(text)
     return attributes
 

@@ -127,7 +127,7 @@ def _medians(arrangement: Arrangement, values: FloatArray) -> list[Curve | Band 
     repeated = [y[x == level] for level in levels]
     middle = np.array([np.median(part) for part in repeated])
     if arrangement.kind == "scatter":
-        return [Points(levels, middle, "median", COLOURS[1], 20.0, level=True)]
+        return [Points(levels, middle, "median", COLOURS[1], 20.0, marker="level")]
     whole = np.median([len(part) for part in repeated]) < _FEW_REPEATED
     ends = (0.0, 1.0) if whole else _QUANTILES
     low, high = np.array([np.quantile(part, ends) for part in repeated]).T
@@ -141,7 +141,7 @@ def _medians(arrangement: Arrangement, values: FloatArray) -> list[Curve | Band 
         )
         levels[::3] -= _BOX
         levels[1::3] += _BOX
-        summary.append(Points(levels[::3] + _BOX, middle, median, COLOURS[1], 20.0, level=True))
+        summary.append(Points(levels[::3] + _BOX, middle, median, COLOURS[1], 20.0, marker="level"))
     else:
         summary.append(Curve(levels, middle, median, COLOURS[1], marked=True))
     ends_names = ("least", "largest") if whole else ("5 %", "95 %")
@@ -158,9 +158,9 @@ def _response(choice: Choice, key: Key, output: str) -> tuple[list[Curve], list[
     name, short = "surrogate", "surrogate"
     if len(responses.part.keys) > 1:
         name, short = f"{name}, mean over the other keys", f"{short}, mean over others"
-    ends = ("less 2 leave-out errors", "plus 2 leave-out errors")
-    error = "\N{PLUS-MINUS SIGN} 2 leave-out errors"
-    band = Band(along, factor * low, factor * high, error, ends, COLOURS[1], 0.5)
+    ends = ("95 % of the surrogate, from", "95 % of the surrogate, to")
+    interval = "95 % of the surrogate (2 leave-out errors)"
+    band = Band(along, factor * low, factor * high, interval, ends, COLOURS[1], 0.5)
     return [Curve(along, factor * mean, name, COLOURS[0], legend=short)], [band]
 
 

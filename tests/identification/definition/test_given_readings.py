@@ -134,7 +134,7 @@ def test_what_is_taken_for_a_unit_is_told(good, tmp_path, comm):
     tables, _ = assumptions("t", "z_mm")
     found = fit(tables, comm)
     sentence = f"penetration (test 1): {said[0]}"
-    assert sentence in found.to_dict()["warnings"]
+    assert sentence in [doubt["text"] for doubt in found.to_dict()["doubts"]]
     assert f"warning: {sentence}" in found.summary()
     assert f"warning: {sentence}" in prediction(expected_result(read_fit(tables), comm))
     with pytest.raises(InputError, match=r"the column t / min of .* is in min by its name"):
@@ -194,7 +194,6 @@ def test_a_part_that_opposes_the_model_is_told(good, tmp_path, comm):
     assert first == 0.0
     assert 4.0 <= last <= 30.0
     assert doubt.experiments == ("test 1",)
-    assert doubt.text in found.warnings
     assert f"exclude = [[0, {last:g}]]" in doubt.text
     table["exclude"] = [[first, last]]
     assert not any(one.code == "readings-oppose" for one in fit(tables, comm).doubts)

@@ -12,7 +12,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.user_units import specific_wear_rate
 from ringwear_par.identification.fit import expected_result
-from ringwear_par.identification.summary import unit_lines
+from ringwear_par.identification.fit_rows import key_rows
 
 pytestmark = pytest.mark.serial
 
@@ -242,17 +242,15 @@ def test_keys_are_told_in_the_users_unit(plan):
     tables["fit"]["parameters"]["wear.lower.k"]["start"] = "1.3e-4 mm3/(N m)"
     tables["fit"]["parameters"]["wear.lower.p0"]["start"] = 20.0
     entry = expected(tables)
-    assert entry["told"]["unit"] == "mm3/(N m)"
-    assert entry["told"]["next"] is None
-    assert entry["told"]["per"] == "friction energy"
-    assert "= 0.00013 mm3/(N m) per friction energy  from" in unit_lines(entry)[0]
-    assert entry["told"]["estimate"] == pytest.approx(1.3e-4)
+    (row,) = key_rows("wear.lower.k", entry)  # once, not in the case's unit too
+    assert row.unit == "mm3/(N m) per friction energy"
+    assert row.estimate == pytest.approx(1.3e-4)
     for name in ("estimate", "sd", "interval"):
-        assert entry["told"][name] == pytest.approx(1e3 * np.array(entry[name]))
+        assert getattr(row, name) == pytest.approx(1e3 * np.array(entry[name]))
     assert "specific_wear_rate" not in entry  # there is a threshold
     tables["fit"]["units"] = {"wear.lower.k": "um2/N", "wear.lower.p0": "bar"}
-    assert expected(tables)["told"]["unit"] == "um2/N"
-    p0 = expected(tables, "wear.lower.p0")["told"]
+    assert expected(tables)["in_users_unit"]["unit"] == "um2/N"
+    p0 = expected(tables, "wear.lower.p0")["in_users_unit"]
     assert p0["estimate"] == pytest.approx(200.0)
     assert "per" not in p0
     tables["fit"]["units"] = {"wear.lower.k": "mm", "wear.lower.q": "MPa"}

@@ -3,7 +3,6 @@
 import copy
 import json
 import re
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -110,16 +109,6 @@ def test_defaults_are_those_of_what_is_read():
     assert said.settings == plain.settings
     assert said.design == plain.design
     assert said.parameters == plain.parameters
-
-
-@pytest.mark.parametrize("name", ["fit.toml", "plan.toml"])
-def test_files_that_there_are_keep_to_it(name):
-    tables = tomllib.loads((FIT / name).read_text())
-    known = in_schema("experiment.data.")
-    for experiment in tables["experiment"]:
-        assert set().union(*experiment["data"]) <= known
-    assert tables.keys() <= {key.path.partition(".")[0] for key in KEYS}
-    read_fit(FIT / name, plans=True)
 
 
 @pytest.mark.serial

@@ -1,6 +1,7 @@
 """Samples of the posterior: exact where the model is linear, within bounds, alike on all ranks."""
 
 import copy
+import re
 from dataclasses import replace
 
 import h5py
@@ -108,17 +109,19 @@ def test_a_prior_is_that_of_the_value_on_a_logarithmic_scale(linear, comm):
 @pytest.mark.serial
 def test_samples_are_kept(laboratory, comm, tmp_path):
     folder, written = laboratory
-    found = fit(fit_tables(folder, written, intervals=["posterior"], samples=64, starts=1), comm)
+    tables = fit_tables(folder, written, intervals=["posterior"], samples=64, starts=1)
+    tables["experiment"] = copy.deepcopy(written)
+    tables["experiment"][0]["data"][0]["sd"] = "fit"
+    found = fit(tables, comm)
     assert len(found.posterior.samples) >= 64
-    assert any("samples are worth" in sentence for sentence in found.warnings)
+    assert "few-samples" in [doubt.code for doubt in found.doubts]
     found.save(tmp_path / "out")
     with h5py.File(tmp_path / "out/results.h5") as file:
         assert file["posterior/wear.lower.p0"][:].tolist() == found.posterior.samples[:, 1].tolist()
     told = found.to_dict()["parameters"]["wear.lower.p0"]["posterior"]
     low, high = told["interval"]
     assert FITTED["wear.lower.p0"]["bounds"][0] <= low < told["median"] < high
-    assert "posterior:" in found.summary()
-    assert "fitted noise" not in found.summary()
+    assert re.search(r"posterior: .*; fitted noise stays at its best value", found.summary())
 
 
 @pytest.fixture
@@ -170,7 +173,6 @@ def test_a_stopped_posterior_goes_on(laboratory, tmp_path, comm, stop_after):
     found = fit_problem(read_fit(tables), comm, folder=tmp_path)
     assert lengths[0] == 3
     assert len(found.posterior.samples) == 64
-    assert 0 <= found.histories - fit_problem(read_fit(tables), comm).histories <= 2
 
 
 def test_a_chain_of_another_problem_is_not_continued(tmp_path):
@@ -200,12 +202,3 @@ def test_a_chain_of_another_problem_is_not_continued(tmp_path):
     path.write_bytes(whole[: len(whole) // 2])
     assert length(path, "one", shape) == 0
     assert length(tmp_path / "none.npz", "one", shape) == 0
-
-
-@pytest.mark.serial
-def test_that_fitted_noise_stays_is_said(laboratory, comm):
-    folder, written = laboratory
-    tables = fit_tables(folder, written, intervals=["posterior"], samples=64, starts=1)
-    tables["experiment"] = copy.deepcopy(written)
-    tables["experiment"][0]["data"][0]["sd"] = "fit"
-    assert "; fitted noise stays at its best value" in fit(tables, comm).summary()

@@ -1,0 +1,120 @@
+"""The contents of fit.json."""
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.definition.fitted_parameters import units_of
+from ringwear_par.identification.definition.user_units import in_users_unit, specific_wear_rate
+from ringwear_par.identification.estimation.intervals import ParameterEstimate
+from ringwear_par.identification.estimation.starts import StartOutcome
+from ringwear_par.identification.fit_result import FitResult
+
+
+def to_dict(fit: FitResult) -> dict[str, Any]:
+    """Return the contents of fit.json."""
+    problem = fit.misfit.problem
+    return {
+        "parameters": _parameters(fit),
+        "keys": [p.key for p in fit.parameters],
+        "covariance": _finite(fit.natural_covariance),
+        "information": fit.information.tolist(),
+        "log": [p.log for p in problem.parameters],
+        "level": problem.settings.level,
+        "chi2": fit.chi2,
+        "n_data": fit.n,
+        "degrees_of_freedom": fit.freedom,
+        "p_value": fit.p_value,
+        "flagged": fit.flagged,
+        "aic": fit.aic,
+        "bic": fit.bic,
+        "log_evidence": fit.apply("log_evidence"),
+        "specimens": len({e.groups[0] for e in problem.experiments}),
+        "process": {} if fit.material is None else fit.material.process,
+        "experiments": fit.experiments,
+        "nuisance": fit.nuisances,
+        "histories": fit.histories,
+        "histories_of_profiles": fit.histories_of_profiles,
+        "steps": fit.misfit.responses.steps,
+        "moved_by_shorter_steps": dict(fit.discretisation_shift_sd),
+        "doubts": [doubt.to_dict() for doubt in fit.doubts],
+        "starts": [_started(one, problem.keys) for one in fit.starts],
+        "profiles": {key: _finite(table) for key, table in fit.profiles.items()},
+        "alternatives": {
+            name: {
+                k: v for k, v in other.to_dict().items() if k not in ("alternatives", "data", "key")
+            }
+            for name, other in fit.alternatives.items()
+        }
+        | {name: {"error": reason} for name, reason in fit.failed.items()},
+        "method": problem.settings.method,
+        "loss": problem.settings.loss,
+        "versions": dict(fit.versions),
+        "data": dict(problem.hashes),
+        "key": problem.key,
+    }
+
+
+def _parameters(fit: FitResult) -> dict[str, Any]:
+    problem = fit.misfit.problem
+    units, bounds = units_of(problem), {p.key: p.bounds for p in problem.parameters}
+    entries = {
+        p.key: {
+            **_parameter(p),
+            "bounds": list(bounds[p.key]),
+            "of": "specimens",
+            "interval_of": "likelihood profile" if p.key in fit.profiles else "linear model",
+            "unit": units[p.key],
+        }
+        for p in fit.parameters
+    }
+    if fit.material is not None:
+        for j, entry in enumerate(entries.values()):
+            entry.update(fit.material.entry(j))
+    for doubt in fit.doubts:
+        if doubt.code == "conditional-verdict":
+            key, bound = doubt.keys
+            entries[key].setdefault("conditional_on", []).append(bound)
+    if fit.posterior is not None:
+        samples = fit.posterior.samples
+        ends = fit.posterior.interval(problem.settings.level)
+        for j, entry in enumerate(entries.values()):
+            entry["posterior"] = {
+                "median": float(np.median(samples[:, j])),
+                "sd": float(samples[:, j].std(ddof=1)),
+                "interval": ends[:, j].tolist(),
+                "effective_samples": fit.posterior.effective,
+            }
+    covariance = fit.natural_covariance.tolist()
+    for parameter in problem.parameters:
+        entry, case = entries[parameter.key], problem.experiments[0].case
+        if (numbers := in_users_unit(parameter, entry, case)) is not None:
+            entry["in_users_unit"] = numbers
+        rate = specific_wear_rate(problem, parameter.key, entries, covariance)
+        if rate is not None:
+            entry["specific_wear_rate"] = rate
+    return entries
+
+
+def _parameter(estimate: ParameterEstimate) -> dict[str, Any]:
+    entry = asdict(estimate)
+    del entry["key"]
+    entry["interval"] = list(estimate.interval)
+    if not estimate.direction:
+        del entry["direction"]
+    return entry
+
+
+def _started(outcome: StartOutcome, keys: tuple[str, ...]) -> dict[str, Any]:
+    entry = asdict(outcome)
+    del entry["unknowns"], entry["number"]
+    for name in ("start", "optimum"):
+        entry[name] = dict(zip(keys, entry[name], strict=False))
+    entry["objective"] = outcome.objective if np.isfinite(outcome.objective) else None
+    return entry
+
+
+def _finite(table: FloatArray) -> list[list[float | None]]:
+    return [[v if np.isfinite(v) else None for v in row] for row in table.tolist()]

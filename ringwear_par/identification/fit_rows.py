@@ -1,0 +1,258 @@
+"""The numbers of a fit as people read them: rows and sentences that its summary and page share.
+
+An ``outcome`` is the contents of fit.json (``FitResult.to_dict``), an ``entry`` those of a key.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ringwear_par.cases.units import CUSTOMARY
+from ringwear_par.identification.definition.problem import body_of_wear
+from ringwear_par.identification.definition.scatter import PLURALS
+from ringwear_par.identification.evidence import probabilities
+
+Entry = Mapping[str, Any]
+Interval = Sequence[float | None]
+
+#: units of nuisances, after that of their readings
+_PER = {"compliance": "/kN", "tilt": "/mm"}
+#: headers of tables; cells are "" where there is nothing
+SERIES = ("series", "readings", "chi2", "unit", "fitted noise", "nuisances")
+LAWS = (
+    "law", "AIC above the smallest", "BIC", "chi2", "probability", "parameters", "verdict",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class KeyRow:
+    """A number of a fitted key, in the unit that its user writes.
+
+    Parameters
+    ----------
+    label : the key, or what the number is where it is another one.
+    interval : its ends, None where there is no limit.
+    verdict : on the key, "" beside another number; note : what else is to be said of the number.
+    posterior : median and ends of an interval of samples; () for none.
+    """
+
+    label: str
+    estimate: float
+    sd: float | None
+    unit: str
+    interval: Interval
+    verdict: str = ""
+    note: str = ""
+    posterior: tuple[float, ...] = ()
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def limits(interval: Interval, digits: int = 5) -> str:
+    """Return an interval in words."""
+    low, high = interval
+    if low is not None and high is not None:
+        return f"from {low:.{digits}g} to {high:.{digits}g}"
+    if low is None and high is None:
+        return "no limit within its bounds"
+    return f"more than {low:.{digits}g}" if high is None else f"less than {high:.{digits}g}"
+
+
+def _in_users_unit(entry: Entry) -> Entry:
+    """Return the numbers of a key in the unit that its user writes, or else in the case's."""
+    return entry.get("in_users_unit") or {**entry, "scale": 1.0}
+
+
+def key_rows(key: str, entry: Entry) -> list[KeyRow]:
+    """Return the rows of a fitted key: its estimate, and the specific wear rate that this means."""
+    in_unit, unit = _in_users_unit(entry), ""
+    if in_unit["unit"] not in ("1", "-"):
+        unit = (
+            f"{in_unit['unit']} per {in_unit['per']}" if "per" in in_unit else str(in_unit["unit"])
+        )
+    posterior: tuple[float, ...] = ()
+    if (sampled := entry.get("posterior")) is not None:
+        posterior = tuple(v / in_unit["scale"] for v in (sampled["median"], *sampled["interval"]))
+    verdict = entry["verdict"]
+    rows = [
+        KeyRow(
+            key,
+            in_unit["estimate"],
+            in_unit["sd"],
+            unit,
+            in_unit["interval"],
+            verdict,
+            "",
+            posterior,
+        )
+    ]
+    rate = entry.get("specific_wear_rate")
+    if rate is not None and verdict != "not identified":
+        product = f"k mu at mu = {rate['mu']:.4g}" if "mu" in rate else "k"
+        note = f"{product}; {rate[CUSTOMARY]:.4g} {CUSTOMARY}"
+        label, limits_of_rate = "specific wear rate", rate["interval"]
+        rows.append(
+            KeyRow(label, rate["estimate"], rate["sd"], rate["unit"], limits_of_rate, note=note)
+        )
+    return rows
+
+
+def series_rows(outcome: Entry) -> list[tuple[str, ...]]:
+    """Return the cells of the series of all experiments, see ``SERIES``."""
+    rows: list[tuple[str, ...]] = []
+    for experiment, series in outcome["experiments"].items():
+        fitted = outcome["nuisance"].get(experiment, {})
+        for name, entry in series.items():
+            unit, limits_read = entry["unit"], entry.get("censored", 0)
+            notes = [counted(limits_read, "limit")] if limits_read else []
+            notes += [
+                _nuisance(kind, nuisance, f"{unit}{_PER.get(kind, '')}")
+                for kind, nuisance in fitted.get(name, {}).items()
+            ]
+            noise = f"{entry['sd']:.3g}" if "sd" in entry else ""
+            rows.append(
+                (f"{experiment}, {name}", str(entry["n"]), f"{entry['chi2']:.4g}", unit, noise,
+                 ", ".join(notes))
+            )  # fmt: skip
+    return rows
+
+
+def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
+    """Return the cells of the laws compared, the best by AIC first, those that failed last."""
+    laws = {"this law": outcome, **outcome["alternatives"]}
+    solved = {name: law for name, law in laws.items() if "aic" in law}
+    best = min(law["aic"] for law in solved.values())
+    evidences = {name: law.get("log_evidence") for name, law in solved.items()}
+    shares = {} if None in evidences.values() else probabilities(evidences)
+    rows: list[tuple[str, ...]] = []
+    for name, law in sorted(solved.items(), key=lambda item: item[1]["aic"]):
+        parameters = ", ".join(_estimate_text(k, p) for k, p in law["parameters"].items())
+        verdict = "does not fit" if law["flagged"] else "fits"
+        if law["p_value"] is None:
+            verdict = "not tested: noise was fitted, or has long tails"
+        numbers = f"{law['aic'] - best:+.1f}", f"{law['bic']:.5g}", f"{law['chi2']:.5g}"
+        share = f"{shares[name]:.2g}" if shares else "-"
+        rows.append((name, *numbers, share, parameters, verdict))
+    failed = ((name, law["error"]) for name, law in laws.items() if name not in solved)
+    return [*rows, *((name, "", "", "", "", "", f"failed: {error}") for name, error in failed)]
+
+
+def goodness(outcome: Entry) -> str:
+    """Return chi2, degrees of freedom, p-value and information criteria in a sentence."""
+    p_value = outcome["p_value"]
+    every = [entry for series in outcome["experiments"].values() for entry in series.values()]
+    noise_fitted = any("sd" in entry for entry in every)
+    if p_value is not None:
+        test = f"p = {p_value:.2g}" + " for the readings with a given sd" * noise_fitted
+    elif noise_fitted:
+        test = "no p-value, as all noise was fitted"
+    else:
+        test = 'loss "student"' if outcome["loss"] == "student" else "no p-value"
+    return (
+        f"chi2 = {outcome['chi2']:.5g} of {outcome['n_data']} readings, "
+        f"{outcome['degrees_of_freedom']:.6g} degrees of freedom ({test}); "
+        f"AIC {outcome['aic']:.5g}, BIC {outcome['bic']:.5g}"
+    )
+
+
+def _nuisance(kind: str, entry: Entry, unit: str) -> str:
+    if entry["sd"] is None:
+        return f"{kind} not identified"
+    words = f"{kind} {_with_sd(entry['estimate'], entry['sd'], 3, f' {unit}')}"
+    return f"{words} in {_nuisance('time', entry['time'], 's')}" if "time" in entry else words
+
+
+def _estimate_text(key: str, entry: Entry) -> str:
+    row = key_rows(key, entry)[0]
+    sd = row.sd if row.verdict == "identified" else None
+    return f"{key} = {_with_sd(row.estimate, sd, 5, f' {row.unit}'.rstrip())}"
+
+
+def _with_sd(value: float, sd: float | None, digits: int, unit: str) -> str:
+    return f"{value:.{digits}g}{unit}" + ("" if sd is None else f" (u = {sd:.2g})")
+
+
+def of_specimens(outcome: Entry) -> str:
+    """Return the sentence that says what intervals without scatter are of."""
+    count = outcome["specimens"]
+    specimens = "this specimen" if count == 1 else f"these {count} specimens"
+    return (
+        f"of {specimens} only: repeats of a material scatter more "
+        '(with repeats, use scatter = "fit")'
+    )
+
+
+def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
+    """Return sentences about the scatter of a key, none without; ``estimate`` as in fit.json."""
+    if estimate["of"] != "material":
+        return []
+    log, in_unit = "mean" in estimate, _in_users_unit(estimate)
+    unit = "" if in_unit["unit"] in ("1", "-") else f" {in_unit['unit']}"
+
+    def size(value: float) -> str:
+        return f"{100.0 * value:.2g}" if log else f"{value / in_unit['scale']:.3g}"
+
+    unit_of_size = " %" if log else unit
+    sizes = []
+    for group, scatter in estimate["scatter"].items():
+        count = scatter["groups"]
+        between = f"between {count} {PLURALS[group] if count > 1 else group} "
+        if "known" in scatter:
+            sizes.append(f"{between}{size(scatter['known'])}{unit_of_size} (taken as known)")
+            continue
+        low, high = scatter["interval"]
+        at_bound = ", perhaps none" * (scatter["verdict"] == "at bound")
+        sizes.append(
+            f"{between}{size(scatter['estimate'])}{unit_of_size} ({size(low)} to "
+            f"{size(high)}{unit_of_size}{at_bound})"
+        )
+    low, high = in_unit["next"]
+    lines = [f"{'; '.join(sizes)}", f"the next specimen: from {low:.4g} to {high:.4g}{unit}"]
+    comparisons = [
+        f"{name} {symbol} = {size(estimate[name][symbol])}{unit_of_size}"
+        for name, symbol in (("repeatability", "r"), ("reproducibility", "R"))
+        if name in estimate
+    ]
+    if comparisons:
+        lines[-1] += f" ({100.0 * level:g} %); {', '.join(comparisons)}"
+    if (needed := estimate.get("specimens_for_10_percent")) is not None:
+        lines.append(
+            f"an interval of +-10 % for the material needs about {counted(needed, 'specimen')}"
+        )
+    return lines
+
+
+def process_lines(outcome: Entry) -> list[str]:
+    """Return a sentence about each body whose wear is itself random, and what follows of it."""
+    lines = []
+    for key, entry in outcome.get("process", {}).items():
+        size, share = entry["size"], entry["share"]
+        known = "known" in share
+        sd = share["known" if known else "estimate"]
+        events = size["known" if known else "estimate"]
+        text = (
+            f"wear of {body_of_wear(key)} fluctuates: sd {100.0 * sd:.2g} % of the "
+            f"{1e3 * entry['depth']:.3g} um worn at the end"
+        )
+        if (ends := share.get("interval")) is not None:
+            low, high = (100.0 * end for end in ends)
+            text += f" ({100.0 * outcome['level']:g} %: {low:.2g} to {high:.2g} %)"
+        text += f"; events of {1e6 * events:.3g} nm"
+        if (ends := size.get("interval")) is not None:
+            low, high = (1e6 * end for end in ends)
+            text += f" ({low:.3g} to {high:.3g} nm)"
+        lines.append(f"{text} (taken as known)" if known else f"{text}  {entry['verdict']}")
+    scatters = [
+        scatter
+        for estimate in outcome["parameters"].values()
+        for scatter in estimate.get("scatter", {}).values()
+    ]
+    if lines and any(scatter.get("verdict") == "at bound" for scatter in scatters):
+        lines.append(
+            "beside it, the specimens may not differ at all: with 3 specimens or more, scatter "
+            "alone is enough for values of the material"
+        )
+    return lines
