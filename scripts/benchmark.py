@@ -47,7 +47,7 @@ from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.bem.solve import solve_systems
 from ringwear_par.elasticity.bem.systems import number_dofs
-from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Snapshot

@@ -24,7 +24,7 @@ from scipy.linalg import lu_factor, lu_solve
 import ringwear_par.verification as package
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.observers.trace import trace

@@ -19,7 +19,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.elasticity.bem.assembly import load_kernels
-from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.observers.trace import Trace
 from ringwear_par.history.snapshots import Snapshot

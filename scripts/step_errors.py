@@ -22,7 +22,7 @@ from random_cases import random_case
 from ringwear_par.cases.case import Case, Output, Stepping
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.contact.correction import CorrectedContacts
-from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.errors import RingwearError
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import Trace, trace

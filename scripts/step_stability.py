@@ -44,7 +44,7 @@ from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.elasticity.bem.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair, largest_stable_step
-from ringwear_par.elasticity.geometry.mesh import ContactLine
+from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.errors import RingwearError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble

@@ -167,7 +167,7 @@ def restarted(shared_path, comm, stopped_after):
 @pytest.fixture(scope="session")
 def paper_pair(comm):
     """The paper's case at 80 MPa and p0 = 40 MPa, and its contact pair."""
-    from ringwear_par.elasticity.geometry.mesh import Mesh
+    from ringwear_par.elasticity.mesh import Mesh
     from ringwear_par.history.elastic.pairs import assemble
     from ringwear_par.verification.histories import paper_case
 

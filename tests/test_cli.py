@@ -154,7 +154,7 @@ def test_loaded_code_is_the_code_that_assembles():
     program = """
 from mpi4py import MPI
 from ringwear_par.elasticity.bem.assembly import load_kernels
-from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.verification.histories import paper_case
 load_kernels(MPI.COMM_SELF)

@@ -13,8 +13,8 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import FIELDS
 from ringwear_par.cases.stress import Stress
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
-from ringwear_par.elasticity.geometry.sections import BODIES, CLOSE, Grip, Polyline, Section
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.sections import BODIES, CLOSE, Grip, Polyline, Section
 from ringwear_par.errors import InputError
 from ringwear_par.schedules import Quantity, bends, in_time
 from ringwear_par.wear.checked_law import complete

@@ -29,7 +29,7 @@ from ringwear_par.cases.values import (
     which_times,
     whole,
 )
-from ringwear_par.elasticity.geometry.sections import SHAPE_UNITS
+from ringwear_par.elasticity.sections import SHAPE_UNITS
 from ringwear_par.wear.law import Law, Parameter, parameters_of
 from ringwear_par.wear.laws import LAWS
 

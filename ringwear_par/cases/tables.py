@@ -11,7 +11,7 @@ from typing import Any
 
 from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import Interval, Kind, Reader, RejectedError
-from ringwear_par.elasticity.geometry.sections import SHAPE_UNITS
+from ringwear_par.elasticity.sections import SHAPE_UNITS
 from ringwear_par.errors import MOST_FAULTS, legible
 from ringwear_par.files.text import shortened, toml_value
 

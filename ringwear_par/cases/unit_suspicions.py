@@ -11,7 +11,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Ring, RingLayer
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.schedules import Quantity, Table, largest, mean
 from ringwear_par.wear.law import Law, WearLaw, parameters_of
@@ -160,8 +160,17 @@ def unit_suspicions(case: Case) -> tuple[ValidityWarning, ...]:
     """
     texts: list[str] = []
     for name, material in case.materials.items():
-        texts += _in_pascals(f"{name}.young", material.young)
-        texts += _too_dense(f"{name}.density", material.density)
+        young, density = material.young, material.density
+        if _PASCALS[0] < young <= _PASCALS[1]:
+            texts.append(
+                f"{name}.young = {young:g} MPa is stiffer than any material; if it is in Pa, write "
+                f'"{young:g} Pa"'
+            )
+        if density is not None and density > _DENSEST:
+            texts.append(
+                f"{name}.density = {density:g} g/mm3 is denser than any material; if it is in "
+                f'g/cm3, write "{density:g} g/cm3"'
+            )
         if isinstance(material, Ring):
             size = max(material.r[1], material.z[1] - material.z[0])
             if size > _LARGEST:
@@ -298,22 +307,3 @@ def _in_gigapascals(case: Case) -> Iterator[tuple[str, str]]:
 def _or_gigapascals(young: float) -> str:
     """Return the question about a modulus that may be in GPa."""
     return f'; if it is in GPa, write "{young:g} GPa"' * (young < _GIGAPASCALS[1])
-
-
-def _too_dense(key: str, density: float | None) -> list[str]:
-    """Return the sentence about a density that is likely in g/cm3, none of others."""
-    if density is None or density <= _DENSEST:
-        return []
-    return [
-        f"{key} = {density:g} g/mm3 is denser than any material; if it is in g/cm3, "
-        f'write "{density:g} g/cm3"'
-    ]
-
-
-def _in_pascals(key: str, young: float) -> list[str]:
-    """Return the sentence about a modulus that is likely in Pa, none of others."""
-    if not _PASCALS[0] < young <= _PASCALS[1]:
-        return []
-    return [
-        f'{key} = {young:g} MPa is stiffer than any material; if it is in Pa, write "{young:g} Pa"'
-    ]

@@ -9,7 +9,7 @@ from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.cases.tables import Key
 from ringwear_par.cases.units import in_unit
 from ringwear_par.cases.values import Interval
-from ringwear_par.elasticity.geometry.sections import BODIES, SHAPE_UNITS
+from ringwear_par.elasticity.sections import BODIES, SHAPE_UNITS
 from ringwear_par.explorer.sliders import (
     POSITIONS,
     TIMES,

@@ -9,7 +9,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import body_of_wear
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.results.storage.hdf5 import write_variable

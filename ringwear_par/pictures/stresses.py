@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.files.key_values import Outline, outlines
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import COMPONENTS, SIDES, StressState, mises
 from ringwear_par.pictures.panels import FEW_POINTS, Axis, Band, Curve, Label, Panel
 from ringwear_par.pictures.runs import RADIUS, stage

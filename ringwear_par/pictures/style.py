@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from ringwear_par.cases.units import in_signs
 from ringwear_par.cases.values import is_number
-from ringwear_par.elasticity.geometry.sections import SHAPE_UNITS
+from ringwear_par.elasticity.sections import SHAPE_UNITS
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.files.writing import atomic_write, check_writable

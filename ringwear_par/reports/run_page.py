@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringwear_par.cases.units import in_signs, with_signs
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.pictures import runs
 from ringwear_par.pictures.figures import plot
 from ringwear_par.pictures.stresses import along_height, along_interfaces, largest

@@ -9,7 +9,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import density_keys
 from ringwear_par.contact.problem import ContactState
-from ringwear_par.elasticity.geometry.sections import BODIES, BodyName
+from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
 from ringwear_par.history.state import State
 from ringwear_par.results.result import Result

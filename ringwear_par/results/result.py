@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.batched import one
-from ringwear_par.elasticity.geometry.mesh import ContactLine
+from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.stress.fields import BoundaryState, StressHistory
 from ringwear_par.errors import InputError, RingwearError, ValidityWarning
 from ringwear_par.files.text import parse_toml

@@ -8,7 +8,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, share
 from ringwear_par.cases.case import CHANGED
 from ringwear_par.cases.files.key_values import outlines
-from ringwear_par.elasticity.geometry.sections import BODIES, BodyName
+from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.errors import InputError
 from ringwear_par.results.result import Result

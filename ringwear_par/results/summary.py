@@ -10,7 +10,7 @@ from ringwear_par.cases.case import CHANGED
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH
 from ringwear_par.cases.values import is_number
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import LONGEST_SENTENCE, legible, warning_lines
 from ringwear_par.results.key_numbers import (
     BALANCES,

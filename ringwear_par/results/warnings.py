@@ -13,7 +13,7 @@ from ringwear_par.cases.unit_suspicions import (
     too_much_load,
     unit_suspicions,
 )
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState, mises
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.history.observers.balances import WorstBalances

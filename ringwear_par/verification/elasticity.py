@@ -23,8 +23,8 @@ from ringwear_par.elasticity.bem.body import (
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.bem.kernels import ring_kernels
 from ringwear_par.elasticity.bem.systems import BoundaryConditions
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
-from ringwear_par.elasticity.geometry.sections import Body, Section
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.elasticity.stress.fields import max_shear, mises
 from ringwear_par.elasticity.stress.recovery import (
     StressPoints,

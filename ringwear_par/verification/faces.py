@@ -13,8 +13,8 @@ from ringwear_par.cases.case import Case, Stepping
 from ringwear_par.elasticity.bem.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
-from ringwear_par.elasticity.geometry.sections import Body, Section
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import Trace, trace

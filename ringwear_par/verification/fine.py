@@ -23,7 +23,7 @@ from scipy.special import betaincinv
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.verification.check import NU

@@ -19,8 +19,8 @@ from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.bem.body import compliance
 from ringwear_par.elasticity.bem.pair import symmetric
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
-from ringwear_par.elasticity.geometry.sections import Body, Section
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.history.start import first_contact
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, checks_of

@@ -11,8 +11,8 @@ from ringwear_par.cases.case import Case, Load, Output, Ring, Stepping
 from ringwear_par.contact.engine import TAO_TYPES, ContactEngine
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.elasticity.geometry.mesh import Mesh
-from ringwear_par.elasticity.geometry.sections import Polyline
+from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.sections import Polyline
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import Trace, trace
 from ringwear_par.history.physics import Physics
@@ -162,15 +162,6 @@ def steady_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
         yield identity(f"force balance, {said}", _N, worst.force, 1e-10)
         yield identity(f"volume balance, {said}", _N, worst.volume, 1e-12)
 
-    both = paper_case(Mesh(_N), p0=(0.0, 0.0), stepping=_LONG, k=_BOTH)
-    history = trace(both, comm, pair=pair)
-    exact_rate = both.friction_at(0.0) * sum(_BOTH) * OMEGA * _steady_constant(both, 0.0)
-    yield Check("both wear: approach rate mu (k1 + k2) omega c", (_N,),
-                (abs(_approach_rate(history) / exact_rate - 1.0),), 1e-3)  # fmt: skip
-    lower, upper = history.last.wear
-    split = float(np.abs(upper / lower / 3.0 - 1.0).max())
-    yield identity("both wear: depths split k1 : k2", _N, split, 1e-10)
-
     fixed = paper_case(Mesh(_N), p0=(0.0, None), stepping=_LONG)
     fixed = replace(fixed, load=Load(fixed.load.omega, displacement=0.0585))
     pressure = trace(fixed, comm, pair=pair).last.contact.pressure
@@ -208,8 +199,6 @@ def adaptive_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
     two = history(paper_case(Mesh(_N), p0=(0.0, 0.0), k=(2e-7, 6e-7)), 150.0)
     yield identity("similarity: wear of twice k in half the time", _N,
                    float(np.abs(two.last.wear / one.last.wear - 1.0).max()), 1e-8)  # fmt: skip
-    yield identity("both wear: worn volumes = k1, k2 x dissipated energy", _N,
-                   one.balances.energy, 1e-10)  # fmt: skip
 
 
 def pin_case(n: int) -> Case:

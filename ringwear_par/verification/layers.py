@@ -21,8 +21,8 @@ from ringwear_par.elasticity.bem.body import (
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.bem.systems import BoundaryConditions, Zone
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, contact_line
-from ringwear_par.elasticity.geometry.sections import Body, Material, Section
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
+from ringwear_par.elasticity.sections import Body, Material, Section
 from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, checks_of

@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from scipy.special import ellipe, j0, j1
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.geometry.sections import Material
+from ringwear_par.elasticity.sections import Material
 
 #: rigid flat annulus a/b on a half-space: F / (2 E* b delta), and p(mid) / p(mean)
 ANNULUS = {

@@ -22,7 +22,7 @@ FORCE = 45000.0
 @pytest.fixture
 def problem(paper_pair):
     """A small contact line: the paper's rings, every other element joined to its neighbour."""
-    from ringwear_par.elasticity.geometry.mesh import ContactLine
+    from ringwear_par.elasticity.mesh import ContactLine
 
     case, pair = paper_pair
     keep = np.sort(np.random.default_rng(3).choice(np.arange(1, 64), N - 1, replace=False))

@@ -11,8 +11,8 @@ from ringwear_par.elasticity.bem import rows, solve
 from ringwear_par.elasticity.bem.body import boundary_responses, compliance, in_case_frame
 from ringwear_par.elasticity.bem.solve import has_scalapack
 from ringwear_par.elasticity.bem.systems import Rows
-from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
-from ringwear_par.elasticity.geometry.sections import Body, Material, Section
+from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.sections import Body, Material, Section
 from ringwear_par.errors import ComputationError
 from ringwear_par.verification.elasticity import (
     bar_error,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ringwear_par.elasticity.bem.boundary import boundary_mesh, count_elements
-from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line, graded
-from ringwear_par.elasticity.geometry.sections import Section, corners
+from ringwear_par.elasticity.mesh import Mesh, contact_line, graded
+from ringwear_par.elasticity.sections import Section, corners
 from ringwear_par.errors import InputError
 
 # each with its contact line; faces: chamfers, a ridge with a corner, a smooth dome, a steep rim

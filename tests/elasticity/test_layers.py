@@ -16,8 +16,8 @@ from ringwear_par.elasticity.bem.boundary import node_wear
 from ringwear_par.elasticity.bem.pair import assemble_pair
 from ringwear_par.elasticity.bem.systems import number_dofs
 from ringwear_par.elasticity.bem.updated import UpdatedGeometry
-from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line, pair_slope
-from ringwear_par.elasticity.geometry.sections import Body, Material, Section
+from ringwear_par.elasticity.mesh import Mesh, contact_line, pair_slope
+from ringwear_par.elasticity.sections import Body, Material, Section
 
 pytestmark = pytest.mark.serial
 

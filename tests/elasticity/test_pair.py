@@ -7,8 +7,8 @@ import pytest
 
 from ringwear_par.elasticity.bem.body import Body, BodyCost
 from ringwear_par.elasticity.bem.pair import assemble_pair, pair_key, symmetric
-from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
-from ringwear_par.elasticity.geometry.sections import Section
+from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.sections import Section
 from ringwear_par.errors import ComputationError
 
 CONTACT, MESH = (28.5, 31.5), Mesh(16)

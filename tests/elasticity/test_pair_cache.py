@@ -15,7 +15,7 @@ from paths import ROOT
 
 from ringwear_par.elasticity import pair_cache
 from ringwear_par.elasticity.bem.solve import solved_on_one_rank
-from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic import pairs
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.petsc import PETSc

@@ -8,8 +8,8 @@ from ringwear_par.elasticity.bem.assembly import assemble
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.bem.quadrature import MAX_POINTS, quadrature
 from ringwear_par.elasticity.bem.systems import BoundaryConditions, Zone, number_dofs
-from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
-from ringwear_par.elasticity.geometry.sections import Material, Section
+from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.sections import Material, Section
 
 pytestmark = pytest.mark.serial
 
@@ -60,7 +60,7 @@ def rows(tolerance, comm):
 def test_bars_with_small_bores_stay_exact(bore, comm):
     """u_z = s z, u_r = -nu s r is in the discrete space: what is left is quadrature."""
     from ringwear_par.elasticity.bem.body import compliance
-    from ringwear_par.elasticity.geometry.sections import Body
+    from ringwear_par.elasticity.sections import Body
 
     section = Section((bore, 20.0), 20.0)
     for tolerance in (1e-4, 1e-7):

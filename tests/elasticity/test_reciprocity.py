@@ -8,8 +8,8 @@ import pytest
 
 from ringwear_par.elasticity.bem import pair as pair_module
 from ringwear_par.elasticity.bem.pair import assemble_pair, symmetric
-from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
-from ringwear_par.elasticity.geometry.sections import Body, Section
+from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.errors import ComputationError
 
 pytestmark = pytest.mark.serial

@@ -8,8 +8,8 @@ from paths import CASES, PAPER
 
 from ringwear_par.cases.case import Stepping
 from ringwear_par.cases.files.reading import parse_case, read_case
-from ringwear_par.elasticity.geometry.mesh import Mesh
-from ringwear_par.elasticity.geometry.sections import Section
+from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.sections import Section
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble

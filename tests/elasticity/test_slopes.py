@@ -9,7 +9,7 @@ from paths import CASES
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import condense, contact_problem, solve_bodies
 from ringwear_par.elasticity.bem.pair import assemble_pair
-from ringwear_par.elasticity.geometry.mesh import (
+from ringwear_par.elasticity.mesh import (
     Mesh,
     case_slopes,
     common_slope,
@@ -17,7 +17,7 @@ from ringwear_par.elasticity.geometry.mesh import (
     face_slope,
     obliquity,
 )
-from ringwear_par.elasticity.geometry.sections import Body, Section
+from ringwear_par.elasticity.sections import Body, Section
 from ringwear_par.elasticity.stress.fields import FACES
 from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.elastic.pairs import assemble, boundary_recovery

@@ -7,8 +7,8 @@ import ringwear_par as rw
 from ringwear_par.elasticity.bem.body import BoundaryResponse
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.bem.pair import assemble_pair
-from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
-from ringwear_par.elasticity.geometry.sections import Body, Material, Section
+from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.sections import Body, Material, Section
 from ringwear_par.elasticity.stress import rows
 from ringwear_par.elasticity.stress.fields import max_shear, mises, principal
 from ringwear_par.elasticity.stress.largest import Search, edges

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ringwear_par.elasticity.bem.boundary import count_elements, zone_meshes
-from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
-from ringwear_par.elasticity.geometry.sections import Body, Material, Section
+from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.sections import Body, Material, Section
 from ringwear_par.errors import ComputationError, InputError
 
 CHAMFER = ((28.5, -0.1), (28.6, 0.0), (31.4, 0.0), (31.5, -0.1))

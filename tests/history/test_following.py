@@ -9,7 +9,7 @@ from paths import PAPER
 
 import ringwear_par as rw
 from ringwear_par.cases.case import Load, Ring, Stepping
-from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.moving_geometry import MovingGeometry
 from ringwear_par.history.observers.trace import trace

@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Load, Output, Stepping
-from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.errors import ComputationError, LawError
 from ringwear_par.history import batch
 from ringwear_par.history.elastic.pairs import assemble

@@ -106,7 +106,7 @@ def test_fixed_approach_unloads(stepped):
 
 def test_both_schemes_are_of_first_order_and_meet(stepped):
     """Against a fine run, at 20 s on a coarse mesh, where explicit steps are stable."""
-    from ringwear_par.elasticity.geometry.mesh import Mesh
+    from ringwear_par.elasticity.mesh import Mesh
     from ringwear_par.verification.histories import paper_case
 
     case = paper_case(Mesh(16, grading=1.0), p0=(0.0, None))

@@ -9,7 +9,7 @@ import pytest
 
 import ringwear_par as rw
 from ringwear_par.elasticity.bem import solve
-from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.validity.case_limits import check_memory, memory_needed
 from ringwear_par.verification.histories import paper_case

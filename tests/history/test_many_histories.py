@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ringwear_par.cases.case import Load
-from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.physics import Physics

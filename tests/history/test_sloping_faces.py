@@ -12,7 +12,7 @@ from ringwear_par.cases.case import Stepping
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import compliance
 from ringwear_par.elasticity.bem.boundary import node_wear
-from ringwear_par.elasticity.geometry.mesh import Mesh, case_slopes, common_slope
+from ringwear_par.elasticity.mesh import Mesh, case_slopes, common_slope
 from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.history.elastic.pairs import assemble, updated_geometry
 from ringwear_par.history.loop import simulate_one

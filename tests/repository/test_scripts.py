@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 import ringwear_par as rw
 from ringwear_par.cases.case import Stepping
-from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.verification.histories import paper_case
 
 

@@ -6,7 +6,7 @@ import pytest
 from swept import CASE, table, variables, write_study
 
 from ringwear_par.cases.files.reading import parse_case
-from ringwear_par.elasticity.geometry.mesh import case_slopes
+from ringwear_par.elasticity.mesh import case_slopes
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.execution.sweep import sweep

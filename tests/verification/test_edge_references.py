@@ -8,7 +8,7 @@ import pytest
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Stepping
-from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import trace

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ringwear_par.elasticity.geometry.sections import Material
+from ringwear_par.elasticity.sections import Material
 from ringwear_par.verification import reference
 from ringwear_par.verification.reference import (
     LayeredHalfSpace,

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from ringwear_par.elasticity.geometry.mesh import Mesh
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble

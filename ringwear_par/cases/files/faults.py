@@ -7,8 +7,8 @@ from typing import Any
 
 from ringwear_par.cases.case import SAME_TIME, Case, RingLayer
 from ringwear_par.cases.schema import BY_PATH
-from ringwear_par.elasticity.geometry.mesh import contact_pieces
-from ringwear_par.elasticity.geometry.sections import (
+from ringwear_par.elasticity.mesh import contact_pieces
+from ringwear_par.elasticity.sections import (
     CLOSE,
     Polyline,
     Shape,
@@ -109,60 +109,50 @@ def unread_keys(keys: Mapping[str, Any]) -> dict[str, str]:
 
 def _overlap_faults(name: str, values: Mapping[str, Any]) -> list[str]:
     """Return the faults of radii."""
-    faults = []
-    if {"lower.r", "upper.r"} <= values.keys():
-        lower, upper = values["lower.r"], values["upper.r"]
-        if max(lower[0], upper[0]) >= min(lower[1], upper[1]):
-            faults.append(
-                f"{name}: upper.r = {list(upper)} and lower.r = {list(lower)}: the rings do not "
-                "overlap; their radii must have an interval in common (mm)"
-            )
-        elif values.get("mesh.contact") is not None:
-            low, high = values["mesh.contact"]
-            a, b = max(lower[0], upper[0]), min(lower[1], upper[1])
-            if low >= b or high <= a:
-                faults.append(
-                    f"{name}: mesh.contact = [{low:g}, {high:g}]: must have an interval in common "
-                    f"with [{a:g}, {b:g}], where the bodies face each other (mm)"
-                )
-    return faults
+    if not {"lower.r", "upper.r"} <= values.keys():
+        return []
+    lower, upper, contact = values["lower.r"], values["upper.r"], values.get("mesh.contact")
+    a, b = max(lower[0], upper[0]), min(lower[1], upper[1])
+    if a >= b:
+        return [
+            f"{name}: upper.r = {list(upper)} and lower.r = {list(lower)}: the rings do not "
+            "overlap; their radii must have an interval in common (mm)"
+        ]
+    if contact is None or (contact[0] < b and contact[1] > a):
+        return []
+    return [
+        f"{name}: mesh.contact = [{contact[0]:g}, {contact[1]:g}]: must have an interval in common "
+        f"with [{a:g}, {b:g}], where the bodies face each other (mm)"
+    ]
 
 
 def _load_faults(name: str, values: Mapping[str, Any]) -> list[str]:
     """Return the faults of what presses."""
-    faults = []
+    if not values.keys() >= LOADS:
+        return []
     control = values.get("load.control")
-    if values.keys() >= LOADS:
-        force, pressure = values["load.force"], values["load.pressure"]
-        displacement = values["load.displacement"]
-        if control == "force":
-            if displacement is not None:
-                faults.append(
-                    f"{name}: load.displacement = {quantity_text(displacement)}: needs "
-                    'load.control = "displacement"'
-                )
-            elif (force is None) == (pressure is None):
-                number = "neither of them is given"
-                if force is not None:
-                    number = (
-                        f"both are given ({quantity_text(force)} N, {quantity_text(pressure)} MPa)"
-                    )
-                faults.append(
-                    f'{name}: load.force, load.pressure: {number}; control = "force" needs one'
-                )
-        elif control == "displacement":
-            if displacement is None:
-                faults.append(
-                    f"{name}: load.displacement is missing: must be a finite number > 0 (mm) where "
-                    'load.control = "displacement"'
-                )
-            for key, value in (("force", force), ("pressure", pressure)):
-                if value is not None:
-                    faults.append(
-                        f"{name}: load.{key} = {quantity_text(value)}: must be absent where "
-                        'load.control = "displacement"'
-                    )
-    return faults
+    loads = {
+        key: f"{name}: load.{key} = {quantity_text(load)}"
+        for key in ("force", "pressure", "displacement")
+        if (load := values[f"load.{key}"]) is not None
+    }
+    by_displacement = 'load.control = "displacement"'
+    if control == "displacement":
+        missing = (
+            f"{name}: load.displacement is missing: must be a finite number > 0 (mm) where "
+            f"{by_displacement}"
+        )
+        unread = [f"{loads[key]}: must be absent where {by_displacement}" for key in loads]
+        return unread[:-1] if "displacement" in loads else [missing, *unread]
+    if control == "force" and "displacement" in loads:
+        return [f"{loads['displacement']}: needs {by_displacement}"]
+    if control != "force" or len(loads) == 1:
+        return []
+    number = "neither of them is given"
+    if loads:
+        force, pressure = (quantity_text(values[f"load.{key}"]) for key in ("force", "pressure"))
+        number = f"both are given ({force} N, {pressure} MPa)"
+    return [f'{name}: load.force, load.pressure: {number}; control = "force" needs one']
 
 
 def _time_faults(origin: Origin, values: Mapping[str, Any]) -> list[str]:

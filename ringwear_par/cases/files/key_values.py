@@ -26,7 +26,7 @@ from ringwear_par.cases.schema import (
     layer_entry,
 )
 from ringwear_par.cases.values import RejectedError
-from ringwear_par.elasticity.geometry.sections import Section
+from ringwear_par.elasticity.sections import Section
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.wear.law import Law, parameters_of

@@ -27,8 +27,8 @@ from ringwear_par.cases.files.keys import (
 from ringwear_par.cases.layers import LAYERS, expanded, layer_tables
 from ringwear_par.cases.stress import Grid, Stress
 from ringwear_par.cases.stress_points import check_stress
-from ringwear_par.elasticity.geometry.mesh import Mesh
-from ringwear_par.elasticity.geometry.sections import Grip, Polyline
+from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.elasticity.sections import Grip, Polyline
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import read_text, toml_text
 from ringwear_par.schedules import Quantity, Table

@@ -21,8 +21,8 @@ from ringwear_par.elasticity.bem.systems import (
     Zone,
     number_dofs,
 )
-from ringwear_par.elasticity.geometry.mesh import Mesh, contact_line
-from ringwear_par.elasticity.geometry.sections import Material, Section
+from ringwear_par.elasticity.mesh import Mesh, contact_line
+from ringwear_par.elasticity.sections import Material, Section
 from ringwear_par.errors import ComputationError
 from ringwear_par.parallel import together
 

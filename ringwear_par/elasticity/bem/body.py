@@ -25,8 +25,8 @@ from ringwear_par.elasticity.bem.systems import (
     Zone,
     number_dofs,
 )
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, obliquity
-from ringwear_par.elasticity.geometry.sections import Body, Grip, Material
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, obliquity
+from ringwear_par.elasticity.sections import Body, Grip, Material
 
 
 @dataclass(frozen=True)

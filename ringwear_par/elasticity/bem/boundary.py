@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, graded, pieces
-from ringwear_par.elasticity.geometry.sections import Section, corners
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, graded, pieces
+from ringwear_par.elasticity.sections import Section, corners
 from ringwear_par.errors import ComputationError, InputError
 
 #: grading exponent of the free and fixed faces towards every corner and contact edge

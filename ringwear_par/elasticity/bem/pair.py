@@ -19,8 +19,8 @@ from scipy.linalg import cho_factor, cho_solve, eigh
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.bem.body import BodyCost, Compliance, compliance, compliances
 from ringwear_par.elasticity.bem.boundary import count_elements
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, obliquity, pair_key, pair_slope
-from ringwear_par.elasticity.geometry.sections import Body
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, obliquity, pair_key, pair_slope
+from ringwear_par.elasticity.sections import Body
 from ringwear_par.errors import ComputationError
 
 #: elements wider than this share of their radius are near the axis

@@ -20,7 +20,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh
-from ringwear_par.elasticity.geometry.sections import Material
+from ringwear_par.elasticity.sections import Material
 
 #: components of the (r, z) and of the theta system
 SYSTEMS = slice(0, 2), slice(2, 3)

@@ -28,14 +28,8 @@ from ringwear_par.elasticity.bem.boundary import node_wear, zone_meshes
 from ringwear_par.elasticity.bem.pair import ContactPair, join_bodies
 from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.bem.systems import Assembly, Moving, Zone, number_dofs
-from ringwear_par.elasticity.geometry.mesh import (
-    ContactLine,
-    Mesh,
-    case_slopes,
-    pair_key,
-    pair_slope,
-)
-from ringwear_par.elasticity.geometry.sections import Body, Section
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, case_slopes, pair_key, pair_slope
+from ringwear_par.elasticity.sections import Body, Section
 
 
 def moving_parts(

@@ -8,8 +8,8 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.bem.body import BoundaryResponse, boundary_responses, in_case_frame
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh, node_wear, zone_meshes
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh, pair_slope
-from ringwear_par.elasticity.geometry.sections import BODIES, Body, BodyName
+from ringwear_par.elasticity.mesh import ContactLine, Mesh, pair_slope
+from ringwear_par.elasticity.sections import BODIES, Body, BodyName
 from ringwear_par.elasticity.stress.fields import FACES, BoundaryFields, joined
 
 

@@ -12,8 +12,8 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.elasticity.bem.body import BoundaryResponse, in_case_frame
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh, zone_meshes
 from ringwear_par.elasticity.bem.quadrature import quadrature
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh
-from ringwear_par.elasticity.geometry.sections import BODIES, Body, BodyName
+from ringwear_par.elasticity.mesh import ContactLine, Mesh
+from ringwear_par.elasticity.sections import BODIES, Body, BodyName
 from ringwear_par.elasticity.stress.boundary_recovery import BoundaryRecovery
 from ringwear_par.elasticity.stress.fields import Interfaces, Largest, mises
 from ringwear_par.elasticity.stress.largest import Search, edges, zones_of

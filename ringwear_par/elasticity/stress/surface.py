@@ -16,7 +16,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh
-from ringwear_par.elasticity.geometry.sections import CORNER_ANGLE
+from ringwear_par.elasticity.sections import CORNER_ANGLE
 
 #: mid-points that a stress between them is interpolated from
 _WINDOW = 4

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import key_of, layer_entry
 from ringwear_par.elasticity.bem.pair import ComplianceChange, ContactPair, Entry, layer_derivative
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.history.elastic.bodies import bodies
 
 _ENTRIES: tuple[Entry, ...] = ("thickness", "young", "poisson")

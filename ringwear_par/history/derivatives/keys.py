@@ -5,7 +5,7 @@ from typing import Any
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import UNITS
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible
 from ringwear_par.history.derivatives.elastic_numbers import elastic_numbers
 from ringwear_par.wear.law import Law, parameters_of

@@ -12,8 +12,8 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import layer_entry
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.elasticity.geometry.mesh import obliquity
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.mesh import obliquity
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.history.derivatives.elastic_numbers import compliance_change, elastic_numbers
 from ringwear_par.history.derivatives.keys import RATES
 from ringwear_par.history.elastic.bodies import young

@@ -3,8 +3,8 @@
 from collections.abc import Hashable
 
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.geometry.mesh import pair_key
-from ringwear_par.elasticity.geometry.sections import Body, Material
+from ringwear_par.elasticity.mesh import pair_key
+from ringwear_par.elasticity.sections import Body, Material
 
 
 def bodies(case: Case) -> tuple[Body, Body]:

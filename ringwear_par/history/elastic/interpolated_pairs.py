@@ -21,8 +21,8 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.body import compliance
 from ringwear_par.elasticity.bem.pair import ComplianceChange, ContactPair, Entry
-from ringwear_par.elasticity.geometry.mesh import ContactLine, Mesh
-from ringwear_par.elasticity.geometry.sections import BODIES, Body
+from ringwear_par.elasticity.mesh import ContactLine, Mesh
+from ringwear_par.elasticity.sections import BODIES, Body
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.elastic.bodies import bodies, operator_key
 

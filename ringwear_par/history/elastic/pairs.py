@@ -16,7 +16,7 @@ from ringwear_par.elasticity.bem.boundary import count_elements
 from ringwear_par.elasticity.bem.pair import ContactPair, assemble_pair
 from ringwear_par.elasticity.bem.solve import solved_on_one_rank
 from ringwear_par.elasticity.bem.updated import UpdatedGeometry
-from ringwear_par.elasticity.geometry.mesh import pair_slope
+from ringwear_par.elasticity.mesh import pair_slope
 from ringwear_par.elasticity.stress.boundary_recovery import BoundaryRecovery
 from ringwear_par.history.elastic.bodies import bodies, operator_key
 

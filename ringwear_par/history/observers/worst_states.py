@@ -10,8 +10,8 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, inner, largest
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.geometry.mesh import case_slopes
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.mesh import case_slopes
+from ringwear_par.elasticity.sections import BODIES
 
 if TYPE_CHECKING:  # opening a result, which has the worst states of its history, starts no MPI
     from ringwear_par.history.physics import Physics

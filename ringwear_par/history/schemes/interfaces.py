@@ -17,7 +17,7 @@ import numpy as np
 from ringwear_par import batched
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, columns
 from ringwear_par.contact.correction import CorrectedContacts
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.history.physics import Physics, Sliding
 from ringwear_par.history.schemes.step import Step
 from ringwear_par.history.schemes.tangent import Along

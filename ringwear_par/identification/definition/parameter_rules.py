@@ -6,7 +6,7 @@ from typing import Any
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import key_of
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError
 from ringwear_par.history.derivatives.elastic_numbers import elastic_numbers
 from ringwear_par.history.derivatives.keys import differentiable

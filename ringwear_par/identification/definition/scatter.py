@@ -10,7 +10,7 @@ import numpy as np
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import legible
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import (

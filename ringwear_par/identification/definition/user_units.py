@@ -9,7 +9,7 @@ from scipy.stats import norm
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import base_unit
 from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
 from ringwear_par.wear.laws.threshold import AboveThreshold
 

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import GROWTH_TIME, Experiment, Series
 from ringwear_par.schedules import in_time
 

@@ -9,7 +9,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.law_trials import law_sources
 from ringwear_par.elasticity.bem.body import BodyCost
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.history.physics import Physics
 from ringwear_par.results.variables import TIMES_THROUGH
 from ringwear_par.schedules import Table, in_time, integral, mean

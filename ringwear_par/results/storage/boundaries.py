@@ -9,7 +9,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import FACES, BoundaryFields, BoundaryState
 from ringwear_par.results.storage.hdf5 import check_times, read_array, write_variable
 from ringwear_par.results.variables import HISTORIES, STEPS_MADE, Variable, variable_table

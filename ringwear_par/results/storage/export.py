@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import (
     COMPONENTS,
     SIDES,

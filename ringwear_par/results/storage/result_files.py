@@ -16,7 +16,7 @@ import numpy as np
 
 from ringwear_par.batched import one
 from ringwear_par.contact.problem import ContactState, WarmStart
-from ringwear_par.elasticity.geometry.mesh import ContactLine
+from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.errors import ComputationError, InputError, ValidityWarning
 from ringwear_par.files.writing import check_writable
 from ringwear_par.history.observers.worst_states import ENTRIES

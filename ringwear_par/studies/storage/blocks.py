@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import IntArray
-from ringwear_par.elasticity.geometry.mesh import ContactLine
+from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.writing import open_ordinary
 from ringwear_par.results.result import HistoryColumns

@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, read_only
-from ringwear_par.elasticity.geometry.sections import Body, Section, corners
+from ringwear_par.elasticity.sections import Body, Section, corners
 from ringwear_par.errors import InputError
 
 #: fewest elements of a piece of the contact line

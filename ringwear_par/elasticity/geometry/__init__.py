@@ -1,1 +1,0 @@
-"""Sections, faces and meshes."""
