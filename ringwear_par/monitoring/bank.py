@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import Problem, body_of_wear
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.fitted_values import FittedValues

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.problem import (
     BASE,

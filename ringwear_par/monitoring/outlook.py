@@ -7,7 +7,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import chi2, norm
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.elasticity.geometry.sections import BODIES
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import Problem, Series, body_of_wear
 from ringwear_par.identification.scatter.clocks import projected_precision
 from ringwear_par.identification.scatter.reduction import LinearisedTest, uncorrelated
