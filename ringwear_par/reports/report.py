@@ -38,14 +38,22 @@ def report(source: Outcome | str | Path, output: str | Path) -> str:
     ComputationError : the disk.
     """
     output = Path(output)
-    _check(output)
+    check_page(output)
     if isinstance(source, Result | str | Path):
-        page = _page(source)
-    else:
-        with TemporaryDirectory() as folder:  # pages are made of what is stored
-            stored = Path(folder) / output.stem
-            source.save(stored)
-            page = _page(stored)
+        return write_page(_page(source), output)
+    with TemporaryDirectory() as folder:  # pages are made of what is stored
+        stored = Path(folder) / output.stem
+        source.save(stored)
+        return write_page(_page(stored), output)
+
+
+def write_page(page: Page, output: Path) -> str:
+    """Write a page; return what was written. On one rank.
+
+    Raises
+    ------
+    ComputationError : the disk.
+    """
     try:
         with atomic_write(output) as temporary:
             temporary.write_text(_html(page), encoding="utf-8")
@@ -55,7 +63,13 @@ def report(source: Outcome | str | Path, output: str | Path) -> str:
     return f"{output}: {page.kind}, {figures} figure{'' if figures == 1 else 's'}"
 
 
-def _check(output: Path) -> None:
+def check_page(output: Path) -> None:
+    """Refuse a page that cannot be written.
+
+    Raises
+    ------
+    InputError : its name or folder, or a package that is missing.
+    """
     if output.suffix.lower() not in _ENDINGS:
         raise InputError(f"{output}: its ending must be one of {', '.join(_ENDINGS)}")
     check_writable(output)
