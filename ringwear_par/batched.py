@@ -27,6 +27,12 @@ def take(batch: T, histories: IntArray) -> T:
     return _apply(lambda axis, values: values.take(histories, axis), batch)
 
 
+def keep(holder: object, names: Sequence[str], histories: IntArray) -> None:
+    """Leave some of the histories in attributes of an object, (B, ...) each."""
+    for name in names:
+        setattr(holder, name, getattr(holder, name)[histories])
+
+
 def one(batch: T, history: int) -> T:
     """Return one of the histories of a batch, without the axis."""
     return _apply(lambda axis, values: np.take(values, history, axis), batch)

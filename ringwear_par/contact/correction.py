@@ -210,6 +210,14 @@ class CorrectedContacts:
         errors, elements = zip(*(contacts.largest_errors for contacts in before), strict=True)
         self.largest_errors = np.concatenate(errors), np.concatenate(elements)
 
+    def keep(self, histories: IntArray) -> None:
+        """Go on with some of the histories, in ascending order."""
+        self.engine.keep(histories)
+        errors, elements = self.largest_errors
+        self.largest_errors = errors[histories], elements[histories]
+        self._products, self._shift_at = RowProducts(self.engine.which), None
+        self._every, self._stiffness = np.arange(len(histories)), self._stiffness[histories]
+
     def take(self, histories: IntArray) -> "CorrectedContacts":
         """Return the contacts of some of the histories."""
         errors, elements = self.largest_errors

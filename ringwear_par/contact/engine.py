@@ -54,19 +54,21 @@ class _Callbacks:
 
     def _at_work(self, x: PETSc.Vec) -> FloatArray:
         """Return the unknowns of the histories at work, (h, n)."""
-        problem, q = self._problem, x.getArray(readonly=True)
-        return q.reshape(-1, len(problem.area))[self._rows(q)]
+        q = x.getArray(readonly=True)
+        return q[None] if self._is_one(q) else self._problem.rows_in(q)[self._problem.rows]
 
-    def _rows(self, values: FloatArray) -> IntArray | slice:
-        """Return the rows of a vector that are of the histories at work."""
-        problem = self._problem
-        return problem.rows if values.size == problem.scale.size else slice(None)
+    def _is_one(self, vector: FloatArray) -> bool:
+        """Tell whether a vector is of the only history at work."""
+        return vector.size == len(self._problem.area)
 
     def gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> None:
         """Set g to the gradient at the present approaches."""
         values = g.getArray()
-        rows = values.reshape(-1, len(self._problem.area))
-        rows[self._rows(values)] = self._problem.gradient(self._at_work(x))
+        gradient = self._problem.gradient(self._at_work(x))
+        if self._is_one(values):
+            values[:] = gradient[0]
+        else:
+            self._problem.rows_in(values)[self._problem.rows] = gradient
 
     def objective(self, tao: PETSc.TAO, x: PETSc.Vec) -> float:
         """Return the sum of the objectives at the present approaches."""
@@ -123,11 +125,10 @@ class ContactEngine:
         self._q, self._g = (np.zeros_like(self.scale) for _ in "qg")
         self._iterations = np.zeros(len(which), dtype=np.int64)
         #: our own method; None: one of PETSc's is at work
-        self._newton = (
-            ActiveSetNewton(self._problem, self._hessians, self._iterations)
-            if tao_type == TAO_TYPES[0]
-            else None
-        )
+        self._newton: ActiveSetNewton | None = None
+        if tao_type == TAO_TYPES[0]:
+            self._newton = ActiveSetNewton(self._problem, self._hessians)
+            self._iterations = self._newton.iterations
         OPEN[self] = None
         try:
             self._set_up_tao()
@@ -221,18 +222,25 @@ class ContactEngine:
                 if len(gap) == 1:
                     raise
                 failed[history] = True
-        residual[active] = problem.residuals(active, self._q, self._g, self._hessians.slope)
+        residual[active] = self._residuals(active)
         residual[apart] = 0.0
         failed |= ~(residual <= KKT_TOLERANCE)
         if failed.any():
             if len(gap) == 1:
                 raise ComputationError(self._failure(0, float(residual[0])))
             raise HistoriesError(failed)
-        p = problem.pressures(self._q, slice(None))
+        p = problem.last_pressures(self._q)
         return ContactState(
             p, problem.gaps_of(self._g), problem.approaches.copy(), inner(problem.area, p),
             self._iterations.copy(), residual,
         )  # fmt: skip
+
+    def _residuals(self, histories: IntArray) -> FloatArray:
+        """Return natural KKT residuals of solutions, as Newton's method saw them last."""
+        seen = None if self._newton is None else self._newton.residuals[histories]
+        if seen is not None and (seen <= KKT_TOLERANCE).all():
+            return seen
+        return self._problem.residuals(histories, self._q, self._g, self._hessians.slope)
 
     def _failure(self, history: int, residual: float) -> str:
         """Return why a contact was not solved."""
@@ -251,7 +259,7 @@ class ContactEngine:
         if self._newton is None or not len(at_work):
             return at_work
         self._callbacks.guard.solve(self._tao, self._tao_type)
-        return np.flatnonzero(self._newton.unsolved)
+        return self._newton.unsolved
 
     def _separate(self, histories: IntArray) -> None:
         """Take the pressures of histories that need none; the gradient is the weighted gap."""
@@ -347,6 +355,18 @@ class ContactEngine:
     def warm(self, warm: WarmStart) -> None:
         self._q[:], self._problem.approaches[:] = warm.scaled_pressure, warm.approach
         self._problem.is_known[:] = False
+
+    def keep(self, histories: IntArray) -> None:
+        """Go on with some of the histories, in ascending order, in the first rows of vectors."""
+        count = len(histories)
+        for rows in (self._q, self._g):
+            rows[:count] = rows[histories]
+        self._q, self._g, self.which = self._q[:count], self._g[:count], self.which[histories]
+        self._problem.keep(histories)
+        self._hessians.keep(histories)
+        self._iterations = np.zeros(count, dtype=np.int64)
+        if self._newton is not None:
+            self._newton.iterations, self._newton.residuals = self._iterations, np.zeros(count)
 
     def take(self, histories: IntArray) -> "ContactEngine":
         """Return an engine of some of the histories, which starts where this one would."""

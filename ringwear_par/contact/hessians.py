@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner, largest
+from ringwear_par.batched import keep
 from ringwear_par.contact.basis_stack import BROKEN, BasisStack
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
@@ -25,9 +26,9 @@ LARGEST_WITH_BASES = 256
 _ROUND_OFF = 1e-12
 #: instead of the number of a basis: a factor of its own
 _FACTOR = -1
-#: residuals, relative to the first, at which conjugate gradients end: within Newton's method, whose
-#: next step corrects what this one left, and of solutions
-NEAR, SOLVED = 1e-6, 1e-13
+#: residuals, relative to the first, at which conjugate gradients end: of estimates, within Newton's
+#: method, whose next step corrects what this one left, and of solutions
+ROUGH, NEAR, SOLVED = 1e-3, 1e-6, 1e-13
 _MOST_ITERATIONS = 200
 #: where nothing touches
 _NO_FACTOR = np.zeros((0, 0))
@@ -66,20 +67,38 @@ class Hessians:
         #: (B, n) in the bases, what unknowns grow by with the approach, and (B,) the force with it
         self._response, self._stiffness = np.zeros((count, n)), np.zeros(count)
         self._factors: dict[int, FloatArray] = {}
-        self._rows: tuple[IntArray, _Rows] | None = None
+        #: how all histories are solved (True), and how some of them are
+        self._rows: dict[bool, tuple[IntArray, _Rows]] = {}
+
+    def keep(self, histories: IntArray) -> None:
+        """Go on with some of the histories."""
+        self.slope = self.slope[histories]
+        self.coupling = self.coupling[histories] if len(self.coupling) else self.coupling
+        keep(
+            self,
+            ("_which", "_weights", "_per_speed", "_slope", "_free", "_valid", "_sets", "_number",
+             "_inverse", "_regular", "_response", "_stiffness"),
+            histories,
+        )  # fmt: skip
+        places = {history: place for place, history in enumerate(histories.tolist())}
+        factors = self._factors.items()
+        self._factors = {places[h]: factor for h, factor in factors if h in places}
+        self._rows.clear()
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Set y to H x."""
-        q = x.getArray(readonly=True).reshape(self.slope.shape)
+        size = self.slope.size
+        q = x.getArray(readonly=True)[:size].reshape(self.slope.shape)
         product = RowProducts(self._which).of(q, self._matrices) + self.slope * q
         if len(self.coupling):
             product += np.einsum("bij,bj->bi", self.coupling, q)
-        y.getArray()[:] = product.ravel()
+        y.set(0.0)
+        y.getArray()[:size] = product.ravel()
 
     def pose(self, wear: WearIncrement | None) -> None:
         """Make room for what the wear of an implicit step adds; none adds nothing."""
         if wear is None:
-            self.slope[:] = 0.0
+            self.slope = np.zeros_like(self.slope)
         self.through_layers = wear is not None and wear.layered
         coupled, (count, n) = wear is not None and not wear.local, self.slope.shape
         if coupled != bool(len(self.coupling)):
@@ -89,7 +108,12 @@ class Hessians:
         self, rows: IntArray | slice, slope: FloatArray, coupling: FloatArray | None
     ) -> None:
         """Set what wear adds in some rows, see ``ContactProblem.slopes``."""
-        self.slope[rows] = slope
+        if isinstance(rows, slice):
+            self.slope = slope
+        else:
+            if self.slope is self._slope:  # of the inverses
+                self.slope = self.slope.copy()
+            self.slope[rows] = slope
         if coupling is not None:
             self.coupling[rows] = coupling
 
@@ -104,7 +128,8 @@ class Hessians:
     def forget(self, histories: IntArray) -> None:
         """Let nothing touch in some histories."""
         self._free[histories], self._valid[histories] = False, False
-        self._number[histories], self._rows = _FACTOR, None
+        self._number[histories] = _FACTOR
+        self._rows.clear()
         for history in histories.tolist():
             self._factors[history] = _NO_FACTOR
 
@@ -120,7 +145,8 @@ class Hessians:
         rows = slice(None) if len(histories) == len(self._valid) else histories
         slope, touching = self.slope[rows], free[rows]
         new = ~self._valid[rows]
-        new |= (slope != self._slope[rows]).any(axis=1)
+        if self.slope is not self._slope:
+            new |= (slope != self._slope[rows]).any(axis=1)
         new |= (touching != self._free[rows]).any(axis=1)
         coupled = bool(len(self.coupling))
         if coupled:
@@ -130,18 +156,27 @@ class Hessians:
                 return
             rows = histories = histories[new]
             slope, touching = slope[new], touching[new]
-        self._slope[rows], self._free[rows], self._valid[rows] = slope, touching, not coupled
+        if isinstance(rows, slice):
+            self._slope = self.slope
+        else:
+            if self.slope is self._slope:
+                self._slope = self._slope.copy()
+            self._slope[rows] = slope
+        self._free[rows], self._valid[rows] = touching, not coupled
         if coupled or not in_bases or slope.shape[1] > LARGEST_WITH_BASES:
             self._factorise(histories)
             return
         rate = slope * self._per_speed[rows]
         rate *= touching
         wearing, most = rate > 0.0, largest(rate)
-        regular = ~(wearing & (rate < ((1.0 - _ROUND_OFF) * most)[:, None])).any(axis=1)
+        least = -largest(-rate)
+        regular = least >= (1.0 - _ROUND_OFF) * most
+        if not regular.all():
+            regular = ~(wearing & (rate < ((1.0 - _ROUND_OFF) * most)[:, None])).any(axis=1)
         if self.through_layers and not regular.all():
             self._factorise(histories[~regular])
             rows = histories = histories[regular]
-            touching, wearing, most = (v[regular] for v in (touching, wearing, most))
+            touching, wearing, most = touching[regular], wearing[regular], most[regular]
             regular = regular[regular]
             if not len(histories):
                 return
@@ -170,7 +205,8 @@ class Hessians:
         new = (sets != self._sets[histories]).any(axis=1) | (self._number[histories] < 0)
         if not new.any():
             return
-        self._sets[histories], self._rows = sets, None
+        self._sets[histories] = sets
+        self._rows.clear()
         alike: dict[tuple[int, bytes], list[int]] = defaultdict(list)
         which, width = self._which[histories].tolist(), sets.shape[1]
         packed = sets.tobytes()
@@ -185,7 +221,7 @@ class Hessians:
 
     def _factorise(self, histories: IntArray) -> None:
         """Factor blocks one by one."""
-        self._rows = None
+        self._rows.clear()
         for history in histories.tolist():
             block, free = self.matrix(history), self._free[history]
             if not free.all():
@@ -195,18 +231,19 @@ class Hessians:
 
     def _rows_of(self, histories: IntArray) -> "_Rows":
         """Return how some histories are solved, remembered for the same ones."""
-        if self._rows is None or self._rows[0] is not histories:
+        whole = len(histories) == len(self._number)
+        known = self._rows.get(whole)
+        if known is None or (known[0] is not histories and not whole):
             every = self._number[histories]
             modal = np.flatnonzero(every >= 0)
-            whole = len(modal) == len(every)
-            numbers = every if whole else every[modal]
-            places = slice(None) if whole else modal
+            places: IntArray | slice = modal
+            if len(modal) == len(every):
+                places = slice(None)
+            numbers = every[places]
             ours = slice(None) if len(numbers) == len(self._number) else histories[places]
-            self._rows = (
-                histories,
-                _Rows(places, ours, numbers, self._stack.force[numbers], RowProducts(numbers)),
-            )
-        return self._rows[1]
+            rows = _Rows(places, ours, numbers, self._stack.force[numbers], RowProducts(numbers))
+            known = self._rows[whole] = histories, rows
+        return known[1]
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
         """Return H^-1 right, (..., h, n), of some histories; 0 off their sets."""
@@ -250,13 +287,14 @@ class Hessians:
         self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None, tolerance: float
     ) -> tuple[FloatArray, FloatArray]:
         """Return steps in the bases, (..., h, n), and of approaches, (..., h)."""
-        solved = modal * self._inverse[rows.histories]
         if missing is None:
-            change = np.zeros(modal.shape[:-1])
-            np.negative(solved, out=solved)
+            change, solved = np.zeros(modal.shape[:-1]), -modal
         else:
-            change = _divided(missing + inner(rows.force, solved), self._stiffness[rows.histories])
-            np.subtract(change[..., None] * self._response[rows.histories], solved, out=solved)
+            carried = missing + inner(self._response[rows.histories], modal)
+            change = _divided(carried, self._stiffness[rows.histories])
+            solved = change[..., None] * rows.force
+            solved -= modal
+        solved *= self._inverse[rows.histories]
         irregular = np.flatnonzero(~self._regular[rows.histories])
         if len(irregular):
             sides = modal[..., irregular, :]
@@ -322,43 +360,52 @@ class Hessians:
         stiffness, multiplier = self._stiffness[histories], np.zeros(count)
 
         def apply(x: FloatArray) -> FloatArray:
-            return x + groups.of(slope * groups.of(x, psi_t), psi)
+            bent = groups.of(x, psi_t)
+            bent *= slope
+            product = groups.of(bent, psi)
+            product += x
+            return product
 
-        def project(r: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-            z = inverse * r
-            if missing is None:
-                return r, z, multiplier
-            more = _divided(inner(force, z), stiffness)
-            return r - force * more[:, None], z - response * more[:, None], multiplier + more
+        def project() -> FloatArray:
+            if missing is not None:
+                more = _divided(inner(response, r), stiffness)
+                np.subtract(r, force * more[:, None], out=r)
+                np.add(multiplier, more, out=multiplier)
+            return inverse * r
 
-        rows, x, r = np.arange(count), np.zeros_like(right), right
-        if missing is not None:
+        rows, x, r = np.arange(count), np.zeros_like(right), right.copy()
+        if missing is not None and missing.any():
             x = response * _divided(missing, stiffness)[:, None]
-            r = r - apply(x)
-        r, z, multiplier = project(r)
-        direction, size = z, inner(r, z)
-        small = tolerance * tolerance * size
+            r -= apply(x)
+        direction = project()
+        size = inner(r, direction)
+        small, going = tolerance * tolerance * size, np.ones(count, dtype=bool)
         for _ in range(_MOST_ITERATIONS):
-            going = size > small
-            if not going.all():
-                solutions[rows[~going]], multipliers[rows[~going]] = x[~going], -multiplier[~going]
+            ended = going & ~(size > small)
+            if ended.any():
+                solutions[rows[ended]], multipliers[rows[ended]] = x[ended], -multiplier[ended]
+                going &= ~ended
                 if not going.any():
                     break
-                rows, x, r, direction, size, small, multiplier, numbers = (
-                    a[going] for a in (rows, x, r, direction, size, small, multiplier, numbers)
-                )
-                slope, inverse, force, response, stiffness = (
-                    a[going] for a in (slope, inverse, force, response, stiffness)
-                )
-                groups = RowProducts(numbers)
+                if 2 * going.sum() <= len(going):  # to leave rows out takes some iterations' time
+                    rows, x, r, direction, size, small, multiplier, numbers = (
+                        a[going] for a in (rows, x, r, direction, size, small, multiplier, numbers)
+                    )
+                    slope, inverse, force, response, stiffness = (
+                        a[going] for a in (slope, inverse, force, response, stiffness)
+                    )
+                    groups, going = RowProducts(numbers), going[going]
             product = apply(direction)
-            length = (size / inner(direction, product))[:, None]
-            x, r = x + length * direction, r - length * product
-            r, z, multiplier = project(r)
+            length = _divided(size, inner(direction, product))[:, None]
+            x += length * direction
+            product *= length
+            r -= product
+            z = project()
             before, size = size, inner(r, z)
-            direction = z + (size / before)[:, None] * direction
+            direction *= _divided(size, before)[:, None]
+            direction += z
         else:
-            solutions[rows], multipliers[rows] = x, -multiplier
+            solutions[rows[going]], multipliers[rows[going]] = x[going], -multiplier[going]
         return solutions, multipliers
 
 

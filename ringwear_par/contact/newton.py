@@ -31,15 +31,17 @@ class ActiveSetNewton:
     ----------
     problem : the problems; those at work are solved.
     hessians : of them.
-    iterations : (B,) int, which become those of plain steps.
     """
 
-    def __init__(self, problem: ContactProblem, hessians: Hessians, iterations: IntArray) -> None:
-        self._problem, self._hessians, self._iterations = problem, hessians, iterations
+    def __init__(self, problem: ContactProblem, hessians: Hessians) -> None:
+        self._problem, self._hessians = problem, hessians
         #: whether the damped iteration is wanted, of the one history that is at work
         self.damped = False
-        #: (B,) which histories did not end
-        self.unsolved: BoolArray = np.zeros(len(problem.every), dtype=bool)
+        #: (B,) plain steps, and natural residuals relative to largest unknowns; (u,) which
+        #: histories did not end
+        self.iterations = np.zeros(len(problem.every), dtype=np.int64)
+        self.residuals: FloatArray = np.zeros(len(problem.every))
+        self.unsolved: IntArray = problem.every[:0]
         self._monitored = False
         self._forget()
 
@@ -61,12 +63,10 @@ class ActiveSetNewton:
 
         At the end solution and gradient vector hold what they have there.
         """
-        shape = self._problem.weights.shape
-        q, g = (vector.getArray().reshape(shape) for vector in (self._x, self._g))
+        q, g = (self._problem.rows_in(vector.getArray()) for vector in (self._x, self._g))
         iterate = self._iterate_damped if self.damped else self._iterate
-        self.unsolved[:] = False
         left, iterations = iterate(tao, q, g)
-        self.unsolved[left] = True
+        self.unsolved = np.sort(left)
         tao.setIterationNumber(iterations)
         reasons = PETSc.TAO.Reason
         ended = not self.damped or not len(left)  # plain steps have damped ones to follow them
@@ -74,7 +74,7 @@ class ActiveSetNewton:
 
     def _iterate(self, tao: PETSc.TAO, q: FloatArray, g: FloatArray) -> tuple[IntArray, int]:
         """Take plain steps; return the histories that did not end, and the number of steps."""
-        problem, hessians, weights = self._problem, self._hessians, self._problem.weights
+        problem, hessians = self._problem, self._hessians
         broken = problem.at_work[:0]
         free = q > 0.0
         self._begin(tao, q, g, free)
@@ -88,12 +88,12 @@ class ActiveSetNewton:
             hessians.refresh(histories, free)
             missing = None
             if problem.forces is not None:
-                missing = problem.forces[rows] - inner(weights[rows], q[rows])
+                missing = problem.forces[rows] - inner(problem.weights[rows], q[rows])
             steps, changes = hessians.steps(histories, g[rows], missing, NEAR)
             problem.approaches[rows] += changes
             q[rows] += steps
             self._evaluate(tao)
-            self._iterations[histories] = iteration
+            self.iterations[histories] = iteration
             if self._monitored:
                 self._monitor(tao, iteration)
             lost, cleared = self._settle(q, g, free)
@@ -112,9 +112,12 @@ class ActiveSetNewton:
         histories, rows = problem.at_work, problem.rows
         x, slopes = q[rows], g[rows]
         before = free[rows]
-        keep = (before & (x > 0.0)) | (~before & (slopes < 0.0))
-        same = (keep == before).all(axis=1)
         fine, broken = self._optimal(x, slopes)
+        if before.all() and x.min() > 0.0:
+            keep, same = before, np.ones_like(fine)
+        else:
+            keep = (before & (x > 0.0)) | (~before & (slopes < 0.0))
+            same = (keep == before).all(axis=1)
         if same.all() and fine.all() and not broken.any():
             problem.at_work = histories[:0]
             return histories[:0], False
@@ -133,24 +136,29 @@ class ActiveSetNewton:
         round-off of x, and the force is met.
         """
         problem, rows = self._problem, self._problem.rows
-        weights = problem.weights[rows]
         diagonal = 1.0 + self._hessians.slope[rows]
-        defect = np.minimum(gradient, x * diagonal)
-        square = inner(defect, defect)
-        overlap = np.maximum(problem.approaches[rows][:, None] - problem.gaps[rows], 0.0) * weights
-        fine = np.sqrt(square) <= GRADIENT_TOLERANCE * np.sqrt(inner(overlap, overlap))
+        natural = np.minimum(x, gradient / diagonal)
+        worst, most = largest(np.abs(natural)), np.maximum(largest(x), 0.0)
+        carried = inner(problem.weights[rows], x)
+        # where wear makes the diagonal large, round-off in q is more than the tolerance in g
+        fine = worst <= ROUND_OFF * most
         if not fine.all():
-            # where wear makes the diagonal large, round-off in q is more than the tolerance in g
-            most = np.maximum(largest(x), 0.0)
-            fine |= largest(np.abs(defect / diagonal)) <= ROUND_OFF * most
-        carried = inner(weights, x)
+            defect, beyond = natural * diagonal, problem.approaches[rows, None] - problem.gaps[rows]
+            overlap = np.maximum(beyond, 0.0) * problem.weights[rows]
+            allowed = GRADIENT_TOLERANCE * np.sqrt(inner(overlap, overlap))
+            fine |= np.sqrt(inner(defect, defect)) <= allowed
         if problem.forces is not None:
             force = problem.forces[rows]
             fine &= np.abs(carried - force) <= FORCE_TOLERANCE * force
-        return fine, ~np.isfinite(square + carried)
+        self.residuals[rows] = np.divide(
+            worst, most, out=np.full_like(worst, np.inf), where=most > 0.0
+        )
+        return fine, ~np.isfinite(worst + carried)
 
     def _begin(self, tao: PETSc.TAO, q: FloatArray, g: FloatArray, free: BoolArray) -> None:
         """Let the sets be those of the present values; where nothing touches, guess."""
+        if q.min() > 0.0:
+            return
         histories, rows = self._problem.at_work, self._problem.rows
         none = histories[~free[rows].any(axis=1)]
         if len(none):
@@ -210,9 +218,9 @@ class ActiveSetNewton:
 
     def _monitor(self, tao: PETSc.TAO, iteration: int) -> None:
         """Let whoever watches see objective and projected gradient of the histories at work."""
-        rows, shape = self._problem.rows, self._problem.weights.shape
         x, gradient = (
-            vector.getArray(readonly=True).reshape(shape)[rows] for vector in (self._x, self._g)
+            self._problem.rows_in(vector.getArray(readonly=True))[self._problem.rows]
+            for vector in (self._x, self._g)
         )
         residual = float(np.linalg.norm(np.where(x > 0.0, gradient, np.minimum(gradient, 0.0))))
         tao.monitor(iteration, tao.computeObjective(self._x), residual)

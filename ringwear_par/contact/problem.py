@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, inner, largest, short_repr
+from ringwear_par.batched import keep
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.wear.increment import WearIncrement
 
@@ -109,10 +110,11 @@ class ContactProblem:
         self.every = np.arange(len(which))
         #: (B, n) A q of the last unknowns, and (B,) whether those are the ones that there are now
         self._product, self.is_known = np.zeros_like(self.scale), np.zeros(len(which), dtype=bool)
+        #: (B, n) MPa at the last gradient, where it was of all histories
+        self._pressure: FloatArray | None = None
         #: whether a gradient is wanted at the last unknowns
         self.recall = False
-        #: (h,) the histories at work
-        self.at_work: IntArray = self.every
+        self.at_work = self.every
         #: (B, n) mm, and (B,) mm
         self.gaps, self.approaches = np.zeros_like(self.scale), np.zeros(len(which))
         #: (B,) N, where approaches are those that carry given forces
@@ -151,14 +153,36 @@ class ContactProblem:
         self.at_work = histories[~apart[histories]] if apart.any() else histories
         return apart
 
+    def keep(self, histories: IntArray) -> None:
+        """Go on with some of the histories, none of which is at work."""
+        keep(
+            self,
+            ("which", "scale", "weights", "_per_scale", "_per_weight", "_slope_scale", "_product",
+             "is_known", "gaps", "approaches"),
+            histories,
+        )  # fmt: skip
+        self.every = np.arange(len(histories))
+        self.at_work = self.every
+        self._pressure = self._products = self._wear_at_work = self.wear = self.forces = None
+
     def rows_of(self, histories: IntArray) -> IntArray | slice:
         """Return the rows of some histories; of all a slice, which is quicker."""
         return slice(None) if len(histories) == len(self.every) else histories
 
+    def rows_in(self, vector: FloatArray) -> FloatArray:
+        """Return the rows of all histories, (B, n), in a vector that may have room for more."""
+        return vector[: self.weights.size].reshape(self.weights.shape)
+
     @property
-    def rows(self) -> IntArray | slice:
-        """The rows of the histories at work."""
-        return self.rows_of(self.at_work)
+    def at_work(self) -> IntArray:
+        """(h,) the histories at work."""
+        return self._at_work
+
+    @at_work.setter
+    def at_work(self, histories: IntArray) -> None:
+        self._at_work = histories
+        #: the rows of the histories at work
+        self.rows = self.rows_of(histories)
 
     def _increment(self) -> WearIncrement | None:
         """Return the wear of the histories at work."""
@@ -180,23 +204,49 @@ class ContactProblem:
     def _products_of(self, q: FloatArray) -> FloatArray:
         """Return A q, (h, n)."""
         rows = self.rows
-        if self.recall and self.is_known[rows].all():
+        if self._recalls():
             return self._product[rows]
         if self._products is None or self._products[0] is not self.at_work:
             self._products = self.at_work, RowProducts(self.which[rows])
         product = self._products[1].of(q, self.compliances.matrices)
-        self._product[rows], self.is_known[rows] = product, True
+        self.is_known[rows] = True
+        if isinstance(rows, slice):
+            self._product = product
+        else:
+            self._product[rows] = product
         return product
 
     def gradient(self, q: FloatArray) -> FloatArray:
         """Return the gradient (h, n): the weighted gap of the deformed, worn profiles."""
-        rows, wear = self.rows, self._increment()
+        rows, wear, p = self.rows, self._increment(), self._pressures_of(q)
         gradient = self.gaps[rows] - self.approaches[rows, None]
         if wear is not None:
-            gradient += wear.depth(self.pressures(q, rows))
+            gradient += wear.depth(p)
         gradient *= self.weights[rows]
         gradient += self._products_of(q)
         return gradient
+
+    def _pressures_of(self, q: FloatArray) -> FloatArray:
+        """Return the pressures of the histories at work, (h, n) MPa; remembered."""
+        rows = self.rows
+        if self._pressure is not None and isinstance(rows, slice) and self._recalls():
+            return self._pressure
+        p = self.pressures(q, rows)
+        self._pressure = p if isinstance(rows, slice) else None
+        return p
+
+    def _recalls(self) -> bool:
+        """Tell whether what is wanted at the last unknowns is known of all at work."""
+        return self.recall and bool(self.is_known[self.rows].all())
+
+    def last_pressures(self, q: FloatArray) -> FloatArray:
+        """Return the pressures of all histories, (B, n) MPa.
+
+        Where they are those of the last gradient the same array, which laws know again.
+        """
+        if self._pressure is None or not self.is_known.all():
+            self._pressure = self.pressures(q, slice(None))
+        return self._pressure
 
     def objective(self, q: FloatArray) -> float:
         """Return the sum of the objectives, N mm."""

@@ -21,6 +21,9 @@ class RowProducts:
 
     def __init__(self, which: IntArray) -> None:
         count = len(which)
+        self._which = which
+        #: of rows that are there several times, one after another
+        self._repeated: dict[int, RowProducts] = {}
         #: numbers of matrices, and the first and last blocks of their rows
         self._runs: list[tuple[int, int, int]] = []
         #: the one matrix of all blocks, or those of each, where they are a slice
@@ -30,7 +33,9 @@ class RowProducts:
         if not count or (which == which[0]).all():
             self._stack = int(which[0]) if count else 0
             return
-        numbers, group, counts = np.unique(which, return_inverse=True, return_counts=True)
+        counts = np.bincount(which)
+        numbers = np.flatnonzero(counts)
+        counts = counts[numbers]
         blocks = -(-counts // ROWS)
         last = np.cumsum(blocks)
         self._n_blocks = int(last[-1])
@@ -38,35 +43,41 @@ class RowProducts:
             self._stack = slice(int(numbers[0]), int(numbers[-1]) + 1)
         ends = zip(numbers.tolist(), (last - blocks).tolist(), last.tolist(), strict=True)
         self._runs = list(ends)
-        order = np.argsort(group, kind="stable")
-        within = np.arange(count) - (np.cumsum(counts) - counts)[group[order]]
+        # rows of a matrix follow each other from its first block on
+        starts = ROWS * (last - blocks) - (np.cumsum(counts) - counts)
         self._slots = np.empty(count, dtype=np.int64)
-        self._slots[order] = ROWS * (last - blocks)[group[order]] + within
+        order = np.argsort(which, kind="stable")
+        self._slots[order] = np.arange(count) + np.repeat(starts, counts)
 
     def of(self, rows: FloatArray, matrices: FloatArray) -> FloatArray:
         """Return rows (..., h, n) times their matrices (n, n), digits of each row its own."""
-        *leading, count, n = rows.shape
+        n = rows.shape[-1]
+        if self._slots is not None and rows.ndim > 2:
+            times = rows.size // (len(self._which) * n)
+            if times not in self._repeated:
+                self._repeated[times] = RowProducts(np.tile(self._which, times))
+            flat = rows.reshape(-1, n)
+            return self._repeated[times].of(flat, matrices).reshape(rows.shape)
+        flat = rows.reshape(-1, n)
+        count = len(flat)
         if self._slots is None:
-            whole, product = count // ROWS * ROWS, np.empty(rows.shape)
-            matrix = matrices[self._stack]
+            whole, product = count // ROWS * ROWS, np.empty(flat.shape)
+            matrix, shape = matrices[self._stack], (-1, ROWS, n)
             if whole:
-                shape = (*leading, whole // ROWS, ROWS, n)
-                full = (..., slice(whole), slice(None))
-                np.matmul(rows[full].reshape(shape), matrix, out=product[full].reshape(shape))
+                full = flat[:whole].reshape(shape)
+                np.matmul(full, matrix, out=product[:whole].reshape(shape))
             if whole < count:
-                rest = (..., slice(whole, None), slice(None))
-                padded = np.zeros((*leading, ROWS, n))
-                padded[..., : count - whole, :] = rows[rest]
-                product[rest] = (padded @ matrix)[..., : count - whole, :]
-            return product
-        blocks = np.zeros((*leading, ROWS * self._n_blocks, n))
-        blocks[..., self._slots, :] = rows
-        blocks = blocks.reshape(*leading, self._n_blocks, ROWS, n)
+                padded = np.zeros((ROWS, n))
+                padded[: count - whole] = flat[whole:]
+                product[whole:] = (padded @ matrix)[: count - whole]
+            return product.reshape(rows.shape)
+        blocks = np.zeros((ROWS * self._n_blocks, n))
+        blocks[self._slots] = flat
+        blocks = blocks.reshape(self._n_blocks, ROWS, n)
         if self._stack is not None:
             product = blocks @ matrices[self._stack]
         else:
             product = np.empty_like(blocks)
             for number, first, last in self._runs:
-                part = (..., slice(first, last), slice(None), slice(None))
-                np.matmul(blocks[part], matrices[number], out=product[part])
-        return product.reshape(*leading, ROWS * self._n_blocks, n)[..., self._slots, :]
+                np.matmul(blocks[first:last], matrices[number], out=product[first:last])
+        return product.reshape(-1, n)[self._slots]

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, inner
-from ringwear_par.contact.hessians import SOLVED, Hessians
+from ringwear_par.contact.hessians import ROUGH, Hessians
 from ringwear_par.contact.problem import ContactProblem, ContactState
 from ringwear_par.contact.row_products import RowProducts
 
@@ -29,14 +29,15 @@ class SolutionDerivatives:
         self._problem, self._hessians = problem, hessians
 
     def response(self, gap: FloatArray) -> FloatArray:
-        """Return the changes of the last pressures, MPa, with small growths (..., B, n) mm of gaps.
+        """Return about the changes of the last pressures, MPa, with small growths of gaps.
 
-        Linear, elements in contact and forces or approaches, whichever were given, staying so; the
-        wear of the step included.
+        Of (..., B, n) mm, to some 1e-3 of them: for estimates of errors. Linear, elements in
+        contact and forces or approaches, whichever were given, staying so; the wear of the step
+        included.
         """
         problem = self._problem
         missing = None if problem.forces is None else np.zeros(gap.shape[:-1])
-        steps, _ = self._hessians.steps(problem.every, problem.weights * gap, missing, SOLVED)
+        steps, _ = self._hessians.steps(problem.every, problem.weights * gap, missing, ROUGH)
         return problem.pressures(steps, slice(None))
 
     def deflections(self, d_p: FloatArray) -> FloatArray:

@@ -1,20 +1,15 @@
-"""Histories that step together, and the ensemble that they are part of."""
+"""Histories that step together."""
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
-from mpi4py import MPI
 
 from ringwear_par import batched
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.cases.case import Case
 from ringwear_par.cases.unit_suspicions import unit_question
-from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import WarmStart
-from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.errors import (
     ComputationError,
     HistoriesError,
@@ -25,124 +20,15 @@ from ringwear_par.errors import (
     UnfitError,
     reason_of,
 )
-from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.moving_geometry import MovingGeometry
-from ringwear_par.history.physics import Physics
+from ringwear_par.history.ensemble import Ensemble, Present
+from ringwear_par.history.inputs import HistoryInputs
 from ringwear_par.history.schemes.interfaces import next_to_cross
-from ringwear_par.history.schemes.step import Scheme
-from ringwear_par.history.snapshots import Observer, Snapshot
-from ringwear_par.history.start import initial_state
-from ringwear_par.history.state import Progress, Start, State
-from ringwear_par.history.step_control import NO_STEP, Control, ErrorControl, FixedSteps
+from ringwear_par.history.snapshots import Snapshot
+from ringwear_par.history.state import Progress, State
+from ringwear_par.history.step_control import NO_STEP
 from ringwear_par.parallel import as_on_first_rank, together
 
 log = logging.getLogger(__name__)
-
-
-class Method(NamedTuple):
-    """A ``time.scheme``: how a step is made, and how its length is controlled."""
-
-    scheme: Scheme
-    control: type[FixedSteps] | type[ErrorControl]
-
-
-@dataclass
-class Ensemble:
-    """All cases of a simulation, and how their histories ended so far.
-
-    Parameters
-    ----------
-    cases, comm, pair, start, observers, derivatives, step_times, paces : see ``loop.simulate``.
-    method : of all cases.
-    failures : why, of the histories that failed, by number.
-    stopped : whether an observer stopped all.
-    """
-
-    cases: Sequence[Case]
-    comm: MPI.Comm
-    pair: ContactPair | Sequence[ContactPair] | None
-    start: Start | None
-    observers: Sequence[Observer]
-    derivatives: tuple[str, ...]
-    step_times: Sequence[Sequence[float]] | None
-    paces: Sequence[FloatArray] | None
-    method: Method
-    failures: dict[int, Exception] = field(default_factory=dict)
-    stopped: bool = False
-
-    def control(self, numbers: IntArray) -> Control:
-        """Return the step control of some histories."""
-        cases = [self.cases[i] for i in numbers.tolist()]
-        if self.step_times is None:
-            return self.method.control.of(cases, None)
-        return FixedSteps.of(cases, [self.step_times[i] for i in numbers.tolist()])
-
-    def pace(self, numbers: IntArray, steps: IntArray) -> FloatArray | None:
-        """Return factors (2, B) on the rates of histories that have made so many steps."""
-        if self.paces is None:
-            return None
-        present = zip(numbers.tolist(), steps.tolist(), strict=True)
-        return np.stack([self.paces[i][:, step] for i, step in present], axis=1)
-
-    def pairs(self, numbers: IntArray) -> ContactPair | Sequence[ContactPair] | None:
-        """Return the contact pair of some histories, or one of each; None: none is assembled."""
-        pair = self.pair
-        if pair is None or isinstance(pair, ContactPair):
-            return pair
-        return [pair[i] for i in numbers.tolist()]
-
-    def show(self, snapshots: Sequence[Snapshot]) -> None:
-        """Show new states to the observers."""
-        for snapshot in snapshots:
-            for observer in self.observers:
-                self.stopped |= bool(observer(snapshot))
-
-
-@dataclass(frozen=True)
-class _Present:
-    """Where the histories of a batch are.
-
-    Parameters
-    ----------
-    control : of their steps.
-    physics, contacts : of the histories; the contacts start from here.
-    geometry : of elements that follow the wear; None where they stay.
-    state, progress : after the last accepted step of each.
-    """
-
-    control: Control
-    physics: Physics
-    contacts: CorrectedContacts
-    geometry: MovingGeometry | None
-    state: State
-    progress: Progress
-
-    def take(self, histories: IntArray) -> "_Present":
-        """Return the present of some of the histories."""
-        return _Present(
-            batched.take(self.control, histories),
-            self.physics.take(histories),
-            self.contacts.take(histories),
-            self.geometry,
-            batched.take(self.state, histories),
-            batched.take(self.progress, histories),
-        )
-
-    def joined(self, other: "_Present", control: Control) -> "_Present":
-        """Return the present of the histories of both, which end; elements stay in all of them."""
-        physics = self.physics.joined(other.physics)
-        contacts = physics.contacts()
-        contacts.start_from(self.contacts, other.contacts)
-        self.contacts.close()
-        other.contacts.close()
-        return _Present(
-            control,
-            physics,
-            contacts,
-            None,
-            batched.concat([self.state, other.state]),
-            batched.concat([self.progress, other.progress]),
-        )
 
 
 class Batch:
@@ -157,7 +43,7 @@ class Batch:
     def __init__(self, ensemble: Ensemble, numbers: IntArray) -> None:
         self._ensemble, self.numbers = ensemble, numbers
         #: None before the start
-        self._present: _Present | None = None
+        self._present: Present | None = None
         #: (B,) s, end of the present try, and where its contacts start, and those of the next one
         #: if it fails; None: there is no try
         self._end: FloatArray | None = None
@@ -190,7 +76,14 @@ class Batch:
         if self._alone and snapshots[-1].accepted.all():
             self._alone, self._failure = False, ""
         ended = snapshots[-1].finished
-        return self._split([np.flatnonzero(~ended)]) if ended.any() else [self]
+        if ended.all():
+            self.close()
+            return []
+        if ended.any():
+            assert self._present is not None
+            rest = np.flatnonzero(~ended)
+            self.numbers, self._present = self.numbers[rest], self._present.keep(rest)
+        return [self]
 
     def joined(self, other: "Batch") -> "Batch":
         """Return one batch of the histories of both, which end."""
@@ -210,45 +103,22 @@ class Batch:
 
     def _start(self) -> list[Snapshot]:
         """Return the states at the start, unless the history continues. Collective."""
-        ensemble, numbers = self._ensemble, self.numbers
-        cases, start = [ensemble.cases[i] for i in numbers.tolist()], ensemble.start
-        geometry = MovingGeometry(cases[0], ensemble.comm) if cases[0].follows_wear else None
-        pair = ensemble.pairs(numbers)
-        if pair is None:
-            pair = assemble(cases[0], ensemble.comm) if geometry is None else geometry.unworn()
-        physics = Physics.of(cases, pair, derivatives=ensemble.derivatives)
-        physics = replace(physics, pair_is_shared=ensemble.pair is not None)
-        contacts, control = physics.contacts(), ensemble.control(numbers)
-        try:
-            if start is not None:
-                if geometry is not None and start.state.meshed_wear is not None:
-                    physics, contacts = geometry.remesh_to(
-                        start.state.meshed_wear, physics, contacts
-                    )
-                physics = replace(physics, gap_offset=start.state.gap_offset, updates=start.updates)
-                contacts.warm = start.warm
-                state, progress = start.state, start.progress
-            else:
-                with together(ensemble.comm):
-                    state = initial_state(physics, contacts)
-                progress = Progress.at_start(len(numbers))
-        except BaseException:
-            contacts.close()
-            raise
-        self._present = _Present(control, physics, contacts, geometry, state, progress)
-        if start is not None:
+        numbers, present = self.numbers, self._ensemble.begin(self.numbers)
+        self._present = present
+        if self._ensemble.start is not None:
             return []
+        state = present.state
         every = np.ones(len(numbers), dtype=bool)
         return [
             Snapshot(
-                numbers, physics, contacts, state, None, progress, state.contact.iterations, every,
-                every, ~every,
+                numbers, present.physics, present.contacts, state, None, present.progress,
+                state.contact.iterations, every, every, ~every,
             )
         ]  # fmt: skip
 
     # -- a round -----------------------------------------------------------------------------------
 
-    def _round(self, before: _Present) -> list[Snapshot]:
+    def _round(self, before: Present) -> list[Snapshot]:
         """Return the states that a try of each history leads to, states within it first."""
         ensemble, self._end = self._ensemble, None
         if before.geometry is not None:
@@ -292,12 +162,12 @@ class Batch:
             Snapshot(
                 self.numbers, physics, contacts, state, step, progress,
                 progress.iterations - before.progress.iterations, new,
-                _stored(physics.inputs.cases, state, progress, new, finished), finished,
+                _stored(physics.inputs, state, progress, new, finished), finished,
             ),
         ]  # fmt: skip
 
     def _within(
-        self, before: _Present, end: FloatArray, accepted: BoolArray, progress: Progress
+        self, before: Present, end: FloatArray, accepted: BoolArray, progress: Progress
     ) -> list[Snapshot]:
         """Return the states at times of output within accepted steps, which leave no trace."""
         cases = before.physics.inputs.cases
@@ -313,7 +183,7 @@ class Batch:
         return snapshots
 
     def _at_times(
-        self, before: _Present, histories: IntArray, times: FloatArray, progress: Progress
+        self, before: Present, histories: IntArray, times: FloatArray, progress: Progress
     ) -> Snapshot:
         """Return the states of some histories at times within their steps."""
         part = before.take(histories)
@@ -405,18 +275,18 @@ class Batch:
 
 
 def _stored(
-    cases: Sequence[Case],
+    inputs: HistoryInputs,
     state: State,
     progress: Progress,
     accepted: BoolArray,
     finished: BoolArray,
 ) -> BoolArray:
     """Return which of the new states are stored."""
-    steps = progress.steps
+    cases, steps = inputs.cases, progress.steps
     if cases[0].output.times:
         rows = zip(cases, steps.tolist(), state.time.tolist(), strict=True)
         return accepted & np.array([case.stores(step, time) for case, step, time in rows])
-    return accepted & (finished | (steps % np.array([c.output.every for c in cases]) == 0))
+    return accepted & (finished | (steps % inputs.every == 0))
 
 
 def _with_entries_of(other: State, state: State) -> State:

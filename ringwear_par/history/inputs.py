@@ -93,6 +93,11 @@ class HistoryInputs:
         )
         return replace(self, laws=laws)
 
+    @cached_property
+    def every(self) -> IntArray:
+        """(B,) ``output.every``."""
+        return np.array([case.output.every for case in self.cases])
+
     @property
     def shape(self) -> tuple[int, ...]:
         """The shape of fields, (B, n)."""

@@ -18,7 +18,8 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.history.batch import Batch, Ensemble, Method
+from ringwear_par.history.batch import Batch
+from ringwear_par.history.ensemble import Ensemble, Method
 from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.snapshots import Observer
 from ringwear_par.history.state import Start

@@ -151,6 +151,17 @@ class Physics:
         return first.obliquity if first.slope.any() else None
 
     @cached_property
+    def _whole_area(self) -> FloatArray:
+        """(1,) mm^2, as ``inner`` rounds it."""
+        return np.asarray(inner(self.area, np.ones((1, self.line.n))))
+
+    def area_in_contact(self, p: FloatArray) -> FloatArray:
+        """Return the area of elements with pressure, mm^2, (B,), at (B, n)."""
+        if p.min() > 0.0:  # few batches have elements that are apart, and looking is quick
+            return np.repeat(self._whole_area, len(p))
+        return np.asarray(inner(self.area, (p > 0.0).astype(float)))
+
+    @cached_property
     def _moment(self) -> FloatArray:
         """(n,) mm^3, torque per unit shear."""
         return self.area * self.compliances.every[0].obliquity * self.line.arm
@@ -168,7 +179,10 @@ class Physics:
         wear : (2, B, n) float, mm, by which the profiles are worn.
         increment : wear of an implicit step, which is part of the contact problem.
         """
-        gap = self.inputs.initial_gap + wear[0] + wear[1]
+        gap = self.inputs.initial_gap
+        for worn, law in zip(wear, self.inputs.laws, strict=True):
+            if law is not None:
+                gap = gap + worn
         if self.gap_offset is not None:
             gap = gap - self.gap_offset
         force, displacement = self.inputs.force, self.inputs.displacement
@@ -212,10 +226,21 @@ class Physics:
         angle, arm = integral(self.inputs.omega, 0.0, time), self.line.arm
         if self.obliquity is not None:
             wear = wear / self.obliquity
-        return LocalState(
-            time, self.line.r, columns(sliding.omega) * arm, sliding.friction, wear,
-            columns(angle) * arm,
-        )  # fmt: skip
+        steady = self._steady
+        speed = columns(sliding.omega) * arm if steady is None else steady[0]
+        local = LocalState(time, self.line.r, speed, sliding.friction, wear, columns(angle) * arm)
+        if steady is not None:
+            local.__dict__["power"] = steady[1]
+        return local
+
+    @cached_property
+    def _steady(self) -> tuple[FloatArray, FloatArray] | None:
+        """(B, n) speeds, mm/s, and friction coefficient times these, where they never change."""
+        if not self.inputs.steady_sliding:
+            return None
+        sliding = self.sliding(np.zeros(len(self.inputs.cases)))
+        speed = columns(sliding.omega) * self.line.arm
+        return speed, columns(sliding.friction) * speed
 
     def increment(
         self,

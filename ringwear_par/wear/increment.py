@@ -5,12 +5,12 @@ all of a step, see ``LayeredLaw.in_layers``.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, columns
+from ringwear_par.arrays import FloatArray, IntArray, columns, largest
 from ringwear_par.errors import ComputationError
 from ringwear_par.schedules import take
 from ringwear_par.wear.law import Law, PacedLaw
@@ -19,8 +19,8 @@ from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
 
 _MEMORY_ITERATIONS = 60
-#: relative change at which the wear of a step is found, and below which it may stop falling
-_ROUND_OFF, _NOISE = 1e-15, 1e-9
+#: relative change with which the wear of a step is found, and below which it may stop falling
+_LAST, _NOISE = 1e-10, 1e-9
 #: panels of integrals over pressure, and halvings towards the pressure that closes a gap
 _PANELS, _BISECTIONS = 8, 60
 _GAUSS = tuple(0.5 * v for v in np.polynomial.legendre.leggauss(8))
@@ -87,6 +87,8 @@ class WearIncrement:
     _after: dict[int, tuple[FloatArray, LocalState, LocalState]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
+    #: the last pressures, and the depths of the bodies that wear: they are asked for several times
+    _known: list[Any] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         parts = enumerate(zip(self.laws, self.at, self.averages, strict=True))
@@ -126,14 +128,28 @@ class WearIncrement:
 
     # -- one material ------------------------------------------------------------------------------
 
-    def _depth(
+    def _rate(
         self, law: Law, at: LocalState, average: FloatArray | None, p: FloatArray
     ) -> FloatArray:
-        """Return the depth d = step rate(p, wear + d) of one material along the normal, mm."""
+        """Return the rate(p, wear + d) of one material along the normal, d = step rate, mm/s."""
         p = _not_negative(p)
         if law.remembers:
             at = self.after_step(law, at, p)
-        return self.step * averaged_rate(law, at, average, p)
+        return averaged_rate(law, at, average, p)
+
+    def _bodies_at(self, p: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """Return rates, mm/s, and depths of those that wear in contact all along, mm.
+
+        Along the axis; of the same pressures they are the same arrays.
+        """
+        if not self._known or self._known[0] is not p:
+            rates = [
+                self.along_axis(self._rate(law, at, average, p))
+                for _, law, at, average in self.bodies
+            ]
+            self._known[:] = p, [(rate, self.step * rate) for rate in rates]
+        bodies: list[tuple[FloatArray, FloatArray]] = self._known[1]
+        return bodies
 
     def after_step(self, law: Law, at: LocalState, p: FloatArray) -> LocalState:
         """Return the local state with the depth worn at the end of the step (Newton, from below).
@@ -147,30 +163,30 @@ class WearIncrement:
         """
         if id(law) in self._after:
             pressure, before_step, after = self._after[id(law)]
-            if np.array_equal(pressure, p) and np.array_equal(before_step.wear, at.wear):
+            if before_step is at and (pressure is p or np.array_equal(pressure, p)):
                 return after
-        depth = np.zeros_like(p)
+        depth, trial = np.zeros_like(p), at
         before: Any = np.inf
         settled: Any = np.zeros(p.shape[:-1], dtype=bool)
         for _ in range(_MEMORY_ITERATIONS):
-            trial = replace(at, wear=at.wear + depth)
             rise = 1.0 - self.step * law.d_rate_dwear(p, trial)
-            if (rise <= 0.0).any() and ((rise <= 0.0).any(axis=-1) & ~settled).any():
-                e = int(np.where(settled[..., None], np.inf, rise).argmin())
+            if not rise.min() > 0.0 and ((rise <= 0.0).any(axis=-1) & ~settled).any():
+                worst = np.where(settled[..., None], -np.inf, -rise)
                 break
             change = (self.step * law.rate(p, trial) - depth) / rise
-            change[settled] = 0.0
+            if settled.any():
+                change[settled] = 0.0
             depth = np.maximum(depth + change, 0.0)
-            worst = np.abs(change) / np.maximum(at.wear + depth, 1e-300)
-            e, largest = int(worst.argmax()), worst.max(axis=-1)
-            # no better than its round-off
-            settled = (largest <= _ROUND_OFF) | ((before <= largest) & (largest <= _NOISE))
+            trial = at.worn_by(depth)
+            worst = np.abs(change) / np.maximum(trial.wear, 1e-300)
+            most = largest(worst)
+            # the next change would be the square of this one; or no better than its round-off
+            settled = (most <= _LAST) | ((before <= most) & (most <= _NOISE))
             if settled.all():
-                after = replace(at, wear=at.wear + depth)
-                self._after[id(law)] = p.copy(), at, after
-                return after
-            before = largest
-        i, e = divmod(e, p.shape[-1])
+                self._after[id(law)] = p, at, trial
+                return trial
+            before = most
+        i, e = divmod(int(worst.argmax()), p.shape[-1])
         step = np.broadcast_to(self.step, p.shape).reshape(-1, p.shape[-1])[i, e]
         at = at.history(i)
         raise ComputationError(
@@ -191,9 +207,14 @@ class WearIncrement:
     def depth_if_always_in_contact(self, p: FloatArray) -> FloatArray:
         """Return the depths that lower and upper lose in contact all along, (2, ..., n) mm."""
         depths = np.zeros((2, *p.shape))
-        for i, law, at, average in self.bodies:
-            depths[i] = self.along_axis(self._depth(law, at, average, p))
+        for body, (_, depth) in zip(self.bodies, self._bodies_at(p), strict=True):
+            depths[body.side] = depth
         return depths
+
+    def total_if_always_in_contact(self, p: FloatArray) -> FloatArray:
+        """Return the depths that both bodies together lose in contact all along, (..., n) mm."""
+        depths = [depth for _, depth in self._bodies_at(p)]
+        return total_of(depths) if depths else np.zeros_like(p)
 
     def depths(self, p: FloatArray) -> FloatArray:
         """Return the depths that lower and upper lose, (2, ..., n) mm."""
@@ -207,10 +228,12 @@ class WearIncrement:
         to be the same; of the depths, only laws that depend on them take any notice.
         """
         rates = np.zeros((2, *p.shape))
-        for i, law, at, average in self.bodies:
-            lost = depths[i] if self.obliquity is None else depths[i] / self.obliquity
-            after = replace(at, wear=at.wear + lost) if law.remembers else at
-            rates[i] = self.along_axis(averaged_rate(law, after, average, p))
+        for (i, law, at, average), (rate, _) in zip(self.bodies, self._bodies_at(p), strict=True):
+            if law.remembers:
+                lost = depths[i] if self.obliquity is None else depths[i] / self.obliquity
+                after = at.worn_by(lost)
+                rate = self.along_axis(averaged_rate(law, after, average, p))
+            rates[i] = rate
         return rates
 
     def share(self, always: FloatArray) -> FloatArray:
@@ -250,8 +273,7 @@ class WearIncrement:
 
     def _left(self, p: FloatArray) -> FloatArray:
         """Return the depth of a step in contact all along beyond the gap, mm; may be negative."""
-        parts = [self._depth(law, at, average, p) for _, law, at, average in self.bodies]
-        total = self.along_axis(total_of(parts))
+        total = self.total_if_always_in_contact(p)
         return total if self.closing is None else total - self.closing.gap
 
     def d_depth_dp(self, p: FloatArray) -> FloatArray:
@@ -345,13 +367,14 @@ class WearIncrement:
         for panel in range(_PANELS):
             for x, w in zip(*_GAUSS, strict=True):
                 share = (panel + 0.5 + x) / _PANELS
-                total += w / _PANELS * self._depth(law, at, None, low + share * span)
+                rate = self._rate(law, at, None, low + share * span)
+                total += w / _PANELS * self.step * rate
         return total * span
 
 
 def _not_negative(p: FloatArray) -> FloatArray:
     """Return pressures, 0 where they are negative: few iterates have such, and looking is quick."""
-    return p if (p >= 0.0).all() else np.maximum(p, 0.0)
+    return p if np.min(p, initial=0.0) >= 0.0 else np.maximum(p, 0.0)
 
 
 def total_of(parts: Sequence[FloatArray] | FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,8 +35,6 @@ class LocalState:
     wear: FloatArray
     slid: FloatArray
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    #: (..., n) mm/s, friction coefficient times sliding speed
-    power: FloatArray = field(init=False, repr=False)
     #: what a law has worked out of all this, for its next call: itself, then what it likes
     memo: list[Any] = field(default_factory=list, init=False, repr=False, compare=False)
 
@@ -44,12 +43,22 @@ class LocalState:
             object.__setattr__(self, "time", columns(self.time))
         if isinstance(self.friction, np.ndarray):
             object.__setattr__(self, "friction", columns(self.friction))
-        object.__setattr__(self, "power", self.friction * self.speed)
+
+    @cached_property
+    def power(self) -> FloatArray:
+        """(..., n) mm/s, friction coefficient times sliding speed."""
+        return self.friction * self.speed
+
+    def worn_by(self, depth: FloatArray) -> "LocalState":
+        """Return the local state of a body worn by more, (..., n) mm."""
+        after = replace(self, wear=self.wear + depth)
+        after.__dict__["power"] = self.power
+        return after
 
     if not TYPE_CHECKING:  # which tells unknown names by itself
 
         def __getattr__(self, name: str) -> Any:
-            names = ", ".join(f.name for f in fields(self) if f.name != "memo")
+            names = ", ".join([*(f.name for f in fields(self) if f.name != "memo"), "power"])
             raise AttributeError(f"LocalState has no {name!r}; it has {names}")
 
     def take(self, histories: IntArray) -> "LocalState":

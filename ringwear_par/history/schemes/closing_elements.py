@@ -98,13 +98,13 @@ def find_closing_elements(
     they touch. In these cases stages do as for all others, and ``entry_error`` judges.
     """
     p, gap = state.contact.pressure, state.contact.gap
-    if not physics.inputs.wears_locally or (p > 0.0).all():
+    if not physics.inputs.wears_locally or p.min() > 0.0:
         return None
     worn = columns(length * state.rates.sum(axis=0).max(axis=-1))
     chosen = (p <= 0.0) & (gap > 0.0) & (gap < _REACH * worn)
     chosen &= worn > physics.own_displacement(columns(p.max(axis=-1)))
     # the others can make up for what a few of them carry
-    touching = np.asarray(inner(physics.area, (p > 0.0).astype(float)))
+    touching = physics.area_in_contact(p)
     joining = np.asarray(inner(physics.area, (chosen & (gap < worn)).astype(float)))
     chosen &= (joining <= _MOST * touching)[..., None]
     if not chosen.any():
@@ -134,6 +134,8 @@ def entry_error(
     unhindered : (2, ..., n) float, mm, what the elements would have worn in contact all along.
     """
     p = after.contact.pressure
+    if before.contact.pressure.min() > 0.0:
+        return None
     came = (before.contact.pressure <= 0.0) & (p > 0.0)
     if not came.any():
         return None

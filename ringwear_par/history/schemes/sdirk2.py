@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, columns, inner, largest
+from ringwear_par.arrays import BoolArray, FloatArray, columns, inner, largest
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.physics import Physics, Sliding
@@ -101,13 +101,16 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     after = advanced(physics, state, end, wear, volumes, energy, contact, then, along)
     # of both bodies: at the rate of the start, in the first stage, in a last one of usual length
     at_start = columns(length) * total_of(state.rates)
-    in_first, in_last = total_of(worn_first), total_of(worn_last)
+    in_first, in_last = (
+        increment.total_if_always_in_contact(p)
+        for increment, p in ((first, stage.pressure), (last, contact.pressure))
+    )
     if closing is not None:
         in_last = in_last / np.where(closing.mask, 1.0, counts_last)
     errors = np.empty((3, *at_start.shape))
     np.multiply(_DEFECT[0], at_start, out=errors[0])
     errors[0] += (_DEFECT[1] / GAMMA) * in_first
-    in_last /= GAMMA
+    in_last = in_last / GAMMA
     errors[0] += _DEFECT[2] * in_last
     np.subtract(in_last, at_start, out=errors[1])
     if closing is not None:  # those make one step of first order, see ``entry_error``
@@ -118,7 +121,10 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     )
     # the wear that the defect undoes by the pressure that it takes away
     respond = contacts.engine.derivatives.response
-    reliefs = respond(np.concatenate([errors[:1], _counted(feedback.memory, errors[1:])]))
+    growth = errors
+    if not isinstance(feedback.memory, float):
+        growth = np.concatenate([errors[:1], feedback.memory * errors[1:]])
+    reliefs = respond(growth)
     off = np.abs(reliefs[0])
     came = entry_error(physics, closing, state, after, worn_last)
     if came is not None:
@@ -144,7 +150,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         powers.max(axis=-1),
         _largest(off / _scale(physics, state.contact, contact)),
         _largest(carried),
-        ((state.contact.pressure <= 0.0) & (losses > 0.0).any(axis=0)).any(axis=-1),
+        _closing(state.contact.pressure, losses),
     )
     return end_at_interfaces(contacts, state, judged, passage, along)
 
@@ -174,6 +180,13 @@ class _Feedback:
         """
         more = self.last.depth_change(self.slope, reliefs)
         return more if isinstance(self.memory, float) else self.memory * depths - depths + more
+
+
+def _closing(p: FloatArray, losses: FloatArray) -> BoolArray:
+    """Return where elements that are apart at pressures wear, (B,)."""
+    if p.min() > 0.0:
+        return np.zeros(len(p), dtype=bool)
+    return ((p <= 0.0) & (losses > 0.0).any(axis=0)).any(axis=-1)
 
 
 def _counted(counts: FloatArray | float, values: FloatArray) -> FloatArray:
@@ -238,5 +251,5 @@ def _scale(physics: Physics, before: ContactState, after: ContactState) -> Float
 
 def _mean_pressure(physics: Physics, contact: ContactState) -> FloatArray:
     """Return the force over the area in contact, MPa, a number or (B, 1)."""
-    touching = inner(physics.area, (contact.pressure > 0.0).astype(float))
+    touching = physics.area_in_contact(contact.pressure)
     return columns(contact.force / np.maximum(touching, physics.area.min()))

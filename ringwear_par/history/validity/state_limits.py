@@ -51,11 +51,13 @@ def checked(case: Case, state: State) -> State:
     ComputationError : contact has reached an end of the contact line that is no edge, or half of a
         body has been worn off; HistoriesError of several histories.
     """
-    most = np.array(_most_wear(case))
+    most, open_ends = np.array(_most_wear(case)), _open_ends(case)
+    if not open_ends and not state.wear.max() > most.min():
+        return state
     deepest = largest(state.wear)
     too_deep = (deepest > most[:, None]).any(axis=0)
     off = too_deep.copy()
-    for e in _open_ends(case):
+    for e in open_ends:
         off |= state.contact.pressure[:, e] > 0.0
     if not off.any():
         return state
@@ -67,7 +69,7 @@ def checked(case: Case, state: State) -> State:
             f"time {state.time[0]:g} s: {deepest.max():.4g} mm are worn off "
             f"{('lower', 'upper')[body]}, more than half of its height"
         )
-    e = next(e for e in _open_ends(case) if state.contact.pressure[0, e] > 0.0)
+    e = next(e for e in open_ends if state.contact.pressure[0, e] > 0.0)
     raise ComputationError(
         f"time {state.time[0]:g} s: contact has reached the end of mesh.contact "
         f"at r = {case.line.edges[e]:g} mm; mesh.contact must be wider there"

@@ -88,12 +88,22 @@ class RunningInLaw(AboveThreshold):
 
     def _fresh(self, local: LocalState) -> FloatArray:
         """Return (k_start - k) exp(-s)."""
+        self._line(local)
+        fresh: FloatArray = local.memo[3]
+        return fresh
+
+    def _line(self, local: LocalState) -> tuple[FloatArray, float | FloatArray]:
+        memo = local.memo
+        if not memo or memo[0] is not self:
+            fresh, k = self._not_run_in(local), value(self.k, local.time, local.r)
+            p0 = value(self.p0, local.time, local.r)
+            memo[:] = self, (k + fresh) * local.power, p0, fresh
+        return memo[1], memo[2]
+
+    def _not_run_in(self, local: LocalState) -> FloatArray:
         fall = value(self.k_start, local.time, local.r) - value(self.k, local.time, local.r)
         memory, over = self._over(local)
         return fall * np.exp(-(memory / over))
-
-    def _rise(self, local: LocalState) -> FloatArray:
-        return (value(self.k, local.time, local.r) + self._fresh(local)) * local.power
 
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""

@@ -37,7 +37,8 @@ class AboveThreshold(Law):
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
         rise, p0 = self._line(local)
-        return rise * (p > p0)
+        above = p > p0
+        return rise if above.shape == rise.shape and above.all() else rise * above
 
     def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to a numeric parameter's value there."""
