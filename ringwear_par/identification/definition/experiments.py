@@ -60,15 +60,21 @@ class ExperimentReader:
         self._reported: set[str] = set()
 
     def all(
-        self, tables: Any, parameters: tuple[FittedParameter, ...], faults: list[str]
+        self,
+        tables: Any,
+        parameters: tuple[FittedParameter, ...],
+        faults: list[str],
+        test: str = "",
     ) -> tuple[Experiment, ...]:
-        """Return all experiments, and add what is wrong with them to the faults."""
+        """Return all experiments, or one test, and add what is wrong with them to the faults."""
         if not isinstance(tables, list) or not tables:
             state = "is missing" if tables is None else f"= {shortened(tables)}"
             faults.append(f"{self._name}: experiment {state}: must be tables, [[experiment]]")
             return ()
         experiments: list[Experiment] = []
         for i, table in enumerate(tables, start=1):
+            if test and isinstance(table, Mapping) and table.get("name", test) != test:
+                continue
             experiment = self._experiment(i, table, parameters, faults)
             if experiment is None:
                 continue

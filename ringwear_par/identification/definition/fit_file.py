@@ -53,7 +53,13 @@ def read_complete(source: Path | str | Mapping[str, Any]) -> Problem:
     return problem
 
 
-def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> Problem:
+def read_fit(
+    source: Path | str | Mapping[str, Any],
+    *,
+    plans: bool = False,
+    test: str = "",
+    files: FileStore | None = None,
+) -> Problem:
     """Read a fit file with its case and all its measurements, or the same as a dict.
 
     Not collective.
@@ -61,6 +67,8 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     Parameters
     ----------
     plans : whether readings may be planned ones.
+    test : name of the one experiment that is read, and not compared with others; "": all are.
+    files : of measurements; None: those beside the fit file, as they are.
 
     Raises
     ------
@@ -76,13 +84,15 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
     case_units = written_units(tables.get("case"), folder)
     settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), case_units, faults)
-    files = FileStore(folder)
+    files = FileStore(folder) if files is None else files
     reader = ExperimentReader(name, folder, base, files, plans)
-    experiments = reader.all(tables.get("experiment"), parameters, faults)
+    experiments = reader.all(tables.get("experiment"), parameters, faults, test)
     design = _read_design_space(f"{name}: design", tables.get("design", {}), case_units, faults)
     laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), case_units, faults)
     if faults:
         raise InputError(*faults)
+    if test:
+        return Problem(name, written, settings, parameters, experiments, {}, files.hashes, design)
     _check_counts(name, parameters, experiments, faults)
     check_scatter(name, parameters, experiments, settings, faults)
     check_censored(name, settings, experiments, faults)
