@@ -27,6 +27,7 @@ _TASKS = (
     ("fit", "ringwear fit FIT.toml -o DIR", "a wear law from measurements, with intervals"),
     ("plan", "ringwear design FIT.toml -o DIR", "the most informative next tests"),
     ("predict", "ringwear predict DIR CASE.toml -o DIR", "other cases, as a fit knows them"),
+    ("follow", "ringwear follow FIT.toml -o DIR", "a running test: k, and when it may end"),
     ("measure", "ringwear measure W.csv --case RIG.toml -o DIR", "wear rates without a model"),
 )
 #: flags and options of ``add_argument``
@@ -188,6 +189,25 @@ COMMANDS = {
         _NO_CACHE,
     ), solves=True, stopped=UNWRITTEN,
         example="ringwear predict out/fit case.toml -o out/prediction --set load.pressure=60"),
+    "follow": Command(
+        "say what a running test tells of its specimen, and when it may end, as its file grows",
+        "monitoring.follow:run_follow", (
+        _FIT_FILE,
+        _FOLDER,
+        _argument("--after", type=_path, metavar="FITDIR",
+                  help="folder of the fit of earlier tests (default: fit the file's other tests)"),
+        _argument("--test", metavar="NAME", help="experiment that runs (default: the last one)"),
+        _argument("--to", default="10%", metavar="PERCENT",
+                  help="half width of the interval of k that is wished (default: 10%%)"),
+        _argument("--depth", metavar="DEPTH", help="penetration whose time is asked, as '20 um'"),
+        _argument("--draws", type=int, default=10_000, metavar="N",
+                  help="number of draws (default: %(default)s)"),
+        _argument("--seed", type=int, default=0, metavar="N",
+                  help="seed of the draws (default: %(default)s)"),
+        _flag("--once", "answer once, by the readings that are there, and end"),
+        _NO_CACHE,
+    ), solves=True, stopped=" before the first answer",
+        example="ringwear follow fit.toml -o out/follow --after out/fit --to 5%"),
     "measure": Command(
         "compute steady wear rates and friction from a rig's files, without a contact model",
         "measuring.measure:run_measure", (
@@ -254,6 +274,20 @@ COMMANDS = {
         _NO_CACHE,
     ), solves=True,
         example="ringwear explore case.toml"),
+    "serve": Command(
+        "answer programs that speak UM-Bridge with numbers of a case's histories",
+        "functions.umbridge:serve", (
+        *_CASE,
+        _argument("--inputs", nargs="+", required=True, metavar="KEY",
+                  help="numbers of the case that programs choose, such as wear.lower.k"),
+        _argument("--outputs", nargs="+", required=True, metavar="NAME",
+                  help="variables of histories: NAME at the last step, or NAME@t at a time"),
+        _argument("--port", type=_port, default=4242, metavar="N",
+                  help="port of the address (default: %(default)s; 0: any free one)"),
+        _NO_CACHE,
+    ), solves=True,
+        example="ringwear serve case.toml --inputs wear.lower.k load.pressure "
+          "--outputs penetration torque@3600"),
     "laws": Command(
         "print the rates of a case's wear laws, and test their derivatives",
         "cases.files.law_trials:check_laws", _CASE, serial=True,

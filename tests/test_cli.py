@@ -128,7 +128,7 @@ def test_what_one_can_do_is_a_line_each():
     alone = ringwear()
     assert alone.returncode == 0
     tasks = [line.split()[0] for line in alone.stdout.splitlines() if line.startswith("  ")]
-    assert tasks == ["simulate", "sweep", "fit", "plan", "predict", "measure"]
+    assert tasks == ["simulate", "sweep", "fit", "plan", "predict", "follow", "measure"]
     wrong = ringwear("rnu")
     assert wrong.returncode == 2
     assert "rnu: unknown command (did you mean run?); must be one of run, " in sentences(wrong)[0]

@@ -21,12 +21,15 @@ DESIGN, NEXT, MAP = "design.json", "next.toml", "design.png"
 MEASURE, MEASURED_ROWS, RECORDS = "measure.json", "measure.csv", "measure.png"
 #: of a prediction: its numbers, which are written the last, all draws and the band over time
 PREDICTION, DRAWS, BAND = "prediction.json", "prediction.h5", "prediction.png"
+#: of a running test: its last answer
+FOLLOW = "follow.json"
 
 
 #: by what commands leave in their folders; a fit and the design after it may share one
 _COMMANDS = {
     FIT: "fit", DESIGN: "fit", PROGRESS: "fit", "cases.csv": "sweep", "shards": "sweep",
     MEASURE: "measure", PREDICTION: "predict",
+    FOLLOW: "follow",
 }  # fmt: skip
 
 
@@ -35,7 +38,7 @@ def refuse_others(folder: Path, command: str) -> None:
 
     Parameters
     ----------
-    command : "fit" (or of a design), "sweep", "measure" or "predict".
+    command : "fit" (or of a design), "sweep", "measure", "predict" or "follow".
 
     Raises
     ------

@@ -31,6 +31,7 @@ def to_dict(fit: FitResult) -> dict[str, Any]:
         "flagged": fit.flagged,
         "aic": fit.aic,
         "bic": fit.bic,
+        "log_evidence": fit.apply("log_evidence"),
         "specimens": len({e.groups[0] for e in problem.experiments}),
         "process": {} if fit.material is None else fit.material.process,
         "experiments": fit.experiments,

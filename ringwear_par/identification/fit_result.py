@@ -24,6 +24,7 @@ from ringwear_par.identification.scatter.material import Material
 from ringwear_par.results.result import Outcome
 
 if TYPE_CHECKING:
+    from arviz import InferenceData
     from matplotlib.figure import Figure
 
 _ROOM = "ringwear_par.identification"
@@ -53,6 +54,7 @@ class FitResult(Outcome, Solution):
         "summary": f"{_ROOM}.summary", "to_dict": f"{_ROOM}.fit_numbers",
         "doubts": f"{_ROOM}.fit_doubts", "save": f"{_ROOM}.fit_folder", "plot": f"{_ROOM}.figures",
         "plot_parameters": f"{_ROOM}.figures", "plot_specimens": f"{_ROOM}.figures",
+        "to_arviz": f"{_ROOM}.arviz_groups", "log_evidence": f"{_ROOM}.evidence",
     }  # fmt: skip
 
     misfit: Misfit
@@ -280,6 +282,16 @@ class FitResult(Outcome, Solution):
             for experiment in self.misfit.problem.experiments
             for one in experiment.inputs
         ]  # fmt: skip
+
+    def to_arviz(self) -> "InferenceData":
+        """Return draws and the log likelihood of each reading, as ArviZ has them.
+
+        Raises
+        ------
+        InputError : arviz is not installed; limits, or a loss without a normal distribution.
+        """
+        data: InferenceData = self.apply("to_arviz")
+        return data
 
     def plot_parameters(self) -> "Figure":
         """Return the figure of the fitted keys: ellipses, likelihood profiles, samples."""

@@ -10,6 +10,7 @@ from typing import Any
 from ringwear_par.cases.units import CUSTOMARY
 from ringwear_par.identification.definition.problem import body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
+from ringwear_par.identification.evidence import probabilities
 
 Entry = Mapping[str, Any]
 Interval = Sequence[float | None]
@@ -18,7 +19,9 @@ Interval = Sequence[float | None]
 _PER = {"compliance": "/kN", "tilt": "/mm"}
 #: headers of tables; cells are "" where there is nothing
 SERIES = ("series", "readings", "chi2", "unit", "fitted noise", "nuisances")
-LAWS = ("law", "AIC above the smallest", "BIC", "chi2", "parameters", "verdict")
+LAWS = (
+    "law", "AIC above the smallest", "BIC", "chi2", "probability", "parameters", "verdict",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -140,6 +143,8 @@ def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
     laws = {"this law": outcome, **outcome["alternatives"]}
     solved = {name: law for name, law in laws.items() if "aic" in law}
     best = min(law["aic"] for law in solved.values())
+    evidences = {name: law.get("log_evidence") for name, law in solved.items()}
+    shares = {} if None in evidences.values() else probabilities(evidences)
     rows: list[tuple[str, ...]] = []
     for name, law in sorted(solved.items(), key=lambda item: item[1]["aic"]):
         parameters = ", ".join(_estimate_text(k, p) for k, p in law["parameters"].items())
@@ -147,9 +152,10 @@ def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
         if law["p_value"] is None:
             verdict = "not tested: noise was fitted, or has long tails"
         numbers = f"{law['aic'] - best:+.1f}", f"{law['bic']:.5g}", f"{law['chi2']:.5g}"
-        rows.append((name, *numbers, parameters, verdict))
+        share = f"{shares[name]:.2g}" if shares else "-"
+        rows.append((name, *numbers, share, parameters, verdict))
     failed = ((name, law["error"]) for name, law in laws.items() if name not in solved)
-    return [*rows, *((name, "", "", "", "", f"failed: {error}") for name, error in failed)]
+    return [*rows, *((name, "", "", "", "", "", f"failed: {error}") for name, error in failed)]
 
 
 def goodness(outcome: Entry) -> str:

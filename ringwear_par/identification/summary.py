@@ -20,6 +20,7 @@ from ringwear_par.identification.fit_rows import (
     scatter_lines,
     series_rows,
 )
+from ringwear_par.identification.scatter.material import known_sizes
 
 if TYPE_CHECKING:
     from ringwear_par.identification.fit_result import FitResult
@@ -78,6 +79,7 @@ def prediction(fit: "FitResult") -> str:
     outcome = fit.to_dict()
     lines += _parameter_lines(outcome)
     lines += [f"  {line}" for line in process_lines(outcome)]
+    lines += [f"  {line}" for line in known_sizes(problem, outcome["specimens"])]
     for one in fit.parameters:
         if one.direction:
             lines.append(f"  {one.key} would not be identified: {one.direction}")
@@ -145,7 +147,7 @@ def _correlation_lines(fit: "FitResult") -> list[str]:
 
 def _law_lines(outcome: Mapping[str, Any]) -> list[str]:
     rows = law_rows(outcome)
-    lines = ["laws compared (AIC above the smallest, BIC, chi2, parameters):"]
+    lines = ["laws compared (AIC above the smallest, BIC, chi2, probability, parameters):"]
     for name, *numbers, parameters, verdict in rows:
         flag = "; does not fit" * (verdict == "does not fit")
         text = f"{', '.join(numbers)}; {parameters}{flag}" if parameters else verdict

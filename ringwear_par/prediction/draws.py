@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.fitted_values import FittedValues
 
@@ -25,14 +25,29 @@ def draw_values(
     ------
     ComputationError : hardly any are within them.
     """
+    drawn, part = draw_parts(values, of, draws, random)
+    return drawn, values.sizes[part].T * (of != MATERIAL)
+
+
+def draw_parts(
+    values: FittedValues, of: str, draws: int, random: np.random.Generator
+) -> tuple[FloatArray, IntArray]:
+    """Return values of the fitted keys (draws, m), and the part of the mixture of each, (draws,).
+
+    Values are within their bounds.
+
+    Raises
+    ------
+    ComputationError : hardly any are within them.
+    """
     low, high = values.bounds.T
-    drawn, sizes = np.zeros((0, len(values.keys))), np.zeros((0, 2))
+    drawn, parts = np.zeros((0, len(values.keys))), np.zeros(0, dtype=np.int64)
     for _ in range(_ROUNDS):
-        more, noise = _values(values, of, draws, random)
+        more, of_part = _values(values, of, draws, random)
         inside = ((more >= low) & (more <= high)).all(axis=1)
-        drawn, sizes = np.vstack([drawn, more[inside]]), np.vstack([sizes, noise[inside]])
+        drawn, parts = np.vstack([drawn, more[inside]]), np.append(parts, of_part[inside])
         if len(drawn) >= draws:
-            return drawn[:draws], sizes[:draws].T * (of != MATERIAL)
+            return drawn[:draws], parts[:draws]
     raise ComputationError(
         f"almost all values that the fit knows are beyond the bounds of {', '.join(values.keys)}"
     )
@@ -40,12 +55,12 @@ def draw_values(
 
 def _values(
     values: FittedValues, of: str, draws: int, random: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """Return values (draws, m), whatever their bounds, and sizes of the noise (draws, 2)."""
+) -> tuple[FloatArray, IntArray]:
+    """Return values (draws, m), whatever their bounds, and the part (draws,) of each."""
     part = random.choice(len(values.weights), size=draws, p=values.weights)
     if values.samples is not None:
-        return values.samples[random.integers(len(values.samples), size=draws)], values.sizes[part]
-    place = 0 if of in (NEXT, MATERIAL) else 1 + values.specimens.index(of)
+        return values.samples[random.integers(len(values.samples), size=draws)], part
+    place = _place(values, of)
     scales, axes = np.linalg.eigh(values.covariances[:, place])  # of known keys they are singular
     roots = axes * np.sqrt(np.maximum(scales, 0.0))[:, None, :]
     normal = random.standard_normal((draws, len(values.keys)))
@@ -55,7 +70,34 @@ def _values(
         for level, key in enumerate(values.scattering):
             unknowns[:, key] += shifts[:, level]
     with np.errstate(over="ignore"):
-        return np.where(values.logarithmic, np.exp(unknowns), unknowns), values.sizes[part]
+        return np.where(values.logarithmic, np.exp(unknowns), unknowns), part
+
+
+def _place(values: FittedValues, of: str) -> int:
+    """Return the place of a specimen among those of the mixtures, or the material's."""
+    return 0 if of in (NEXT, MATERIAL) else 1 + values.specimens.index(of)
+
+
+def log_densities(
+    values: FittedValues, of: str, unknowns: FloatArray, part: IntArray
+) -> FloatArray:
+    """Return logarithms (draws,) of the density of ``draw_parts``, but for the bounds' share.
+
+    Parameters
+    ----------
+    unknowns : (draws, m) of the fitted keys; part : (draws,) of the mixture.
+    """
+    covariances = values.covariances[:, _place(values, of)].copy()
+    if of == NEXT:
+        for level, key in enumerate(values.scattering):
+            covariances[:, key, key] += values.scatters[:, level] ** 2
+    rest = unknowns - values.means[part, _place(values, of)]
+    inverse = np.linalg.inv(np.linalg.cholesky(covariances))
+    squares = (np.einsum("dij,dj->di", inverse[part], rest) ** 2).sum(axis=1)
+    volumes = np.log(np.diagonal(inverse, axis1=1, axis2=2)).sum(axis=1)
+    constant = 0.5 * unknowns.shape[1] * np.log(2.0 * np.pi)
+    logs: FloatArray = np.log(values.weights[part]) + volumes[part] - 0.5 * squares - constant
+    return logs
 
 
 def draw_paces(depths: FloatArray, sizes: FloatArray, random: np.random.Generator) -> FloatArray:

@@ -36,6 +36,31 @@ class TimeTo(NamedTuple):
     interval: tuple[float | None, float | None]
     reached: float
 
+    @classmethod
+    def of(cls, times: FloatArray, level: float = 0.95) -> "TimeTo":
+        """Return median, interval and share of times (draws,), inf where after the end."""
+        tail = 0.5 * (1.0 - level)
+        low, median, high = (
+            None if np.isinf(t) else float(t)
+            for t in np.quantile(times, (tail, 0.5, 1.0 - tail), method="inverted_cdf")
+        )
+        return cls(median, (low, high), float(np.isfinite(times).mean()))
+
+
+def times_at(time: FloatArray, depths: FloatArray, depth: float) -> FloatArray:
+    """Return the times (draws,) at which depths (draws, steps) first reach one; inf: never.
+
+    Linear between steps, whose ends are at ``time`` (steps,).
+    """
+    reached = depths >= depth
+    after = np.argmax(reached, axis=1)
+    draws = np.arange(len(after))
+    high, low = (depths[draws, np.maximum(k, 0)] for k in (after, after - 1))
+    share = np.divide(depth - low, high - low, out=np.ones_like(high), where=high > low)
+    before = time[np.maximum(after - 1, 0)]
+    times = before + share * (time[after] - before)
+    return np.where(reached.any(axis=1), times, np.inf)
+
 
 @dataclass(frozen=True, eq=False)
 class Prediction(Outcome):
@@ -114,20 +139,8 @@ class Prediction(Outcome):
         """
         if not depth > 0.0:
             raise InputError(f"depth = {depth!r}: must be > 0 mm")
-        reached = self.histories["penetration"] >= depth
-        after = np.argmax(reached, axis=1)
-        draws = np.arange(len(after))
-        high, low = (self.histories["penetration"][draws, np.maximum(k, 0)]
-                     for k in (after, after - 1))  # fmt: skip
-        share = np.divide(depth - low, high - low, out=np.ones_like(high), where=high > low)
-        before = self.time[np.maximum(after - 1, 0)]
-        times = before + share * (self.time[after] - before)
-        times = np.where(reached.any(axis=1), times, np.inf)
-        low_end, median, high_end = (
-            None if np.isinf(t) else float(t)
-            for t in np.quantile(times, (0.025, 0.5, 0.975), method="inverted_cdf")
-        )
-        return TimeTo(median, (low_end, high_end), float(reached.any(axis=1).mean()))
+        times = times_at(self.time, self.histories["penetration"], depth)
+        return TimeTo.of(times)
 
     def variables(self) -> list[tuple[Variable, Any]]:
         """Return all variables with their values: histories over (draw, step), values over draw."""

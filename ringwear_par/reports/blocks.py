@@ -172,11 +172,13 @@ class Page:
     Parameters
     ----------
     kind : what it is of, which stands above its title.
+    refresh : s, after which a browser loads it again; 0: never.
     """
 
     kind: str
     title: str
     sections: Sequence[Section]
+    refresh: int = 0
 
     @property
     def charts(self) -> list[Chart]:

@@ -3,13 +3,14 @@
 import re
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files import folders
 from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.reports.blocks import Chart, Page
-from ringwear_par.results.result import Result
+from ringwear_par.results.result import Outcome, Result
 from ringwear_par.results.storage.result_files import result_of
 from ringwear_par.studies.storage.results_file import RESULTS
 from ringwear_par.version import __version__
@@ -19,7 +20,7 @@ _ENDINGS = (".html", ".htm")
 _NUMERIC = re.compile(r"[-+\N{MINUS SIGN}]?\d[\d.]*(?:e[-+]?\d+)?(?: %)?")
 
 
-def report(source: Result | str | Path, output: str | Path) -> str:
+def report(source: Outcome | str | Path, output: str | Path) -> str:
     """Write a page of stored results; return what was written. On one rank.
 
     It is one HTML file: pictures, charts that can be zoomed and their program are in it, and it
@@ -27,8 +28,8 @@ def report(source: Result | str | Path, output: str | Path) -> str:
 
     Parameters
     ----------
-    source : a result, its file, or the folder of a sweep, a fit, a design, a prediction or a
-        measurement.
+    source : a result or another outcome, the file of a result, or the folder of a sweep, a fit, a
+        design, a prediction or a measurement.
     output : the page's file, .html.
 
     Raises
@@ -37,8 +38,22 @@ def report(source: Result | str | Path, output: str | Path) -> str:
     ComputationError : the disk.
     """
     output = Path(output)
-    _check(output)
-    page = _page(source)
+    check_page(output)
+    if isinstance(source, Result | str | Path):
+        return write_page(_page(source), output)
+    with TemporaryDirectory() as folder:  # pages are made of what is stored
+        stored = Path(folder) / output.stem
+        source.save(stored)
+        return write_page(_page(stored), output)
+
+
+def write_page(page: Page, output: Path) -> str:
+    """Write a page; return what was written. On one rank.
+
+    Raises
+    ------
+    ComputationError : the disk.
+    """
     try:
         with atomic_write(output) as temporary:
             temporary.write_text(_html(page), encoding="utf-8")
@@ -48,7 +63,13 @@ def report(source: Result | str | Path, output: str | Path) -> str:
     return f"{output}: {page.kind}, {figures} figure{'' if figures == 1 else 's'}"
 
 
-def _check(output: Path) -> None:
+def check_page(output: Path) -> None:
+    """Refuse a page that cannot be written.
+
+    Raises
+    ------
+    InputError : its name or folder, or a package that is missing.
+    """
     if output.suffix.lower() not in _ENDINGS:
         raise InputError(f"{output}: its ending must be one of {', '.join(_ENDINGS)}")
     check_writable(output)

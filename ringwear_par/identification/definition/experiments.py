@@ -11,7 +11,7 @@ import numpy as np
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.files.faults import Origin
-from ringwear_par.cases.files.keys import flatten, in_full, override
+from ringwear_par.cases.files.keys import changes_of, in_full, override
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
@@ -60,15 +60,21 @@ class ExperimentReader:
         self._reported: set[str] = set()
 
     def all(
-        self, tables: Any, parameters: tuple[FittedParameter, ...], faults: list[str]
+        self,
+        tables: Any,
+        parameters: tuple[FittedParameter, ...],
+        faults: list[str],
+        test: str = "",
     ) -> tuple[Experiment, ...]:
-        """Return all experiments, and add what is wrong with them to the faults."""
+        """Return all experiments, or one test, and add what is wrong with them to the faults."""
         if not isinstance(tables, list) or not tables:
             state = "is missing" if tables is None else f"= {shortened(tables)}"
             faults.append(f"{self._name}: experiment {state}: must be tables, [[experiment]]")
             return ()
         experiments: list[Experiment] = []
         for i, table in enumerate(tables, start=1):
+            if test and isinstance(table, Mapping) and table.get("name", test) != test:
+                continue
             experiment = self._experiment(i, table, parameters, faults)
             if experiment is None:
                 continue
@@ -85,7 +91,7 @@ class ExperimentReader:
         if name is None:
             return None
         said = reader.place = f'{self._name}: experiment "{legible(name)}"'
-        changes = self._changes(reader, faults)
+        changes = changes_of(reader, self._folder)
         refuse_both(f"{said}: set", parameters, changes, faults)
         tables = reader.raw("input", [])
         measured = input_keys(tables)
@@ -123,17 +129,6 @@ class ExperimentReader:
         if "contact.friction" in measured and any(s.quantity == "torque" for s in series):
             reader.fault("torque: is an input; cannot be fitted too")
         return None if case is None else Experiment(name, case, _named(series), groups, inputs)
-
-    def _changes(self, reader: TableReader, faults: list[str]) -> dict[str, Any]:
-        table = reader.raw("set", {})
-        if not isinstance(table, Mapping):
-            reader.wrong("set", "must be a table of case keys")
-            return {}
-        try:
-            return in_full(flatten(table, f"{reader.place}: set"), self._folder)
-        except InputError as error:
-            faults += error.faults
-            return {}
 
     def _case(
         self,

@@ -11,14 +11,14 @@ from ringwear_par.cases.files.keys import (
     base_keys,
     flatten,
     kinds,
-    plain,
     read_keys,
+    source_tables,
     written_units,
 )
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import has_unit, number_and_unit
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.text import parse_toml, read_text, refuse_depth, shortened, toml_value
+from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition import schema
 from ringwear_par.identification.definition.data_sources import check_censored
 from ringwear_par.identification.definition.experiments import ExperimentReader
@@ -53,7 +53,13 @@ def read_complete(source: Path | str | Mapping[str, Any]) -> Problem:
     return problem
 
 
-def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> Problem:
+def read_fit(
+    source: Path | str | Mapping[str, Any],
+    *,
+    plans: bool = False,
+    test: str = "",
+    files: FileStore | None = None,
+) -> Problem:
     """Read a fit file with its case and all its measurements, or the same as a dict.
 
     Not collective.
@@ -61,19 +67,15 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     Parameters
     ----------
     plans : whether readings may be planned ones.
+    test : name of the one experiment that is read, and not compared with others; "": all are.
+    files : of measurements; None: those beside the fit file, as they are.
 
     Raises
     ------
     InputError : all faults, one sentence each.
     """
-    if isinstance(source, Mapping):
-        refuse_depth(source, "fit")
-        name, folder, tables = "fit", Path(), plain(_with_keys(source))
-        written = "".join(f"{toml_value(key)} = {toml_value(v)}\n" for key, v in tables.items())
-    else:
-        path = Path(source)
-        name, folder, written = str(path), path.parent, read_text(path)
-        tables = parse_toml(written, name)
+    tables_or_file = _with_keys(source) if isinstance(source, Mapping) else source
+    name, folder, tables, written = source_tables(tables_or_file, "fit")
     if "experiment" not in tables and (kind := kinds(tables)) & {"case", "study"}:
         kind_of_file = "a case" if "case" in kind and "case" not in tables else "a study"
         raise InputError(f"{name}: is {kind_of_file}, not a fit file; [[experiment]] is missing")
@@ -82,13 +84,15 @@ def read_fit(source: Path | str | Mapping[str, Any], *, plans: bool = False) -> 
     base = base_keys(name, folder, tables, isinstance(source, Mapping), faults)
     case_units = written_units(tables.get("case"), folder)
     settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), case_units, faults)
-    files = FileStore(folder)
+    files = FileStore(folder) if files is None else files
     reader = ExperimentReader(name, folder, base, files, plans)
-    experiments = reader.all(tables.get("experiment"), parameters, faults)
+    experiments = reader.all(tables.get("experiment"), parameters, faults, test)
     design = _read_design_space(f"{name}: design", tables.get("design", {}), case_units, faults)
     laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), case_units, faults)
     if faults:
         raise InputError(*faults)
+    if test:
+        return Problem(name, written, settings, parameters, experiments, {}, files.hashes, design)
     _check_counts(name, parameters, experiments, faults)
     check_scatter(name, parameters, experiments, settings, faults)
     check_censored(name, settings, experiments, faults)

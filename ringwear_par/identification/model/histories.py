@@ -17,7 +17,7 @@ from ringwear_par.cases.numbers import Number, needs_reading, with_numbers
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError, InputError, reason_of
-from ringwear_par.history.derivatives.elastic_numbers import is_elastic
+from ringwear_par.history.derivatives.keys import is_elastic
 from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
 from ringwear_par.identification.model.operators import Operators
 from ringwear_par.identification.model.readings import Reader, Trajectory, lost_mass, time_through

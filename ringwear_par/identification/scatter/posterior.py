@@ -8,8 +8,10 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import t as student_t
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.batched import concat, take
@@ -54,11 +56,13 @@ class Axis:
     Parameters
     ----------
     points : (k,) float, increasing; one where the size is known.
-    weights : (k,) float, prior density times the width that a point stands for.
+    weights : (k,) float, prior density times the width that a point stands for, but for a factor.
+    log_factor : logarithm of that.
     """
 
     points: FloatArray
     weights: FloatArray
+    log_factor: float = 0.0
 
 
 def prior_density(size: FloatArray, scale: float) -> FloatArray:
@@ -72,7 +76,8 @@ def axis(size: Size, points: int, ends: tuple[float, float] | None = None) -> Ax
         return Axis(np.array([size.known]), np.ones(1))
     low, high = ends or (_GRID[0] * size.scale, _GRID[1] * size.scale)
     values = np.geomspace(low, high, points)
-    return Axis(values, values * prior_density(values, size.scale))
+    factor = 2.0 * student_t.pdf(0.0, DEGREES) / size.scale * np.log(high / low) / (points - 1)
+    return Axis(values, values * prior_density(values, size.scale), float(np.log(factor)))
 
 
 def grid(axes_of_sizes: Sequence[Axis]) -> tuple[FloatArray, FloatArray]:
@@ -100,6 +105,20 @@ class SizePosterior:
     at_bound: bool
 
 
+class Drawn(NamedTuple):
+    """Draws of the unknowns of the material and of all tests, and of the sizes.
+
+    Parameters
+    ----------
+    material : (n, m); tests : (n, tests, m); tau : (n, levels); shares : (n, bodies).
+    """
+
+    material: FloatArray
+    tests: FloatArray
+    tau: FloatArray
+    shares: FloatArray
+
+
 @dataclass(frozen=True, eq=False)
 class ScatterPosterior:
     """The posterior of mixed models over the grid of their sizes.
@@ -112,6 +131,7 @@ class ScatterPosterior:
     shares : (G, bodies) float, shares of the process noise at each point.
     without : (bodies,) float, smallest restricted -2 log likelihood without that of a body; NaN
         where its size is known.
+    log_mass : logarithm of the likelihood that was integrated over the grid, but for a constant.
     """
 
     models: tuple[MixedModel, ...]
@@ -119,6 +139,7 @@ class ScatterPosterior:
     weights: FloatArray
     shares: FloatArray
     without: FloatArray
+    log_mass: float
 
     @property
     def model(self) -> MixedModel:
@@ -142,6 +163,19 @@ class ScatterPosterior:
         s, rows = self.solutions, self._material_rows if test is None else self._rows(test)
         means = np.einsum("gki,gi->gk", rows, s.effects)
         return means, np.einsum("gki,gij,glj->gkl", rows, s.covariance, rows, optimize=True)
+
+    def draw(self, tests: int, count: int, random: np.random.Generator) -> Drawn:
+        """Return some draws of everything, of all of so many tests together."""
+        s = self.solutions
+        part = random.choice(len(self.weights), count, p=self.weights)
+        roots = np.linalg.cholesky(s.covariance)
+        normal = random.standard_normal((count, s.effects.shape[1]))
+        effects = s.effects[part] + np.einsum("nij,nj->ni", roots[part], normal)
+        of_tests = [
+            np.einsum("nki,ni->nk", self._rows(test)[part], effects) for test in range(tests)
+        ]
+        return Drawn(effects[:, : self.model.m], np.stack(of_tests, axis=1), s.tau[part],
+                     self.shares[part])  # fmt: skip
 
     def of_test(self, test: int, key: int) -> Mixture:
         """Return the distribution of a key's value in one test, in the light of the others."""
@@ -315,4 +349,5 @@ def _posterior(
     return ScatterPosterior(
         tuple(models[: len(points)]), solutions, posterior / posterior.sum(),
         points[np.concatenate(of_model)], np.array(without),
+        float(np.log(posterior.sum()) - 0.5 * least + sum(a.log_factor for a in axes)),
     )  # fmt: skip

@@ -12,6 +12,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import factor
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
 from ringwear_par.identification.definition.user_units import unit_scale
+from ringwear_par.identification.scatter.material import known_sizes
 from ringwear_par.identification.test_design.candidates import Candidate
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.search import Design
@@ -189,6 +190,8 @@ def summary(design: DesignResult) -> str:
             f"each test is of a new specimen, between which {', '.join(scattering)} scatters; "
             "what follows is of the material"
         )
+    if not design.after:  # or earlier specimens tell it too
+        lines += known_sizes(problem, count)
     if problem.settings.process:
         lines.append(
             "noise of the wear itself (fit.process) is not counted: tests tell less than this"

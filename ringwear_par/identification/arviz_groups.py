@@ -1,0 +1,201 @@
+"""``to_arviz`` of fits: draws of what they know, and the log likelihood of each reading.
+
+Readings are linearised at the estimate, as linear intervals and those with scatter are. The log
+likelihood of a reading is that given all others of its test: with the inverse q of their
+covariance, in which nuisances and the random part of wear are, and the readings' distance d from
+the model, it is -log(2 pi)/2 + log(q_ii)/2 - (q d)_i^2/(2 q_ii) (Sundararajan and Keerthi, Neural
+Comput. 13 (2001) 1103-1118). What leaves one reading out is then right for correlated ones.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import InputError
+from ringwear_par.identification.fit_result import FitResult
+from ringwear_par.identification.model.noise import whitened
+from ringwear_par.identification.scatter.clocks import MOST_READINGS, projected_precision
+from ringwear_par.identification.scatter.linearisation import Linearisation
+from ringwear_par.identification.scatter.reduction import ReducedTest
+
+if TYPE_CHECKING:
+    import arviz
+
+#: draws where there are no samples, and their seed
+DRAWS, _SEED = 4000, 0
+#: of a variance, for round-off
+_SMALL = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class _Draws:
+    """Draws of what a fit knows.
+
+    Parameters
+    ----------
+    kind : of what they are.
+    keys : (draws, m) unknowns, of the material where they scatter; tests : (draws, tests, m).
+    taus : (draws, levels) sizes of scatters; sizes : (draws, bodies) mm, of random wear.
+    """
+
+    kind: str
+    keys: FloatArray
+    tests: FloatArray
+    taus: FloatArray
+    sizes: FloatArray
+
+
+def to_arviz(fit: FitResult) -> "arviz.InferenceData":
+    """Return the groups of a fit as ArviZ has them.
+
+    Raises
+    ------
+    InputError : arviz is not installed; readings without a normal distribution.
+    """
+    try:
+        import arviz
+    except ImportError as error:
+        raise InputError(
+            "fit: to_arviz needs the Python package arviz; pip install 'ringwear-par[arviz]'"
+        ) from error
+    misfit, problem = fit.misfit, fit.misfit.problem
+    if problem.settings.loss != "gaussian" or misfit.censored.any():
+        raise InputError('fit: to_arviz needs loss = "gaussian" and no censored readings')
+    if problem.settings.process and any(r.series.n > MOST_READINGS for r in misfit.records):
+        raise InputError(
+            f"fit: to_arviz needs records of at most {MOST_READINGS} readings beside process"
+        )
+    random = np.random.default_rng(_SEED)
+    draws, linear = _drawn(fit, random), _linearised(fit)
+    likelihoods, replicas, marginals = [], [], []
+    for number, rows in enumerate(linear.rows):
+        likelihood, replica = _of_readings(linear, number, draws, random)
+        likelihoods.append(likelihood)
+        replicas.append(misfit.data[rows] + replica)
+        if draws.taus.shape[1]:
+            marginals.append(_marginal(fit, linear, number, draws))
+    names = [
+        (r.experiment.name, r.series.name, x) for r in misfit.records for x in r.series.x.tolist()
+    ]
+    test, series, place = zip(*names, strict=True)
+    values = [np.array([problem.values(u) for u in draws.keys])]
+    posterior = dict(zip(problem.keys, values[0].T[:, None], strict=True))
+    if fit.material is not None:
+        for level, tau in zip(fit.material.posterior.model.levels, draws.taus.T, strict=True):
+            key = problem.keys[fit.material.free[level.key]]
+            posterior[f"scatter of {key} between {level.name}s"] = tau[None]
+        for key, size in zip(problem.settings.process, draws.sizes.T, strict=True):
+            posterior[f"process.{key}"] = size[None]
+    groups: dict[str, Any] = {
+        "posterior": posterior,
+        "posterior_predictive": {"reading": np.concatenate(replicas, axis=1)[None]},
+        "log_likelihood": {"reading": np.concatenate(likelihoods, axis=1)[None]},
+        "observed_data": {"reading": misfit.data},
+    }
+    dims = {"reading": ["place"]}
+    data = arviz.from_dict(**groups, dims=dims)
+    data.posterior.attrs.update({"of_draws": draws.kind, **fit.versions})
+    where = {"test": ("place", list(test)), "series": ("place", list(series)),
+             "at": ("place", np.array(place))}  # fmt: skip
+    for group in ("posterior_predictive", "log_likelihood", "observed_data"):
+        data[group] = data[group].assign_coords(where)
+    if marginals:
+        tests = [experiment.name for experiment in problem.experiments]
+        variables = {"test": np.stack(marginals, axis=1)[None]}
+        marginal = arviz.convert_to_dataset(
+            variables, dims={"test": ["name"]}, coords={"name": tests}
+        )
+        data.add_groups({"log_likelihood_test": marginal}, warn_on_custom_groups=False)
+    return data
+
+
+def _drawn(fit: FitResult, random: np.random.Generator) -> _Draws:
+    m, tests = len(fit.parameters), len(fit.misfit.problem.experiments)
+    if fit.material is not None:
+        material, free = fit.material, list(fit.material.free)
+        drawn = material.posterior.draw(tests, DRAWS, random)
+        keys = np.tile(fit.x[:m], (DRAWS, 1))
+        of_tests = np.tile(material.test_unknowns, (DRAWS, 1, 1))
+        keys[:, free], of_tests[:, :, free] = drawn.material, drawn.tests
+        sizes = material.wear.sizes(drawn.shares)
+        return _Draws("mixture over sizes of scatter and random wear", keys, of_tests, drawn.tau,
+                      sizes)  # fmt: skip
+    if fit.posterior is not None:
+        samples = fit.posterior.samples
+        kind, keys = "samples", np.array([fit.misfit.problem.unknowns(v) for v in samples])
+    else:
+        if not np.isfinite(fit.covariance[:m, :m]).all():
+            raise InputError("fit: to_arviz needs keys that are identified")
+        kind = "linear model"
+        keys = random.multivariate_normal(fit.x[:m], fit.covariance[:m, :m], DRAWS)
+    none = np.zeros((len(keys), 0))
+    return _Draws(kind, keys, np.repeat(keys[:, None], tests, axis=1), none, none)
+
+
+def _linearised(fit: FitResult) -> Linearisation:
+    """Return all tests, linearised at the estimates."""
+    x, m = fit.x, len(fit.parameters)
+    if fit.material is None:
+        unknowns = np.tile(x[:m], (len(fit.misfit.problem.experiments), 1))
+    else:
+        unknowns = fit.material.test_unknowns
+    return Linearisation(fit.misfit, fit.misfit.evaluate(x, unknowns), x, unknowns)
+
+
+def _of_readings(
+    linear: Linearisation, number: int, draws: _Draws, random: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Return log likelihoods (draws, n) of a test's readings, and replicas of these less them."""
+    test, misfit, rows = linear.tests[number], linear.misfit, linear.rows[number]
+    n, roots = len(test.readings), np.diag(1.0 / misfit.sd[rows])
+    records = [r for r in misfit.records if rows.start <= r.rows.start < rows.stop]
+    parts = [slice(r.rows.start - rows.start, r.rows.stop - rows.start) for r in records]
+    root = np.concatenate(
+        [whitened(record.series, roots[part]) for record, part in zip(records, parts, strict=True)]
+    )
+    unroot, m = np.linalg.inv(root), test.jacobian.shape[1]
+    rest = np.tile(np.concatenate([test.readings, test.prior_values]), (len(draws.keys), 1))
+    rest[:, :n] -= draws.tests[:, number] @ test.jacobian.T
+    likelihood, replica = np.empty((len(rest), n)), np.empty((len(rest), n))
+    sizes, of_draw = np.unique(draws.sizes, axis=0, return_inverse=True)
+    for place, size in enumerate(sizes):
+        chosen = of_draw.ravel() == place
+        precision = projected_precision(test, size, np.zeros((m, m)))
+        noise = rest[chosen] @ precision[:, :n]  # its mean by the readings
+        information, slope = ((root.T @ precision[:n, :n]) * root.T).sum(axis=1), noise @ root
+        likelihood[chosen] = 0.5 * (np.log(information / (2.0 * np.pi)) - slope**2 / information)
+        values, axes = np.linalg.eigh(np.eye(n) - precision[:n, :n])
+        spread = axes * np.sqrt(np.maximum(values, _SMALL))
+        normal = random.standard_normal((2, len(noise), n))
+        replica[chosen] = (normal[0] - noise - normal[1] @ spread.T) @ unroot.T
+    return likelihood, replica
+
+
+def _marginal(fit: FitResult, linear: Linearisation, number: int, draws: _Draws) -> FloatArray:
+    """Return the log likelihood (draws,) of a test whose own values are integrated."""
+    assert fit.material is not None
+    m, n = draws.keys.shape[1], len(linear.tests[number].readings)
+    sizes, of_draw = np.unique(draws.sizes, axis=0, return_inverse=True)
+    variances = np.zeros((len(draws.keys), m))
+    for level, tau in zip(fit.material.posterior.model.levels, draws.taus.T, strict=True):
+        variances[:, fit.material.free[level.key]] += tau**2
+    logs = np.empty(len(draws.keys))
+    for place, tests in enumerate(linear.reduced(sizes if draws.sizes.shape[1] else None)):
+        chosen, test = of_draw.ravel() == place, tests[number]
+        logs[chosen] = _integrated(test, draws.keys[chosen], variances[chosen])
+    return logs - 0.5 * n * np.log(2.0 * np.pi)
+
+
+def _integrated(test: ReducedTest, keys: FloatArray, variances: FloatArray) -> FloatArray:
+    """Return log likelihoods of material's keys (draws, m), by variances of a test's own."""
+    information = test.information
+    rest = test.score - keys @ information
+    square = test.square - 2.0 * keys @ test.score + ((keys @ information) * keys).sum(axis=1)
+    system = np.eye(len(information)) + information * variances[:, None, :]
+    gain = np.linalg.solve(system, rest[:, :, None])[:, :, 0] * variances
+    square -= (rest * gain).sum(axis=1)
+    volume = np.linalg.slogdet(system)[1] + test.log_volume + test.log_nuisances
+    logs: FloatArray = -0.5 * (square + volume)
+    return logs

@@ -1,0 +1,1 @@
+"""What is known of a specimen while its test runs: a bank of histories, weighed by readings."""

@@ -1,0 +1,209 @@
+"""What the readings of a running test say so far: in text, as JSON, as a page."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.units import in_signs, with_signs
+from ringwear_par.pictures.panels import Axis, Band, Curve, Panel
+from ringwear_par.pictures.style import COLOURS
+from ringwear_par.prediction.prediction import TimeTo
+from ringwear_par.reports.blocks import (
+    Chart,
+    Charts,
+    Lines,
+    Page,
+    Section,
+    Source,
+    Tile,
+    Tiles,
+    software,
+)
+from ringwear_par.results.key_numbers import time_unit, time_words
+
+#: s, after which a browser loads the page of a test that runs again
+_REFRESH = 10
+#: of a test: who has come so far is at its end
+_ENDED = 0.999
+
+
+@dataclass(frozen=True)
+class KeyAnswer:
+    """A key of the specimen.
+
+    Parameters
+    ----------
+    unit : of its numbers.
+    estimate, interval : median, and interval of the level, by the readings.
+    before : interval before the test.
+    percent : half the interval over the median.
+    """
+
+    unit: str
+    estimate: float
+    interval: tuple[float, float]
+    before: tuple[float, float]
+    percent: float
+
+
+@dataclass(frozen=True)
+class Goal:
+    """When the interval of a key is as narrow as is wished.
+
+    Parameters
+    ----------
+    percent : half its width over the median, at most.
+    time : s, expected; None: not before the end of the test.
+    at_end : half width in percent that is expected there.
+    """
+
+    key: str
+    percent: float
+    time: float | None
+    at_end: float
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """Readings left the predicted band.
+
+    Parameters
+    ----------
+    time : s, of the first of them; probability : of readings so far off.
+    """
+
+    time: float
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What is known of a specimen at a time of its test.
+
+    Parameters
+    ----------
+    test, whom : name of the experiment, and of whom the draws are before it.
+    time, end : s, of the last reading, and of the test.
+    readings : how many; level : of intervals.
+    depth : mm, whose time is asked, and when it is reached; None: none is asked.
+    trace : (answers, 4) time, low end, median and high end of the goal's key.
+    effective : number of independent draws; moves : how often they were made anew.
+    interpolated : relative error of histories; None: all draws were stepped.
+    """
+
+    test: str
+    whom: str
+    time: float
+    end: float
+    readings: int
+    level: float
+    keys: Mapping[str, KeyAnswer]
+    goal: Goal
+    depth: tuple[float, TimeTo] | None
+    alarm: Alarm | None
+    trace: FloatArray
+    draws: int
+    effective: float
+    moves: int
+    interpolated: float | None
+    doubts: tuple[str, ...]
+
+    @property
+    def ended(self) -> bool:
+        """Whether the test has ended."""
+        return self.time >= _ENDED * self.end
+
+    @property
+    def warnings(self) -> list[str]:
+        """What speaks against the numbers, the alarm first."""
+        if self.alarm is None:
+            return [*self.doubts]
+        words = (
+            f"alarm: readings leave the predicted band from {self._at(self.alarm.time)} on (p = "
+            f"{self.alarm.probability:.1g}): a transition, a layer worn through, or the rig; all "
+            "numbers are of the readings before"
+        )
+        return [words, *self.doubts]
+
+    @property
+    def left(self) -> str:
+        """How long it takes to the goal, in words."""
+        if self.goal.time is None:
+            return "not before the end"
+        if self.goal.time <= self.time:
+            return "reached"
+        return f"in {self._at(self.goal.time - self.time)}"
+
+    def lines(self) -> list[str]:
+        """Return the answer in lines of text."""
+        goal, share = self.goal, f"{100 * self.level:g} %"
+        lines = [f"{self.test}: {self.readings} readings to {self._at(self.time)} of "
+                 f"{self._at(self.end)}"]  # fmt: skip
+        for key, of in self.keys.items():
+            unit = "" if of.unit in ("1", "-") else f" {of.unit}"
+            (low, high), (first, last) = of.interval, of.before
+            lines.append(
+                f"  {key}  {of.estimate:.4g}{unit} of this specimen  from {low:.4g} to {high:.4g} "
+                f"({share}, +-{of.percent:.2g} %; before the test {first:.4g} to {last:.4g})"
+            )
+        expected = f", +-{goal.at_end:.2g} % is expected there" if goal.time is None else ""
+        lines.append(f"  {goal.key} to +-{goal.percent:g} %: {self.left}{expected}")
+        if self.depth is not None:
+            depth, (median, interval, _) = self.depth
+            middle, low_end, high_end = map(self._at, (median, *interval))
+            spread = "" if low_end == high_end else f" (from {low_end} to {high_end})"
+            lines.append(f"  {1e3 * depth:g} um of penetration: {middle}{spread}")
+        return [*lines, *(f"warning: {words}" for words in self.warnings)]
+
+    def _at(self, time: float | None) -> str:
+        return "after the end" if time is None else time_words(time, self.end)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contents of follow.json."""
+        content = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        depth, when = (None, None) if self.depth is None else self.depth
+        return {
+            **content,
+            "keys": {key: asdict(of) for key, of in self.keys.items()},
+            "goal": asdict(self.goal),
+            "depth": None if when is None else {"depth": depth, **when._asdict()},
+            "alarm": None if self.alarm is None else asdict(self.alarm),
+            "trace": self.trace.tolist(),
+            "summary": self.lines(),
+        }
+
+    def page(self, record: Panel | None, command: str, versions: Mapping[str, str]) -> Page:
+        """Return the page, which a browser loads anew while the test runs.
+
+        Parameters
+        ----------
+        record : the readings with their band; None: there is none.
+        """
+        unit, seconds = time_unit(self.end)
+        goal, key, warnings = self.goal, self.keys[self.goal.key], self.warnings
+        time, low, median, high = self.trace.T
+        of_key = Panel(
+            Axis(f"time ({unit})"), Axis(f"{goal.key} ({in_signs(key.unit)})"),
+            "by the readings until then",
+            curves=[Curve(time / seconds, median, "median", COLOURS[1], marked=True)],
+            bands=[Band(time / seconds, low, high, f"{100 * self.level:g} %", ("low", "high"))],
+        )  # fmt: skip
+        tiles = [
+            Tile(goal.key, f"{key.estimate:.4g}", in_signs(key.unit),
+                 with_signs(f"+-{key.percent:.2g} %")),
+            Tile(with_signs(f"to +-{goal.percent:g} %"), self.left),
+            Tile("readings", "as expected" if self.alarm is None else "alarm",
+                 note=f"{self.readings} to {self._at(self.time)}", good=self.alarm is None),
+        ]  # fmt: skip
+        lines = [with_signs(line) for line in self.lines() if not line.startswith("warning: ")]
+        charts = [Chart("key", of_key, f"{goal.key} and its interval over the time of the test")]
+        if record is not None:
+            charts.append(Chart("record", record, "Readings, and histories of this specimen"))
+        sections = [
+            Section("Summary", [Tiles(tiles), Lines(lines),
+                                *([Lines(warnings, warning=True)] * bool(warnings))]),
+            Section("Over time", [Charts(charts)]),
+            Section("How to reproduce", [Source("Command", command), software(dict(versions))]),
+        ]  # fmt: skip
+        return Page("Running test", self.test, sections, refresh=0 if self.ended else _REFRESH)

@@ -1,0 +1,252 @@
+"""A bank of histories: draws of what is known of a specimen, weighed by the readings of its test.
+
+Readings are compared as fits do it: noise, nuisances and the random part of wear are integrated,
+linearised at the most probable history. A weight is prior times likelihood over the density from
+which a draw was made. Where few draws have all the weight, the likelihood is tempered until enough
+of them count, and all are drawn anew from a Student's t about these (population Monte Carlo: Cappe,
+Guillin, Marin and Robert, J. Comput. Graph. Stat. 13 (2004) 907-929).
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import logsumexp
+
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.elasticity.sections import BODIES
+from ringwear_par.identification.definition.problem import Problem, body_of_wear
+from ringwear_par.identification.estimation.misfit import Misfit
+from ringwear_par.identification.fitted_values import FittedValues
+from ringwear_par.identification.model.readings import Reader
+from ringwear_par.identification.model.rounds import Rounds
+from ringwear_par.identification.scatter.linearisation import Linearisation
+from ringwear_par.identification.scatter.reduction import LinearisedTest, reduce_test
+from ringwear_par.monitoring.histories import SpecimenHistories
+from ringwear_par.prediction.draws import draw_parts, log_densities
+
+#: shares of the draws: fewer effective ones are drawn anew, from as many after tempering
+_FEW, _ENOUGH = 0.1, 0.2
+#: most rounds of tempering, and halvings until the exponent is found
+_ROUNDS, _HALVINGS = 12, 40
+#: sd, by which the mean may be off where readings are linearised
+_NEAR = 0.3
+#: of the distribution of new draws: degrees of freedom, factor of covariances, share of all parts
+_DEGREES, _WIDER, _EVERY = 8.0, 1.3, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Draws of a specimen's keys.
+
+    Parameters
+    ----------
+    unknowns : (draws, m) of the keys; part : (draws,) of the mixture that is known of them.
+    base : (draws,) logarithm of the prior's density over that of the draws, but for a constant.
+    coordinates : (draws, modes) of their histories.
+    """
+
+    unknowns: FloatArray
+    part: IntArray
+    base: FloatArray
+    coordinates: FloatArray
+
+
+def rows_of(test: LinearisedTest, chosen: BoolArray) -> LinearisedTest:
+    """Return a test with some of its readings (n,)."""
+    return replace(
+        test, readings=test.readings[chosen], jacobian=test.jacobian[chosen],
+        nuisances=test.nuisances[chosen],
+        process=tuple(kernel[np.ix_(chosen, chosen)] for kernel in test.process),
+    )  # fmt: skip
+
+
+def normalised(logs: FloatArray) -> FloatArray:
+    """Return weights that sum to 1 of their logarithms (draws,)."""
+    weights: FloatArray = np.exp(logs - logsumexp(logs))
+    return weights
+
+
+def effective(weights: FloatArray) -> float:
+    """Return how many draws of equal weights some weights (draws,) are worth."""
+    return float(1.0 / (weights @ weights))
+
+
+class Bank:
+    """Draws of a specimen with their histories.
+
+    Parameters
+    ----------
+    known : what is known of the keys before the test.
+    of : whom the test is of: the next specimen, or one of the fit.
+    problem : of the running test, whose readings are planned ones.
+    rounds : computes its histories.
+    draws, seed : number of the draws, and their seed.
+
+    Attributes
+    ----------
+    moves : how often draws were made anew.
+    """
+
+    def __init__(
+        self,
+        known: FittedValues,
+        of: str,
+        problem: Problem,
+        rounds: Rounds,
+        draws: int,
+        seed: int,
+    ) -> None:
+        self._known, self._of, self.problem = known, of, problem
+        self._random = np.random.default_rng(seed)
+        self.histories = SpecimenHistories(problem, rounds)
+        self._rounds = rounds
+        values, part = draw_parts(known, of, draws, self._random)
+        unknowns = np.where(known.logarithmic, np.log(values), values)
+        self.histories.prepare(unknowns)
+        self.draws = Draws(unknowns, part, np.zeros(draws), self.histories.coordinates(unknowns))
+        self.moves = 0
+        wearing = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
+        self._sizes, self._of_part = np.unique(known.sizes[:, wearing], axis=0, return_inverse=True)
+        self._refer(normalised(self._logs(np.zeros(draws))))
+
+    @property
+    def values(self) -> FloatArray:
+        """(draws, m) of the keys."""
+        return np.array([self.problem.values(u) for u in self.draws.unknowns])
+
+    @property
+    def prior_covariance(self) -> FloatArray:
+        """(m, m) of the unknowns before the test."""
+        weights = normalised(self._logs(np.zeros(len(self.draws.base))))
+        return _moments(self.draws.unknowns, weights)[1]
+
+    def sizes(self, weights: FloatArray) -> FloatArray:
+        """Return the means (bodies,) mm of the process noise."""
+        sizes: FloatArray = weights @ self._sizes[self._of_part.ravel()[self.draws.part]]
+        return sizes
+
+    def linearised(self, problem: Problem) -> tuple[LinearisedTest, Misfit, FloatArray]:
+        """Return a test, its misfit and the unknowns (u,) at which it is linearised.
+
+        The unknowns of the linearised test are the coordinates of histories.
+
+        Parameters
+        ----------
+        problem : of the running test, with its readings so far, or with others.
+        """
+        test, at = problem.experiments[0], self._reference
+        misfit = Misfit(problem, self._rounds)
+        response = self.histories.at(at, test)
+        misfit.responses.known[0, problem.values(at).tobytes()] = response
+        x = misfit.with_best_nuisances(problem.values(at), at[None])
+        evaluation = misfit.evaluate(x, at[None])
+        linear = Linearisation(misfit, evaluation, x, at[None]).tests[0]
+        modes = Reader(test).read(self.histories.modes())
+        beside = misfit.whitened(response[:, 0] - modes[:, 0])
+        readings = linear.readings - linear.jacobian @ at + beside
+        jacobian = misfit.whitened(modes[:, 1:])
+        return replace(linear, readings=readings, jacobian=jacobian), misfit, x
+
+    def weigh(self, test: LinearisedTest) -> FloatArray:
+        """Return the weights (draws,) of the draws by a linearised test's readings."""
+        return normalised(self._logs(self._log_likelihood(test)))
+
+    def update(self, problem: Problem, chosen: BoolArray) -> FloatArray:
+        """Return the weights by readings; draws are made anew where few have all the weight.
+
+        Parameters
+        ----------
+        chosen : (n,) which of the problem's readings count.
+        """
+        for _ in range(_ROUNDS):
+            test = rows_of(self.linearised(problem)[0], chosen)
+            likelihood = self._log_likelihood(test)
+            logs = self._logs(likelihood)
+            weights = normalised(logs)
+            count = len(weights)
+            if effective(weights) >= _FEW * count:
+                break
+            power = self._exponent(likelihood)
+            tempered = self._logs(power * likelihood)
+            self._draw_anew(normalised(tempered))
+            self._refer(normalised(tempered))
+            self.moves += 1
+        else:
+            test = rows_of(self.linearised(problem)[0], chosen)
+            logs = self._logs(self._log_likelihood(test))
+            weights = normalised(logs)
+        mean, covariance = _moments(self.draws.unknowns, weights)
+        if (np.abs(mean - self._reference) > _NEAR * np.sqrt(np.diag(covariance))).any():
+            self._refer(weights)
+        return weights
+
+    def _logs(self, likelihood: FloatArray) -> FloatArray:
+        logs = self.draws.base + likelihood
+        return np.where(np.isfinite(logs), logs, -np.inf)
+
+    def _log_likelihood(self, test: LinearisedTest) -> FloatArray:
+        """Return the logarithm (draws,) of the likelihood of each draw; NaN without a history."""
+        sizes = self._sizes if self._sizes.shape[1] else None
+        number = self._of_part.ravel()[self.draws.part]
+        coordinates, logs = self.draws.coordinates, np.empty(len(number))
+        for size, reduced in enumerate(reduce_test(test, sizes)):
+            chosen = slice(None) if sizes is None else number == size
+            c = coordinates[chosen]
+            square = ((c @ reduced.information - 2.0 * reduced.score) * c).sum(axis=1)
+            rest = reduced.square + reduced.log_volume + reduced.log_nuisances
+            logs[chosen] = -0.5 * (square + rest)
+        return logs
+
+    def _exponent(self, likelihood: FloatArray) -> float:
+        """Return the power of the likelihood at which enough draws count."""
+        low, high = 0.0, 1.0
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            weights = normalised(self._logs(middle * likelihood))
+            low, high = (
+                (middle, high) if effective(weights) >= _ENOUGH * len(weights) else (low, middle)
+            )
+        return low
+
+    def _draw_anew(self, weights: FloatArray) -> None:
+        """Replace all draws, by some from about those that have weight."""
+        known, count, random = self._known, len(weights), self._random
+        mean, covariance = _moments(self.draws.unknowns, weights)
+        factor = np.linalg.cholesky(_WIDER * covariance)
+        of_parts = np.bincount(self.draws.part, weights, len(known.weights))
+        of_parts = (1.0 - _EVERY) * of_parts + _EVERY * known.weights
+        part = random.choice(len(of_parts), size=count, p=of_parts / of_parts.sum())
+        scale = np.sqrt(_DEGREES / random.chisquare(_DEGREES, count))
+        normal = random.standard_normal((count, len(mean)))
+        unknowns = mean + scale[:, None] * (normal @ factor.T)
+        low, high = self.problem.unknown_bounds
+        inside = ((unknowns >= low) & (unknowns <= high)).all(axis=1)
+        square = (np.linalg.solve(factor, (unknowns - mean).T) ** 2).sum(axis=0)
+        density = -0.5 * (_DEGREES + len(mean)) * np.log1p(square / _DEGREES)
+        base = log_densities(known, self._of, unknowns, part) - density
+        base -= np.log(of_parts[part])
+        unknowns = np.clip(unknowns, low, high)
+        if self.histories.error is None:  # polynomials may do where draws are nearer
+            self.histories.prepare(unknowns)
+        coordinates = self.histories.coordinates(unknowns)
+        self.draws = Draws(unknowns, part, np.where(inside, base, -np.inf), coordinates)
+
+    def _refer(self, weights: FloatArray) -> None:
+        """Linearise readings at the mean of the draws from now on."""
+        self._reference: FloatArray = weights @ self.draws.unknowns
+
+
+def _moments(points: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean (m,) and covariance (m, m) of weighed points."""
+    mean = weights @ points
+    rest = points - mean
+    return mean, (weights[:, None] * rest).T @ rest
+
+
+def quantiles(values: FloatArray, weights: FloatArray, probabilities: Any) -> FloatArray:
+    """Return quantiles of weighed values (draws,)."""
+    order = np.argsort(values)
+    centred = np.cumsum(weights[order]) - 0.5 * weights[order]
+    between: FloatArray = np.interp(probabilities, centred, values[order])
+    return between

@@ -1,0 +1,104 @@
+"""What is known of a specimen before its test: from the fit of other tests."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from mpi4py import MPI
+
+from ringwear_par.errors import InputError, legible
+from ringwear_par.files.folders import FIT
+from ringwear_par.files.text import parse_json, read_text
+from ringwear_par.history.derivatives.keys import is_elastic
+from ringwear_par.identification.definition.problem import Problem, ProcessNoise
+from ringwear_par.identification.fit import fit_problem
+from ringwear_par.monitoring.running_test import NOT_KNOWN, RunningTest
+from ringwear_par.parallel import on_first_rank
+from ringwear_par.prediction.draws import NEXT
+from ringwear_par.prediction.known import FitKnowledge, check_predicted, doubts_of, fit_knowledge
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """What is followed.
+
+    Parameters
+    ----------
+    test : that runs; problem : of it alone, with the random wear that the fit knows.
+    known : before the test; of : whom that is about.
+    """
+
+    test: RunningTest
+    problem: Problem
+    known: FitKnowledge
+    of: str
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentences about what speaks against the draws."""
+        case = self.problem.experiments[0].case
+        return tuple(doubt.text for doubt in doubts_of(self.known, case, self.of))
+
+
+def job_after(running: RunningTest, after: Path | None, comm: MPI.Intracomm) -> Job:
+    """Return the job of following a test. Collective.
+
+    Parameters
+    ----------
+    after : folder of the fit of earlier tests; None: the other tests of the file are fitted.
+
+    Raises
+    ------
+    InputError : the fit knows too little, or other things.
+    ComputationError : of the fit.
+    """
+    if after is not None:
+        return on_first_rank(comm, lambda: _job(running, fit_knowledge(after), _tests_of(after)))
+    fit = fit_problem(on_first_rank(comm, running.other_tests), comm)
+    return on_first_rank(comm, lambda: _job(running, fit_knowledge(fit), set()))
+
+
+def _job(running: RunningTest, known: FitKnowledge, tests: set[str]) -> Job:
+    """Return the job after a fit of tests. On one rank.
+
+    Raises
+    ------
+    InputError : the fit knows too little, or other things.
+    """
+    problem, place = running.read(), f"{running.source}: {legible(running.name)}"
+    (experiment,), values = problem.experiments, known.values
+    if running.name in tests:
+        raise InputError(
+            f"{place}: is among the tests of {known.name}, so that its readings would count twice; "
+            "must be followed after a fit without it"
+        )
+    if not len(values.scattering) and not values.sizes.any():
+        raise InputError(f"{known.name}: {NOT_KNOWN}")
+    if problem.keys != values.keys:
+        raise InputError(
+            f"{running.source}: fits {', '.join(problem.keys)}; must be {', '.join(values.keys)}, "
+            f"as {known.name}"
+        )
+    if is_elastic(experiment.case, problem.keys):
+        raise InputError(
+            f"{running.source}: a modulus, a Poisson's ratio or a thickness is fitted; a test is "
+            "followed with numbers of wear laws and friction only"
+        )
+    specimen = experiment.groups[0] or experiment.name
+    of = specimen if specimen in values.specimens else NEXT
+    check_predicted(known, experiment.case, place, of)
+    # the size itself is drawn
+    process = {
+        f"wear.{body}": ProcessNoise(size=1.0)
+        for body, sizes in zip(("lower", "upper"), values.sizes.T, strict=True)
+        if sizes.any()
+    }
+    settings = replace(problem.settings, process=process)
+    return Job(running, replace(problem, settings=settings), known, of)
+
+
+def _tests_of(folder: Path) -> set[str]:
+    """Return the names of the tests of a fit's folder."""
+    if not (folder / FIT).is_file():  # told by who reads the fit
+        return set()
+    content = parse_json(read_text(folder / FIT))
+    return set(content.get("experiments", {})) if isinstance(content, dict) else set()

@@ -1,0 +1,153 @@
+"""``ringwear follow``: what the readings of a running test say of its specimen, as they come."""
+
+import logging
+import re
+import shlex
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from mpi4py import MPI
+
+from ringwear_par.cases.units import number_in
+from ringwear_par.cases.values import RejectedError
+from ringwear_par.errors import InputError, legible, reason_of
+from ringwear_par.files.folders import FOLLOW, check_folder
+from ringwear_par.identification.definition.problem import Problem
+from ringwear_par.identification.model.rounds import Rounds, StoppedError
+from ringwear_par.monitoring.answer_files import PAGE, AnswerFiles
+from ringwear_par.monitoring.bank import Bank
+from ringwear_par.monitoring.before import Job, job_after
+from ringwear_par.monitoring.histories import planned
+from ringwear_par.monitoring.running_test import RunningTest
+from ringwear_par.monitoring.watch import Watch, Wishes
+from ringwear_par.parallel import on_first_rank
+from ringwear_par.prediction.draws import NEXT
+from ringwear_par.results.execution.stopping import StopSignals
+
+log = logging.getLogger(__name__)
+
+#: s between two looks at the files
+_LOOK = 0.2
+#: fewest draws
+_FEWEST = 2000
+
+
+def run_follow(
+    source: Path,
+    folder: Path,
+    comm: MPI.Intracomm,
+    *,
+    after: Path | None = None,
+    test: str | None = None,
+    to: str = "10%",
+    depth: str | None = None,
+    draws: int = 10_000,
+    seed: int = 0,
+    once: bool = False,
+) -> None:
+    """Follow a running test into a folder until its end, or until a signal comes. Collective.
+
+    Parameters
+    ----------
+    source : the fit file, one of whose experiments runs.
+    after : folder of the fit of earlier tests; None: the other tests of the file are fitted first.
+    test : name of the experiment; None: the last one.
+    to : half width of the interval that is wished, in percent.
+    depth : of penetration, with its unit.
+    once : whether only what there is now is read.
+
+    Raises
+    ------
+    InputError : the file, the folder, or a fit that knows neither scatter nor random wear.
+    ComputationError : the histories.
+    """
+
+    def begin() -> tuple[RunningTest, float, float | None]:
+        for name, number, least in (("draws", draws, _FEWEST), ("seed", seed, 0)):
+            if number < least:
+                raise InputError(f"--{name} = {number}: must be a whole number >= {least}")
+        wishes = _percent(to), None if depth is None else _depth(depth)
+        check_folder(folder, (FOLLOW, PAGE), "follow")
+        running = RunningTest.of(source, test)
+        while not once and (missing := running.missing):
+            log.info("waiting for readings in %s", ", ".join(map(str, missing)))
+            while running.missing == missing:
+                time.sleep(_LOOK)
+        running.read()
+        return running, *wishes
+
+    running, percent, mm = on_first_rank(comm, begin)
+    job = job_after(running, after, comm)
+    problem, name = job.problem, legible(running.name)
+    plan = replace(problem, experiments=(planned(problem.experiments[0]),))
+    files = AnswerFiles(folder, shlex.join(["ringwear", "follow", str(source), "-o", str(folder)]))
+    with StopSignals() as signals:
+        rounds = Rounds(plan, comm, signals)
+
+        def lead() -> None:
+            rounds.tell(f"{draws} draws of {name}")
+            bank = Bank(job.known.values, job.of, problem, rounds, draws, seed)
+            whom = job.of if job.of == NEXT else f"specimen {legible(job.of)}"
+            wishes = Wishes(_key_of(problem), percent, mm)
+            watch = Watch(bank, wishes, whom, job.doubts)
+            _follow(job, watch, files, once, lambda: bool(signals.received))
+
+        try:
+            rounds.lead(lead)
+        except StoppedError:
+            if on_first_rank(comm, lambda: files.answer is None):
+                raise
+    if comm.rank == 0:
+        print(files.closing_words())
+
+
+def _follow(
+    job: Job, watch: Watch, files: AnswerFiles, once: bool, stopped: Callable[[], bool]
+) -> None:
+    """Answer whenever the files change, until the end of the test."""
+    state, warned = None, ""
+    while not stopped():
+        if (present := job.test.state) != state:
+            state = present
+            try:
+                one = job.test.read()
+            except InputError as error:  # it is being written, or was replaced
+                if once:
+                    raise
+                if (reason := reason_of(error)) != warned:
+                    log.warning("%s; the last answer stays until that changes", reason)
+                warned = reason
+            else:
+                one = replace(one, settings=job.problem.settings)
+                answer = watch.answer(one)
+                ended = once or answer.ended
+                files.write(answer, watch, one, last=ended)
+                if ended:
+                    return
+        time.sleep(_LOOK)
+    files.write_page()
+
+
+def _key_of(problem: Problem) -> int:
+    """Return the number of the key whose interval is to become narrow: the first wear rate."""
+    logarithmic = (n for n, p in enumerate(problem.parameters) if p.log and "wear." in p.key)
+    return next(logarithmic, 0)
+
+
+def _percent(text: str) -> float:
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*%?\s*", text)
+    if match is None or not 0.0 < float(match[1]) < 100.0:
+        raise InputError(f"--to = {legible(text)}: must be a percentage, such as 10%")
+    return float(match[1])
+
+
+def _depth(text: str) -> float:
+    try:
+        depth = number_in(text, "mm")
+    except RejectedError:
+        depth = 0.0
+    if not depth > 0.0:
+        raise InputError(f"--depth = {legible(text)}: must be a length > 0, such as '20 um'")
+    return depth

@@ -1,0 +1,200 @@
+"""A test that runs: one experiment of a fit file, whose files grow while it is followed."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.cases.files.columns import FileStore
+from ringwear_par.errors import InputError, legible
+from ringwear_par.files.measurements import Measurements, measurements_in
+from ringwear_par.files.text import parse_toml, read_text
+from ringwear_par.files.writing import read_bytes
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.problem import Problem, Series
+from ringwear_par.identification.definition.scatter import check_scatter
+
+#: blocks of equal time of a test, in which the readings of a record are averaged
+BLOCKS = 500
+#: why nothing can be followed
+NOT_KNOWN = (
+    "has neither scatter nor random wear, and a sensor's intervals would stop tests too early: "
+    'scatter = "fit" with repeats, a known scatter, or process is needed'
+)
+_MARKS = b"\xff\xfe", b"\xfe\xff"
+_READ = ("penetration", "approach", "torque", "mass", "volume")
+
+
+class GrowingFiles(FileStore):
+    """Files of measurements, of which some are written to: their last line may not be whole."""
+
+    def __init__(self, folder: Path, growing: frozenset[str]) -> None:
+        super().__init__(folder)
+        self._growing = growing
+
+    def __call__(self, name: str) -> Measurements:
+        """Return a file's table, without a last line that has no end."""
+        return self.read(name, _whole_lines) if name in self._growing else super().__call__(name)
+
+
+def _whole_lines(path: Path) -> Measurements:
+    try:
+        content = read_bytes(path)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read: {reason}") from error
+    if not content.startswith(_MARKS):
+        content = content[: content.rfind(b"\n") + 1]
+    return measurements_in(content, str(path))
+
+
+@dataclass(frozen=True)
+class RunningTest:
+    """Which experiment of a fit file runs.
+
+    Parameters
+    ----------
+    source : the fit file.
+    name : of the experiment.
+    files : names of its files.
+    alone : whether the fit file has no other.
+    """
+
+    source: Path
+    name: str
+    files: frozenset[str]
+    alone: bool
+
+    @classmethod
+    def of(cls, source: Path, name: str | None) -> "RunningTest":
+        """Return an experiment of a fit file by its name; None: the last one.
+
+        Raises
+        ------
+        InputError : there is none of this name.
+        """
+        experiments = parse_toml(read_text(source), str(source)).get("experiment")
+        named: dict[str, Any] = {}
+        for table in experiments if isinstance(experiments, list) else ():
+            if isinstance(table, Mapping) and isinstance(table.get("name"), str):
+                named[table["name"]] = table.get("data")
+        if not named:  # the fit file's own sentences tell
+            read_fit(source)
+        name = [*named][-1] if name is None else name
+        if name not in named:
+            known = ", ".join(legible(known) for known in named)
+            raise InputError(f"--test = {legible(name)}: must be one of {known} of {source}")
+        series = named[name] if isinstance(named[name], list) else []
+        files = {s["file"] for s in series if isinstance(s, Mapping) and "file" in s}
+        texts = frozenset(file for file in files if isinstance(file, str))
+        return cls(source, name, texts, len(named) == 1)
+
+    @property
+    def missing(self) -> list[Path]:
+        """Its files that have no readings yet."""
+        paths = [self.source.parent / name for name in sorted(self.files)]
+        return [path for path in paths if not _has_readings(path)]
+
+    @property
+    def state(self) -> tuple[Any, ...]:
+        """What changes when the fit file or one of the test's files is written to."""
+        paths = [self.source, *(self.source.parent / name for name in sorted(self.files))]
+        return tuple(
+            (s.st_ino, s.st_size, s.st_mtime_ns) if path.exists() and (s := path.stat()) else None
+            for path in paths
+        )
+
+    def other_tests(self) -> Problem:
+        """Return the problem of the other tests of the fit file, to be fitted before.
+
+        Raises
+        ------
+        InputError : faults of the file; there is none, or they cannot tell what scatters.
+        """
+        place = f"{self.source}: without {legible(self.name)}"
+        if self.alone:
+            raise InputError(
+                f"{place} has no test; --after must name the folder of a fit of others"
+            )
+        whole = read_fit(self.source, files=GrowingFiles(self.source.parent, self.files))
+        if not whole.mixed:
+            raise InputError(f"{self.source}: {NOT_KNOWN}")
+        tests = tuple(one for one in whole.experiments if one.name != self.name)
+        faults: list[str] = []
+        check_scatter(place, whole.parameters, tests, whole.settings, faults)
+        if faults:
+            raise InputError(*faults)
+        settings = replace(whole.settings, intervals=("linear",))
+        return replace(whole, experiments=tests, settings=settings, alternatives={})
+
+    def read(self) -> Problem:
+        """Return the problem of this test alone, with its readings so far.
+
+        Raises
+        ------
+        InputError : its faults, and what cannot be followed.
+        """
+        files = GrowingFiles(self.source.parent, self.files)
+        problem = read_fit(self.source, test=self.name, files=files)
+        (experiment,) = problem.experiments
+        faults = [fault for series in experiment.series for fault in _faults(series)]
+        if problem.settings.loss != "gaussian":
+            faults.append('fit.loss: must be "gaussian" where a test is followed')
+        if faults:
+            raise InputError(*(f"{self.source}: {legible(self.name)}: {f}" for f in faults))
+        series = tuple(averaged(one, experiment.case.time.end) for one in experiment.series)
+        return replace(problem, experiments=(replace(experiment, series=series),))
+
+
+def _has_readings(path: Path) -> bool:
+    """Tell whether a file has a line of names and a whole line below it."""
+    try:
+        return read_bytes(path).count(b"\n") > 1
+    except (OSError, ValueError):
+        return False
+
+
+def _faults(series: Series) -> list[str]:
+    """Return why a series cannot be followed."""
+    faults = [
+        f"{series.file or series.name}: {a}; its unit must be given" for a in series.assumptions
+    ]
+    if series.quantity.partition(".")[0] not in _READ:
+        faults.append(
+            f"{series.name}: must be one of {', '.join(_READ)} while a test runs; the fit after it "
+            "reads profiles and layers"
+        )
+    if series.sd_fitted:
+        faults.append(
+            f'{series.name}: sd = "fit": must be a number while a test runs, such as that of the '
+            "fit of earlier tests"
+        )
+    if series.censored is not None and series.censored.any():
+        faults.append(f"{series.name}: censored readings cannot be followed; must be left out")
+    return faults
+
+
+def averaged(series: Series, end: float) -> Series:
+    """Return a long record averaged in blocks of equal time; one of correlated noise is thinned.
+
+    Parameters
+    ----------
+    end : s, of the test.
+    """
+    if (
+        series.n <= 1
+        or (number := np.unique(series.x // (end / BLOCKS), return_index=True)[1]).size == series.n
+    ):
+        return series
+    counts = np.diff(np.append(number, series.n))
+    if series.correlation_time:
+        last = number + counts - 1
+        return replace(
+            series, x=series.x[last], value=series.value[last], sd=series.sd[last], lines=None
+        )
+    weights = series.sd**-2
+    total = np.add.reduceat(weights, number)
+    x, value = (np.add.reduceat(weights * v, number) / total for v in (series.x, series.value))
+    return replace(series, x=x, value=value, sd=total**-0.5, lines=None)

@@ -1,0 +1,122 @@
+"""Fits as ArviZ has them, and their evidence: against a covariance that is written here anew."""
+
+import sys
+
+import numpy as np
+import pytest
+from laboratory import CASE, END, TRUTH, fit_tables, history, penetration, write_table
+from mpi4py import MPI
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+from scipy.stats import t as student_t
+
+import ringwear_par as rw
+from ringwear_par.errors import InputError
+from ringwear_par.identification import arviz_groups
+from ringwear_par.identification.evidence import probabilities
+
+KEY = "wear.lower.k"
+#: s, of the noise; variance of a nuisance that is free, in mm^2
+CORRELATION, FREE = 3.0, 1.0
+
+
+@pytest.fixture(scope="module")
+def fit(tmp_path_factory):
+    """A fit with scatter, random wear, correlated noise, a free offset and a drift with a prior."""
+    folder, rng, experiments = tmp_path_factory.mktemp("fit"), np.random.default_rng(5), []
+    for number, factor in enumerate((0.85, 1.0, 1.2), start=1):
+        result = history((45.0, 80.0)[number % 2], {**TRUTH, KEY: TRUTH[KEY] * factor})
+        t, z = penetration(result, rng, np.linspace(4.0, END, 25))
+        write_table(folder / f"z{number}.csv", ("t_s", "z_um"), t, 1e3 * z)
+        record = {
+            "quantity": "penetration", "file": str(folder / f"z{number}.csv"), "sd": 0.2,
+            "columns": {"time": "t_s", "value": "z_um"}, "correlation_time": CORRELATION,
+            "nuisance": {"offset": {}, "drift": {"prior": {"normal": [0.1, 0.5]}}},
+        }  # fmt: skip
+        changes = {"load.pressure": (45.0, 80.0)[number % 2], "load.omega": 3.5, "time.end": END}
+        experiments.append({"name": f"test {number}", "set": changes, "data": [record]})
+    (folder / "case.toml").write_text(CASE)
+    tables = fit_tables(folder, experiments, starts=1)
+    tables["fit"]["parameters"] = {KEY: {**tables["fit"]["parameters"][KEY], "scatter": "fit"}}
+    tables["fit"]["process"] = {"wear.lower": {"share": 0.03}}
+    return rw.fit(tables, MPI.COMM_SELF)
+
+
+def dense(fit, number, size):
+    """Return the covariance of a test's readings, all in it, their mean, and its slope."""
+    misfit = fit.misfit
+    record, m = misfit.records[number], len(fit.parameters)
+    t, s = record.series.x, record.series
+    answers, depths = (v[record.rows, 0] for v in misfit.clocks(fit.x, fit.material.test_unknowns))
+    covariance = s.sd[0] ** 2 * np.exp(-np.abs(np.subtract.outer(t, t)) / CORRELATION)
+    covariance += FREE + (s.factor * 0.5) ** 2 * np.outer(t, t) / END**2
+    covariance += size * np.outer(answers, answers) * np.minimum.outer(depths, depths)
+    mean = fit.evaluation.model[record.rows] - misfit.nuisance_readings(fit.x)[record.rows]
+    random_part = answers * fit.material.excess[record.rows, 0]
+    slope = misfit.columns(fit.x, fit.material.test_unknowns)[record.rows, :m]
+    return covariance, mean - random_part + s.factor * 0.1 * t / END, slope
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_log_likelihoods_are_those_of_a_dense_covariance(fit):
+    arviz = pytest.importorskip("arviz")
+    data = fit.to_arviz()
+    draws, number, draw = arviz_groups._drawn(fit, np.random.default_rng(0)), 1, 7
+    size = float(draws.sizes[draw, 0])
+    covariance, mean, slope = dense(fit, number, size)
+    rows = fit.misfit.records[number].rows
+    rest = fit.misfit.data[rows] - mean
+    shift = draws.tests[draw, number] - fit.material.test_unknowns[number]
+    rest_of_draw = rest - slope @ shift
+    for i in (0, 11, 24):
+        others = np.arange(len(rest)) != i
+        gain = np.linalg.solve(covariance[np.ix_(others, others)], covariance[others, i])
+        variance = covariance[i, i] - gain @ covariance[others, i]
+        off = rest_of_draw[i] - gain @ rest_of_draw[others]
+        expected = -0.5 * (np.log(2 * np.pi * variance) + off**2 / variance)
+        likelihood = float(data.log_likelihood.reading[0, draw, rows.start + i])
+        assert likelihood == pytest.approx(expected, abs=1e-4)
+    # a test's own k integrated: differences between draws, as a free nuisance has no density
+    marginals = []
+    for d in (draw, draw + 1):
+        spread = covariance + draws.taus[d, 0] ** 2 * np.outer(slope[:, 0], slope[:, 0])
+        off = rest - slope @ (draws.keys[d] - fit.material.test_unknowns[number])
+        marginals.append(multivariate_normal.logpdf(off, cov=spread))
+    values = data["log_likelihood_test"].test[0, draw : draw + 2, number]
+    assert float(values[1] - values[0]) == pytest.approx(marginals[1] - marginals[0], abs=1e-3)
+    assert np.isfinite(arviz.loo(data).elpd_loo)
+    replicas = data.posterior_predictive.reading[0] - fit.misfit.data
+    assert np.abs(replicas.mean("draw")).max() < 1e-3  # mm
+    assert data.posterior.attrs["of_draws"].startswith("mixture")
+
+
+def test_the_evidence_is_the_integral_of_the_likelihood(fit):
+    """Over k, its scatter and the offsets, on a grid; by Laplace where k and offsets are linear."""
+    (parameter,), tests = fit.misfit.problem.parameters, range(3)
+    low, high = np.log(parameter.bounds)
+    keys = fit.x[0] + np.linspace(-1.5, 1.5, 301)
+    taus = np.geomspace(2e-3, 5.0, 120)
+    size = float(fit.material.sizes_of_process[0])
+    logs = np.zeros((len(taus), len(keys)))
+    for number in tests:
+        covariance, mean, slope = dense(fit, number, size)
+        rest = fit.misfit.data[fit.misfit.records[number].rows] - mean
+        off = rest - (keys - fit.material.test_unknowns[number, 0])[:, None] * slope[:, 0]
+        for i, tau in enumerate(taus):
+            spread = covariance + tau**2 * np.outer(slope[:, 0], slope[:, 0])
+            logs[i] += multivariate_normal.logpdf(off, cov=spread)
+    prior = 2.0 * student_t.pdf(taus / 0.3, 4.0) / 0.3 * taus * np.log(taus[1] / taus[0])
+    logs += np.log(prior)[:, None] + np.log((keys[1] - keys[0]) / (high - low))
+    # offsets have a density of 1 a um here, drifts one without its factor
+    of_offsets = 3 * np.log(np.sqrt(2.0 * np.pi * FREE) / 1e-3)
+    of_nuisances = 1.5 * np.log(2.0 * np.pi) - 3 * np.log(0.5)
+    assert fit.to_dict()["log_evidence"] == pytest.approx(
+        logsumexp(logs) + of_offsets - of_nuisances, abs=0.05
+    )
+    assert probabilities({"a": 0.0, "b": np.log(3.0)}) == pytest.approx({"a": 0.25, "b": 0.75})
+
+
+def test_arviz_is_asked_for_in_one_sentence(fit, monkeypatch):
+    monkeypatch.setitem(sys.modules, "arviz", None)
+    with pytest.raises(InputError, match=r"needs the Python package arviz; pip install"):
+        fit.to_arviz()

@@ -1,0 +1,211 @@
+"""Running tests: the posterior of a bank, the alarm, files that grow, what is refused."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from commands import ringwear, sentences
+from laboratory import CASE, END, SD_PENETRATION, fit_tables, history, penetration, write_table
+from mpi4py import MPI
+from scipy.special import logsumexp
+
+from ringwear_par.errors import InputError
+from ringwear_par.files.text import parse_json, toml_text
+from ringwear_par.identification.definition.problem import Series
+from ringwear_par.monitoring.bank import quantiles
+from ringwear_par.monitoring.follow import run_follow
+from ringwear_par.monitoring.running_test import BLOCKS, RunningTest, averaged
+from ringwear_par.prediction.draws import log_densities
+from ringwear_par.prediction.known import fit_knowledge
+
+KEY, P0, TRUE_K = "wear.lower.k", 25.0, 1.3e-7
+#: of the running specimen, over the material's k
+FACTOR = 1.15
+
+
+def experiment(folder, number, factor, rng):
+    """Write the record of a specimen, and return its experiment."""
+    values = {KEY: TRUE_K * factor, "wear.lower.p0": P0}
+    t, z = penetration(history(80.0, values), rng)
+    write_table(folder / f"z{number}.csv", ("t_s", "z_um"), t, 1e3 * z)
+    record = {
+        "quantity": "penetration", "file": f"z{number}.csv", "sd": 0.2,
+        "columns": {"time": "t_s", "value": "z_um"},
+        "nuisance": {"offset": {}, "drift": {"prior": {"normal": [0.0, 0.5]}}},
+    }  # fmt: skip
+    changes = {"load.pressure": 80.0, "load.omega": 3.5, "time.end": END, "wear.lower.p0": P0}
+    return {"name": f"test {number}", "set": changes, "data": [record]}
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory):
+    """A folder with a fit of four specimens, and the fit file of a fifth one that runs."""
+    folder, rng = tmp_path_factory.mktemp("laboratory"), np.random.default_rng(3)
+    (folder / "case.toml").write_text(CASE)
+    factors = (0.8, 1.0, 1.1, 1.3, FACTOR)
+    tests = [experiment(folder, n, factor, rng) for n, factor in enumerate(factors, start=1)]
+    tables = fit_tables(folder, tests, starts=1)
+    key = {**tables["fit"]["parameters"][KEY], "scatter": "fit"}
+    tables["fit"]["parameters"] = {KEY: key}
+    for name, chosen in (("fit", tests[:4]), ("running", tests[4:])):
+        (folder / f"{name}.toml").write_text(toml_text({**tables, "experiment": chosen}))
+    assert ringwear("fit", folder / "fit.toml", "-o", folder / "out").returncode == 0
+    return folder
+
+
+def followed(laboratory, folder, **options):
+    """Follow the running test once, and return what is stored of it."""
+    options = {"after": laboratory / "out", "once": True, "draws": 4000, **options}
+    run_follow(laboratory / "running.toml", folder, MPI.COMM_SELF, **options)
+    return parse_json((folder / "follow.json").read_text())
+
+
+def exact_quantiles(laboratory):
+    """Return quantiles of the running specimen's k, by quadrature of prior times likelihood."""
+    problem = RunningTest.of(laboratory / "running.toml", None).read()
+    (test,), known = problem.experiments, fit_knowledge(laboratory / "out").values
+    record = test.series[0]
+    unknowns = np.log(TRUE_K) + np.linspace(-0.7, 0.7, 141)
+    times = record.x
+    readings = []
+    for k in np.exp(unknowns[::20]):
+        result = history(80.0, {KEY: k, "wear.lower.p0": P0})
+        readings.append(penetration(result, times=times, offset=0.0, drift=0.0)[1])
+    weights = np.polynomial.chebyshev.chebfit(np.linspace(-1, 1, 8), np.array(readings), 7)
+    model = np.polynomial.chebyshev.chebval(np.linspace(-1, 1, 141), weights).T
+    column = times / END
+    covariance = SD_PENETRATION**2 * np.eye(len(times)) + 1.0
+    covariance += (5e-4) ** 2 * np.outer(column, column)
+    rest = record.value - model
+    logs = -0.5 * np.einsum("ki,ij,kj->k", rest, np.linalg.inv(covariance), rest)
+    parts = np.arange(len(known.weights))
+    for i, unknown in enumerate(unknowns):
+        at = np.full((len(parts), 1), unknown)
+        logs[i] += logsumexp(log_densities(known, "next specimen", at, parts))
+    share = np.exp(logs - logsumexp(logs))
+    return np.exp(quantiles(unknowns, share, [0.025, 0.5, 0.975]))
+
+
+def test_the_posterior_of_a_running_test(laboratory, tmp_path):
+    """By quadrature; the interval narrows, its goal comes, and nothing is out of the way."""
+    stored = followed(laboratory, tmp_path / "a", to="2%", depth="5 um")
+    exact, of = np.log(exact_quantiles(laboratory)), stored["keys"][KEY]
+    sd = (exact[2] - exact[0]) / 3.92
+    own = np.log([of["interval"][0], of["estimate"], of["interval"][1]])
+    assert own == pytest.approx(exact, abs=0.12 * sd)
+    assert stored["alarm"] is None
+    assert stored["interpolated"] < 1e-4
+    assert of["percent"] < 0.2 * (50 * (of["before"][1] - of["before"][0]) / of["estimate"])
+    assert of["interval"][0] < FACTOR * TRUE_K < of["interval"][1]
+    truth = history(80.0, {KEY: TRUE_K * FACTOR, "wear.lower.p0": P0})
+    reached = np.interp(5e-3, truth.histories["penetration"], truth.histories["time"])
+    low, high = stored["depth"]["interval"]
+    assert low < reached < high
+    half = stored["trace"][len(stored["trace"]) // 2]
+    assert half[3] - half[1] > of["interval"][1] - of["interval"][0]
+    page = (tmp_path / "a" / "follow.html").read_text()
+    assert 'http-equiv="refresh"' not in page  # it has ended
+
+
+def test_half_a_test_tells_when_it_is_enough(laboratory, tmp_path):
+    """The time that is expected half way is that at which the whole record is as narrow."""
+    whole = followed(laboratory, tmp_path / "whole")
+    at_60 = next(row for row in whole["trace"] if row[0] >= 60.0)
+    wished = 50.0 * (at_60[3] - at_60[1]) / at_60[2]
+    lines = (laboratory / "z5.csv").read_text().splitlines(keepends=True)
+    try:  # to 30 s, and half a line
+        (laboratory / "z5.csv").write_text("".join(lines[:16]) + lines[16][:4])
+        half = followed(laboratory, tmp_path / "half", to=f"{wished:.3f}%")
+    finally:
+        (laboratory / "z5.csv").write_text("".join(lines))
+    assert half["readings"] == 15
+    assert half["goal"]["time"] == pytest.approx(60.0, abs=12.0)
+    assert 'http-equiv="refresh"' in (tmp_path / "half" / "follow.html").read_text()
+
+
+def test_a_transition_raises_an_alarm_while_the_file_grows(laboratory, tmp_path, capsys):
+    """Lines come in halves, the file is replaced; the answer stays that before the transition."""
+    lines = (laboratory / "z5.csv").read_text().splitlines(keepends=True)
+    rows = [line.split(",") for line in lines[1:]]
+    faster = [f"{t},{float(z) + 0.2 * max(float(t) - 60.0, 0.0):.6g}\n" for t, z in rows]
+
+    def write():
+        path = laboratory / "grown.csv"
+        path.write_text(lines[0] + "".join(faster[:10]))
+        time.sleep(0.5)
+        path.write_text(lines[0])  # truncated
+        with path.open("a") as file:
+            for line in faster:
+                for part in (line[:3], line[3:]):
+                    file.write(part)
+                    file.flush()
+                    time.sleep(0.02)
+
+    text = (laboratory / "running.toml").read_text().replace("z5.csv", "grown.csv")
+    (laboratory / "growing.toml").write_text(text)
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        run_follow(laboratory / "growing.toml", tmp_path / "out", MPI.COMM_SELF,
+                   after=laboratory / "out", draws=2000)  # fmt: skip
+    finally:
+        writer.join()
+    stored = parse_json((tmp_path / "out" / "follow.json").read_text())
+    assert stored["readings"] == len(rows)
+    assert 60.0 <= stored["alarm"]["time"] <= 75.0
+    low, high = stored["keys"][KEY]["interval"]
+    assert low < FACTOR * TRUE_K < high
+    assert "alarm: readings leave the predicted band" in capsys.readouterr().out
+
+
+def test_two_ranks_say_the_same(laboratory, tmp_path):
+    alone = followed(laboratory, tmp_path / "alone", draws=2000)
+    words = ["follow", laboratory / "running.toml", "-o", tmp_path / "two", "--once"]
+    done = ringwear(*words, "--after", laboratory / "out", "--draws", 2000, ranks=2)
+    assert done.returncode == 0, done.stderr
+    stored = parse_json((tmp_path / "two" / "follow.json").read_text())
+    assert stored["keys"] == alone["keys"]
+    assert stored["goal"] == alone["goal"]
+
+
+def test_long_records_are_averaged():
+    x = np.arange(1.0, 5001.0) / 50.0
+    series = Series("z", "penetration", x, 2.0 * x, np.full(5000, 0.5))
+    short = averaged(series, 100.0)
+    assert short.n == pytest.approx(BLOCKS, abs=1)
+    assert short.value == pytest.approx(2.0 * short.x)
+    assert short.sd[3] == pytest.approx(0.5 / np.sqrt(10), rel=0.06)
+    assert averaged(short, 100.0).n == short.n
+
+
+def test_what_is_refused(laboratory, tmp_path):
+    text = (laboratory / "running.toml").read_text()
+
+    def refused(said, text=text, **options):
+        path = laboratory / "refused.toml"
+        path.write_text(text)
+        options = {"after": laboratory / "out", "once": True, **options}
+        with pytest.raises(InputError) as error:
+            run_follow(path, tmp_path / "out", MPI.COMM_SELF, **options)
+        assert said in str(error.value)
+        assert not (tmp_path / "out").exists()
+
+    (laboratory / "bare.csv").write_text("t,z\n1,2\n2,3\n")
+    bare = text.replace("z5.csv", "bare.csv").replace("t_s", "t").replace("z_um", "z")
+    refused("the column z names no unit; mm is taken; its unit must be given", bare)
+    refused("depth", text.replace("z_um", "depth"))
+    refused("test 9: must be one of test 5", test="test 9")
+    refused("so that its readings would count twice", text.replace('"test 5"', '"test 1"'))
+    refused("holds no fit.json", after=laboratory)
+    refused("without test 5 has no test; --after must name", after=None)
+    refused("must be a percentage, such as 10%", to="a bit")
+    refused("must be a length > 0, such as '20 um'", depth="3 s")
+    refused('sd = "fit": must be a number', text.replace('"sd" = 0.2', '"sd" = "fit"'))
+    refused("cannot be read", text.replace("z5.csv", "none.csv"))
+    plain = (laboratory / "fit.toml").read_text().replace(', "scatter" = "fit"', "")
+    words = ["follow", laboratory / "plain.toml", "-o", tmp_path / "out", "--once"]
+    (laboratory / "plain.toml").write_text(plain)
+    done = ringwear(*words)
+    assert done.returncode == 2
+    assert "has neither scatter nor random wear" in sentences(done)[0]
