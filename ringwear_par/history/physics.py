@@ -25,7 +25,6 @@ from ringwear_par.elasticity.bem.body import BodyCost
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.history.derivatives.numbers import Sensitivity
-from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.compliances import Compliances, OperatorKey, key_of
 from ringwear_par.history.inputs import HistoryInputs
 from ringwear_par.schedules import in_time, integral, mean
@@ -103,7 +102,7 @@ class Physics:
         physics = cls(
             inputs,
             pairs,
-            Compliances.of(pairs, [young(case) for case in cases], known),
+            Compliances.of(pairs, cases, known),
             ends,
             sensitivity=Sensitivity(derivatives, inputs.cases, pairs) if derivatives else None,
         )
@@ -398,7 +397,7 @@ class Physics:
     def joined(self, other: "Physics") -> "Physics":
         """Return the physics of the histories of both."""
         known = {
-            key_of(pair, young(case)): physics.compliances.history(i)
+            key_of(pair, case): physics.compliances.history(i)
             for physics in (self, other)
             for i, (pair, case) in enumerate(zip(physics.pairs, physics.inputs.cases, strict=True))
         }

@@ -8,18 +8,20 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.batched import along, take
+from ringwear_par.cases.case import Case
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.engine import ContactEngine
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
+from ringwear_par.history.elastic.bodies import young
 
 #: identity of a contact pair, and Young's moduli of lower and upper
 OperatorKey = tuple[int, tuple[float, float]]
 
 
-def key_of(pair: ContactPair, young: tuple[float, float]) -> OperatorKey:
-    """Return the key of a compliance among those of some pairs."""
-    return id(pair), young
+def key_of(pair: ContactPair, case: Case) -> OperatorKey:
+    """Return the key of the compliance of a case among those of some pairs."""
+    return id(pair), young(case)
 
 
 @dataclass(frozen=True)
@@ -50,11 +52,11 @@ class Compliances:
     def of(
         cls,
         pairs: Sequence[ContactPair],
-        moduli: Sequence[tuple[float, float]],
+        cases: Sequence[Case],
         known: Mapping[OperatorKey, ContactCompliance],
     ) -> Self:
         """Return the compliances of histories; some may be known."""
-        keys = [key_of(*row) for row in zip(pairs, moduli, strict=True)]
+        keys = [key_of(*row) for row in zip(pairs, cases, strict=True)]
         pair_of = dict(zip(keys, pairs, strict=True))
         places = {key: place for place, key in enumerate(pair_of)}
         every = [known.get(key) or pair.compliance(key[1]) for key, pair in pair_of.items()]
