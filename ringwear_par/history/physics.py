@@ -45,32 +45,27 @@ class Sliding(NamedTuple):
 
 @dataclass(frozen=True)
 class Physics:
-    """Contact and wear of B cases whose contact elements are the same.
+    """Contact and wear of B cases whose contact elements are the same."""
 
-    Parameters
-    ----------
-    inputs : loads, laws and gaps of the cases.
-    pairs : of each history, the contact pair before any wear.
-    compliances : of the histories.
-    layer_ends : (layers, B, n) mm, along the axis, depths at which the layers of lower and upper
-        end; None for a body without.
-    averages : (n, n) of the pressures, and of the rates, of non-local laws of lower and upper.
-    sensitivity : what the numbers act on that there are derivatives with respect to, if any.
-    gap_offset : (B, n) mm, what elements are nearer than their profiles say, see ``State``.
-    updates, update_cost : how often elements were assembled anew to follow the wear, and what that
-        took.
-    pair_is_shared : whether the pair was assembled for others, too.
-    """
-
+    #: loads, laws and gaps of the cases
     inputs: HistoryInputs
+    #: of each history, the contact pair before any wear
     pairs: tuple[ContactPair, ...]
+    #: of the histories
     compliances: Compliances
+    #: (layers, B, n) mm, along the axis, depths at which the layers of lower and upper end; None
+    #: for a body without
     layer_ends: tuple[FloatArray | None, ...]
+    #: (n, n) of the pressures, and of the rates, of non-local laws of lower and upper
     averages: tuple[FloatArray | None, ...] = (None, None)
+    #: what the numbers act on that there are derivatives with respect to, if any
     sensitivity: Sensitivity | None = None
+    #: (B, n) mm, what elements are nearer than their profiles say, see ``State``
     gap_offset: FloatArray | None = None
+    #: how often elements were assembled anew to follow the wear, and what that took
     updates: int = 0
     update_cost: BodyCost = field(default_factory=BodyCost)
+    #: whether the pair was assembled for others, too
     pair_is_shared: bool = False
 
     @classmethod

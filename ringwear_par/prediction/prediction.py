@@ -24,16 +24,13 @@ PROBABILITIES = (0.025, 0.25, 0.5, 0.75, 0.975)
 
 
 class TimeTo(NamedTuple):
-    """When a depth is reached, s; None where that is after the end of the case.
+    """When a depth is reached, s; None where that is after the end of the case."""
 
-    Parameters
-    ----------
-    median : half of the draws reach it by then; interval : holds 95 % of them.
-    reached : share of the draws that reach it before the end.
-    """
-
+    #: half of the draws reach it by then
     median: float | None
+    #: holds 95 % of them
     interval: tuple[float | None, float | None]
+    #: share of the draws that reach it before the end
     reached: float
 
     @classmethod

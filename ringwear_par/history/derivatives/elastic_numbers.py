@@ -25,18 +25,14 @@ _ENTRIES: tuple[Entry, ...] = ("thickness", "young", "poisson")
 
 @dataclass(frozen=True)
 class ElasticDerivatives:
-    """Derivatives with respect to a number of m compliances, of other pairs or moduli.
+    """Derivatives with respect to a number of m compliances, of other pairs or moduli."""
 
-    Parameters
-    ----------
-    symmetric, collocated : (m, n, n) of K / m and C, transposed.
-    twist : (m, n).
-    which : (B,) int of each history, or 0.
-    """
-
+    #: (m, n, n) of K / m and C, transposed
     symmetric: FloatArray
     collocated: FloatArray
+    #: (m, n)
     twist: FloatArray
+    #: (B,) int of each history, or 0
     which: Any
 
     @classmethod

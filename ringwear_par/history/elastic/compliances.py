@@ -26,26 +26,22 @@ def key_of(pair: ContactPair, case: Case) -> OperatorKey:
 
 @dataclass(frozen=True)
 class Compliances:
-    """How the contact elements of B histories yield.
+    """How the contact elements of B histories yield."""
 
-    Parameters
-    ----------
-    every : compliances of all different pairs and moduli, that of the first history first.
-    which : (B,) int, the one of each history.
-    diagonal : (B, n) float, mm/MPa, displacement of each element under its own pressure alone.
-    stiffness : (B,) float, MPa/mm, uniform pressure over the mean displacement that it makes.
-    twist : (B, n) float, mm/MPa, see ``ContactCompliance``.
-    force_reaction, torque_reaction : (B, 2, n) float, mm^2 and mm^3, see there.
-    symmetry_defect : (B,) float, see there.
-    """
-
+    #: compliances of all different pairs and moduli, that of the first history first
     every: Sequence[ContactCompliance] = field(metadata=along(None))
+    #: (B,) int, the one of each history
     which: IntArray
+    #: (B, n) float, mm/MPa, displacement of each element under its own pressure alone
     diagonal: FloatArray
+    #: (B,) float, MPa/mm, uniform pressure over the mean displacement that it makes
     stiffness: FloatArray
+    #: (B, n) float, mm/MPa, see ``ContactCompliance``
     twist: FloatArray
+    #: (B, 2, n) float, mm^2 and mm^3, see there
     force_reaction: FloatArray
     torque_reaction: FloatArray
+    #: (B,) float, see there
     symmetry_defect: FloatArray
 
     @classmethod
