@@ -38,10 +38,10 @@ class Compliances:
     stiffness: FloatArray
     #: (B, n) float, mm/MPa, see ``ContactCompliance``
     twist: FloatArray
-    #: (B, 2, n) float, mm^2 and mm^3, see there
+    #: (B, 2, n) float, mm^2 and mm^3, see ``ContactCompliance``
     force_reaction: FloatArray
     torque_reaction: FloatArray
-    #: (B,) float, see there
+    #: (B,) float, see ``ContactCompliance``
     symmetry_defect: FloatArray
 
     @classmethod

@@ -24,7 +24,7 @@ class Balances:
     force: float = 0.0
     #: torque on the fixed faces against the friction torque, the worse of both bodies
     torque: float = 0.0
-    #: axial force on the fixed faces against that of the contact pressure, likewise
+    #: axial force on the fixed faces against that of the contact pressure, the worse of both bodies
     reaction: float = 0.0
     #: worn volume of the profiles against the time integral of the rate at the contact pressures,
     #: which implicit schemes evaluate apart from the depths (a check of bookkeeping for explicit

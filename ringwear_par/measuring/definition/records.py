@@ -60,7 +60,7 @@ class Record:
     torque: FloatArray | None
     #: (n,) N
     load: FloatArray | None
-    #: (n,) degC; likewise
+    #: (n,) degC; None: no channel
     temperature: FloatArray | None
     #: whether the file's depth is a position, which falls
     falling: bool
