@@ -42,6 +42,7 @@ def to_dict(fit: FitResult) -> dict[str, Any]:
         "steps": fit.misfit.responses.steps,
         "moved_by_shorter_steps": dict(fit.discretisation_shift_sd),
         "doubts": [doubt.to_dict() for doubt in fit.doubts],
+        "warnings": [doubt.text for doubt in fit.doubts],
         "starts": [_started(one, problem.keys) for one in fit.starts],
         "profiles": {key: _finite(table) for key, table in fit.profiles.items()},
         "alternatives": {
@@ -93,7 +94,7 @@ def _parameters(fit: FitResult) -> dict[str, Any]:
     for parameter in problem.parameters:
         entry, case = entries[parameter.key], problem.experiments[0].case
         if (numbers := in_users_unit(parameter, entry, case)) is not None:
-            entry["in_users_unit"] = numbers
+            entry["told"] = numbers
         rate = specific_wear_rate(problem, parameter.key, entries, covariance)
         if rate is not None:
             entry["specific_wear_rate"] = rate

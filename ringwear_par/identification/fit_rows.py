@@ -63,7 +63,7 @@ def limits(interval: Interval, digits: int = 5) -> str:
 
 def _in_users_unit(entry: Entry) -> Entry:
     """Return the numbers of a key in the unit that its user writes, or else in the case's."""
-    return entry.get("in_users_unit") or {**entry, "scale": 1.0}
+    return entry.get("told") or {**entry, "scale": 1.0}
 
 
 def key_rows(key: str, entry: Entry) -> list[KeyRow]:

@@ -234,7 +234,7 @@ def users_unit(entry: Mapping[str, Any]) -> tuple[str, float]:
     ----------
     entry : of the key, as in fit.json.
     """
-    if (converted := entry.get("in_users_unit")) is not None:
+    if (converted := entry.get("told")) is not None:
         return str(converted["unit"]), float(converted["scale"])
     return "" if entry["unit"] in ("1", "-") else str(entry["unit"]), 1.0
 

@@ -159,6 +159,7 @@ def to_dict(result: Result) -> dict[str, Any]:
         "status": result.attributes["status"],
         "error": result.attributes["error"],
         "doubts": [doubt.to_dict() for doubt in result.doubts],
+        "warnings": [doubt.text for doubt in result.doubts],
         "numbers": {
             number.name: {
                 "value": None if np.isnan(number.value) else float(number.value),

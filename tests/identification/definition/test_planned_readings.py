@@ -249,8 +249,8 @@ def test_keys_are_told_in_the_users_unit(plan):
         assert getattr(row, name) == pytest.approx(1e3 * np.array(entry[name]))
     assert "specific_wear_rate" not in entry  # there is a threshold
     tables["fit"]["units"] = {"wear.lower.k": "um2/N", "wear.lower.p0": "bar"}
-    assert expected(tables)["in_users_unit"]["unit"] == "um2/N"
-    p0 = expected(tables, "wear.lower.p0")["in_users_unit"]
+    assert expected(tables)["told"]["unit"] == "um2/N"
+    p0 = expected(tables, "wear.lower.p0")["told"]
     assert p0["estimate"] == pytest.approx(200.0)
     assert "per" not in p0
     tables["fit"]["units"] = {"wear.lower.k": "mm", "wear.lower.q": "MPa"}
