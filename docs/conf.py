@@ -23,6 +23,7 @@ extensions = [
     "sphinx_copybutton",
     "case_words",
     "docstrings",
+    "llms",
     "mathml",
     "measured",
 ]

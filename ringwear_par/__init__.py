@@ -2,8 +2,8 @@
 
 Rooms follow the paper (Serre, Bonnet and Pradeilles-Duval 2001): ``elasticity`` eq. (5),
 ``contact`` (3), ``wear`` (4), ``history`` section 3; around them ``cases``, ``results``,
-``studies``, ``identification``, ``prediction``, ``measuring``, ``reports``, ``explorer`` and
-``verification``.
+``studies``, ``identification``, ``prediction``, ``measuring``, ``functions``, ``reports``,
+``explorer`` and ``verification``.
 Units: mm, N, MPa, s, rad; energies N mm.
 
     import ringwear_par as rw
@@ -29,6 +29,7 @@ _PUBLIC = {
     "DesignResult": "identification.test_design.design",
     "FailedResult": "results.result",
     "FitResult": "identification.fit_result",
+    "Function": "functions.function",
     "InputError": "errors",
     "LocalState": "wear.local_state",
     "MeasureResult": "measuring.measure_result",
@@ -39,6 +40,7 @@ _PUBLIC = {
     "assemble": "history.elastic.pairs",
     "design": "identification.test_design.design",
     "fit": "identification.fit",
+    "function": "functions.function",
     "measure": "measuring.measure",
     "open_ensemble": "studies.storage.ensemble",
     "open_result": "results.storage.result_files",

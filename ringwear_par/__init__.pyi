@@ -5,6 +5,8 @@ from ringwear_par.cases.files.reading import read_case as read_case
 from ringwear_par.elasticity.bem.pair import ContactPair as ContactPair
 from ringwear_par.errors import ComputationError as ComputationError
 from ringwear_par.errors import InputError as InputError
+from ringwear_par.functions.function import Function as Function
+from ringwear_par.functions.function import function as function
 from ringwear_par.history.elastic.pairs import assemble as assemble
 from ringwear_par.identification.fit import fit as fit
 from ringwear_par.identification.fit_result import FitResult as FitResult

@@ -274,6 +274,20 @@ COMMANDS = {
         _NO_CACHE,
     ), solves=True,
         example="ringwear explore case.toml"),
+    "serve": Command(
+        "answer programs that speak UM-Bridge with numbers of a case's histories",
+        "functions.umbridge:serve", (
+        *_CASE,
+        _argument("--inputs", nargs="+", required=True, metavar="KEY",
+                  help="numbers of the case that programs choose, such as wear.lower.k"),
+        _argument("--outputs", nargs="+", required=True, metavar="NAME",
+                  help="variables of histories: NAME at the last step, or NAME@t at a time"),
+        _argument("--port", type=_port, default=4242, metavar="N",
+                  help="port of the address (default: %(default)s; 0: any free one)"),
+        _NO_CACHE,
+    ), solves=True,
+        example="ringwear serve case.toml --inputs wear.lower.k load.pressure "
+          "--outputs penetration torque@3600"),
     "laws": Command(
         "print the rates of a case's wear laws, and test their derivatives",
         "cases.files.law_trials:check_laws", _CASE, serial=True,

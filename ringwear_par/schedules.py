@@ -197,6 +197,11 @@ def quantity_text(quantity: Quantity) -> str:
     return f"a table to {largest(quantity):g}" if isinstance(quantity, Table) else f"{quantity:g}"
 
 
+def points_of(table: Table) -> list[list[float]]:
+    """Return the points of a table, as case files have them."""
+    return [[*point] for point in zip(table.x, table.y, strict=True)]
+
+
 def varies(quantity: Quantity) -> bool:
     """Tell whether a quantity, or one of a stack, is a table."""
     if isinstance(quantity, Stacked):

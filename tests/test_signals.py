@@ -36,7 +36,9 @@ class Finder:
 
 module, colon, function = place.partition(":")
 if colon:
-    setattr(importlib.import_module(module), function, wait)
+    namespace = vars(importlib.import_module(module))
+    assert function in namespace, place
+    namespace[function] = wait
 else:
     sys.meta_path.insert(0, Finder())
 from ringwear_par.cli import main
@@ -84,7 +86,7 @@ FIRST_STEP = " before the first step; nothing written"
     [
         ("mpi4py", signal.SIGHUP, ["run", PAPER, "-o", "a.h5"], FIRST_STEP),
         ("petsc4py", signal.SIGINT, ["run", PAPER, "-o", "a.h5"], FIRST_STEP),
-        ("ringwear_par.history.batch:assemble", signal.SIGTERM, ["run", PAPER, "-o", "a.h5"],
+        ("ringwear_par.history.ensemble:assemble", signal.SIGTERM, ["run", PAPER, "-o", "a.h5"],
          FIRST_STEP),
         ("ringwear_par.studies.execution.sweep", signal.SIGINT, ["sweep", STUDY, "-o", "out"],
          "; the same command goes on"),
@@ -104,7 +106,7 @@ def test_a_signal_before_there_is_anything_to_keep(tmp_path, place, number, word
 @pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun")
 @pytest.mark.parametrize(
     ("place", "number"),
-    [("mpi4py", signal.SIGINT), ("ringwear_par.history.batch:assemble", signal.SIGUSR1)],
+    [("mpi4py", signal.SIGINT), ("ringwear_par.history.ensemble:assemble", signal.SIGUSR1)],
 )
 def test_ranks_say_once_what_the_launcher_sent(tmp_path, place, number):
     words = ["run", PAPER, "-o", "a.h5"]

@@ -15,8 +15,8 @@ from ringwear_par.pictures.panels import Panel
 from ringwear_par.pictures.style import STYLE, NotebookFigure
 
 _COLUMNS = 3
-#: inches of readings with their residuals, and of a legend above all
-_WIDTH, _HEIGHT, _LEGEND = 4.3, 3.9, 0.4
+#: inches of readings with their residuals, of a legend above all, and of an input
+_WIDTH, _HEIGHT, _LEGEND, _INPUT = 4.3, 3.9, 0.4, 2.4
 #: of the strip of single readings: a line of it, what is around them, and how narrow it may be
 _ROW, _MARGIN, _NARROWEST = 0.5, 0.65, 6.5
 
@@ -32,21 +32,25 @@ def plot(fit: FitResult) -> Figure:
     across = 2 if len(curves) == 4 else min(_COLUMNS, max(len(curves), 1))
     down = math.ceil(len(curves) / across)
     heights = _LEGEND + _HEIGHT * down, _MARGIN + _ROW * len(single)
+    inputs = [fits.measured_input(*one) for one in fit.input_readings]
+    heights = heights[0] + _INPUT * math.ceil(len(inputs) / across), heights[1]
     size = max(_WIDTH * across, _NARROWEST), heights[0] + bool(single) * heights[1]
     rows: list[list[Panel]] = []
     for first in range(0, len(curves), across):
         beside = curves[first : first + across]
         rows += [[*map(fits.readings, beside)], [*map(fits.residuals, beside)]]
+    rows += [inputs[first : first + across] for first in range(0, len(inputs), across)]
+    shares = [5, 2] * down + [4] * (len(rows) - 2 * down)
     if not single:
-        return panel_figure(rows, size, [5, 2] * down)
+        return panel_figure(rows, size, shares)
     strip = [[fits.single_readings(single)]]
-    if not curves:
+    if not rows:
         return panel_figure(strip, (size[0], _LEGEND + heights[1]))
     with matplotlib.rc_context(STYLE):
         chart = NotebookFigure(figsize=size, layout="constrained")
         # labels of the strip make no panel above it narrower
         parts: Any = chart.subfigures(2, 1, height_ratios=heights)
-        panel_grid(parts[0], rows, [5, 2] * down)
+        panel_grid(parts[0], rows, shares)
         panel_grid(parts[1], strip, legend=False)
     return chart
 

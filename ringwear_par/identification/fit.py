@@ -119,11 +119,17 @@ def _fit_law(
         solution = replace(solution, histories=rounds.count)
         test_unknowns = None if material is None else material.test_unknowns
         responses.keep_only(misfit.values_of_tests(solution.x, test_unknowns))
-        changed = misfit.data, misfit.noise_scale, responses.steps, responses.known
-        return solution, material, changed
+        changed = (
+            misfit.data, misfit.noise_scale, misfit.nuisance_columns, responses.steps,
+            responses.known,
+        )  # fmt: skip
+        return solution, material, misfit.problem.experiments, changed
 
     responses = misfit.responses
-    solution, material, changed = rounds.lead(lead)
-    misfit.data, misfit.noise_scale, responses.steps, responses.known = changed
+    solution, material, experiments, changed = rounds.lead(lead)
+    misfit.change_cases(experiments)
+    misfit.data, misfit.noise_scale, misfit.nuisance_columns, responses.steps, responses.known = (
+        changed
+    )
     responses.part_from_histories()
     return FitResult(**vars(solution), misfit=misfit, material=material, versions=versions())

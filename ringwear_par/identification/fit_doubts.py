@@ -160,4 +160,11 @@ def assumptions(fit: "FitResult") -> list[ValidityWarning]:
         )
         for experiment, series, _ in fit.misfit.records
         for sentence in series.assumptions
+    ] + [
+        ValidityWarning(
+            "assumed-unit", f"{one.key} ({experiment.name}): {sentence}", (), (experiment.name,)
+        )
+        for experiment in fit.misfit.problem.experiments
+        for one in experiment.inputs
+        for sentence in one.assumptions
     ]

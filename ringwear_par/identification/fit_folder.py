@@ -90,6 +90,7 @@ def _write(file: h5py.File, fit: FitResult) -> None:
         {"software": SOFTWARE, "fit": misfit.problem.text, "keys": keys, **fit.versions}
     )
     write_values(file, fitted_values(fit))
+    _write_inputs(file, fit)
     if fit.posterior is not None:
         group = file.create_group("posterior")
         samples = fit.posterior.samples
@@ -143,6 +144,21 @@ def _write(file: h5py.File, fit: FitResult) -> None:
             "sensitivity", fit.evaluation.sensitivity[part], f"{base}/{PARAMETER_UNIT.name}",
             "derivative of the model's reading with respect to each fitted key", "parameter",
         )  # fmt: skip
+
+
+def _write_inputs(file: h5py.File, fit: FitResult) -> None:
+    """Write the readings of inputs and the curves of cases there."""
+    for number, (name, key, unit, time, value, curve) in enumerate(fit.input_readings, start=1):
+        group = file.create_group(f"inputs/{number}")
+        group.attrs.update({"experiment": name, "key": key, "unit": unit})
+        axis = Variable("reading", ("reading",), "1", "number of the reading", integer=True)
+        write_variable(group, axis, np.arange(len(time)))
+        for word, values, unit_of, meaning in (
+            ("time", time, "s", "time"),
+            ("data", value, unit, "reading, in the unit of the key"),
+            ("curve", curve, unit, "the case's value"),
+        ):
+            write_variable(group, Variable(word, ("reading",), unit_of, meaning), values)
 
 
 def _unit(quantity: str) -> str:

@@ -7,6 +7,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.fitted_parameters import units_of
+from ringwear_par.identification.definition.problem import SCALE
 from ringwear_par.identification.definition.user_units import in_users_unit, specific_wear_rate
 from ringwear_par.identification.estimation.intervals import ParameterEstimate
 from ringwear_par.identification.estimation.starts import StartOutcome
@@ -35,6 +36,7 @@ def to_dict(fit: FitResult) -> dict[str, Any]:
         "process": {} if fit.material is None else fit.material.process,
         "experiments": fit.experiments,
         "nuisance": fit.nuisances,
+        "inputs": _inputs(fit),
         "histories": fit.histories,
         "histories_of_profiles": fit.histories_of_profiles,
         "steps": fit.misfit.responses.steps,
@@ -96,6 +98,29 @@ def _parameters(fit: FitResult) -> dict[str, Any]:
         if rate is not None:
             entry["specific_wear_rate"] = rate
     return entries
+
+
+def _inputs(fit: FitResult) -> dict[str, dict[str, Any]]:
+    """Return curve, scatter of the readings about it, and scale of each input, by test and key.
+
+    The curve is at ``time``, s; the scatter is a relative standard deviation.
+    """
+    inputs: dict[str, Any] = {}
+    names, sds = fit.misfit.names, fit.standard_deviations
+    for experiment in fit.misfit.problem.experiments:
+        for one in experiment.inputs:
+            curve, readings = one.curve(experiment.case), one.readings(experiment.case)
+            off = readings / np.maximum(curve(one.time), np.finfo(float).tiny) - 1.0
+            entry: dict[str, Any] = {
+                "time": list(curve.x), "value": list(curve.y), "unit": one.unit,
+                "n": len(one.time), "scatter": float(np.sqrt(np.mean(off**2))),
+            }  # fmt: skip
+            if one.scale is not None:
+                i, mean = names.index((experiment.name, one.key, SCALE)), one.scale.mean
+                entry["scale"] = {"estimate": mean * (1.0 + float(fit.x[i])),
+                                  "sd": mean * float(sds[i])}  # fmt: skip
+            inputs.setdefault(experiment.name, {})[one.key] = entry
+    return inputs
 
 
 def _parameter(estimate: ParameterEstimate) -> dict[str, Any]:

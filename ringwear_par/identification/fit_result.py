@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning
-from ringwear_par.identification.definition.problem import GROWTH_TIME
+from ringwear_par.identification.definition.problem import GROWTH_TIME, SCALE
 from ringwear_par.identification.estimation.intervals import (
     information,
     name_of,
@@ -260,6 +260,8 @@ class FitResult(Outcome, Solution):
             if isinstance(name, str):
                 continue
             experiment, series, kind = name
+            if kind == SCALE:  # of an input
+                continue
             known = not idle[i] and np.isfinite(sds[i])
             entry = {"estimate": float(self.x[i]), "sd": float(sds[i]) if known else None}
             of_series = nuisances.setdefault(experiment, {}).setdefault(series, {})
@@ -268,6 +270,18 @@ class FitResult(Outcome, Solution):
             else:
                 of_series[kind] = entry
         return nuisances
+
+    @property
+    def input_readings(
+        self,
+    ) -> list[tuple[str, str, str, FloatArray, FloatArray, FloatArray]]:
+        """Test, key, unit, times (s) and readings of each input, and the curve there."""
+        return [
+            (experiment.name, one.key, one.unit, one.time, one.readings(experiment.case),
+             one.curve(experiment.case)(one.time))
+            for experiment in self.misfit.problem.experiments
+            for one in experiment.inputs
+        ]  # fmt: skip
 
     def to_arviz(self) -> "InferenceData":
         """Return draws and the log likelihood of each reading, as ArviZ has them.

@@ -120,6 +120,24 @@ def series_rows(outcome: Entry) -> list[tuple[str, ...]]:
     return rows
 
 
+def input_lines(outcome: Entry) -> list[str]:
+    """Return a sentence about each measured input."""
+    lines = []
+    for experiment, inputs in outcome.get("inputs", {}).items():
+        for key, entry in inputs.items():
+            values = entry["value"]
+            unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
+            text = (
+                f"{experiment}, {key} as measured: {counted(entry['n'], 'reading')}, a curve from "
+                f"{min(values):.4g} to {max(values):.4g}{unit}, readings scatter by "
+                f"{100.0 * entry['scatter']:.2g} % about it"
+            )
+            if (scale := entry.get("scale")) is not None:
+                text += f", scale {_with_sd(scale['estimate'], scale['sd'], 4, '')}"
+            lines.append(text)
+    return lines
+
+
 def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
     """Return the cells of the laws compared, the best by AIC first, those that failed last."""
     laws = {"this law": outcome, **outcome["alternatives"]}

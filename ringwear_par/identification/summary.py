@@ -11,6 +11,7 @@ from ringwear_par.identification.fit_rows import (
     KeyRow,
     counted,
     goodness,
+    input_lines,
     key_rows,
     law_rows,
     limits,
@@ -52,6 +53,7 @@ def summary(fit: "FitResult") -> str:
     for name, n, chi2, unit, noise, notes in series_rows(outcome):
         words = [counted(int(n), "reading"), f"chi2 {chi2}", noise and f"noise {noise} {unit}"]
         lines.append(f"  {name}: {', '.join(filter(None, [*words, notes]))}")
+    lines += [f"  {line}" for line in input_lines(outcome)]
     lines += _correlation_lines(fit)
     if fit.starts:
         converged = min(fit.starts, key=lambda start: start.objective).converged
@@ -82,6 +84,7 @@ def prediction(fit: "FitResult") -> str:
         if one.direction:
             lines.append(f"  {one.key} would not be identified: {one.direction}")
     lines += _unit_lines(fit)
+    lines += [f"  {line}" for line in input_lines(outcome)]
     lines += _correlation_lines(fit)
     settings = problem.settings
     lines.append(

@@ -8,7 +8,7 @@ from mpi4py import MPI
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.folders import FIT
 from ringwear_par.files.text import parse_json, read_text
-from ringwear_par.history.derivatives.elastic_numbers import is_elastic
+from ringwear_par.history.derivatives.keys import is_elastic
 from ringwear_par.identification.definition.problem import Problem, ProcessNoise
 from ringwear_par.identification.fit import fit_problem
 from ringwear_par.monitoring.running_test import NOT_KNOWN, RunningTest

@@ -29,6 +29,9 @@ _NAMED = 12
 _FEW = 60
 #: what readings are called, by the first part of their quantity, if not by that
 _WORDS = {"profile": "depth", "mass": "mass loss", "volume": "volume loss"}
+#: what inputs are called
+_INPUTS = {"contact.friction": "friction coefficient", "load.force": "axial force",
+           "load.pressure": "mean pressure", "load.omega": "angular speed"}  # fmt: skip
 #: of ellipses
 _LEVELS = (0.68, 0.95)
 #: sd to both sides of an estimate that an axis of a key shows, and points of a curve over it
@@ -160,6 +163,21 @@ def readings(series: Series) -> Panel:
         below, Axis(series.label, reversed=series.profile), series.title,
         curves=[Curve(broken(x), broken(series.model), "model", COLOURS[1])],
         bands=bands, points=_data(series, x, series.data, errors=noise),
+    )  # fmt: skip
+
+
+def measured_input(
+    experiment: str, key: str, unit: str, time: FloatArray, value: FloatArray,
+    curve: FloatArray,
+) -> Panel:  # fmt: skip
+    """Return the readings of an input of a test, times in s, and the curve of its case there."""
+    word, length = time_unit(float(time[-1]))
+    name = _INPUTS[key]
+    label = f"{name} ({in_signs(unit)})" if unit not in ("1", "-") else name
+    return Panel(
+        Axis(f"time ({word})"), Axis(label), f"{experiment}: {key}",
+        curves=[Curve(time / length, curve, "smoothed", COLOURS[2])],
+        points=[Points(time / length, value, "data", GREY, 4.0)],
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from ringwear_par.identification.fit_rows import (
     SERIES,
     counted,
     goodness,
+    input_lines,
     key_rows,
     law_rows,
     limits,
@@ -90,13 +91,16 @@ def stored_outcome(path: Path, kind: str) -> Iterator[dict[str, Any]]:
 def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:
     sections = [Section("Summary", _summary(outcome))]
     level = float(outcome["level"])
-    series, samples, text = _readings(folder / folders.READINGS, level)
+    series, samples, text, inputs = _readings(folder / folders.READINGS, level)
     blocks = (
         Lines(_bands(level)),
         Charts(_series_charts(series)),
         _cells("Series", SERIES, series_rows(outcome)),
     )
     sections.append(Section("Data, model and residuals", blocks))
+    if inputs:
+        words = Lines([*map(with_signs, input_lines(outcome))])
+        sections.append(Section("Measured inputs", [words, Charts(inputs)]))
     keys = [
         Chart(f"keys-{i}-{j}", panel, f"{panel.y.label} over {panel.x.label}; numbers above")
         for i, row in enumerate(fits.fitted_keys(outcome, samples))
@@ -200,13 +204,22 @@ def _cells(caption: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -
     return Table(caption, header, cells)
 
 
-def _readings(path: Path, level: float) -> tuple[list[fits.Series], dict[str, FloatArray], str]:
-    """Return the series, the samples of the posterior by key, and the fit file's text."""
+def _readings(
+    path: Path, level: float
+) -> tuple[list[fits.Series], dict[str, FloatArray], str, list[Chart]]:
+    """Return series, samples of the posterior by key, the fit file's text, charts of inputs."""
     with reading(path, SOFTWARE, "the readings of ringwear fit") as file:
         series = [_series_of(group, level) for group in _groups(file)]
         posterior = file.get("posterior", {})
         samples = {key: posterior[key][()] for key in posterior if key != "sample"}
-        return series, samples, read_text(file.attrs["fit"])
+        inputs = [_input_chart(number, group) for number, group in file.get("inputs", {}).items()]
+        return series, samples, read_text(file.attrs["fit"]), inputs
+
+
+def _input_chart(number: str, group: h5py.Group) -> Chart:
+    name, key, unit = (read_text(group.attrs[n]) for n in ("experiment", "key", "unit"))
+    panel = fits.measured_input(name, key, unit, *(group[n][()] for n in ("time", "data", "curve")))
+    return Chart(f"input-{number}", panel, f"Readings of {key} in {name}, and its curve")
 
 
 def _series_of(group: h5py.Group, level: float) -> fits.Series:

@@ -3,13 +3,14 @@
 import re
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files import folders
 from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.reports.blocks import Chart, Page
-from ringwear_par.results.result import Result
+from ringwear_par.results.result import Outcome, Result
 from ringwear_par.results.storage.result_files import result_of
 from ringwear_par.studies.storage.results_file import RESULTS
 from ringwear_par.version import __version__
@@ -19,7 +20,7 @@ _ENDINGS = (".html", ".htm")
 _NUMERIC = re.compile(r"[-+\N{MINUS SIGN}]?\d[\d.]*(?:e[-+]?\d+)?(?: %)?")
 
 
-def report(source: Result | str | Path, output: str | Path) -> str:
+def report(source: Outcome | str | Path, output: str | Path) -> str:
     """Write a page of stored results; return what was written. On one rank.
 
     It is one HTML file: pictures, charts that can be zoomed and their program are in it, and it
@@ -27,8 +28,8 @@ def report(source: Result | str | Path, output: str | Path) -> str:
 
     Parameters
     ----------
-    source : a result, its file, or the folder of a sweep, a fit, a design, a prediction or a
-        measurement.
+    source : a result or another outcome, the file of a result, or the folder of a sweep, a fit, a
+        design, a prediction or a measurement.
     output : the page's file, .html.
 
     Raises
@@ -38,7 +39,12 @@ def report(source: Result | str | Path, output: str | Path) -> str:
     """
     output = Path(output)
     check_page(output)
-    return write_page(_page(source), output)
+    if isinstance(source, Result | str | Path):
+        return write_page(_page(source), output)
+    with TemporaryDirectory() as folder:  # pages are made of what is stored
+        stored = Path(folder) / output.stem
+        source.save(stored)
+        return write_page(_page(stored), output)
 
 
 def write_page(page: Page, output: Path) -> str:

@@ -67,6 +67,15 @@ class Outcome:
         figure: Figure = self.apply("plot")
         return figure
 
+    def report(self, path: str | Path) -> str:
+        """Write its page, one HTML file; return what was written, see ``rw.report``."""
+        # pages stand on outcomes, which know nothing else of them
+        return str(import_module("ringwear_par.reports.report").report(self, path))
+
+    def _repr_html_(self) -> str:
+        """Return its summary and figure, for notebooks."""
+        return str(import_module("ringwear_par.reports.notebook").outcome_html(self))
+
     def save(self, path: str | Path) -> None:
         """Write its file, or the files of its folder, which is made.
 

@@ -136,7 +136,7 @@ def test_pressures_of_an_implicit_step_are_those_of_the_collocated_equations(cas
     physics = Physics.of([case], pair)
     with physics.contacts() as contacts:
         wear, end = before.wear[:, None], np.array([10.0 * step])
-        during = physics.increment(end, np.array([omega]), wear, np.array([step]))
+        during = physics.increment(end, physics.sliding(end), wear, np.array([step]))
         inputs = physics.contact_inputs(end, wear, during)
         found = contacts.solve(inputs, before.contact.pressure[None], exact=exact)
     rise = step * law.k * case.friction * omega * line.arm

@@ -61,6 +61,8 @@ LIGHT = (
     ("rw.plot(folder)", ()),
     ("rw.report(run, f'{run}.html')", ()),
     ("rw.report(folder, f'{run}.html')", ()),
+    ("f = rw.function(case, ['wear.lower.k'], ['torque@1'], derivatives=True)", ()),
+    ("import pickle; pickle.loads(pickle.dumps(f))", ()),
     ("rw.surrogate, rw.WearLaw, rw.FailedResult, rw.InputError", ()),
     ("rw.measure(f'{cases}/../measure/measure.toml').save(f'{run}.measured')", ()),
 )  # fmt: skip

@@ -21,6 +21,7 @@ UNITS = {
     "s": "a time, such as s, min or h", "mm": "a length, such as um, mm or inch",
     "N mm": "a torque, such as N mm or N m", "N": "a force, such as N, kN or lbf",
     "g": "a mass, such as mg or g", "mm^3": "a volume, such as mm^3 or um^3",
+    "MPa": "a pressure, such as MPa", "rad/s": "an angular speed, such as rad/s or rpm",
     "degC": "a temperature, such as degC or K",
 }  # fmt: skip
 

@@ -12,10 +12,18 @@ from ringwear_par.cases.files.columns import read_trace
 from ringwear_par.cases.files.faults import LOADS, unread_keys
 from ringwear_par.cases.layers import LAYERS, changed_layers, expanded, layers_in_full
 from ringwear_par.cases.schema import BY_PATH, TABLES, key_of, law_keys
+from ringwear_par.cases.tables import TableReader
 from ringwear_par.cases.units import has_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.text import parse_toml, parse_value, read_text, refuse_depth, shortened
+from ringwear_par.files.text import (
+    parse_toml,
+    parse_value,
+    read_text,
+    refuse_depth,
+    shortened,
+    toml_value,
+)
 
 #: keys that exclude each other: an overriding one takes the place of the others
 _ALTERNATIVES = (
@@ -198,6 +206,43 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(entry) for entry in value]
     return str(value) if isinstance(value, Path) else value
+
+
+def source_tables(
+    source: Path | str | Mapping[str, Any], name: str
+) -> tuple[str, Path, dict[str, Any], str]:
+    """Return the name in messages, the folder, the tables and the text of a file or a dict.
+
+    Parameters
+    ----------
+    name : of a dict.
+
+    Raises
+    ------
+    InputError : it cannot be read, or is nested too deeply.
+    """
+    if isinstance(source, Mapping):
+        refuse_depth(source, name)
+        tables = plain(source)
+        text = "".join(
+            f"{toml_value(key)} = {toml_value(value)}\n" for key, value in tables.items()
+        )
+        return name, Path(), tables, text
+    text = read_text(Path(source))
+    return str(source), Path(source).parent, parse_toml(text, str(source)), text
+
+
+def changes_of(reader: TableReader, folder: Path) -> dict[str, Any]:
+    """Return the case keys of the table ``set`` of a test; its faults are added to the reader's."""
+    table = reader.raw("set", {})
+    if not isinstance(table, Mapping):
+        reader.wrong("set", "must be a table of case keys")
+        return {}
+    try:
+        return in_full(flatten(table, f"{reader.place}: set"), folder)
+    except InputError as error:
+        reader.faults += error.faults
+        return {}
 
 
 def named_files(keys: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,36 +4,15 @@ Histories have derivatives with respect to them like any other number, by differ
 (``elasticity.bem.pair``); those at other values need another pair.
 """
 
-from collections.abc import Sequence
-
 from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.schema import key_of, layer_entry
+from ringwear_par.cases.schema import layer_entry
 from ringwear_par.elasticity.bem.pair import ComplianceChange, ContactPair, Entry, layer_derivative
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.history.elastic.bodies import bodies
 
 _ENTRIES: tuple[Entry, ...] = ("thickness", "young", "poisson")
-
-
-def elastic_numbers(case: Case) -> dict[str, str]:
-    """Return the keys of numbers that each value of has its own operator, and their units."""
-    units = {}
-    for body, ring in zip(BODIES, case.rings, strict=True):
-        for i in range(len(ring.layers)):
-            for entry in _ENTRIES:
-                key = key_of(name := f"{body}.layers[{i}].{entry}")
-                assert key is not None
-                units[name] = key.unit
-        if ring.layers:
-            units[f"{body}.young"] = "MPa"
-    return units
-
-
-def is_elastic(case: Case, keys: Sequence[str]) -> bool:
-    """Tell whether any of these keys is of a number that each value of has its own operator."""
-    return not elastic_numbers(case).keys().isdisjoint(keys)
 
 
 def compliance_change(case: Case, pair: ContactPair, key: str) -> ComplianceChange:

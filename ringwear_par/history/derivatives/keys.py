@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.schema import UNITS
+from ringwear_par.cases.schema import UNITS, key_of
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible
-from ringwear_par.history.derivatives.elastic_numbers import elastic_numbers
 from ringwear_par.wear.law import Law, parameters_of
 from ringwear_par.wear.layered import LayeredLaw
 
@@ -15,6 +14,25 @@ from ringwear_par.wear.layered import LayeredLaw
 RATES = tuple(f"wear.{body}" for body in BODIES)
 #: keys that stand for a factor on the whole of a table in time, about 1, where they have one
 SCHEDULES = ("contact.friction", "load.force", "load.omega")
+
+
+def elastic_numbers(case: Case) -> dict[str, str]:
+    """Return the keys of numbers that each value of has its own operator, and their units."""
+    units = {}
+    for body, ring in zip(BODIES, case.rings, strict=True):
+        for i in range(len(ring.layers)):
+            for entry in ("thickness", "young", "poisson"):
+                key = key_of(name := f"{body}.layers[{i}].{entry}")
+                assert key is not None
+                units[name] = key.unit
+        if ring.layers:
+            units[f"{body}.young"] = "MPa"
+    return units
+
+
+def is_elastic(case: Case, keys: Sequence[str]) -> bool:
+    """Tell whether any of these keys is of a number that each value of has its own operator."""
+    return not elastic_numbers(case).keys().isdisjoint(keys)
 
 
 def differentiable(case: Case) -> dict[str, str]:

@@ -14,8 +14,8 @@ from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.mesh import obliquity
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.history.derivatives.elastic_numbers import compliance_change, elastic_numbers
-from ringwear_par.history.derivatives.keys import RATES
+from ringwear_par.history.derivatives.elastic_numbers import compliance_change
+from ringwear_par.history.derivatives.keys import RATES, elastic_numbers
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.compliances import key_of
 from ringwear_par.schedules import Quantity, Table, in_time

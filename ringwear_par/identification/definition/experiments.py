@@ -11,14 +11,25 @@ import numpy as np
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.files.faults import Origin
-from ringwear_par.cases.files.keys import flatten, in_full, override
+from ringwear_par.cases.files.keys import changes_of, in_full, override
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.history.validity.case_limits import check_case
+from ringwear_par.identification.definition.inputs import (
+    input_keys,
+    read_inputs,
+    refuse_known,
+    with_places,
+)
 from ringwear_par.identification.definition.parameter_rules import refuse_both, refuse_unfit
-from ringwear_par.identification.definition.problem import Experiment, FittedParameter, Series
+from ringwear_par.identification.definition.problem import (
+    Experiment,
+    FittedParameter,
+    MeasuredInput,
+    Series,
+)
 from ringwear_par.identification.definition.scatter import read_groups
 from ringwear_par.identification.definition.schema import EXPERIMENT
 from ringwear_par.identification.definition.series import read_series
@@ -80,13 +91,22 @@ class ExperimentReader:
         if name is None:
             return None
         said = reader.place = f'{self._name}: experiment "{legible(name)}"'
-        changes = self._changes(reader, faults)
+        changes = changes_of(reader, self._folder)
         refuse_both(f"{said}: set", parameters, changes, faults)
-        case = None
+        tables = reader.raw("input", [])
+        measured = input_keys(tables)
+        refuse_known(said, measured, parameters, changes, faults)
+        case: Case | None = None
+        inputs: tuple[MeasuredInput, ...] = ()
         if self._base is not None and len(faults) < MOST_FAULTS:  # no more are told
             keys = override(override(self._base, _STEPPING), changes)
-            self._keys[name] = override(keys, {**_STEPPING, **_OUTPUT})
-            case = self._case(said, self._keys[name], changes, parameters, faults)
+            keys = override(with_places(keys, measured), {**_STEPPING, **_OUTPUT})
+            self._keys[name] = keys
+            case = self._case(said, keys, changes, parameters, faults)
+            if case is not None and tables:
+                inputs, curves = read_inputs(said, tables, case, self._files, faults)
+                case = case.replace(curves) if curves else None
+                self._keys[name] = override(keys, curves)
         groups = read_groups(reader, name)
         data = reader.raw("data")
         reader.finish()
@@ -106,18 +126,9 @@ class ExperimentReader:
                     "be once"
                 )
             series.append(readings)
-        return None if case is None else Experiment(name, case, _named(series), groups)
-
-    def _changes(self, reader: TableReader, faults: list[str]) -> dict[str, Any]:
-        table = reader.raw("set", {})
-        if not isinstance(table, Mapping):
-            reader.wrong("set", "must be a table of case keys")
-            return {}
-        try:
-            return in_full(flatten(table, f"{reader.place}: set"), self._folder)
-        except InputError as error:
-            faults += error.faults
-            return {}
+        if "contact.friction" in measured and any(s.quantity == "torque" for s in series):
+            reader.fault("torque: is an input; cannot be fitted too")
+        return None if case is None else Experiment(name, case, _named(series), groups, inputs)
 
     def _case(
         self,
@@ -173,6 +184,8 @@ class ExperimentReader:
         for experiment in experiments:
             said = f'{self._name}: compare.{legible(name)}: experiment "{legible(experiment.name)}"'
             refuse_both(said, parameters, changes, faults)
+            measured = [one.key for one in experiment.inputs]
+            refuse_known(said, measured, parameters, changes, faults)
             full_changes = in_full(changes, self._folder)
             keys = override(self._keys[experiment.name], full_changes)
             case = self._case(said, keys, changes, parameters, faults)

@@ -11,14 +11,14 @@ from ringwear_par.cases.files.keys import (
     base_keys,
     flatten,
     kinds,
-    plain,
     read_keys,
+    source_tables,
     written_units,
 )
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import has_unit, number_and_unit
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.text import parse_toml, read_text, refuse_depth, shortened, toml_value
+from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition import schema
 from ringwear_par.identification.definition.data_sources import check_censored
 from ringwear_par.identification.definition.experiments import ExperimentReader
@@ -74,14 +74,8 @@ def read_fit(
     ------
     InputError : all faults, one sentence each.
     """
-    if isinstance(source, Mapping):
-        refuse_depth(source, "fit")
-        name, folder, tables = "fit", Path(), plain(_with_keys(source))
-        written = "".join(f"{toml_value(key)} = {toml_value(v)}\n" for key, v in tables.items())
-    else:
-        path = Path(source)
-        name, folder, written = str(path), path.parent, read_text(path)
-        tables = parse_toml(written, name)
+    tables_or_file = _with_keys(source) if isinstance(source, Mapping) else source
+    name, folder, tables, written = source_tables(tables_or_file, "fit")
     if "experiment" not in tables and (kind := kinds(tables)) & {"case", "study"}:
         kind_of_file = "a case" if "case" in kind and "case" not in tables else "a study"
         raise InputError(f"{name}: is {kind_of_file}, not a fit file; [[experiment]] is missing")

@@ -8,8 +8,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import key_of
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError
-from ringwear_par.history.derivatives.elastic_numbers import elastic_numbers
-from ringwear_par.history.derivatives.keys import differentiable
+from ringwear_par.history.derivatives.keys import differentiable, elastic_numbers
 from ringwear_par.identification.definition.problem import FittedParameter
 from ringwear_par.studies.definition.variations import split_key
 from ringwear_par.wear.law import parameters_of

@@ -4,14 +4,17 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from importlib.util import find_spec
 from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ringwear_par import schedules
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
+from ringwear_par.identification.smoothing import Smoothing, curve
 from ringwear_par.version import __version__
 
 Quantity = Literal[
@@ -22,6 +25,7 @@ Quantity = Literal[
 BASE = {
     "time": "s", "r": "mm", "penetration": "mm", "approach": "mm", "torque": "N mm",
     "profile": "mm", "mass": "g", "volume": "mm^3", "density": "g/mm^3", "through": "s",
+    "force": "N", "pressure": "MPa", "omega": "rad/s",
 }  # fmt: skip
 Method = Literal["brgn", "lm"]
 Loss = Literal["gaussian", "student"]
@@ -123,6 +127,8 @@ def reflected(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArr
 
 #: kind of the time constant of "thermal", which it follows; the only one that is not linear
 GROWTH_TIME = "thermal time"
+#: kind of the factor on a measured input less 1, over the mean of its calibration
+SCALE = "scale"
 
 
 @dataclass(frozen=True)
@@ -209,6 +215,46 @@ class Series:
 
 
 @dataclass(frozen=True, eq=False)
+class MeasuredInput:
+    """A quantity of a test's case over time, as the rig measured it."""
+
+    #: "contact.friction", "load.force", "load.pressure" or "load.omega"
+    key: str
+    #: (n,) s, and what was read: N mm of the torque of a friction, else in the key's unit
+    time: FloatArray
+    value: FloatArray
+    smooth: Smoothing = "auto"
+    #: of a factor on what was read; None: it is exact
+    scale: Prior | None = None
+    #: mm, at which friction acts by the pressures of the test, a number or a table in time
+    radius: schedules.Quantity = 0.0
+    assumptions: tuple[str, ...] = ()
+
+    @property
+    def unit(self) -> str:
+        """The unit of the key."""
+        return BASE.get(self.key.partition(".")[2], "1")
+
+    @property
+    def of_torque(self) -> bool:
+        """Whether a torque was read, which tells the friction."""
+        return self.key == "contact.friction"
+
+    def readings(self, case: Case) -> FloatArray:
+        """Return the readings in the key's unit, (n,), as their calibration has them."""
+        mean = 1.0 if self.scale is None else self.scale.mean
+        if not self.of_torque:
+            return mean * self.value
+        assert case.load.force is not None
+        force, radius = (schedules.in_time(q, self.time) for q in (case.load.force, self.radius))
+        return mean * self.value / (force * radius)
+
+    def curve(self, case: Case) -> schedules.Table:
+        """Return the curve through the readings."""
+        return curve(self.time, self.readings(case), self.smooth, case.time.end)
+
+
+@dataclass(frozen=True, eq=False)
 class Experiment:
     """One test: its case, with the fitted keys at their starts, and what was read of it."""
 
@@ -217,6 +263,21 @@ class Experiment:
     series: tuple[Series, ...]
     #: names of the specimen, its batch and the laboratory
     groups: tuple[str, str, str] = ("", "", "")
+    #: what of the case was measured
+    inputs: tuple[MeasuredInput, ...] = ()
+
+    @property
+    def torque_input(self) -> MeasuredInput | None:
+        """The measured friction, if there is one."""
+        return next((one for one in self.inputs if one.of_torque), None)
+
+    def with_radius(self, radius: schedules.Quantity) -> "Experiment":
+        """Return the test with the friction that the torque tells at a radius, mm."""
+        inputs = tuple(replace(i, radius=radius) if i.of_torque else i for i in self.inputs)
+        changed = replace(self, inputs=inputs)
+        assert changed.torque_input is not None
+        friction = schedules.points_of(changed.torque_input.curve(self.case))
+        return replace(changed, case=self.case.replace({"contact.friction": friction}))
 
     @property
     def n(self) -> int:
@@ -297,7 +358,7 @@ class Problem:
         """The fitted keys."""
         return tuple(parameter.key for parameter in self.parameters)
 
-    @property
+    @cached_property
     def key(self) -> str:
         """What tells it, its cases with users' laws, its data and this version from others."""
         cases = [experiment.case for experiment in self.experiments]
@@ -307,6 +368,21 @@ class Problem:
             sorted(self.hashes.items()), __version__,
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+    def with_experiments(self, experiments: "tuple[Experiment, ...]") -> "Problem":
+        """Return the problem, of the same ``key``, with other cases."""
+        changed = replace(self, experiments=experiments)
+        changed.__dict__["key"] = self.key
+        return changed
+
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """Schedules of cases with respect to factors on which there must be derivatives."""
+        inputs = [one for experiment in self.experiments for one in experiment.inputs]
+        scaled = {one.key.replace("pressure", "force") for one in inputs if one.scale is not None}
+        if scaled & {"load.force"} and any(one.of_torque for one in inputs):
+            scaled.add("contact.friction")  # of which the torque tells less where the load is more
+        return tuple(sorted(scaled))
 
     @property
     def scatters(self) -> bool:

@@ -31,6 +31,7 @@ from ringwear_par.identification.definition.problem import (
     Quantity,
     Settings,
 )
+from ringwear_par.identification.smoothing import MOST_POINTS
 
 QUANTITIES = get_args(Quantity)
 #: nuisances that a quantity may have
@@ -43,6 +44,10 @@ NUISANCES = {
     "volume": ("offset",),
     "through": (),
 }
+#: case keys that a rig measures in time, and fewest readings of them
+INPUT_KEYS, FEWEST_READINGS = (
+    ("contact.friction", "load.force", "load.pressure", "load.omega"), 10,
+)  # fmt: skip
 #: g/mm3: foams have more, osmium has less
 DENSITIES = (1e-5, 0.03)
 #: most loads, and most profiles, of a next test
@@ -110,6 +115,15 @@ def _half_t() -> Values:
         return number(0.0).read(value["half_t"])
 
     return Values("any", read, "{ half_t = scale }, a number > 0")
+
+
+def _smoothing() -> Values:
+    """Return how readings are smoothed."""
+
+    def read(value: Any) -> float | str:
+        return value if value in ("auto", "none") else number(0.0).read(value)
+
+    return Values("any", read, '"auto", "none", or a time > 0')
 
 
 _COLUMNS = anything('texts for "time" and "value"; of a profile for "r" and "value"')
@@ -231,6 +245,28 @@ KEYS: tuple[Key, ...] = (
         None),
     Key("experiment.set", *_CASE_KEYS, "-",
         "case keys that differ in this test; no fitted ones", None),
+    Key("experiment.input.key", *one_of(*INPUT_KEYS), "-",
+        "case key whose values in time a rig measured; set and fit.parameters must not have it, "
+        "nor experiment.data the torque of a friction"),
+    Key("experiment.input.quantity", *one_of("torque"), "-",
+        "torque, for contact.friction: mu is torque/(force r), r the mean radius of the pressures "
+        "of the model's history; must be absent for other keys", None),
+    Key("experiment.input.file", *text("the name of a table, as of experiment.data.file"), "-",
+        f"table of at least {FEWEST_READINGS} readings that cover 95 % of the test"),
+    Key("experiment.input.columns", *anything('texts for "time" and "value"'), "-",
+        "names of the columns of file; default: time and value", None),
+    Key("experiment.input.units", *anything('texts for "time" and "value"'), "-",
+        "units of the columns of file, as for experiment.data.units", None),
+    Key("experiment.input.exclude", *anything("a list of increasing pairs"), "s",
+        "pairs of times between which readings are left out", None),
+    Key("experiment.input.smooth", *_smoothing(), "s",
+        "auto: a smoothing spline of few knots, denser early in the test, its penalty by "
+        "generalised cross-validation; a time: a smoothing spline that halves waves of this "
+        f"period; none: linear between the readings, {MOST_POINTS} at most", "auto"),
+    Key("experiment.input.scale", *anything("a table of prior"), "-",
+        "calibration: a factor on the readings that is estimated; default: they are exact", None),
+    Key("experiment.input.scale.prior", *_prior(), "1",
+        "what is known of the factor: a normal distribution, as { normal = [1.0, 0.01] }"),
     Key("experiment.data.quantity", *one_of(*QUANTITIES), "-",
         "measured quantity. Depths, penetrations, masses and volumes are positive where material "
         "is lost; profile points outside the contact count as unworn; through is the time at which "
@@ -316,14 +352,13 @@ KEYS: tuple[Key, ...] = (
         _SPACE.experiments),
 )  # fmt: skip
 (
-    FIT, PARAMETER, SCATTER, PROCESS, EXPERIMENT, DATA, SD, NUISANCE, THERMAL, THERMAL_TIME, DESIGN,
-    VARY, BUDGET,
+    FIT, PARAMETER, SCATTER, PROCESS, EXPERIMENT, INPUT, INPUT_SCALE, DATA, SD,
+    NUISANCE, THERMAL, THERMAL_TIME, DESIGN, VARY, BUDGET,
 ) = (
     keys_of_table(KEYS, table)
     for table in (
         "fit", "fit.parameters.KEY", "fit.parameters.KEY.scatter", "fit.process.KEY",
-        "experiment",
-        "experiment.data",
+        "experiment", "experiment.input", "experiment.input.scale", "experiment.data",
         "experiment.data.sd",
         "experiment.data.nuisance.KIND", "experiment.data.nuisance.thermal",
         "experiment.data.nuisance.thermal.time", "design", "design.vary", "design.budget",

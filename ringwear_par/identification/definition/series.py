@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from ringwear_par.arrays import IntArray
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.cases.files.columns import FileStore, read_intervals
 from ringwear_par.cases.tables import TableReader
@@ -88,9 +88,8 @@ def read_series(
     lines = readings.lines
     if kind == "through":  # and may be after the end
         x = np.minimum(value, end)
-    # the last time may be rounded, and the last one alone
-    if kind != "profile" and len(x) and end < x[-1] <= end * (1.0 + _ROUNDED):
-        x = np.append(x[:-1], end)
+    if kind != "profile":
+        x = rounded_end(x, end)
     keep = np.ones(len(x), dtype=bool)
     excluded = read_intervals(reader, "exclude", "mm" if kind == "profile" else "s")
     for low, high in excluded:
@@ -128,13 +127,24 @@ def read_series(
         reader.fault("has no readings; must have one at least that is neither empty nor excluded")
         return None
     if case is not None:
-        (check_profile if series.profile else check_times)(reader, series, case)
+        if series.profile:
+            check_profile(reader, series, case)
+        else:
+            check_times(reader, series.x, _lines(series), case.time.end)
+        if series.quantity != "torque":
+            _check_depths(reader, series, case)
     if series.n <= len(free):
         reader.fault(
             f"has {series.n} reading{'s' if series.n > 1 else ''}; must have more than nuisances "
             f"without prior or bounds, {', '.join(free)}, which take all that they tell"
         )
     return series if len(faults) == before else None
+
+
+def rounded_end(x: FloatArray, end: float) -> FloatArray:
+    """Return times (n,) s whose last one is the end of the test, s, if it may be rounded."""
+    rounded = len(x) > 0 and end < x[-1] <= end * (1.0 + _ROUNDED)
+    return np.append(x[:-1], end) if rounded else x
 
 
 def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisance, ...]:
@@ -244,23 +254,25 @@ def _density_rule(density: float) -> str:
     return f"must be from {low:g} to {high:g} g/mm3, as of foams and metals{hint}"
 
 
-def check_times(reader: TableReader, series: Series, case: Case) -> None:
-    """Refuse times that do not increase, or that are outside the test."""
-    x, end = series.x, case.time.end
+def check_times(reader: TableReader, x: FloatArray, lines: Sequence[str], end: float) -> None:
+    """Refuse times that do not increase, or that are outside the test.
+
+    Parameters
+    ----------
+    lines : beginnings of sentences about each of them.
+    end : s, of the test.
+    """
     if (late := np.flatnonzero(np.diff(x) <= 0)).size:
         i = int(late[0])
         reader.fault(
-            f"{_line(series, i + 1)}time {x[i + 1]:g} s after {x[i]:g} s{_more(late)}: times must "
-            "increase"
+            f"{lines[i + 1]}time {x[i + 1]:g} s after {x[i]:g} s{_more(late)}: times must increase"
         )
     if (outside := np.flatnonzero((x < 0) | (x > end))).size:
         i = int(outside[0])
         reader.fault(
-            f"{_line(series, i)}time {x[i]:g} s{_more(outside)}: must be within the test, from 0 "
+            f"{lines[i]}time {x[i]:g} s{_more(outside)}: must be within the test, from 0 "
             f"to {end:g} s (time.end)"
         )
-    if series.quantity != "torque":
-        _check_depths(reader, series, case)
 
 
 def check_profile(reader: TableReader, series: Series, case: Case) -> None:
@@ -280,7 +292,6 @@ def check_profile(reader: TableReader, series: Series, case: Case) -> None:
             f"{series.file or 'r'}: has no reading within the contact, {a:g} to {b:g} mm; must "
             "have one at least"
         )
-    _check_depths(reader, series, case)
 
 
 def _check_depths(reader: TableReader, series: Series, case: Case) -> None:
@@ -302,4 +313,15 @@ def _more(wrong: IntArray) -> str:
 
 def _line(series: Series, i: int) -> str:
     """Return where a reading stands; "" of one that stands in no file."""
-    return "" if series.lines is None else f"{series.file}: line {series.lines[i]}: "
+    return _lines(series)[i]
+
+
+def _lines(series: Series) -> list[str]:
+    return lines_of(series.file, series.lines, series.n)
+
+
+def lines_of(file: str, lines: IntArray | None, count: int) -> list[str]:
+    """Return where readings stand, as sentences about them begin; "" of those in no file."""
+    if lines is None:
+        return [""] * count
+    return [f"{file}: line {line}: " for line in lines.tolist()]

@@ -17,7 +17,9 @@ from scipy.optimize import least_squares, lsq_linear
 from ringwear_par.arrays import BoolArray, FloatArray, short_repr
 from ringwear_par.identification.definition.problem import (
     GROWTH_TIME,
+    SCALE,
     Experiment,
+    Nuisance,
     Prior,
     Problem,
     Series,
@@ -89,7 +91,7 @@ class Misfit:
     censored : (n,) -1 where the true value is at most the reading, 1 where at least, else 0.
     expected_nuisances : (u - m,) by their priors, or 0; the start of a time constant.
     nuisance_columns : (n, u - m) what nuisances add to the readings, by their units, linearised
-        where they are expected.
+        where they are expected; those of factors on inputs see ``linearise_inputs``.
     lower, upper : (u,) bounds.
     priors : of unknowns, by their numbers.
     noise_scale : of each series, by which its sd is multiplied.
@@ -111,7 +113,32 @@ class Misfit:
                  for r in self.records]  # fmt: skip
         self.censored = np.concatenate(sides)
         self.noise_scale = np.ones(len(self.records))
+        self._factors = problem.factors
         self._lay_out_unknowns()
+
+    def renew_inputs(self, x: FloatArray) -> bool:
+        """Let friction be as torques tell it by the histories at unknowns; tell if any does.
+
+        What factors on inputs do is then that at these unknowns. Not collective.
+        """
+        by_torque = any(e.torque_input is not None for e in self.problem.experiments)
+        if by_torque:
+            self.change_cases(self.responses.renew_inputs(self.values(x)))
+        self.linearise_inputs(x)
+        return by_torque or bool(self._scales)
+
+    def linearise_inputs(self, x: FloatArray) -> None:
+        """Let what factors on inputs do be that at unknowns. Not collective."""
+        if self._scales:
+            by_factors = self._response(x)[:, 1 + self._m :]
+            for rows, place, taken in self._scales:
+                self.nuisance_columns[rows, place] = by_factors[rows, : len(taken)] @ taken
+
+    def change_cases(self, experiments: tuple[Experiment, ...]) -> None:
+        """Take the experiments with other cases, of the same series."""
+        numbers = {one.name: one for one in experiments}
+        self.problem = self.problem.with_experiments(experiments)
+        self.records = [r._replace(experiment=numbers[r.experiment.name]) for r in self.records]
 
     def _lay_out_unknowns(self) -> None:
         """Lay the unknowns out."""
@@ -121,13 +148,13 @@ class Misfit:
             (j, p.prior) for j, p in enumerate(self.problem.parameters) if p.prior is not None
         ]
         columns = []
-        # series with thermal growth, and their nuisances among all
-        self._growths: list[tuple[Record, slice]] = []
-        for record in self.records:
+        # numbers of records with thermal growth, and their nuisances among all
+        self._growths: list[tuple[int, slice]] = []
+        for number, record in enumerate(self.records):
             experiment, series, rows = record
             first = len(self.names) - self._m
             if any(nuisance.kind == GROWTH_TIME for nuisance in series.nuisances):
-                self._growths.append((record, slice(first, first + len(series.nuisances))))
+                self._growths.append((number, slice(first, first + len(series.nuisances))))
             series_columns = nuisance_columns(series, experiment.case)
             for nuisance, values in zip(series.nuisances, series_columns.T, strict=True):
                 column = np.zeros(self.n)
@@ -137,10 +164,31 @@ class Misfit:
                     priors.append((len(self.names), nuisance.prior))
                 self.names.append((experiment.name, series.name, nuisance.kind))
                 limits.append(list(nuisance.bounds))
+        nuisances = [nuisance for r in self.records for nuisance in r.series.nuisances]
+        #: factors on measured inputs: rows of their test, place among the nuisances, and how much
+        #: of the derivatives by ``problem.factors`` they take
+        self._scales: list[tuple[slice, int, FloatArray]] = []
+        start = 0
+        for experiment in self.problem.experiments:
+            rows = slice(start, start + experiment.n)
+            start = rows.stop
+            for one in experiment.inputs:
+                if one.scale is None:
+                    continue
+                prior = Prior(0.0, one.scale.sd / one.scale.mean)
+                key, place = one.key.replace("pressure", "force"), len(self.names) - self._m
+                taken = np.array([float(factor == key) for factor in self._factors])
+                if key == "load.force" and experiment.torque_input is not None:
+                    taken[self._factors.index("contact.friction")] = -1.0
+                self._scales.append((rows, place, taken))
+                columns.append(np.zeros(self.n))
+                priors.append((len(self.names), prior))
+                self.names.append((experiment.name, one.key, SCALE))
+                limits.append([-np.inf, np.inf])
+                nuisances.append(Nuisance(SCALE, prior))
         self.lower, self.upper = np.array(limits).T
         self.nuisance_columns = np.stack(columns, axis=1) if columns else np.zeros((self.n, 0))
         self.priors = priors
-        nuisances = [nuisance for r in self.records for nuisance in r.series.nuisances]
         self.expected_nuisances = np.array([nuisance.expected for nuisance in nuisances])
         # (u - m,) which are growths and which time constants, and how large these are at first
         kinds = np.array([nuisance.kind for nuisance in nuisances], dtype=object)
@@ -194,7 +242,7 @@ class Misfit:
         (n, bodies) of each reading: its change for each mm of mean depth that is worn faster all
         along, and that mean depth, mm.
         """
-        of_clocks = self._response(x, test_unknowns)[:, 1 + self._m :]
+        of_clocks = self._response(x, test_unknowns)[:, 1 + self._m + len(self._factors) :]
         by_factor, depth = np.split(of_clocks, 2, axis=1)
         return np.divide(by_factor, depth, out=np.zeros_like(depth), where=depth > 0.0), depth
 
@@ -222,7 +270,8 @@ class Misfit:
         columns = self.nuisance_columns
         if self._growths:
             columns = columns.copy()
-            for (experiment, series, rows), places in self._growths:
+            for number, places in self._growths:
+                experiment, series, rows = self.records[number]
                 values = x[self._m :][places]
                 columns[rows, places] = nuisance_columns(series, experiment.case, values)
         return columns

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.identification.definition.problem import Problem
+from ringwear_par.identification.definition.problem import Experiment, Problem
 from ringwear_par.identification.model.histories import ROUGH_STEPS, STEPS, Histories, HistoryError
 
 
@@ -96,6 +96,14 @@ class Responses:
         self.of_tests(values)
         remaining = {(test, of_test.tobytes()) for test, of_test in enumerate(values)}
         self.known = {key: response for key, response in self.known.items() if key in remaining}
+
+    def renew_inputs(self, values: FloatArray) -> tuple[Experiment, ...]:
+        """Return the tests with friction as torques tell it at values of the keys (m,).
+
+        Histories are those of these tests from now on. Not collective.
+        """
+        self.known = {}
+        return self._histories.renew_inputs(values)
 
     def part_from_histories(self) -> None:
         """Let the histories' engines and communicator go: responses computed so far remain."""

@@ -96,8 +96,13 @@ def solve(misfit: Misfit, rounds: Rounds, law: str, stored: StoredStarts) -> Sol
     misfit.responses.be_exact(True)
     x = np.array(_best(starts, misfit.problem.name).unknowns)
     histories_of_profiles = 0
+    renewed = misfit.renew_inputs(x)
     while True:
         optimum = _with_noise(misfit, x)
+        if renewed:  # by the torque at the best start; once more at the optimum
+            renewed = False
+            misfit.renew_inputs(optimum.x)
+            optimum = _with_noise(misfit, optimum.x)
         parameters, covariance = estimates(misfit, optimum.x, optimum.evaluation)
         shift = misfit.discretisation_shift(optimum.x, optimum.evaluation, covariance)
         may_halve = misfit.responses.steps < STEPS << _HALVINGS
@@ -134,6 +139,7 @@ def solve(misfit: Misfit, rounds: Rounds, law: str, stored: StoredStarts) -> Sol
 def _begin(misfit: Misfit) -> FloatArray:
     """Return the unknowns at the start; refuse readings that cannot be what they are called."""
     fill_planned(misfit)
+    misfit.linearise_inputs(misfit.problem.unknowns(list(misfit.problem.start.values())))
     start = misfit.with_best_nuisances(list(misfit.problem.start.values()))
     refuse_idle(misfit, start)
     refuse_reversed(misfit, start)

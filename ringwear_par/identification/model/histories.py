@@ -17,11 +17,12 @@ from ringwear_par.cases.numbers import Number, needs_reading, with_numbers
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError, InputError, reason_of
-from ringwear_par.history.derivatives.elastic_numbers import is_elastic
+from ringwear_par.history.derivatives.keys import is_elastic
 from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
 from ringwear_par.identification.model.operators import Operators
 from ringwear_par.identification.model.readings import Reader, Trajectory, lost_mass, time_through
 from ringwear_par.results.result import Result
+from ringwear_par.schedules import Table, in_time
 from ringwear_par.studies.definition.variations import split_key
 from ringwear_par.studies.execution.batches import computed
 from ringwear_par.wear.layered import LayeredLaw
@@ -143,9 +144,11 @@ class Histories:
     def __init__(self, problem: Problem, comm: MPI.Comm) -> None:
         self._experiments = problem.experiments
         self._keys = problem.keys
-        #: of derivatives: also of factors on all rates of bodies whose wear is random
-        self._numbers = (*problem.keys, *problem.settings.process)
+        #: of derivatives: also of factors on measured inputs, and on all rates of bodies whose
+        #: wear is random
+        self._numbers = (*problem.keys, *problem.factors, *problem.settings.process)
         clocks = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
+        self._clocks = clocks
         self._readers = [Reader(experiment, clocks) for experiment in problem.experiments]
         self.operators = Operators(problem, comm)
         #: histories computed so far
@@ -204,8 +207,9 @@ class Histories:
     ) -> list[FloatArray | HistoryError]:
         """Return the readings at some of the points, of an experiment each, or why not.
 
-        See ``responses``. After its derivatives by the values follow, for each body whose wear is
-        random, that by a factor on its rates, and then for each its mean worn depth, mm.
+        See ``responses``. After its derivatives by the values follow those by factors on measured
+        inputs, then, for each body whose wear is random, that by a factor on its rates, and then
+        for each its mean worn depth, mm.
         """
         by_experiment: dict[int, list[int]] = defaultdict(list)
         for number, (_, experiment) in enumerate(pairs):
@@ -245,6 +249,45 @@ class Histories:
                         readings[number] = reader.read(_trajectory(result, cases[number], keys))
         self.count += len(pairs)
         return [readings[number] for number in range(len(pairs))]
+
+    def renew_inputs(self, values: FloatArray) -> tuple[Experiment, ...]:
+        """Return the experiments, friction now as their torques tell it at values of the keys.
+
+        By the radius at which friction acts in their histories there. Not collective.
+
+        Raises
+        ------
+        HistoryError : there is no history.
+        """
+        experiments = list(self._experiments)
+        for number, experiment in enumerate(experiments):
+            if experiment.torque_input is None:
+                continue
+            (case,) = cases_at(experiment.case, self._keys, values[None])
+            if isinstance(case, HistoryError):
+                raise case
+            (part,) = computed(
+                [case], [self.operators.of(number, case, exact=True)], results=True,
+                step_times=[step_times(experiment).tolist()],
+            )  # fmt: skip
+            self.count += 1
+            (result,) = part.results()
+            if isinstance(result, Exception):
+                raise HistoryError(reason_of(result))
+            time, force, torque = (result.histories[n] for n in ("time", "force", "torque"))
+            pressed = force > 0.0
+            at = time[pressed]
+            radius = torque[pressed] / (in_time(case.friction, at) * force[pressed])
+            experiments[number] = experiment.with_radius(
+                Table(tuple(at.tolist()), tuple(radius.tolist()))
+            )
+        self.change_cases(tuple(experiments))
+        return self._experiments
+
+    def change_cases(self, experiments: tuple[Experiment, ...]) -> None:
+        """Take the experiments with other cases, of the same bodies."""
+        self._experiments = experiments
+        self._readers = [Reader(experiment, self._clocks) for experiment in experiments]
 
 
 def _trajectory(result: Result, case: Case, keys: Sequence[str]) -> Trajectory:

@@ -6,7 +6,7 @@ from mpi4py import MPI
 
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.history.derivatives.elastic_numbers import is_elastic
+from ringwear_par.history.derivatives.keys import is_elastic
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.interpolated_pairs import InterpolatedPairs, interpolate
 from ringwear_par.history.elastic.pairs import assemble

@@ -10,13 +10,14 @@ it until it is done.
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError
-from ringwear_par.identification.definition.problem import Problem
+from ringwear_par.identification.definition.problem import Experiment, Problem
 from ringwear_par.identification.model.histories import STEPS, Histories, HistoryError, Pair
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.execution.progress import FitProgress
@@ -110,6 +111,13 @@ class _Worker(Generic[T]):
             raise StoppedError("stopped")
 
 
+@dataclass(frozen=True)
+class Renewed:
+    """What the first rank tells the others of cases that have changed."""
+
+    experiments: tuple[Experiment, ...]
+
+
 class Rounds(Histories):
     """Histories that all ranks compute together while the first one leads.
 
@@ -159,7 +167,10 @@ class Rounds(Histories):
                     comm.bcast(None)
             else:
                 while (request := comm.bcast(None)) is not None:
-                    self._share(*request)
+                    if isinstance(request, Renewed):
+                        self.change_cases(request.experiments)
+                    else:
+                        self._share(*request)
         answer: T = comm.bcast(result)
         if received := comm.allreduce(self._signals.received, MPI.MAX):
             raise self._stopped(received)
@@ -189,6 +200,13 @@ class Rounds(Histories):
         if self._progress is not None:
             self._progress(count)
         return [responses[pair] for pair in pairs]
+
+    def renew_inputs(self, values: FloatArray) -> tuple[Experiment, ...]:
+        """Return the experiments with other friction, on all ranks where this one leads."""
+        experiments = super().renew_inputs(values)
+        if self._leads:
+            self._comm.bcast(Renewed(experiments))
+        return experiments
 
     def _share(
         self,

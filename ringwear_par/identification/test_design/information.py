@@ -233,7 +233,7 @@ def information_of_tests(
                 if isinstance(response, Exception):
                     failures |= {n: str(response) for n in group if n not in failures}
                     continue
-                by_series = _series_information(problem, test, response[:, 1:] * slopes)
+                by_series = _series_information(problem, test, response[:, 1 : 1 + m] * slopes)
                 for number in group:
                     of_readings = sum(by_series[id(series)] for series in tests[number].series)
                     matrices[d, number] = of_new_specimen(np.asarray(of_readings), scatter)

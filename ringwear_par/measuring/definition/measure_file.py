@@ -8,13 +8,19 @@ from typing import Any
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore, read_intervals, read_texts
 from ringwear_par.cases.files.faults import Origin
-from ringwear_par.cases.files.keys import base_keys, flatten, in_full, kinds, override, plain
+from ringwear_par.cases.files.keys import (
+    base_keys,
+    changes_of,
+    kinds,
+    override,
+    source_tables,
+)
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import has_unit, in_unit
 from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.text import parse_toml, read_text, refuse_depth, shortened, toml_value
+from ringwear_par.files.text import shortened
 from ringwear_par.measuring.definition import schema
 from ringwear_par.measuring.definition.problem import Limits, Problem, Test, Uncertainty
 from ringwear_par.measuring.definition.records import CHANNELS, Record, read_record
@@ -35,14 +41,7 @@ def read_measure(source: Path | str | Mapping[str, Any]) -> Problem:
     ------
     InputError : all faults, one sentence each.
     """
-    if isinstance(source, Mapping):
-        name, folder, tables = "measure", Path(), plain(source)
-        refuse_depth(tables, name)
-        written = "".join(f"{toml_value(key)} = {toml_value(v)}\n" for key, v in tables.items())
-    else:
-        path = Path(source)
-        name, folder, written = str(path), path.parent, read_text(path)
-        tables = parse_toml(written, name)
+    name, folder, tables, written = source_tables(source, "measure")
     if "test" not in tables and "measure" not in tables:
         kind = "a fit file" if "experiment" in tables else "a case" if kinds(tables) else "another"
         raise InputError(f"{name}: is {kind}, not a measure file; [[test]] is missing")
@@ -217,7 +216,7 @@ class _Tests:
 
     def _test(self, reader: TableReader, name: str | None) -> Test | None:
         before = len(reader.faults)
-        changes = self._changes(reader)
+        changes = changes_of(reader, self._files.folder)
         case = self._case(reader, changes)
         record = self._record(reader)
         reader.finish()
@@ -230,17 +229,6 @@ class _Tests:
         test = Test(name, case, record, duration, weighing)
         self._check(reader, test, weighing)
         return test
-
-    def _changes(self, reader: TableReader) -> dict[str, Any]:
-        table = reader.raw("set", {})
-        if not isinstance(table, Mapping):
-            reader.wrong("set", "must be a table of case keys")
-            return {}
-        try:
-            return in_full(flatten(table, f"{reader.place}: set"), self._files.folder)
-        except InputError as error:
-            reader.faults += error.faults
-            return {}
 
     def _case(self, reader: TableReader, changes: Mapping[str, Any]) -> Case | None:
         if self._base is None:

@@ -14,17 +14,14 @@ import numpy as np
 
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.key_values import unknown_key
-from ringwear_par.cases.files.keys import base_keys, in_full, kinds, plain
+from ringwear_par.cases.files.keys import base_keys, in_full, kinds, source_tables
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.files.text import (
-    parse_toml,
     parse_value,
     read_text,
-    refuse_depth,
     shortened,
-    toml_value,
 )
 from ringwear_par.studies.definition.case_columns import CaseColumns
 from ringwear_par.studies.definition.schema import DESIGN, MOST_CASES
@@ -72,18 +69,11 @@ def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
     ------
     InputError : its faults, those of single cases excepted.
     """
-    if isinstance(source, Mapping):
-        if isinstance(source.get("case"), Case):
-            raise InputError(
-                "study: case is a Case; must be the name of a case file, or its tables as a dict"
-            )
-        refuse_depth(source, "study")
-        name, folder, tables = "study", Path(), plain(source)
-        text = "".join(f"{toml_value(key)} = {toml_value(v)}\n" for key, v in tables.items())
-    else:
-        path = Path(source)
-        name, folder, text = str(path), path.parent, read_text(path)
-        tables = parse_toml(text, name)
+    if isinstance(source, Mapping) and isinstance(source.get("case"), Case):
+        raise InputError(
+            "study: case is a Case; must be the name of a case file, or its tables as a dict"
+        )
+    name, folder, tables, text = source_tables(source, "study")
     if kinds(tables) == {"case"}:
         raise InputError(f"{name}: is a case, not a study; ringwear run computes it")
     faults = [

@@ -4,6 +4,7 @@ import pickle
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -72,6 +73,11 @@ class Study:
             f"<Study {self.name}: {self.method}, cases: {len(self.identities)}, operators: "
             f"{len(self.members)}, varied: {', '.join(self.names) or 'nothing'}>"
         )
+
+    def _repr_html_(self) -> str:
+        """Return its varied keys and the rig of its first case, for notebooks."""
+        # pages stand on studies, which know nothing else of them
+        return str(import_module("ringwear_par.reports.notebook").study_html(self))
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields, without kinds at hand, which other ranks do not need."""

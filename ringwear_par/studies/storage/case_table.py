@@ -2,9 +2,11 @@
 
 import csv
 import json
+import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +19,15 @@ from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import toml_value
+from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.variables import POINT_R, POINT_SIDE, POINT_Z, Variable
 from ringwear_par.studies.definition.variations import Column, own_key, value_of
 from ringwear_par.studies.storage.case_variables import WINDOW, CaseVariable, text_dtype
 from ringwear_par.studies.storage.end_values import END_VALUES, end_value_of, entries
 from ringwear_par.studies.storage.results_file import TABLE
 from ringwear_par.studies.storage.stored_variables import OF_CASES, axis_of, entry_label
+
+log = logging.getLogger(__name__)
 
 #: the meanings of the table's columns, named as CSV on the Web has it
 TABLE_MEANINGS = f"{TABLE}-metadata.json"
@@ -133,6 +138,35 @@ class CaseTable:
             "tableSchema": {"columns": columns},
         }
         return json.dumps(table, indent=1) + "\n"
+
+
+def write_parquet(folder: Path) -> None:
+    """Write the table of a folder as Parquet beside it, where pyarrow is; without, an old one goes.
+
+    Units and meanings are in the metadata of its columns.
+    """
+    path = (folder / TABLE).with_suffix(".parquet")
+    try:
+        import pyarrow
+        import pyarrow.csv
+        import pyarrow.parquet
+    except ImportError as error:
+        if find_spec("pyarrow") is not None:
+            log.warning("%s is not written: %s", path, error)
+        path.unlink(missing_ok=True)
+        return
+    words = dict.fromkeys(("case", *_BEFORE, *_AFTER[1:]), pyarrow.string())
+    options = pyarrow.csv.ConvertOptions(column_types=words)
+    table = pyarrow.csv.read_csv(folder / TABLE, convert_options=options)
+    meanings = json.loads((folder / TABLE_MEANINGS).read_text("utf-8"))["tableSchema"]["columns"]
+    fields = [
+        column.with_metadata(
+            {name.partition(":")[2] or name: text for name, text in meaning.items()}
+        )
+        for column, meaning in zip(table.schema, meanings, strict=True)
+    ]
+    with atomic_write(path) as temporary:
+        pyarrow.parquet.write_table(table.cast(pyarrow.schema(fields)), temporary)
 
 
 def _store(file: h5py.File, variable: Variable, values: Any) -> None:

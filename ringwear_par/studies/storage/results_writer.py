@@ -30,7 +30,12 @@ from ringwear_par.results.variables import (
 from ringwear_par.studies.definition.variations import Column
 from ringwear_par.studies.storage.blocks import STATUS, CaseBlock, Kind
 from ringwear_par.studies.storage.case_index import ENTRY, CaseIndex
-from ringwear_par.studies.storage.case_table import TABLE_MEANINGS, CaseTable, extended
+from ringwear_par.studies.storage.case_table import (
+    TABLE_MEANINGS,
+    CaseTable,
+    extended,
+    write_parquet,
+)
 from ringwear_par.studies.storage.case_variables import (
     WINDOW,
     CaseVariable,
@@ -111,6 +116,7 @@ def write_results(
         file.attrs.update({"software": SOFTWARE, **attributes})
         table.write_csv(rows)
         meanings.write_text(table.meanings(file), encoding="utf-8")
+    write_parquet(folder)
 
 
 class _Writer:
@@ -166,7 +172,7 @@ class _Writer:
         longest = max((block.longest for block in self._blocks.values()), default=1)
         for part in _stretches(count, WINDOW):
             longest = max(longest, *(len(text.encode()) for text in self._missing_texts(part)), 1)
-        size = sum(
+        size = longest + sum(
             8 * math.prod(len(self._file[axis]) for axis in variable.dimensions)
             for variable in variables.values()
         )
@@ -183,14 +189,11 @@ class _Writer:
         columns[texts.chunks.name] = texts
         windows = (
             CaseWindow(
-                self._cases[part],
-                self._blocks_of(part),
-                chunks,
-                self._missing_texts(part),
+                self._cases[part], self._blocks_of(part), chunks, self._missing_texts(part),
                 texts.chunks,
             )
             for part in _stretches(count, window)
-        )
+        )  # fmt: skip
         end_values: dict[str, FloatArray] = {}
         with closing(results_of_tasks(comm, (cases.fill for cases in windows))) as filled:
             for part, of_window in zip(_stretches(count, window), filled, strict=True):

@@ -50,7 +50,11 @@ def in_schema(table):
     """Return the keys of a table that the schema has."""
     paths = [key.path.removeprefix(table) for key in KEYS if key.path.startswith(table)]
     return {
-        re.sub(r"^(parameters|process|units|scatter|data|vary|budget|nuisance|sd)\..*", r"\1", p)
+        re.sub(
+            r"^(parameters|process|units|scatter|data|input|scale|vary|budget|nuisance|sd)\..*",
+            r"\1",
+            p,
+        )
         for p in paths
     }
 
@@ -69,6 +73,14 @@ def in_schema(table):
 )
 def test_every_key_is_told(path, table):
     assert keys_of(path, TABLES) == in_schema(table)
+
+
+def test_every_key_of_an_input_is_told():
+    speed = {"key": "load.omega", "scale": {}, "file": FILE["file"], "columns": FILE["columns"]}
+    tables = {**TABLES, "experiment": [{**TABLES["experiment"][0], "input": [speed]}]}
+    place = "experiment", 0, "input", 0
+    assert keys_of(place, tables) == in_schema("experiment.input.")
+    assert keys_of((*place, "scale"), tables) == in_schema("experiment.input.scale.")
 
 
 def test_every_key_of_readings_is_told():

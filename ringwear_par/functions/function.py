@@ -1,0 +1,163 @@
+"""``rw.function``: numbers of histories as a function of numbers of their case."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.reading import read_case
+from ringwear_par.errors import InputError, RingwearError
+from ringwear_par.functions.inputs import CaseInputs, case_inputs
+from ringwear_par.functions.outputs import Output, read_outputs, storing
+from ringwear_par.history.derivatives.keys import check_derivatives
+from ringwear_par.results.result import Result
+from ringwear_par.results.variables import HISTORIES, derivative_of
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+
+class Function:
+    """Numbers of wear histories as a function of numbers of a case, see ``function``.
+
+    It can be pickled. MPI starts with the first call.
+
+    Parameters
+    ----------
+    inputs, outputs : of the function.
+    derivatives : whether it returns derivatives, too.
+
+    Attributes
+    ----------
+    errors : why cases of the last call failed, by number of the case.
+    """
+
+    def __init__(
+        self, inputs: CaseInputs, outputs: Sequence[Output], derivatives: bool = False
+    ) -> None:
+        self._inputs, self._outputs, self._derivatives = inputs, tuple(outputs), derivatives
+        self.errors: dict[int, RingwearError] = {}
+
+    def __repr__(self) -> str:
+        outputs = ", ".join(output.text for output in self._outputs)
+        return f"<Function: {', '.join(self._inputs.names)} -> {outputs}>"
+
+    @property
+    def schema(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """Units and meanings of "inputs" and "outputs" by name; of inputs bounds and values too.
+
+        Bounds are None where there is none; values are those of the case.
+        """
+        outputs = {
+            output.text: {"unit": output.variable.unit, "meaning": output.meaning}
+            for output in self._outputs
+        }
+        return {"inputs": self._inputs.schema(), "outputs": outputs}
+
+    def __call__(self, values: Mapping[str, Any], comm: "MPI.Comm | None" = None) -> Any:
+        """Return the outputs, with derivatives a second dict of them. Collective on comm.
+
+        Parameters
+        ----------
+        values : of all inputs: numbers in the case's units, texts with a unit, or arrays of them,
+            which are broadcast together. The same on all ranks.
+        comm : whose ranks share the cases out; None: the world's. ``MPI.COMM_SELF`` where each rank
+            calls by itself.
+
+        Returns
+        -------
+        dict by output, of arrays of the shape of the inputs, scalars for scalars; of outputs at all
+        states with one more axis, the states. Derivatives by (output, input) likewise. NaN where a
+        case failed, see ``errors``, and behind the last state of a case.
+
+        Raises
+        ------
+        InputError : inputs that are missing, unknown, no numbers or do not broadcast together.
+        """
+        rows, shape = self._inputs.rows(values)
+        outcomes = self._outcomes(rows, comm)
+        self.errors = {n: e for n, e in enumerate(outcomes) if isinstance(e, RingwearError)}
+        outputs = {output.text: _stacked(output, outcomes, shape) for output in self._outputs}
+        if not self._derivatives:
+            return outputs
+        derivatives = {
+            (output.text, name): _stacked(output, outcomes, shape, row)
+            for output in self._outputs
+            for row, name in enumerate(self._inputs.names)
+        }
+        return outputs, derivatives
+
+    def _outcomes(
+        self, rows: Sequence[Sequence[float]], comm: "MPI.Comm | None"
+    ) -> list[Result | RingwearError]:
+        """Return the result of each case, or why it has none. Collective on comm."""
+        from ringwear_par.studies.execution.many import simulate_all  # starts MPI
+
+        outcomes: list[Any] = []
+        for row in rows:
+            try:
+                outcomes.append(self._inputs.case(row))
+            except InputError as error:
+                outcomes.append(error)
+        cases = [(n, case) for n, case in enumerate(outcomes) if isinstance(case, Case)]
+        keys = self._inputs.names if self._derivatives else ()
+        results = simulate_all([case for _, case in cases], comm, derivatives=keys)
+        for (n, _), result in zip(cases, results, strict=True):
+            outcomes[n] = result if isinstance(result, Result) else result.error
+        return outcomes
+
+
+def _stacked(
+    output: Output,
+    outcomes: Sequence[Result | RingwearError],
+    shape: Sequence[int],
+    row: int | None = None,
+) -> Any:
+    """Return an output of all cases, or its derivative with respect to an input, by its row."""
+    name = output.variable.name
+    values: dict[int, Any] = {}
+    for n, result in enumerate(outcomes):
+        if isinstance(result, Result):
+            if row is not None:
+                states = result.derivatives[derivative_of(output.variable).name][row]
+            else:
+                states = (result.histories if name in HISTORIES else result.layers)[name]
+            values[n] = output.at(result.histories["time"], np.asarray(states))
+    empty = (0,) if output.whole else ()
+    width = max((np.shape(value) for value in values.values()), default=empty)
+    stacked = np.full((len(outcomes), *width), np.nan)
+    for n, value in values.items():
+        stacked[(n, *map(slice, np.shape(value)))] = value
+    return stacked.reshape((*shape, *width))[()]
+
+
+def function(
+    case: Case | str | Path | Mapping[str, Any],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    *,
+    derivatives: bool = False,
+) -> Function:
+    """Return numbers of histories as a function of numbers of a case, dict to dict. Not collective.
+
+    Parameters
+    ----------
+    case : a case, or what ``read_case`` takes.
+    inputs : keys of numbers of the case, such as "wear.lower.k" or "upper.r[1]".
+    outputs : ``NAME`` of a variable of histories at the last step, ``NAME@t`` at a time (s, or with
+        its unit), ``NAME@all`` at all stored states, times of other outputs among them.
+    derivatives : whether calls return derivatives of the outputs with respect to the inputs, too.
+
+    Raises
+    ------
+    InputError : all faults of the case, the inputs or the outputs; inputs or outputs without
+        derivatives where these are wanted.
+    """
+    base = case if isinstance(case, Case) else read_case(case)
+    read = read_outputs(base, outputs, derivatives)
+    changed = case_inputs(base, inputs, storing(base, read))
+    if derivatives:
+        check_derivatives(base, inputs)
+    return Function(changed, read, derivatives)

@@ -1,0 +1,178 @@
+"""``[[experiment.input]]``: what a rig measured of a test's case, as tables in time of its keys."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.columns import FileStore, read_intervals
+from ringwear_par.cases.tables import TableReader
+from ringwear_par.files.measurements import and_more
+from ringwear_par.identification.definition.data_sources import read_readings
+from ringwear_par.identification.definition.problem import FittedParameter, MeasuredInput
+from ringwear_par.identification.definition.schema import (
+    FEWEST_READINGS,
+    INPUT,
+    INPUT_KEYS,
+    INPUT_SCALE,
+)
+from ringwear_par.identification.definition.series import check_times, lines_of, rounded_end
+from ringwear_par.identification.smoothing import MOST_POINTS
+from ringwear_par.schedules import in_time, points_of
+from ringwear_par.studies.definition.variations import split_key
+
+#: of the test, that an input must cover
+_COVERED = 0.95
+_LOADS = ("load.force", "load.pressure", "load.displacement")
+
+
+def input_keys(tables: Any) -> list[str]:
+    """Return the keys of the inputs of an experiment, as far as they are right."""
+    every = tables if isinstance(tables, list) else []
+    keys = [entry.get("key") for entry in every if isinstance(entry, Mapping)]
+    return [key for key in keys if key in INPUT_KEYS]
+
+
+def with_places(keys: Mapping[str, Any], measured: Sequence[str]) -> dict[str, Any]:
+    """Return the keys of a case with numbers in the places of what was measured."""
+    changed = dict(keys)
+    for key in measured:
+        if key in _LOADS:
+            changed = {k: v for k, v in changed.items() if k not in _LOADS or k == key}
+        changed.setdefault(key, 1.0)
+    return changed
+
+
+def refuse_known(
+    said: str,
+    measured: Sequence[str],
+    parameters: Sequence[FittedParameter],
+    changes: Mapping[str, Any],
+    faults: list[str],
+) -> None:
+    """Add a fault for each input that is set or fitted too.
+
+    Parameters
+    ----------
+    said : how sentences about the experiment begin.
+    changes : dotted keys that are set.
+    """
+    for key in dict.fromkeys(measured):
+        same = set(_LOADS if key in _LOADS else (key,))
+        fitted = {split_key(parameter.key)[0] for parameter in parameters}
+        faults += [f"{said}: set: {name}: {key} is an input; cannot be set too"
+                   for name in sorted(same & changes.keys())]  # fmt: skip
+        faults += [f"{said}: {name}: {key} is an input; cannot be fitted too"
+                   for name in sorted(same & fitted)]  # fmt: skip
+    loads = [key for key in measured if key in _LOADS]
+    twice = [*loads[1:], *(key for key in ("contact.friction", "load.omega")
+                           if list(measured).count(key) > 1)]  # fmt: skip
+    faults += [f"{said}: input: {key}: is there twice; must be once" for key in twice]
+
+
+def read_inputs(
+    said: str, tables: Any, case: Case, files: FileStore, faults: list[str]
+) -> tuple[tuple[MeasuredInput, ...], dict[str, Any]]:
+    """Return the inputs of an experiment, and the keys of its case that they are.
+
+    None, and faults, where one is wrong.
+
+    Parameters
+    ----------
+    said : how sentences about the experiment begin.
+    case : with numbers in the places of what was measured.
+    """
+    if not isinstance(tables, list):
+        faults.append(f"{said}: input: must be tables, [[experiment.input]]")
+        return (), {}
+    before, curves = len(faults), dict[str, Any]()
+    read = [_input(f"{said}: input {i}", table, case, files, faults)
+            for i, table in enumerate(tables, start=1)]  # fmt: skip
+    inputs = [one for one in read if one is not None]
+    inputs.sort(key=lambda one: one.of_torque)  # its friction needs the load
+    for i, one in enumerate(inputs):
+        if len(faults) > before:
+            return (), {}
+        if one.of_torque:
+            _check_friction(said, one, case, faults)
+        if len(faults) > before:
+            return (), {}
+        inputs[i] = one = replace(one, radius=0.5 * sum(case.contact))
+        curves[one.key] = points_of(one.curve(case))
+        case = case.replace(curves)
+    return (tuple(inputs), curves) if len(faults) == before else ((), {})
+
+
+def _input(
+    said: str, table: Any, case: Case, files: FileStore, faults: list[str]
+) -> MeasuredInput | None:
+    before = len(faults)
+    reader = TableReader(said, table, faults, INPUT)
+    key, quantity, end = reader.read("key"), reader.read("quantity"), case.time.end
+    if key is None:
+        return None
+    reader.place = f"{said} ({key})"
+    of_torque = key == "contact.friction"
+    if of_torque != (quantity == "torque") and "quantity" in reader:
+        reader.wrong("quantity", "must be absent: a load or a speed is its own quantity")
+    elif of_torque and quantity is None:
+        reader.wrong("quantity", 'must be "torque"')
+    readings = None
+    if "file" in reader:
+        kind = "torque" if of_torque else key.partition(".")[2]
+        readings = read_readings(reader, kind, None, end, files, plans=False)
+    else:
+        reader.read("file")  # which says what is missing
+    excluded, smooth = read_intervals(reader, "exclude", "s"), reader.read("smooth")
+    scale = None
+    if (entry := reader.raw("scale")) is not None:
+        of_scale = TableReader(f"{reader.place}: scale", entry, faults, INPUT_SCALE)
+        scale = of_scale.read("prior")
+        of_scale.finish()
+        if scale is not None and scale.mean <= 0.0:
+            of_scale.wrong("prior", "must have a mean > 0")
+    reader.finish()
+    if readings is None or len(faults) > before:
+        return None
+    keep = np.ones(len(readings.x), dtype=bool)
+    x = rounded_end(readings.x, end)
+    for low, high in excluded:
+        keep &= (x < low) | (x > high)
+    x, value = x[keep], readings.value[keep]
+    lines = None if readings.lines is None else readings.lines[keep]
+    check_times(reader, x, lines_of(readings.where, lines, len(x)), end)
+    if len(x) < FEWEST_READINGS:
+        reader.fault(f"has {len(x)} readings; must have {FEWEST_READINGS} at least")
+    elif (covered := float(np.ptp(x)) / end) < _COVERED:
+        reader.fault(
+            f"readings from {x[0]:g} to {x[-1]:g} s cover {100.0 * covered:.3g} % of the test; "
+            f"must cover {100.0 * _COVERED:g} % at least"
+        )
+    if smooth == "none" and len(x) > MOST_POINTS:
+        reader.wrong("smooth", f'must be "auto" or a time with more than {MOST_POINTS} readings')
+    low = value <= 0.0 if of_torque else value < 0.0
+    if low.any():
+        i = int(np.flatnonzero(low)[0])
+        written = value[i] / readings.factor
+        reader.fault(
+            f"{lines_of(readings.where, lines, len(x))[i]}{written:g} {readings.unit}"
+            f"{and_more(int(low.sum()), 'reading')}: must be {'>' if of_torque else '>='} 0"
+        )
+    if len(faults) > before:
+        return None
+    return MeasuredInput(key, x, value, smooth, scale, assumptions=readings.assumptions)
+
+
+def _check_friction(said: str, one: MeasuredInput, case: Case, faults: list[str]) -> None:
+    """Refuse a torque whose load is not known, or 0."""
+    force = case.load.force
+    if force is None:
+        faults.append(f'{said}: input ({one.key}): needs load.control = "force"')
+    elif (np.asarray(in_time(force, one.time)) <= 0.0).any():
+        first = one.time[np.asarray(in_time(force, one.time)) <= 0.0][0]
+        faults.append(
+            f"{said}: input ({one.key}): the load is 0 at {first:g} s; exclude must leave out "
+            "readings without load"
+        )

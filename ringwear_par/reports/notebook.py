@@ -1,0 +1,69 @@
+"""How notebooks show outcomes and studies: a summary, the picture, and what keys mean."""
+
+import base64
+import re
+from html import escape
+
+from ringwear_par.cases.schema import BY_PATH, key_of, unit_of
+from ringwear_par.cases.units import with_signs
+from ringwear_par.cases.values import is_number
+from ringwear_par.errors import RingwearError
+from ringwear_par.pictures.rig import rig_svg
+from ringwear_par.results.result import Outcome
+from ringwear_par.studies.definition.study import Study
+from ringwear_par.studies.definition.variations import path_of
+
+_KEY = re.compile(r"\b[a-z]+(?:\[\d\])?(?:\.[a-z_0-9]+(?:\[\d\])?)+")
+#: values of a varied key that are listed
+_LISTED = 8
+
+
+def outcome_html(outcome: Outcome) -> str:
+    """Return the summary and the figure of an outcome. Not collective.
+
+    Where it holds too little for one of them, it is left out.
+    """
+    try:
+        text = outcome.summary()
+    except RingwearError:
+        text = repr(outcome)
+    return f"<div><pre>{_with_meanings(text)}</pre>{_picture(outcome)}</div>"
+
+
+def _picture(outcome: Outcome) -> str:
+    """Return the figure of an outcome as an image, "" where there is nothing to be drawn."""
+    try:
+        picture, size = outcome.plot()._repr_png_()  # type: ignore[attr-defined]
+    except RingwearError:
+        return ""
+    address = base64.b64encode(picture).decode()
+    alt = f"figure of the {type(outcome).__name__} that is summarised above"
+    return f'<img src="data:image/png;base64,{address}" width="{size["width"]}" alt="{alt}">'
+
+
+def study_html(study: Study) -> str:
+    """Return the varied keys of a study, and the rig of its first case. Not collective."""
+    rows = []
+    for name, column in zip(study.names, study.cases.columns, strict=True):
+        values, numbers = column.distinct, column.numbers
+        words = ", ".join(f"{v:.4g}" if is_number(v) else str(v) for v in values)
+        if numbers is not None and len(values) > _LISTED:
+            words = f"{len(values)} from {numbers.min():.4g} to {numbers.max():.4g}"
+        cells = (_with_meanings(name), escape(words), unit_of(name))
+        rows.append(f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>")
+    table = "<table><tr><th>key</th><th>values</th><th>unit</th></tr>" + "".join(rows) + "</table>"
+    return f"<div><pre>{escape(repr(study))}</pre>{table}{rig_svg(study.case(0))}</div>"
+
+
+def _with_meanings(text: str) -> str:
+    """Return a text whose keys tell, under a pointer, what they mean."""
+
+    def with_meaning(match: re.Match[str]) -> str:
+        key = key_of(match[0]) or BY_PATH.get(path_of(match[0]))
+        if key is None:
+            return match[0]
+        unit = "" if key.unit in ("-", "1") else f" ({key.unit})"
+        title = escape(f"{key.meaning}{unit}; {key.allowed}", quote=True)
+        return f'<abbr title="{title}">{match[0]}</abbr>'
+
+    return _KEY.sub(with_meaning, escape(with_signs(text)))

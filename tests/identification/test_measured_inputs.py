@@ -1,0 +1,187 @@
+"""Fits of tests whose friction, load or speed the rig has measured."""
+
+import copy
+
+import numpy as np
+import pytest
+from laboratory import END, FITTED, TRUTH, changed, fit_tables, history, write_table, write_tests
+from mpi4py import MPI
+from scipy.interpolate import make_smoothing_spline
+
+import ringwear_par as rw
+from ringwear_par.errors import InputError
+from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.fit import fit_problem
+from ringwear_par.identification.smoothing import curve, penalised
+
+K, MU = "wear.lower.k", "contact.friction"
+FRICTION = [[0.0, 0.06], [20.0, 0.1], [50.0, 0.12], [END, 0.12]]
+INPUT = {"key": MU, "quantity": "torque", "columns": {"time": "t_s", "value": "m_Nm"}}
+
+
+def write_measured(folder, truth, pressures):
+    """Return the fit file, as a dict, of tests without noise whose torques are measured."""
+    experiments = write_tests(folder, pressures, None, truth=truth, **{MU: FRICTION})
+    for number, experiment in enumerate(experiments, start=1):
+        result = history(experiment["set"]["load.pressure"], truth, **{MU: FRICTION})
+        t = np.linspace(0.0, END, 400)
+        torque = np.interp(t, result.histories["time"], result.histories["torque"])
+        write_table(folder / f"m{number}.csv", ("t_s", "m_Nm"), t, 1e-3 * torque)
+        experiment["input"] = [{**INPUT, "file": str(folder / f"m{number}.csv"), "smooth": "none"}]
+        experiment["set"]["wear.lower.p0"] = truth["wear.lower.p0"]
+        experiment["data"][0]["nuisance"]["drift"] = {}
+    tables = fit_tables(folder, experiments, starts=1)
+    tables["fit"]["parameters"] = {K: FITTED[K]}
+    return tables
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """A folder, and the fit file of two tests."""
+    folder = tmp_path_factory.mktemp("measured")
+    return folder, write_measured(folder, TRUTH, (40.0, 85.0))
+
+
+@pytest.fixture
+def tables(written):
+    """Their fit file as a dict."""
+    return copy.deepcopy(written[1])
+
+
+# -- curves ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("penalty", [1e-3, 0.1, 10.0])
+def test_a_spline_with_knots_at_all_readings_is_the_smoothing_spline_of_scipy(penalty):
+    x = np.linspace(0.0, 3.0, 12)
+    value = np.sin(x) + 0.1 * np.random.default_rng(0).standard_normal(12)
+    expected = make_smoothing_spline(x, value, lam=penalty)(x)
+    np.testing.assert_allclose(penalised(x, value, penalty)(x), expected, rtol=1e-10)
+
+
+@pytest.mark.serial
+def test_cross_validation_follows_friction_and_not_its_noise():
+    t, rng = np.linspace(20.0, 7200.0, 360), np.random.default_rng(1)
+    mu = 0.15 - 0.04 * np.exp(-t / 1200.0)
+    smoothed = curve(t, mu * (1.0 + 0.02 * rng.standard_normal(360)), "auto", 7200.0)
+    assert np.abs(smoothed(t) / mu - 1.0).max() < 0.02
+    assert np.std(smoothed(t) / mu) < 0.005
+    assert smoothed(0.0) == smoothed(20.0)
+
+
+@pytest.mark.serial
+def test_of_waves_of_the_given_period_half_is_left():
+    t = np.linspace(0.0, 1000.0, 4000)
+    smoothed = curve(t, 1.0 + 0.1 * np.sin(2.0 * np.pi * t / 50.0), 50.0, 1000.0)(t)
+    assert np.ptp(smoothed[1000:3000]) == pytest.approx(0.1, rel=0.01)
+
+
+# -- fits ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.ranks
+def test_friction_is_that_of_the_torque_at_the_radius_of_the_history(tables, comm):
+    """Without noise it is the true one; at the nominal mean radius it is a thousandth off."""
+    problem = read_fit(tables)
+    t = np.linspace(0.0, END, 50)
+    true = np.interp(t, *np.transpose(FRICTION))
+    nominal = problem.experiments[0].case.friction(t)
+    assert 3e-4 < np.abs(nominal / true - 1.0).max() < 2e-2
+    found = fit_problem(problem, comm)
+    known = copy.deepcopy(tables)
+    for experiment in known["experiment"]:
+        del experiment["input"]
+        experiment["set"][MU] = FRICTION
+    expected = rw.fit(known, MPI.COMM_SELF).parameters[0]
+    assert found.parameters[0].estimate == pytest.approx(expected.estimate, rel=1e-4)
+    assert found.parameters[0].sd == pytest.approx(expected.sd, rel=1e-2)
+    for inputs in found.to_dict()["inputs"].values():
+        time, value = (np.array(inputs[MU][name]) for name in ("time", "value"))
+        np.testing.assert_allclose(np.interp(t, time, value), true, rtol=1e-4)
+    assert found.to_dict()["key"] == read_fit(tables).key
+    alone = rw.fit(tables, MPI.COMM_SELF)
+    assert [p.estimate for p in alone.parameters] == [p.estimate for p in found.parameters]
+
+
+@pytest.mark.serial
+def test_a_calibration_widens_the_interval_by_its_own_uncertainty(tmp_path):
+    """Without threshold k mu counts: the variance of log k gains that of log mu."""
+    plain = write_measured(tmp_path, {**TRUTH, "wear.lower.p0": 0.0}, (85.0,))
+    exact = rw.fit(plain, MPI.COMM_SELF)
+    scaled = changed(plain, ("experiment", 0, "input", 0, "scale"),
+                     {"prior": {"normal": [1.0, 0.03]}})  # fmt: skip
+    found = rw.fit(scaled, MPI.COMM_SELF)
+    relative = [one.sd / one.estimate for one in (exact.parameters[0], found.parameters[0])]
+    assert relative[1] == pytest.approx(np.hypot(relative[0], 0.03), rel=0.02)
+    scale = found.to_dict()["inputs"]["test 1"][MU]["scale"]
+    assert scale["sd"] == pytest.approx(0.03, rel=0.02)
+    assert scale["estimate"] == pytest.approx(1.0, abs=0.01)
+    assert ", scale " in found.summary()
+    # a calibration that is known to be off is taken so
+    off = changed(scaled, ("experiment", 0, "input", 0, "scale"),
+                  {"prior": {"normal": [1.1, 1e-6]}})  # fmt: skip
+    assert rw.fit(off, MPI.COMM_SELF).parameters[0].estimate == pytest.approx(
+        exact.parameters[0].estimate / 1.1, rel=1e-3
+    )
+
+
+@pytest.mark.serial
+def test_measured_loads_and_speeds_are_those_of_the_case(tables, written):
+    folder, _ = written
+    t = np.linspace(0.0, END, 60)
+    write_table(folder / "f.csv", ("t_s", "p_bar"), t, 10.0 * np.full(60, 85.0))
+    write_table(folder / "w.csv", ("t_min", "n_rpm"), t / 60.0, np.full(60, 30.0))
+    tables = changed(tables, ("experiment", 1, "set"),
+                     {"time.end": END, "wear.lower.p0": 25.0})  # fmt: skip
+    tables["experiment"][1]["input"] += [
+        {"key": "load.pressure", "file": str(folder / "f.csv"),
+         "columns": {"time": "t_s", "value": "p_bar"}},
+        {"key": "load.omega", "file": str(folder / "w.csv"),
+         "columns": {"time": "t_min", "value": "n_rpm"}},
+    ]  # fmt: skip
+    case = read_fit(tables).experiments[1].case
+    assert case.load.force(50.0) == pytest.approx(85.0 * case.area)
+    assert case.load.omega(50.0) == pytest.approx(np.pi)
+    assert case.friction(60.0) == pytest.approx(0.12, rel=5e-3)
+
+
+# -- refusals --------------------------------------------------------------------------------------
+
+
+@pytest.mark.serial
+def test_all_faults_of_inputs_are_told_together(tables, written):
+    folder, _ = written
+    t = np.linspace(0.0, 0.5 * END, 12)
+    write_table(folder / "low.csv", ("t_s", "m_Nm"), t, np.linspace(-1.0, 10.0, 12))
+    write_table(folder / "few.csv", ("t_s", "m_Nm"), [0.0, END], [10.0, 10.0])
+    tables = changed(tables, ("experiment", 0, "set", MU), 0.1)
+    tables = changed(tables, ("fit", "parameters", MU), {"start": 0.1, "bounds": [0.01, 1.0]})
+    first, second = tables["experiment"]
+    first["input"][0]["file"] = str(folder / "low.csv")
+    torque = {"quantity": "torque", "file": str(folder / "m1.csv"), "sd": 1.0,
+              "columns": {"time": "t_s", "value": "m_Nm"}}  # fmt: skip
+    first["data"].append(torque)
+    second["input"] = [
+        {**INPUT, "file": str(folder / "few.csv"), "smoth": "auto"},
+        {"key": "load.omega", "quantity": "torque", "file": str(folder / "few.csv"),
+         "columns": {"time": "t_s", "value": "m_Nm"}},
+    ]  # fmt: skip
+    with pytest.raises(InputError) as refused:
+        read_fit(tables)
+    text = "\n".join(refused.value.faults)
+    for sentence in (
+        "contact.friction: contact.friction is an input; cannot be fitted too",
+        "set: contact.friction: contact.friction is an input; cannot be set too",
+        "torque: is an input; cannot be fitted too",
+        "must be > 0",
+        "cover 50 % of the test; must cover 95 % at least",
+        "smoth: unknown key",
+        'quantity = "torque": must be absent: a load or a speed is its own quantity',
+    ):
+        assert sentence in text, (sentence, text)
+    few = changed(tables, ("experiment",), [second])
+    del few["experiment"][0]["input"][0]["smoth"], few["experiment"][0]["input"][1]
+    del few["fit"]["parameters"][MU]
+    with pytest.raises(InputError, match="has 2 readings; must have 10 at least"):
+        read_fit(few)
