@@ -31,21 +31,17 @@ def _cut(text: str, most: int) -> str:
 
 @dataclass(frozen=True)
 class ValidityWarning:
-    """A reason why numbers may not be valid, though they were computed.
+    """A reason why numbers may not be valid, though they were computed."""
 
-    Parameters
-    ----------
-    code : a short name, of letters, underscores and hyphens, of warnings of this kind.
-    text : the whole sentence.
-    keys : of the numbers that may be wrong, or that it is about; () for none.
-    experiments : of a fit, that it is of; () for all.
-    values : numbers of the sentence, by name.
-    """
-
+    #: a short name, of letters, underscores and hyphens, of warnings of this kind
     code: str
+    #: the whole sentence
     text: str
+    #: of the numbers that may be wrong, or that it is about; () for none
     keys: tuple[str, ...] = ()
+    #: of a fit, that it is of; () for all
     experiments: tuple[str, ...] = ()
+    #: numbers of the sentence, by name
     values: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:

@@ -92,7 +92,7 @@ def read_a_result(folder: Path, rng: random.Random) -> None:
     read_error(path)
     result = open_result(path)
     looks: list[Callable[[], object]] = [
-        result.summary, lambda: repr(result), result.variables, lambda: result.balances,
+        result.summary, lambda: repr(result), result.to_xarray, lambda: result.balances,
         lambda: result.doubts, lambda: result.user_laws,
         lambda: write_result(folder / "again.h5", result),
         lambda: export(result, folder / "a.csv", fields=rng.random() < 0.5),

@@ -153,11 +153,6 @@ class KeyNumber:
         return f"{self.label} {self.text}{unit}" + f" ({self.note})" * bool(self.note)
 
 
-def by_name(numbers: Iterable[KeyNumber]) -> dict[str, float]:
-    """Return the values of key numbers by name."""
-    return {number.name: number.value for number in numbers}
-
-
 def in_groups(numbers: Iterable[KeyNumber]) -> dict[str, list[KeyNumber]]:
     """Return key numbers by group, in order."""
     groups: dict[str, list[KeyNumber]] = {}

@@ -439,7 +439,7 @@ def test_missing_packages_are_told(folder, tmp_path, monkeypatch):
 def test_the_command(ranks, folder, tmp_path):
     done = ringwear("report", folder / "run.h5", "-o", tmp_path / "page.html", ranks=ranks)
     assert done.returncode == 0, done.stderr
-    assert done.stdout == f"{tmp_path}/page.html: Wear history of a test, 12 figures\n"
+    assert done.stdout == f"{tmp_path}/page.html: Wear history of a test, 13 figures\n"
     assert (tmp_path / "page.html").read_bytes() == (folder / "run.html").read_bytes()
     refused = ringwear("report", folder / "away.h5", "-o", tmp_path / "other.html", ranks=ranks)
     assert refused.returncode == 2

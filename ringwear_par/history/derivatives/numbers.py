@@ -137,7 +137,10 @@ class Sensitivity:
         return load
 
     def layer_starts(self, i: int, law: Law) -> FloatArray | float:
-        """Return derivatives of the depths at which layers start, see ``VaryingNumbers``."""
+        """Return the derivatives of the depths at which layers start, (P, ..., n) mm, or 0.
+
+        Along the axis, of the layers of body i that elements are in.
+        """
         thicknesses = self.thicknesses.get(i)
         if thicknesses is None or not thicknesses.any() or not isinstance(law, LayeredLaw):
             return 0.0
@@ -146,7 +149,7 @@ class Sensitivity:
         return np.moveaxis(starts[law.present], -1, 0)
 
     def rates(self, i: int, law: Law, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return derivatives of rates with respect to the numbers, see ``VaryingNumbers``."""
+        """Return the derivatives of the rate of body i, (P, ..., n), at given pressure and wear."""
         out = self.zeros(*p.shape)
         for row, name in self._laws[i]:
             if name in law.numeric:

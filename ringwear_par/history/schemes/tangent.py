@@ -22,12 +22,12 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, columns, inner
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
+from ringwear_par.history.derivatives.linearised import LinearisedIncrement, linearise
 from ringwear_par.history.physics import Physics, Sliding
 from ringwear_par.history.schemes.closing_elements import ClosingElements
 from ringwear_par.history.state import State, Tangent
 from ringwear_par.wear.increment import WearIncrement, total_of
 from ringwear_par.wear.law import Law, WearLaw
-from ringwear_par.wear.linearised import LinearisedIncrement, linearise
 
 # -- along one step --------------------------------------------------------------------------------
 

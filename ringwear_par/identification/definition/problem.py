@@ -271,6 +271,13 @@ class Experiment:
         """The measured friction, if there is one."""
         return next((one for one in self.inputs if one.of_torque), None)
 
+    @property
+    def conditions(self) -> str:
+        """The text of its case without measured friction: that of repeats is the same."""
+        if self.torque_input is None:
+            return self.case.text
+        return self.case.replace({"contact.friction": 1.0}).text
+
     def with_radius(self, radius: schedules.Quantity) -> "Experiment":
         """Return the test with the friction that the torque tells at a radius, mm."""
         inputs = tuple(replace(i, radius=radius) if i.of_torque else i for i in self.inputs)

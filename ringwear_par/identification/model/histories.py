@@ -37,6 +37,8 @@ MOST_SHIFT_SD = 0.2
 _EQUAL = 4
 #: of them, fewest of a piece between two bends of schedules; fewest of any piece
 _SHARE, _FEWEST = 0.3, 3
+#: pieces from which on one step of each short one will do
+_MANY = 100
 #: shares of the test: its first step, half of one after a bend; a piece that is short
 _FIRST, _SHORT = 2e-4, 1e-2
 #: times closer than this share of the test are one
@@ -70,7 +72,7 @@ def step_times(experiment: Experiment, steps: int = STEPS) -> FloatArray:
             grown = np.geomspace(first, length, count)
             pieces.append(low + (_limited(grown, _EQUAL * count) if layered else grown))
         else:
-            count = max(_FEWEST, steps // 10)
+            count = max(_FEWEST, steps // 10) if len(cuts) <= _MANY else max(1, steps // STEPS)
             pieces.append(np.linspace(low, high, 1 + count)[1:])
     fixed = {*case.breakpoints, end, *(s.at for s in experiment.series if s.at is not None)}
     times: list[float] = []

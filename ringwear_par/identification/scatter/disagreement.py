@@ -61,7 +61,7 @@ def disagreements(
     information = np.array([np.diag(test.information) for test in reduced])
     conditions = defaultdict(list)
     for i, experiment in enumerate(problem.experiments):
-        conditions[experiment.case.text].append(i)
+        conditions[experiment.conditions].append(i)
     warnings = []
     for key, parameter in enumerate(problem.parameters):
         at_bound = not misfit.lower[key] < x[key] < misfit.upper[key]

@@ -1,36 +1,14 @@
 """How the wear of a step varies with P numbers and with pressure."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.history.derivatives.numbers import Sensitivity
 from ringwear_par.wear.increment import WearIncrement, WearingBody, total_of
-from ringwear_par.wear.law import Law
 from ringwear_par.wear.laws.non_local import averaged
-from ringwear_par.wear.local_state import LocalState
-
-
-class VaryingNumbers(Protocol):
-    """P numbers with which the wear of a step varies."""
-
-    @property
-    def averages(self) -> Mapping[int, tuple[int, FloatArray]]:
-        """Of bodies, which number their averages depend on, and (n, n) how."""
-
-    def layer_starts(self, i: int, law: Law) -> FloatArray | float:
-        """Return the derivatives of the depths at which layers start, (P, ..., n) mm, or 0.
-
-        Along the axis, of the layers of body i that elements are in.
-        """
-
-    def rates(self, i: int, law: Law, p: FloatArray, at: LocalState) -> FloatArray:
-        """Return the derivatives of the rate of body i with respect to the numbers, (P, ..., n).
-
-        At given pressure and wear.
-        """
 
 
 @dataclass(frozen=True)
@@ -113,7 +91,7 @@ class LinearisedIncrement:
 def linearise(
     increment: WearIncrement,
     p: FloatArray,
-    numbers: VaryingNumbers,
+    numbers: Sensitivity,
     d_wear: FloatArray,
     d_step: FloatArray | None,
     instant: bool,
@@ -139,7 +117,7 @@ def _linearised(
     increment: WearIncrement,
     body: WearingBody,
     p: FloatArray,
-    numbers: VaryingNumbers,
+    numbers: Sensitivity,
     normal: FloatArray,
     d_step: FloatArray | None,
     instant: bool,
