@@ -4,30 +4,37 @@
     python scripts/follow_check.py FIT.toml [--steps 6000]    # needs emcee; a minute
 
 The last test of the fit file is followed after a fit of the others, in one go. Beside it emcee
-samples the joint posterior of the whole fit file: the material's keys, the sizes of scatter and
-random wear with their priors, and each specimen's values, with a dense covariance of all readings
-of a test that is written here anew. Nothing is linearised there. For fit files with "fit" scatter
+samples two posteriors, with a dense covariance of all readings of a test that is written here anew:
+that of the last specimen, with what the fit of the others knows as its prior, which is what a bank
+is to tell; and the joint one of the whole fit file, of the material's keys, the sizes of scatter
+and random wear with their priors, and each specimen's values. Nothing is linearised in that: it
+also differs where the fit's own linear model of the keys does. For fit files with "fit" scatter
 of one key or process of one body, white noise, and nuisances offset and drift.
 """
 
 import argparse
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import emcee
 import numpy as np
 from mpi4py import MPI
+from scipy.special import logsumexp
 
 import ringwear_par as rw
 from ringwear_par.arrays import FloatArray
 from ringwear_par.files.text import parse_json
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem
+from ringwear_par.identification.fit import fit_problem
+from ringwear_par.identification.fitted_values import fitted_values
 from ringwear_par.identification.model.readings import Reader
 from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.monitoring.follow import run_follow
 from ringwear_par.monitoring.histories import SpecimenHistories, planned
+from ringwear_par.prediction.draws import NEXT, log_densities
 from ringwear_par.results.execution.stopping import StopSignals
 
 #: draws of keys about a fit's material, in its sd, that histories are interpolated between
@@ -104,6 +111,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("fit", type=Path)
     parser.add_argument("--steps", type=int, default=6000)
+    parser.add_argument("--given", action="store_true", help="sample the first posterior only")
     arguments = parser.parse_args()
     problem, rng = read_fit(arguments.fit), np.random.default_rng(SEED)
     with tempfile.TemporaryDirectory() as folder:
@@ -120,6 +128,59 @@ def main() -> None:
     dense = [DenseTest(problem, i, np.clip(about, low, high)) for i in range(tests)]
     scatters = bool(scattering)
     deepest = 0.0 if fit.material is None or scatters else float(fit.material.wear.depths[0])
+
+    def report(chain: FloatArray, worth: float) -> None:
+        for j, key in enumerate(problem.keys):
+            values = np.array([problem.parameters[j].value(u) for u in chain[:, j]])
+            of, spread = followed["keys"][key], values.std()
+            ends = np.quantile(values, (0.025, 0.5, 0.975))
+            theirs = (of["interval"][0], of["estimate"], of["interval"][1])
+            print(f"{key}: sd {spread:.4g}; emcee is worth {worth:.0f} draws, the bank "
+                  f"{followed['effective']:.0f}")  # fmt: skip
+            for name, one, other in zip(
+                ("low end", "median", "high end"), ends, theirs, strict=True
+            ):
+                off = (other - one) / spread
+                print(f"  {name}: emcee {one:.4g}, follow {other:.4g} ({off:+.3f} sd)")
+
+    def sampled(
+        log_probability: Callable[[FloatArray], FloatArray], start: FloatArray
+    ) -> tuple[FloatArray, float]:
+        moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
+        shape = (WALKERS, start.shape[1])
+        sampler = emcee.EnsembleSampler(*shape, log_probability, moves=moves, vectorize=True)
+        sampler.random_state = np.random.RandomState(SEED).get_state()
+        sampler.run_mcmc(start, arguments.steps, skip_initial_state_check=True)
+        past = arguments.steps // 5
+        times = sampler.get_autocorr_time(discard=past, quiet=True)
+        chain = sampler.get_chain(discard=past, flat=True)
+        return chain, len(chain) / float(times.max())
+
+    rest = replace(problem, experiments=problem.experiments[:-1])
+    values = fitted_values(fit_problem(rest, MPI.COMM_SELF))
+    parts, place = np.arange(len(values.weights)), problem.experiments[-1].groups[0]
+    of = place if place in values.specimens else NEXT
+    wearing = values.sizes.max(axis=1)
+    by_size = [parts[wearing == size] for size in np.unique(wearing)]
+
+    def given_fit(points: FloatArray) -> FloatArray:
+        inside = ((points >= low) & (points <= high)).all(axis=1)
+        every = [np.tile(points[:, None], (1, len(some), 1)) for some in by_size]
+        logs = []
+        for at, some in zip(every, by_size, strict=True):
+            prior = log_densities(
+                values, of, at.reshape(-1, m), np.tile(some, len(points))
+            ).reshape(len(points), -1)
+            size = np.full(len(points), wearing[some[0]])
+            logs.append(logsumexp(prior, axis=1) + dense[-1](points, size))
+        total = logsumexp(np.array(logs), axis=0)
+        return np.where(inside & np.isfinite(total), total, -np.inf)
+
+    begin = np.clip(fit.x[:m] + 0.1 * sd * rng.standard_normal((WALKERS, m)), low, high)
+    print("given the fit of the other tests")
+    report(*sampled(given_fit, begin))
+    if arguments.given:
+        return
 
     def split(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         keys, size = points[:, :m], np.exp(points[:, m])
@@ -144,30 +205,13 @@ def main() -> None:
         key = scattering[0]
         own = fit.material.test_unknowns[:, key][None] - start[:, [key]]
         start[:, m + 1 :] = own / np.exp(start[:, [m]])
-    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
-    sampler = emcee.EnsembleSampler(
-        WALKERS, dimension, log_probability, moves=moves, vectorize=True
-    )
-    sampler.random_state = np.random.RandomState(SEED).get_state()
-    sampler.run_mcmc(start, arguments.steps, skip_initial_state_check=True)
-    chain = sampler.get_chain(discard=arguments.steps // 5)
-    times = sampler.get_autocorr_time(discard=arguments.steps // 5, quiet=True)
-    keys, size, deviations = split(chain.reshape(-1, dimension))
+    chain, worth = sampled(log_probability, start)
+    keys, size, deviations = split(chain)
     if scatters:
         keys = keys.copy()
         keys[:, scattering[0]] += size * deviations[:, -1]
-    for j, key in enumerate(problem.keys):
-        values = np.array([problem.parameters[j].value(u) for u in keys[:, j]])
-        own = np.quantile(values, (0.025, 0.5, 0.975))
-        of = followed["keys"][key]
-        theirs = (of["interval"][0], of["estimate"], of["interval"][1])
-        spread = values.std()
-        worth = len(values) / times.max()
-        print(f"{key}: sd {spread:.4g}; emcee is worth {worth:.0f} draws, the bank "
-              f"{followed['effective']:.0f}")  # fmt: skip
-        for name, one, other in zip(("low end", "median", "high end"), own, theirs, strict=True):
-            off = (other - one) / spread
-            print(f"  {name}: emcee {one:.4g}, follow {other:.4g} ({off:+.3f} sd)")
+    print("of all tests together")
+    report(keys, worth)
 
 
 if __name__ == "__main__":

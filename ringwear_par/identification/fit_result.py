@@ -54,7 +54,7 @@ class FitResult(Outcome, Solution):
         "summary": f"{_ROOM}.summary", "to_dict": f"{_ROOM}.fit_numbers",
         "doubts": f"{_ROOM}.fit_doubts", "save": f"{_ROOM}.fit_folder", "plot": f"{_ROOM}.figures",
         "plot_parameters": f"{_ROOM}.figures", "plot_specimens": f"{_ROOM}.figures",
-        "to_arviz": f"{_ROOM}.arviz_groups", "log_evidence": f"{_ROOM}.evidence",
+        "to_arviz": f"{_ROOM}.arviz_groups",
     }  # fmt: skip
 
     misfit: Misfit

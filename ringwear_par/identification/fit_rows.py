@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ringwear_par.cases.units import CUSTOMARY
 from ringwear_par.identification.definition.problem import body_of_wear
 from ringwear_par.identification.definition.scatter import PLURALS
-from ringwear_par.identification.evidence import probabilities
 
 Entry = Mapping[str, Any]
 Interval = Sequence[float | None]
@@ -274,3 +275,12 @@ def process_lines(outcome: Entry) -> list[str]:
             "alone is enough for values of the material"
         )
     return lines
+
+
+def probabilities(evidences: Mapping[str, float | None]) -> dict[str, float]:
+    """Return the probability of each law whose evidence is known, as if all were equal before."""
+    known = {name: value for name, value in evidences.items() if value is not None}
+    if not known:
+        return {}
+    shares = np.exp(np.array([*known.values()]) - max(known.values()))
+    return dict(zip(known, (shares / shares.sum()).tolist(), strict=True))

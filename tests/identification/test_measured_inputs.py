@@ -10,9 +10,9 @@ from scipy.interpolate import make_smoothing_spline
 
 import ringwear_par as rw
 from ringwear_par.errors import InputError
+from ringwear_par.files.smoothing import curve, penalised
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fit import fit_problem
-from ringwear_par.identification.smoothing import curve, penalised
 
 K, MU = "wear.lower.k", "contact.friction"
 FRICTION = [[0.0, 0.06], [20.0, 0.1], [50.0, 0.12], [END, 0.12]]

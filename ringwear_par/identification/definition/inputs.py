@@ -10,6 +10,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.columns import FileStore, read_intervals
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.files.measurements import and_more
+from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.data_sources import read_readings
 from ringwear_par.identification.definition.problem import FittedParameter, MeasuredInput
 from ringwear_par.identification.definition.schema import (
@@ -19,7 +20,6 @@ from ringwear_par.identification.definition.schema import (
     INPUT_SCALE,
 )
 from ringwear_par.identification.definition.series import check_times, lines_of, rounded_end
-from ringwear_par.identification.smoothing import MOST_POINTS
 from ringwear_par.schedules import in_time, points_of
 from ringwear_par.studies.definition.variations import split_key
 

@@ -14,7 +14,7 @@ import numpy as np
 from ringwear_par import schedules
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
-from ringwear_par.identification.smoothing import Smoothing, curve
+from ringwear_par.files.smoothing import Smoothing, curve
 from ringwear_par.version import __version__
 
 Quantity = Literal[

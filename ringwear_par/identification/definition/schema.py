@@ -22,6 +22,7 @@ from ringwear_par.cases.values import (
     text,
     whole,
 )
+from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.problem import (
     Criterion,
     DesignSpace,
@@ -31,7 +32,6 @@ from ringwear_par.identification.definition.problem import (
     Quantity,
     Settings,
 )
-from ringwear_par.identification.smoothing import MOST_POINTS
 
 QUANTITIES = get_args(Quantity)
 #: nuisances that a quantity may have
