@@ -414,7 +414,7 @@ class _Rows(NamedTuple):
 
     #: of these rows among those that are solved
     places: IntArray | slice
-    #: of them
+    #: of the rows
     histories: IntArray | slice
     #: (h,) int, of their bases
     numbers: IntArray
