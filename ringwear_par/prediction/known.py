@@ -115,7 +115,8 @@ def check_predicted(known: FitKnowledge, case: Case, name: str, of: str, dashes:
 
     Parameters
     ----------
-    name : what messages call the case; dashes : before the options of the command.
+    name : what messages call the case.
+    dashes : before the options of the command.
 
     Raises
     ------

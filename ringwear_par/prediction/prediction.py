@@ -66,9 +66,11 @@ class Prediction(Outcome):
     Parameters
     ----------
     of : "next specimen", "material" or the name of a specimen.
-    fit : what messages call the fit; case : TOML text of the case.
+    fit : what messages call the fit.
+    case : TOML text of the case.
     seed : of the draws.
-    keys : of the fit, with their units; values : (draws, m) of these.
+    keys : of the fit, with their units.
+    values : (draws, m) of these.
     sizes : (2, draws) mm, of the process noise of lower and upper; 0: none.
     time : (steps,) s.
     histories : (draws, steps) each, by name, see ``QUANTITIES``.

@@ -182,7 +182,8 @@ def reproduced(
     Parameters
     ----------
     first : what is to be done before the commands are typed.
-    versions : of the software; data : SHA-256 of files by name.
+    versions : of the software.
+    data : SHA-256 of files by name.
     """
     blocks: list[Block] = [Lines([first]), Source("Commands", commands), *sources]
     if data:

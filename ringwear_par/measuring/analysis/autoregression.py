@@ -32,7 +32,8 @@ def regress(columns: FloatArray, values: FloatArray) -> Regression:
 
     Parameters
     ----------
-    columns : (n, m) float, n > m; values : (n,) float.
+    columns : (n, m) float, n > m.
+    values : (n,) float.
     """
     n, m = columns.shape
     autocorrelation = 0.0

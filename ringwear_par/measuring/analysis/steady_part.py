@@ -85,7 +85,8 @@ def block_means(time: FloatArray, values: FloatArray) -> Blocks:
 
     Parameters
     ----------
-    time : (n,) s, not falling, from 0; values : (n,), NaN where nothing was read.
+    time : (n,) s, not falling, from 0.
+    values : (n,), NaN where nothing was read.
     """
     filled = np.isfinite(values)
     time, values = time[filled], values[filled]

@@ -77,7 +77,7 @@ class CaseSet(NamedTuple):
 
     #: the cases
     cases: Sequence[Case]
-    #: of each
+    #: of the cases
     ids: Sequence[str]
 
     def part(self, places: Sequence[int]) -> "CaseSet":
@@ -90,11 +90,11 @@ class CaseSet(NamedTuple):
 class Plan:
     """The cases that a sweep computes, the same on all ranks."""
 
-    #: how
+    #: how it is computed
     request: Request
     #: the study
     study: Study
-    #: its files
+    #: files of the sweep
     folder: SweepFolder
     #: for each group of the study, its cases that are to be computed here
     todo: Groups
