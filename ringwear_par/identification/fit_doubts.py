@@ -153,18 +153,18 @@ def _of_the_search(fit: "FitResult") -> Iterator[ValidityWarning]:
 
 
 def assumptions(fit: "FitResult") -> list[ValidityWarning]:
-    """Return the doubts about columns whose unit nobody names."""
+    """Return the doubts about units that nobody names, or that are likely wrong."""
     return [
         ValidityWarning(
             "assumed-unit", f"{series.name} ({experiment.name}): {sentence}", (), (experiment.name,)
         )
         for experiment, series, _ in fit.misfit.records
-        for sentence in series.assumptions
+        for sentence in series.assumptions + series.suspicions
     ] + [
         ValidityWarning(
             "assumed-unit", f"{one.key} ({experiment.name}): {sentence}", (), (experiment.name,)
         )
         for experiment in fit.misfit.problem.experiments
         for one in experiment.inputs
-        for sentence in one.assumptions
+        for sentence in one.assumptions + one.suspicions
     ]

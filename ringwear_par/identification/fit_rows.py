@@ -59,18 +59,16 @@ def limits(interval: Interval, digits: int = 5) -> str:
     return f"more than {low:.{digits}g}" if high is None else f"less than {high:.{digits}g}"
 
 
-def _in_users_unit(entry: Entry) -> Entry:
-    """Return the numbers of a key in the unit that its user writes, or else in the case's."""
-    return entry.get("told") or {**entry, "scale": 1.0}
+def users_numbers(entry: Entry) -> tuple[Entry, str]:
+    """Return the numbers of a key in the unit that its user writes, or the case's, and that."""
+    numbers = entry.get("told") or {**entry, "scale": 1.0}
+    unit = "" if numbers["unit"] in ("1", "-") else str(numbers["unit"])
+    return numbers, f"{unit} per {numbers['per']}" if "per" in numbers else unit
 
 
 def key_rows(key: str, entry: Entry) -> list[KeyRow]:
     """Return the rows of a fitted key: its estimate, and the specific wear rate that this means."""
-    in_unit, unit = _in_users_unit(entry), ""
-    if in_unit["unit"] not in ("1", "-"):
-        unit = (
-            f"{in_unit['unit']} per {in_unit['per']}" if "per" in in_unit else str(in_unit["unit"])
-        )
+    in_unit, unit = users_numbers(entry)
     posterior: tuple[float, ...] = ()
     if (sampled := entry.get("posterior")) is not None:
         posterior = tuple(v / in_unit["scale"] for v in (sampled["median"], *sampled["interval"]))
@@ -205,7 +203,7 @@ def scatter_lines(estimate: Mapping[str, Any], level: float) -> list[str]:
     """Return sentences about the scatter of a key, none without; ``estimate`` as in fit.json."""
     if estimate["of"] != "material":
         return []
-    log, in_unit = "mean" in estimate, _in_users_unit(estimate)
+    log, (in_unit, _) = "mean" in estimate, users_numbers(estimate)
     unit = "" if in_unit["unit"] in ("1", "-") else f" {in_unit['unit']}"
 
     def size(value: float) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import in_signs, with_signs
+from ringwear_par.identification.fit_rows import users_numbers
 from ringwear_par.pictures.panels import Axis, Band, Curve, Panel
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.prediction.prediction import TimeTo
@@ -41,6 +42,14 @@ class KeyAnswer:
     before: tuple[float, float]
     #: half the interval over the median
     percent: float
+    #: the same numbers in the user's unit, as in fit.json; None where that is the case's
+    in_users_unit: Mapping[str, Any] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return its entry of follow.json."""
+        entry = asdict(self)
+        converted = entry.pop("in_users_unit")
+        return entry if converted is None else {**entry, "told": converted}
 
 
 @dataclass(frozen=True)
@@ -129,10 +138,11 @@ class Answer:
         lines = [f"{self.test}: {self.readings} readings to {self._at(self.time)} of "
                  f"{self._at(self.end)}"]  # fmt: skip
         for key, of in self.keys.items():
-            unit = "" if of.unit in ("1", "-") else f" {of.unit}"
-            (low, high), (first, last) = of.interval, of.before
+            numbers, unit = users_numbers(of.to_dict())
+            (low, high), (first, last) = numbers["interval"], numbers["before"]
+            estimate = f"{numbers['estimate']:.4g} {unit}".rstrip()
             lines.append(
-                f"  {key}  {of.estimate:.4g}{unit} of this specimen  from {low:.4g} to {high:.4g} "
+                f"  {key}  {estimate} of this specimen  from {low:.4g} to {high:.4g} "
                 f"({share}, +-{of.percent:.2g} %; before the test {first:.4g} to {last:.4g})"
             )
         expected = f", +-{goal.at_end:.2g} % is expected there" if goal.time is None else ""
@@ -153,7 +163,7 @@ class Answer:
         depth, when = (None, None) if self.depth is None else self.depth
         return {
             **content,
-            "keys": {key: asdict(of) for key, of in self.keys.items()},
+            "keys": {key: of.to_dict() for key, of in self.keys.items()},
             "goal": asdict(self.goal),
             "depth": None if when is None else {"depth": depth, **when._asdict()},
             "alarm": None if self.alarm is None else asdict(self.alarm),
@@ -170,15 +180,17 @@ class Answer:
         """
         unit, seconds = time_unit(self.end)
         goal, key, warnings = self.goal, self.keys[self.goal.key], self.warnings
-        time, low, median, high = self.trace.T
+        numbers, unit_of_key = users_numbers(key.to_dict())
+        time = self.trace[:, 0]
+        low, median, high = self.trace[:, 1:].T / numbers["scale"]
         of_key = Panel(
-            Axis(f"time ({unit})"), Axis(f"{goal.key} ({in_signs(key.unit)})"),
+            Axis(f"time ({unit})"), Axis(f"{goal.key} ({in_signs(unit_of_key or '1')})"),
             "by the readings until then",
             curves=[Curve(time / seconds, median, "median", COLOURS[1], marked=True)],
             bands=[Band(time / seconds, low, high, f"{100 * self.level:g} %", ("low", "high"))],
         )  # fmt: skip
         tiles = [
-            Tile(goal.key, f"{key.estimate:.4g}", in_signs(key.unit),
+            Tile(goal.key, f"{numbers['estimate']:.4g}", in_signs(unit_of_key),
                  with_signs(f"+-{key.percent:.2g} %")),
             Tile(with_signs(f"to +-{goal.percent:g} %"), self.left),
             Tile("readings", "as expected" if self.alarm is None else "alarm",

@@ -1,12 +1,13 @@
 """A running test under watch: its readings are judged window by window, and answered."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import Problem
+from ringwear_par.identification.definition.user_units import in_users_unit
 from ringwear_par.monitoring.answer import Alarm, Answer, Goal, KeyAnswer
 from ringwear_par.monitoring.bank import Bank, effective, quantiles
 from ringwear_par.monitoring.outlook import surprise, time_to, times_of, widths
@@ -84,18 +85,16 @@ class Watch:
         until = float(times[counted].max(initial=0.0))
         self._note(until, intervals)
         units = units_of(problem)
-        keys = {
-            key: KeyAnswer(
-                units[key],
-                median,
-                (low, high),
-                (before[0], before[2]),
+        keys: dict[str, KeyAnswer] = {}
+        for parameter, (low, median, high), (first, _, last) in zip(
+            problem.parameters, intervals.tolist(), self._before.tolist(), strict=True
+        ):
+            one = KeyAnswer(
+                units[parameter.key], median, (low, high), (first, last),
                 50.0 * (high - low) / abs(median),
-            )
-            for key, (low, median, high), before in zip(
-                problem.keys, intervals.tolist(), self._before.tolist(), strict=True
-            )
-        }
+            )  # fmt: skip
+            converted = in_users_unit(parameter, one.to_dict(), experiment.case)
+            keys[parameter.key] = replace(one, in_users_unit=converted)
         key = problem.keys[wishes.key]
         at, half = widths(bank, problem, weights, wishes.key, settings.level)
         half *= keys[key].percent / half[0]  # what is known now is known better

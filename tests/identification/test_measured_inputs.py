@@ -12,6 +12,7 @@ import ringwear_par as rw
 from ringwear_par.errors import InputError
 from ringwear_par.files.smoothing import curve, penalised
 from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.estimation.record_checks import input_trends
 from ringwear_par.identification.fit import fit_problem
 
 K, MU = "wear.lower.k", "contact.friction"
@@ -75,6 +76,42 @@ def test_of_waves_of_the_given_period_half_is_left():
     t = np.linspace(0.0, 1000.0, 4000)
     smoothed = curve(t, 1.0 + 0.1 * np.sin(2.0 * np.pi * t / 50.0), 50.0, 1000.0)(t)
     assert np.ptp(smoothed[1000:3000]) == pytest.approx(0.1, rel=0.01)
+
+
+@pytest.mark.serial
+def test_readings_that_a_curve_does_not_follow_or_that_are_no_friction_are_doubted(tables, written):
+    """A jump of friction that is smoothed away, and a torque in kN m."""
+    t, rng = np.linspace(0.0, END, 300), np.random.default_rng(2)
+    noise = 1.0 + 0.02 * rng.standard_normal(300)
+    smooth, jump = 10.0 - 4.0 * np.exp(-t / 20.0), np.where(t < 55.0, 10.0, 24.0)
+    del tables["experiment"][1]
+    torque = tables["experiment"][0]["input"][0]
+    torque["file"] = str(written[0] / "noisy.csv")
+    suspicions = []
+    for value, smoothing, trends in (
+        (smooth, "auto", 0), (jump, "auto", 1), (jump, "none", 0), (1e-3 * smooth, "auto", 0),
+    ):  # fmt: skip
+        write_table(written[0] / "noisy.csv", ("t_s", "m_Nm"), t, value * noise)
+        torque["smooth"] = smoothing
+        experiments = read_fit(tables).experiments
+        doubts = input_trends(experiments)
+        assert [doubt.code for doubt in doubts] == ["input-trend"] * trends
+        assert all("smooth must be" in doubt.text for doubt in doubts)
+        suspicions += experiments[0].inputs[0].suspicions
+    (sentence,) = suspicions
+    assert sentence.startswith(f"{torque['file']}: readings in Nm mean a friction of ")
+
+
+@pytest.mark.serial
+def test_a_unit_of_another_quantity_names_its_input(tables, written):
+    t = np.linspace(0.0, END, 50)
+    write_table(written[0] / "um.csv", ("t_s", "m_um"), t, np.full(50, 10.0))
+    torque = tables["experiment"][0]["input"][0]
+    torque["file"], torque["columns"] = str(written[0] / "um.csv"), {"time": "t_s", "value": "m_um"}
+    with pytest.raises(InputError) as refused:
+        read_fit(tables)
+    (fault,) = refused.value.faults
+    assert 'experiment "test 1": input 1 (contact.friction): ' in fault
 
 
 # -- fits ------------------------------------------------------------------------------------------
@@ -171,10 +208,10 @@ def test_all_faults_of_inputs_are_told_together(tables, written):
         read_fit(tables)
     text = "\n".join(refused.value.faults)
     for sentence in (
-        "contact.friction: contact.friction is an input; cannot be fitted too",
-        "set: contact.friction: contact.friction is an input; cannot be set too",
+        '"test 1": contact.friction is an input; cannot be fitted too',
+        '"test 1": set: contact.friction is an input; cannot be set too',
         "torque: is an input; cannot be fitted too",
-        "must be > 0",
+        "must be > 0; exclude leaves out",
         "cover 50 % of the test; must cover 95 % at least",
         "smoth: unknown key",
         'quantity = "torque": must be absent: a load or a speed is its own quantity',

@@ -47,7 +47,7 @@ def laboratory(tmp_path_factory):
     tests = [experiment(folder, n, factor, rng) for n, factor in enumerate(factors, start=1)]
     tables = fit_tables(folder, tests, starts=1)
     key = {**tables["fit"]["parameters"][KEY], "scatter": "fit"}
-    tables["fit"]["parameters"] = {KEY: key}
+    tables["fit"]["parameters"], tables["fit"]["units"] = {KEY: key}, {KEY: "mm3/(N m)"}
     for name, chosen in (("fit", tests[:4]), ("running", tests[4:])):
         (folder / f"{name}.toml").write_text(toml_text({**tables, "experiment": chosen}))
     assert ringwear("fit", folder / "fit.toml", "-o", folder / "out").returncode == 0
@@ -94,6 +94,11 @@ def test_the_posterior_of_a_running_test(laboratory, tmp_path):
     sd = (exact[2] - exact[0]) / 3.92
     own = np.log([of["interval"][0], of["estimate"], of["interval"][1]])
     assert own == pytest.approx(exact, abs=0.12 * sd)
+    told = of["told"]
+    for name in ("estimate", "interval", "before"):
+        assert np.array(told[name]) == pytest.approx(1e3 * np.array(of[name]))
+    words = f"{told['estimate']:.4g} mm3/(N m) per friction energy of this specimen"
+    assert words in stored["summary"][1]
     assert stored["alarm"] is None
     assert stored["interpolated"] < 1e-4
     assert of["percent"] < 0.2 * (50 * (of["before"][1] - of["before"][0]) / of["estimate"])
@@ -122,6 +127,17 @@ def test_half_a_test_tells_when_it_is_enough(laboratory, tmp_path):
     assert half["readings"] == 15
     assert half["goal"]["time"] == pytest.approx(60.0, abs=12.0)
     assert 'http-equiv="refresh"' in (tmp_path / "half" / "follow.html").read_text()
+
+
+def test_a_test_that_has_just_begun_is_followed(laboratory):
+    """Its readings end long before its time, and are in the unit that their column names."""
+    lines = (laboratory / "z5.csv").read_text().splitlines(keepends=True)
+    (laboratory / "begun.csv").write_text("".join(lines[:5]))
+    text = (laboratory / "running.toml").read_text().replace("z5.csv", "begun.csv")
+    (laboratory / "begun.toml").write_text(text)
+    (test,) = RunningTest.of(laboratory / "begun.toml", None).read().experiments
+    assert test.series[0].n == 4
+    assert test.series[0].x[-1] < 0.1 * END
 
 
 def test_a_transition_raises_an_alarm_while_the_file_grows(laboratory, tmp_path, capsys):

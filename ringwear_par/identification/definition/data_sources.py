@@ -168,7 +168,8 @@ def _from_file(reader: TableReader, kind: str, files: FileStore) -> Readings | N
             hint = f", or units.{role} must be given"
             unit = units.get(role) or unit_by_name(data, column, base, hint) or ""
         except InputError as error:
-            reader.faults += error.faults
+            for fault in error.faults:
+                reader.fault(fault)
             continue
         if not unit:
             unit = base

@@ -25,6 +25,8 @@ from ringwear_par.studies.definition.variations import split_key
 
 #: of the test, that an input must cover
 _COVERED = 0.95
+#: coefficients of friction, from rolling to clean metals; others are likely in another unit
+_FRICTIONS = 1e-3, 2.0
 _LOADS = ("load.force", "load.pressure", "load.displacement")
 
 
@@ -62,14 +64,19 @@ def refuse_known(
     for key in dict.fromkeys(measured):
         same = set(_LOADS if key in _LOADS else (key,))
         fitted = {split_key(parameter.key)[0] for parameter in parameters}
-        faults += [f"{said}: set: {name}: {key} is an input; cannot be set too"
+        faults += [f"{said}: set: {_of_input(name, key)}; cannot be set too"
                    for name in sorted(same & changes.keys())]  # fmt: skip
-        faults += [f"{said}: {name}: {key} is an input; cannot be fitted too"
+        faults += [f"{said}: {_of_input(name, key)}; cannot be fitted too"
                    for name in sorted(same & fitted)]  # fmt: skip
     loads = [key for key in measured if key in _LOADS]
     twice = [*loads[1:], *(key for key in ("contact.friction", "load.omega")
                            if list(measured).count(key) > 1)]  # fmt: skip
     faults += [f"{said}: input: {key}: is there twice; must be once" for key in twice]
+
+
+def _of_input(name: str, key: str) -> str:
+    """Return in words that a key, or another one of the same quantity, is an input."""
+    return f"{key} is an input" if name == key else f"{name}: {key} is an input"
 
 
 def read_inputs(
@@ -99,7 +106,8 @@ def read_inputs(
             _check_friction(said, one, case, faults)
         if len(faults) > before:
             return (), {}
-        inputs[i] = one = replace(one, radius=0.5 * sum(case.contact))
+        one = replace(one, radius=0.5 * sum(case.contact))
+        inputs[i] = one = replace(one, suspicions=_suspicions(one, case))
         curves[one.key] = points_of(one.curve(case))
         case = case.replace(curves)
     return (tuple(inputs), curves) if len(faults) == before else ((), {})
@@ -156,13 +164,29 @@ def _input(
     if low.any():
         i = int(np.flatnonzero(low)[0])
         written = value[i] / readings.factor
+        hint = "look at its sign" if low.all() else "exclude leaves out times of stops, say"
         reader.fault(
             f"{lines_of(readings.where, lines, len(x))[i]}{written:g} {readings.unit}"
-            f"{and_more(int(low.sum()), 'reading')}: must be {'>' if of_torque else '>='} 0"
+            f"{and_more(int(low.sum()), 'reading')}: must be {'>' if of_torque else '>='} 0; "
+            f"{hint}"
         )
     if len(faults) > before:
         return None
-    return MeasuredInput(key, x, value, smooth, scale, assumptions=readings.assumptions)
+    return MeasuredInput(
+        key, x, value, smooth, scale, file=readings.where, file_unit=readings.unit,
+        assumptions=readings.assumptions,
+    )  # fmt: skip
+
+
+def _suspicions(one: MeasuredInput, case: Case) -> tuple[str, ...]:
+    """Return a sentence about a friction that is likely in another unit, if it is."""
+    typical, (low, high) = float(np.median(one.readings(case))), _FRICTIONS
+    if not one.of_torque or low <= typical <= high:
+        return ()
+    return (
+        f"{one.file}: readings in {one.file_unit} mean a friction of {typical:.3g}, where contacts "
+        f"have {low:g} to {high:g}; look at the unit of the torque, and at the load",
+    )
 
 
 def _check_friction(said: str, one: MeasuredInput, case: Case, faults: list[str]) -> None:

@@ -184,8 +184,9 @@ class Series:
     #: where the readings stand; "" and none of a single value
     file: str = ""
     lines: IntArray | None = None
-    #: sentences about units that nobody names, or that are likely wrong
+    #: sentences about units that nobody names, and about those that are likely wrong
     assumptions: tuple[str, ...] = ()
+    suspicions: tuple[str, ...] = ()
     #: whether nothing has been read yet; values are 0 then
     planned: bool = False
     #: (low, high) of what was left out, s or mm
@@ -228,7 +229,12 @@ class MeasuredInput:
     scale: Prior | None = None
     #: mm, at which friction acts by the pressures of the test, a number or a table in time
     radius: schedules.Quantity = 0.0
+    #: where the readings stand, and their unit there
+    file: str = ""
+    file_unit: str = ""
+    #: sentences about units that nobody names, and about those that are likely wrong
     assumptions: tuple[str, ...] = ()
+    suspicions: tuple[str, ...] = ()
 
     @property
     def unit(self) -> str:

@@ -109,18 +109,19 @@ def read_series(
     reader.finish()
     if len(faults) > before:
         return None
-    assumptions = readings.assumptions
+    suspicions: tuple[str, ...] = ()
     if kind != "profile" and readings.lines is not None and len(x) >= _RECORD:
         last = float(x.max())
         if 0.0 < last < _SHORT_RECORD * end:
-            assumptions += (
+            suspicions = (
                 f"readings end at {last:.4g} s of a test of {end:g} s; look at the unit of time",
             )
     series = Series(
         quantity, cast(Quantity, quantity), x[keep], value[keep], sd[keep], fitted, unit, scale,
         (end if at is None else at) if kind == "profile" else None, density, nuisances,
-        correlation, readings.where, None if lines is None else lines[keep], assumptions,
-        readings.planned, tuple(excluded), None if censored is None else censored[keep],
+        correlation, readings.where, None if lines is None else lines[keep],
+        readings.assumptions, suspicions, readings.planned, tuple(excluded),
+        None if censored is None else censored[keep],
     )  # fmt: skip
     free = [nuisance.kind for nuisance in nuisances if nuisance.free]
     if not series.n:

@@ -31,7 +31,7 @@ def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[
 
     Parameters
     ----------
-    entry : of the key, as in fit.json.
+    entry : of the key, as in fit.json; of a running test its interval before too.
     """
     if not parameter.unit:
         return None
@@ -42,7 +42,7 @@ def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[
             return [converted(one) for one in number]
         return None if number is None else number / scale
 
-    names = ("estimate", "sd", "interval", "next")
+    names = ["estimate", "sd", "interval", "next", *(["before"] if "before" in entry else [])]
     unit = {"unit": parameter.unit, "scale": scale}
     law = case.laws_by_table.get(parameter.key.rpartition(".")[0])
     if isinstance(law, AboveThreshold) and base_unit(parameter.key) == "1/MPa":

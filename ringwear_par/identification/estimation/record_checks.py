@@ -1,10 +1,13 @@
 """Checks of single records: readings that cannot be what they are called, or oppose the model."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.stats import f as f_distribution
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.errors import InputError, ValidityWarning, legible
+from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.problem import GROWTH_TIME, Experiment, Nuisance, Series
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.estimation.starts import case_points
@@ -16,6 +19,8 @@ from ringwear_par.identification.model.readings import growth, nuisance_columns
 _BLOCKS, _ENOUGH = 10, 30
 #: probability of noise whose blocks differ as much, below which it is none
 _NO_NOISE = 1e-4
+#: of an input: noise that is smaller is not asked for trends
+_EXACT = 1e-3
 #: of the noise of all its readings: less is no response, over the whole of all bounds
 _NO_RESPONSE = 1e-6
 #: of the noise of all readings: a key by which they change less is not felt, over a factor of e
@@ -40,6 +45,7 @@ def record_warnings(
     return (
         *_oppositions(misfit, evaluation.model - misfit.nuisance_readings(x)),
         *_trends(misfit, evaluation),
+        *input_trends(misfit.problem.experiments),
         *_alike(misfit, x),
     )
 
@@ -74,7 +80,12 @@ def _trends(misfit: Misfit, evaluation: Evaluation) -> list[ValidityWarning]:
     warnings = []
     for experiment, series, rows in misfit.records:
         values = misfit.censored[rows] == 0
-        probability = trend(series, -evaluation.noise[rows][values])
+        if series.profile:
+            continue
+        residuals = -evaluation.noise[rows][values]
+        # noise that is given is no smaller than that
+        least = 0.0 if series.sd_fitted else 1.0
+        probability = trend(residuals, len(series.nuisances), least)
         if probability >= _NO_NOISE:
             continue
         differences = "the differences are not noise with the given sd"
@@ -87,6 +98,28 @@ def _trends(misfit: Misfit, evaluation: Evaluation) -> list[ValidityWarning]:
         )
         values = {"series": series.name, "p": probability}
         warnings.append(ValidityWarning("residuals-trend", said, (), (experiment.name,), values))
+    return warnings
+
+
+def input_trends(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
+    """Return warnings about measured inputs whose curves do not follow their readings."""
+    warnings = []
+    for experiment in experiments:
+        for one in experiment.inputs:
+            if one.smooth == "none":
+                continue
+            value = one.readings(experiment.case)
+            least = (_EXACT * float(value.mean())) ** 2
+            probability = trend(value - one.curve(experiment.case)(one.time), least=least)
+            if probability >= _NO_NOISE:
+                continue
+            text = (
+                f"readings of {one.key} ({experiment.name}) trend away from their curve (p = "
+                f"{probability:.1g}), which is too smooth for a jump or a fast change; smooth must "
+                f'be a shorter time, or "none" (at most {MOST_POINTS} readings)'
+            )
+            values = {"input": one.key, "p": probability}
+            warnings.append(ValidityWarning("input-trend", text, (), (experiment.name,), values))
     return warnings
 
 
@@ -111,22 +144,23 @@ def _alike(misfit: Misfit, x: FloatArray) -> list[ValidityWarning]:
     return warnings
 
 
-def trend(series: Series, residuals: FloatArray) -> float:
+def trend(residuals: FloatArray, n_nuisances: int = 0, least: float = 0.0) -> float:
     """Return how probable residuals in time are if they are noise, 1 for too few to tell.
 
-    Sums of blocks are compared with differences of neighbours, which trends hardly change. Noise
-    that is given is no smaller than that.
+    Sums of blocks are compared with differences of neighbours, which trends hardly change.
 
     Parameters
     ----------
-    residuals : (n,) over their noise, uncorrelated.
+    residuals : (n,) uncorrelated if they are noise.
+    n_nuisances : that were fitted to them.
+    least : of their variance.
     """
-    n, n_nuisances = len(residuals), len(series.nuisances)
-    if series.profile or n - n_nuisances < _ENOUGH:
+    n = len(residuals)
+    if n - n_nuisances < _ENOUGH:
         return 1.0
-    noise = 0.5 * float(np.mean(np.diff(residuals) ** 2))
-    if not series.sd_fitted:
-        noise = max(noise, 1.0)
+    noise = max(0.5 * float(np.mean(np.diff(residuals) ** 2)), least)
+    if not noise:
+        return 1.0
     blocks = np.array_split(residuals, _BLOCKS)
     between = sum(float(block.sum()) ** 2 / len(block) for block in blocks)
     freedom = max(_BLOCKS - n_nuisances, 1)

@@ -64,9 +64,10 @@ def test_times_that_end_long_before_the_test(good, tmp_path):
     tables = changed(good, (*PEN, "file"), str(tmp_path / "z.csv"))
     tables["experiment"][0]["data"][0]["columns"] = {"time": "t", "value": "z_um"}
     sentence = "readings end at 1.667 s of a test of 100 s; look at the unit of time"
-    assert read_fit(tables).experiments[0].series[0].assumptions[-1] == sentence
+    assert read_fit(tables).experiments[0].series[0].suspicions == (sentence,)
     tables["experiment"][0]["data"][0]["units"] = {"time": "min"}
-    assert not read_fit(tables).experiments[0].series[0].assumptions
+    series = read_fit(tables).experiments[0].series[0]
+    assert series.assumptions == series.suspicions == ()
 
 
 def test_noise_in_another_unit_than_its_readings(good, tmp_path):
