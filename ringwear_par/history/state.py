@@ -64,6 +64,7 @@ class State:
     wear : (2, B, n) float, mm, loss of lower and upper.
     worn : (2, B) float, mm^3, time integrals of the rates of the worn volumes.
     energy : (B,) float, N mm, dissipated by friction.
+    normal_work : (B,) float, N mm, pressure times sliding distance, over all places.
     contact : the contact solution with these profiles.
     rates : (2, B, n) float, mm/s, at which lower and upper wear now.
     error : (B, n) float, mm, what the wear of both bodies together lacks for the steps so far, by
@@ -81,6 +82,7 @@ class State:
     wear: FloatArray = field(metadata=along(1))
     worn: FloatArray = field(metadata=along(1))
     energy: FloatArray
+    normal_work: FloatArray
     contact: ContactState
     rates: FloatArray = field(metadata=along(1))
     error: FloatArray
