@@ -34,18 +34,14 @@ _BESIDE = 0.15
 
 @dataclass(frozen=True)
 class HistoryPanel:
-    """What is drawn over time.
+    """What is drawn over time."""
 
-    Parameters
-    ----------
-    label : of the axis, with the unit.
-    curves : returns the curves of a result by their names, "" where there is one; (stored states,)
-        or, between these, one fewer.
-    whole : the end of the axis where all is 0.
-    """
-
+    #: of the axis, with the unit
     label: str
+    #: returns the curves of a result by their names, "" where there is one; (stored states,) or,
+    #: between these, one fewer
     curves: Callable[[Result], dict[str, FloatArray]]
+    #: the end of the axis where all is 0
     whole: float = 1.0
 
 
@@ -79,7 +75,8 @@ def _p_v(result: Result) -> dict[str, FloatArray]:
         friction, reason = 0.0, "is a table"
     if not friction:
         raise InputError(
-            f"{result.name}: pv needs the friction coefficient, which {reason}; must be one number > 0"
+            f"{result.name}: pv needs the friction coefficient, which {reason}; must be one number "
+            "> 0"
         )
     seconds = np.diff(result.histories["time"])
     power = np.diff(result.histories["dissipated_energy"]) / seconds
