@@ -75,8 +75,8 @@ def _p_v(result: Result) -> dict[str, FloatArray]:
         friction, reason = 0.0, "is a table"
     if not friction:
         raise InputError(
-            f"{result.name}: pv needs the friction coefficient, which {reason}; must be one number "
-            "> 0"
+            f"{result.name}: pv needs the friction coefficient, which {reason}; "
+            "must be one number > 0"
         )
     seconds = np.diff(result.histories["time"])
     power = np.diff(result.histories["dissipated_energy"]) / seconds
