@@ -99,9 +99,9 @@ class Answer:
     trace: FloatArray
     draws: int
     #: number of independent draws
-    effective: float
+    effective_count: float
     #: how often they were made anew
-    moves: int
+    redraws: int
     #: relative error of histories; None: all draws were stepped
     interpolated: float | None
     doubts: tuple[str, ...]
@@ -137,13 +137,13 @@ class Answer:
         goal, share = self.goal, f"{100 * self.level:g} %"
         lines = [f"{self.test}: {self.readings} readings to {self._at(self.time)} of "
                  f"{self._at(self.end)}"]  # fmt: skip
-        for key, of in self.keys.items():
-            numbers, unit = users_numbers(of.to_dict())
+        for key, key_answer in self.keys.items():
+            numbers, unit = users_numbers(key_answer.to_dict())
             (low, high), (first, last) = numbers["interval"], numbers["before"]
             estimate = f"{numbers['estimate']:.4g} {unit}".rstrip()
             lines.append(
                 f"  {key}  {estimate} of this specimen  from {low:.4g} to {high:.4g} "
-                f"({share}, +-{of.percent:.2g} %; before the test {first:.4g} to {last:.4g})"
+                f"({share}, +-{key_answer.percent:.2g} %; before the test {first:.4g} to {last:.4g})"
             )
         expected = f", +-{goal.at_end:.2g} % is expected there" if goal.time is None else ""
         lines.append(f"  {goal.key} to +-{goal.percent:g} %: {self.left}{expected}")
@@ -163,7 +163,7 @@ class Answer:
         depth, when = (None, None) if self.depth is None else self.depth
         return {
             **content,
-            "keys": {key: of.to_dict() for key, of in self.keys.items()},
+            "keys": {key: key_answer.to_dict() for key, key_answer in self.keys.items()},
             "goal": asdict(self.goal),
             "depth": None if when is None else {"depth": depth, **when._asdict()},
             "alarm": None if self.alarm is None else asdict(self.alarm),
