@@ -143,7 +143,8 @@ class Answer:
             estimate = f"{numbers['estimate']:.4g} {unit}".rstrip()
             lines.append(
                 f"  {key}  {estimate} of this specimen  from {low:.4g} to {high:.4g} "
-                f"({share}, +-{key_answer.percent:.2g} %; before the test {first:.4g} to {last:.4g})"
+                f"({share}, +-{key_answer.percent:.2g} %; before the test {first:.4g} to "
+                f"{last:.4g})"
             )
         expected = f", +-{goal.at_end:.2g} % is expected there" if goal.time is None else ""
         lines.append(f"  {goal.key} to +-{goal.percent:g} %: {self.left}{expected}")
