@@ -178,10 +178,11 @@ def _responding(misfit: Misfit, start: FloatArray) -> BoolArray:
 
     def at(x: FloatArray) -> BoolArray:
         try:
-            evaluation = misfit.evaluate(x)
+            of_priors = misfit.evaluate(x).jacobian[misfit.n :]
         except HistoryError:
             return np.ones(m, dtype=bool)
-        rows = np.concatenate([evaluation.noise_jacobian, evaluation.jacobian[misfit.n :]])
+        # limits that hold by far respond, but their likelihood does not
+        rows = np.concatenate([misfit.whitened(misfit.columns(x)), of_priors])
         columns, nuisances = rows[:, :m], rows[:, m:]
         columns = NuisanceProjection(nuisances).rest(columns)
         responding: BoolArray = np.linalg.norm(columns[: misfit.n], axis=0) * reach > _NOT_FELT
