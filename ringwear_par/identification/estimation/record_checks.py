@@ -242,7 +242,8 @@ class _Record:
             if nuisance.kind == GROWTH_TIME:  # growth with any of some time constants
                 low, high = nuisance.bounds
                 for time in (nuisance.start, low, 0.5 * (low + high), high):
-                    columns.append(series.factor * growth(series.x, time)[0])
+                    grown = growth(nuisance, experiment.case, series.x, time)[0]
+                    columns.append(series.factor * grown)
                     self._nuisances.append(Nuisance("thermal"))
             elif nuisance.kind != "thermal":
                 columns.append(column)
