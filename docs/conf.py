@@ -34,7 +34,7 @@ nitpicky = True
 # types of other packages: looking them up would need the network
 nitpick_ignore_regex = [
     (r"py:.*", r"(collections|h5py|matplotlib|mpi4py|numpy|os|pathlib|typing|xarray)\..*"),
-    (r"py:.*", r"(Ensemble|Figure|Path)"),
+    (r"py:.*", r"(Ensemble|Figure|InferenceData|Path)"),
     # of the package's own rooms, which have no pages
     (r"py:.*", r"ringwear_par\.\w+\..*"),
 ]

@@ -410,21 +410,17 @@ class Hessians:
 
 
 class _Rows(NamedTuple):
-    """Which rows are solved in bases, and in which.
+    """Which rows are solved in bases, and in which."""
 
-    Parameters
-    ----------
-    places : of these rows among those that are solved.
-    histories : of them.
-    numbers : (h,) int, of their bases.
-    force : (h, n) float, see ``Basis``.
-    groups : of the rows by basis.
-    """
-
+    #: of these rows among those that are solved
     places: IntArray | slice
+    #: of the rows
     histories: IntArray | slice
+    #: (h,) int, of their bases
     numbers: IntArray
+    #: (h, n) float, see ``Basis``
     force: FloatArray
+    #: of the rows by basis
     groups: RowProducts
 
 

@@ -33,40 +33,32 @@ FORCE_TOLERANCE, FORCE_LIMIT = 1e-12, 1e-10
 
 @dataclass(frozen=True)
 class ContactInputs:
-    """What B contact solutions depend on, beside the compliances.
+    """What B contact solutions depend on, beside the compliances."""
 
-    Parameters
-    ----------
-    gap : (B, n) float, mm, of the undeformed, worn profiles.
-    force, approach : (B,) float, N or mm; the other one is None.
-    wear : of an implicit step; None: profiles stay.
-    """
-
+    #: (B, n) float, mm, of the undeformed, worn profiles
     gap: FloatArray
+    #: (B,) float, N or mm; the other one is None
     force: FloatArray | None
     approach: FloatArray | None
+    #: of an implicit step; None: profiles stay
     wear: WearIncrement | None = None
 
 
 @dataclass(frozen=True)
 class ContactState:
-    """Solution of B contact problems: numbers (B,), fields (B, n); of one without this axis.
+    """Solution of B contact problems: numbers (B,), fields (B, n); of one without this axis."""
 
-    Parameters
-    ----------
-    pressure : (B, n) float, MPa.
-    gap : (B, n) float, mm, between the deformed profiles.
-    approach : (B,) float, mm.
-    force : (B,) float, N.
-    iterations : (B,) int, of TAO, all its solves together.
-    residual : (B,) float, natural KKT residual, relative to the largest pressure (scaled unknowns).
-    """
-
+    #: (B, n) float, MPa
     pressure: FloatArray
+    #: (B, n) float, mm, between the deformed profiles
     gap: FloatArray
+    #: (B,) float, mm
     approach: Numbers
+    #: (B,) float, N
     force: Numbers
+    #: (B,) int, of TAO, all its solves together
     iterations: Numbers
+    #: (B,) float, natural KKT residual, relative to the largest pressure (scaled unknowns)
     residual: Numbers
 
     __repr__ = short_repr
@@ -74,15 +66,11 @@ class ContactState:
 
 @dataclass(frozen=True)
 class WarmStart:
-    """Where the next solves start; with it, a restarted run repeats an uninterrupted one exactly.
+    """Where the next solves start; by it a restarted run repeats an uninterrupted one exactly."""
 
-    Parameters
-    ----------
-    scaled_pressure : (B, n) float, unknowns of the last problems.
-    approach : (B,) float, mm, of the last problems.
-    """
-
+    #: (B, n) float, unknowns of the last problems
     scaled_pressure: FloatArray
+    #: (B,) float, mm, of the last problems
     approach: FloatArray
 
     __repr__ = short_repr

@@ -24,44 +24,36 @@ _MOST_BYTES = 2**25
 
 
 class Basis(NamedTuple):
-    """Basis of the elements in contact and of those that wear.
+    """Basis of the elements in contact and of those that wear."""
 
-    Parameters
-    ----------
-    psi : (n, n) float, the basis; rows of elements that are apart are 0.
-    mu : (n,) float, of W.
-    force : (n,) float, the weights of the gap in the basis.
-    """
-
+    #: (n, n) float, the basis; rows of elements that are apart are 0
     psi: FloatArray
+    #: (n,) float, of W
     mu: FloatArray
+    #: (n,) float, the weights of the gap in the basis
     force: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class ScaledCompliances:
-    """m compliances of one contact line.
+    """m compliances of one contact line."""
 
-    Parameters
-    ----------
-    area : (n,) float, mm^2.
-    matrices : (m, n, n) float, A, symmetric with a unit diagonal.
-    scale : (m, n) float, 1/MPa, pressure times this is the unknown.
-    weights : (m, n) float, gap times this is the gradient.
-    speed : (m, n) float, positive, W on elements that wear, but for a factor.
-    stiffness : (m, n) float, MPa/mm, of each element alone.
-    transposed_excess : (m, n, n) float, mm/MPa, what the symmetric compliances have more than the
-        collocated ones, transposed.
-    names : (m,) bytes, different if anything is that a basis depends on.
-    """
-
+    #: (n,) float, mm^2
     area: FloatArray = field(metadata=along(None))
+    #: (m, n, n) float, A, symmetric with a unit diagonal
     matrices: FloatArray
+    #: (m, n) float, 1/MPa, pressure times this is the unknown
     scale: FloatArray
+    #: (m, n) float, gap times this is the gradient
     weights: FloatArray
+    #: (m, n) float, positive, W on elements that wear, but for a factor
     speed: FloatArray
+    #: (m, n) float, MPa/mm, of each element alone
     stiffness: FloatArray
+    #: (m, n, n) float, mm/MPa, what the symmetric compliances have more than the collocated ones,
+    #: transposed
     transposed_excess: FloatArray
+    #: (m,) bytes, different if anything is that a basis depends on
     names: Any
 
     @classmethod

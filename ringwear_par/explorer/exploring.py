@@ -29,19 +29,15 @@ _STATES = 400
 
 @dataclass(frozen=True, eq=False)
 class Explored:
-    """A history of some numbers.
+    """A history of some numbers."""
 
-    Parameters
-    ----------
-    text : the case file.
-    case : as the file has it.
-    controls : as they stand, by name.
-    result : ``rw.simulate`` of the case, with all fields, and nearly all steps or its times.
-    """
-
+    #: the case file
     text: str
+    #: as the file has it
     case: Case
+    #: as they stand, by name
     controls: Mapping[str, Control]
+    #: ``rw.simulate`` of the case, with all fields, and nearly all steps or its times
     result: Result
 
 

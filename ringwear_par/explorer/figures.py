@@ -38,23 +38,19 @@ def figures() -> list[Any]:
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """What the figures are to show of a history.
+    """What the figures are to show of a history."""
 
-    Parameters
-    ----------
-    result : with all profiles.
-    first : that of the case file.
-    case : of the result, which tells densities.
-    instant : that is chosen, from 0 to 1 at the end of the history.
-    menu : name of the second chart over time.
-    laid : readings to be laid over it.
-    """
-
+    #: with all profiles
     result: Result
+    #: that of the case file
     first: Result
+    #: of the result, which tells densities
     case: Case
+    #: that is chosen, from 0 to 1 at the end of the history
     instant: float
+    #: name of the second chart over time
     menu: str
+    #: readings to be laid over it
     laid: Sequence[MeasuredColumn]
 
     @property

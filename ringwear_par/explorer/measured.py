@@ -36,23 +36,19 @@ LARGEST = 5_000_000
 
 @dataclass(frozen=True, eq=False)
 class MeasuredColumn:
-    """A column of a table over its times or radii.
+    """A column of a table over its times or radii."""
 
-    Parameters
-    ----------
-    file, column : names.
-    quantity : one of those above.
-    x : (n,) s, or mm where it is ``along`` the radius.
-    raw : (n,) as the table has them.
-    x_assumption : sentence about the column of x where nobody names its unit, else "".
-    """
-
+    #: names of the table and of the column
     file: str
     column: str
+    #: one of those above
     quantity: str
     along: bool
+    #: (n,) s, or mm where it is ``along`` the radius
     x: FloatArray
+    #: (n,) as the table has them
     raw: FloatArray
+    #: sentence about the column of x where nobody names its unit, else ""
     x_assumption: str = ""
 
     @property

@@ -11,7 +11,7 @@ import webbrowser
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from mpi4py import MPI
@@ -30,6 +30,8 @@ _NAMES = ("127.0.0.1", "localhost", "[::1]")
 _TOKEN = 24
 #: how long the server's thread may take to begin, and to end, s
 _BEGIN, _END = 30.0, 2.0
+#: how long the main thread waits at a time, s
+_NAP = 0.2
 
 
 def explore(
@@ -81,7 +83,8 @@ def explore(
                 opening.daemon = True
                 opening.start()
             while True:  # MPI, PETSc and compiled code are used by this thread alone
-                desk.get()()
+                with suppress(Empty):  # not for ever: a signal just before does not end the wait
+                    desk.get(timeout=_NAP)()
                 signals.check()  # of a signal that has made a history fail, and nothing else
         finally:
             server.stop()

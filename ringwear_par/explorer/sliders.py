@@ -27,40 +27,36 @@ _FACTOR = 10.0
 
 @dataclass(frozen=True)
 class Control:
-    """A number of a case with its slider.
+    """A number of a case with its slider."""
 
-    Parameters
-    ----------
-    name : unique, such as "lower.young", "upper.r[1]", "wear.lower.parameters.k" or, of all the
-        values of a table, "load.force x".
-    path : key of the case, or of an entry of a layer, "lower.layers[0].thickness".
-    entry : place in a pair, name in a table; None: the key is the number.
-    group : what it is shown under.
-    label, meaning : in words.
-    unit : of ``value``, "" for none.
-    written : whether the unit is written in the case, as the user did.
-    value, low, high, step : of the slider; of a logarithmic one the step is that of log10.
-    log : whether the slider is logarithmic.
-    whole : whether it is a whole number.
-    scales : whether it multiplies the numbers of a table.
-    assembles : whether bodies have to be assembled for another value.
-    """
-
+    #: unique, such as "lower.young", "upper.r[1]", "wear.lower.parameters.k" or, of all the values
+    #: of a table, "load.force x"
     name: str
+    #: key of the case, or of an entry of a layer, "lower.layers[0].thickness"
     path: str
+    #: place in a pair, name in a table; None: the key is the number
     entry: int | str | None
+    #: what it is shown under
     group: str
+    #: in words
     label: str
     meaning: str
+    #: of ``value``, "" for none
     unit: str
+    #: whether the unit is written in the case, as the user did
     written: bool
+    #: of the slider; of a logarithmic one the step is that of log10
     value: float
     low: float
     high: float
     step: float
+    #: whether the slider is logarithmic
     log: bool = False
+    #: whether it is a whole number
     whole: bool = False
+    #: whether it multiplies the numbers of a table
     scales: bool = False
+    #: whether bodies have to be assembled for another value
     assembles: bool = False
 
     @property

@@ -112,7 +112,8 @@ def write_outcome(
 
     Parameters
     ----------
-    command : whose outcome they are, see ``refuse_others``; contents : see ``write_contents``.
+    command : whose outcome they are, see ``refuse_others``.
+    contents : see ``write_contents``.
 
     Raises
     ------

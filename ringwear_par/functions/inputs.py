@@ -29,17 +29,13 @@ from ringwear_par.studies.definition.variations import (
 
 @dataclass(frozen=True)
 class CaseInputs:
-    """Numbers of a case that functions vary.
+    """Numbers of a case that functions vary."""
 
-    Parameters
-    ----------
-    keys : dotted keys and raw values of the base case.
-    names : keys of the numbers, as sweeps name them.
-    values : in the base case.
-    """
-
+    #: dotted keys and raw values of the base case
     keys: Mapping[str, Any]
+    #: keys of the numbers, as sweeps name them
     names: tuple[str, ...]
+    #: in the base case
     values: tuple[float, ...]
 
     def schema(self) -> dict[str, dict[str, Any]]:

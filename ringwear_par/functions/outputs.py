@@ -27,19 +27,15 @@ _RARELY = 10**9
 
 
 class Output(NamedTuple):
-    """A variable of histories, and at which states.
+    """A variable of histories, and at which states."""
 
-    Parameters
-    ----------
-    text : as users name it: NAME, NAME@t or NAME@all.
-    variable : a number at each stored state.
-    time : s, inf for the last state.
-    whole : whether of all states.
-    """
-
+    #: as users name it: NAME, NAME@t or NAME@all
     text: str
+    #: a number at each stored state
     variable: Variable
+    #: s, inf for the last state
     time: float
+    #: whether of all states
     whole: bool
 
     @property

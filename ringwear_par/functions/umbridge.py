@@ -54,19 +54,15 @@ class RefusedError(Exception):
 
 @dataclass(frozen=True)
 class Request:
-    """A point that is to be computed.
+    """A point that is to be computed."""
 
-    Parameters
-    ----------
-    point : (inputs,) float.
-    task : one of ``_VECTORS``.
-    vector : (outputs,) of a gradient, (inputs,) of a Jacobian.
-    answer : list of numbers, or an error, once the batch is computed.
-    """
-
+    #: (inputs,) float
     point: Sequence[float]
+    #: one of ``_VECTORS``
     task: str
+    #: (outputs,) of a gradient, (inputs,) of a Jacobian
     vector: Sequence[float]
+    #: list of numbers, or an error, once the batch is computed
     answer: "Future[list[float]]" = field(default_factory=Future)
 
 

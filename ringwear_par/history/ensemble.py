@@ -32,16 +32,9 @@ class Method(NamedTuple):
 
 @dataclass
 class Ensemble:
-    """All cases of a simulation, and how their histories ended so far.
+    """All cases of a simulation, and how their histories ended so far."""
 
-    Parameters
-    ----------
-    cases, comm, pair, start, observers, derivatives, step_times, paces : see ``loop.simulate``.
-    method : of all cases.
-    failures : why, of the histories that failed, by number.
-    stopped : whether an observer stopped all.
-    """
-
+    #: see ``loop.simulate``
     cases: Sequence[Case]
     comm: MPI.Comm
     pair: ContactPair | Sequence[ContactPair] | None
@@ -50,8 +43,11 @@ class Ensemble:
     derivatives: tuple[str, ...]
     step_times: Sequence[Sequence[float]] | None
     paces: Sequence[FloatArray] | None
+    #: of all cases
     method: Method
+    #: why, of the histories that failed, by number
     failures: dict[int, Exception] = field(default_factory=dict)
+    #: whether an observer stopped all
     stopped: bool = False
 
     def control(self, numbers: IntArray) -> Control:
@@ -112,20 +108,16 @@ class Ensemble:
 
 @dataclass(frozen=True)
 class Present:
-    """Where the histories of a batch are.
+    """Where the histories of a batch are."""
 
-    Parameters
-    ----------
-    control : of their steps.
-    physics, contacts : of the histories; the contacts start from here.
-    geometry : of elements that follow the wear; None where they stay.
-    state, progress : after the last accepted step of each.
-    """
-
+    #: of their steps
     control: Control
+    #: of the histories; the contacts start from here
     physics: Physics
     contacts: CorrectedContacts
+    #: of elements that follow the wear; None where they stay
     geometry: MovingGeometry | None
+    #: after the last accepted step of each
     state: State
     progress: Progress
 

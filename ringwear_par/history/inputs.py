@@ -16,32 +16,28 @@ from ringwear_par.wear.layered import LayeredLaw
 
 @dataclass(frozen=True)
 class HistoryInputs:
-    """Loads, laws and gaps of B cases.
+    """Loads, laws and gaps of B cases."""
 
-    Parameters
-    ----------
-    cases : the B cases.
-    initial_gap : (B, n) float, mm, of the unworn faces.
-    tolerance : (B,) float, mm of wear, ``time.tolerance``.
-    friction : coefficient.
-    omega : rad/s.
-    force, displacement : N and mm; one of them is None.
-    laws : of lower and upper, None where a body does not wear.
-    per_energy : worn volume of lower and upper per dissipated energy, (B,) 1/MPa, 0 where it is not
-        fixed; None where it is for none. Of bodies with layers those of all of them and of the body
-        itself, (layers + 1, B).
-    pace : (2, B) factors on the rates of wear of lower and upper in the present step; None: 1.
-    """
-
+    #: the B cases
     cases: tuple[Case, ...]
+    #: (B, n) float, mm, of the unworn faces
     initial_gap: FloatArray
+    #: coefficient
     friction: Quantity
+    #: (B,) float, mm of wear, ``time.tolerance``
     tolerance: FloatArray
+    #: rad/s
     omega: Quantity
+    #: N and mm; one of them is None
     force: Quantity | None
     displacement: Quantity | None
+    #: of lower and upper, None where a body does not wear
     laws: tuple[Law | None, ...]
+    #: worn volume of lower and upper per dissipated energy, (B,) 1/MPa, 0 where it is not fixed;
+    #: None where it is for none. Of bodies with layers those of all of them and of the body itself,
+    #: (layers + 1, B).
     per_energy: tuple[FloatArray | None, ...]
+    #: (2, B) factors on the rates of wear of lower and upper in the present step; None: 1
     pace: FloatArray | None = None
 
     @classmethod

@@ -34,15 +34,11 @@ METHODS: dict[str, Method] = {
 
 
 class Outcome(NamedTuple):
-    """How histories ended.
+    """How histories ended."""
 
-    Parameters
-    ----------
-    failures : why, of those that failed, by number.
-    stopped : whether an observer stopped all.
-    """
-
+    #: why, of those that failed, by number
     failures: dict[int, Exception]
+    #: whether an observer stopped all
     stopped: bool
 
 

@@ -25,7 +25,6 @@ from ringwear_par.elasticity.bem.body import BodyCost
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.history.derivatives.numbers import Sensitivity
-from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.compliances import Compliances, OperatorKey, key_of
 from ringwear_par.history.inputs import HistoryInputs
 from ringwear_par.schedules import in_time, integral, mean
@@ -46,32 +45,27 @@ class Sliding(NamedTuple):
 
 @dataclass(frozen=True)
 class Physics:
-    """Contact and wear of B cases whose contact elements are the same.
+    """Contact and wear of B cases whose contact elements are the same."""
 
-    Parameters
-    ----------
-    inputs : loads, laws and gaps of the cases.
-    pairs : of each history, the contact pair before any wear.
-    compliances : of the histories.
-    layer_ends : (layers, B, n) mm, along the axis, depths at which the layers of lower and upper
-        end; None for a body without.
-    averages : (n, n) of the pressures, and of the rates, of non-local laws of lower and upper.
-    sensitivity : what the numbers act on that there are derivatives with respect to, if any.
-    gap_offset : (B, n) mm, what elements are nearer than their profiles say, see ``State``.
-    updates, update_cost : how often elements were assembled anew to follow the wear, and what that
-        took.
-    pair_is_shared : whether the pair was assembled for others, too.
-    """
-
+    #: loads, laws and gaps of the cases
     inputs: HistoryInputs
+    #: of each history, the contact pair before any wear
     pairs: tuple[ContactPair, ...]
+    #: of the histories
     compliances: Compliances
+    #: (layers, B, n) mm, along the axis, depths at which the layers of lower and upper end; None
+    #: for a body without
     layer_ends: tuple[FloatArray | None, ...]
+    #: (n, n) of the pressures, and of the rates, of non-local laws of lower and upper
     averages: tuple[FloatArray | None, ...] = (None, None)
+    #: what the numbers act on that there are derivatives with respect to, if any
     sensitivity: Sensitivity | None = None
+    #: (B, n) mm, what elements are nearer than their profiles say, see ``State``
     gap_offset: FloatArray | None = None
+    #: how often elements were assembled anew to follow the wear, and what that took
     updates: int = 0
     update_cost: BodyCost = field(default_factory=BodyCost)
+    #: whether the pair was assembled for others, too
     pair_is_shared: bool = False
 
     @classmethod
@@ -103,7 +97,7 @@ class Physics:
         physics = cls(
             inputs,
             pairs,
-            Compliances.of(pairs, [young(case) for case in cases], known),
+            Compliances.of(pairs, cases, known),
             ends,
             sensitivity=Sensitivity(derivatives, inputs.cases, pairs) if derivatives else None,
         )
@@ -398,7 +392,7 @@ class Physics:
     def joined(self, other: "Physics") -> "Physics":
         """Return the physics of the histories of both."""
         known = {
-            key_of(pair, young(case)): physics.compliances.history(i)
+            key_of(pair, case): physics.compliances.history(i)
             for physics in (self, other)
             for i, (pair, case) in enumerate(zip(physics.pairs, physics.inputs.cases, strict=True))
         }

@@ -13,33 +13,28 @@ from ringwear_par.history.state import Progress, State
 
 @dataclass(frozen=True)
 class Snapshot:
-    """States of B histories on their way, each at a time of its own.
+    """States of B histories on their way, each at a time of its own."""
 
-    Parameters
-    ----------
-    numbers : (B,) int, of the histories among all cases.
-    physics, contacts : of these histories; the contacts start from here.
-    state : the states.
-    step : that led there; None at the start.
-    progress : of step control, after it.
-    iterations : (B,) int, of the contact solver, for these states.
-    accepted : (B,) bool, which histories have come to a new state; of the others nothing is to be
-        taken.
-    stored, finished : (B,) bool, which new states their cases store, and which are the last ones.
-    passing : whether all of them lie within steps, at times of output, and the histories do not
-        continue from them.
-    """
-
+    #: (B,) int, of the histories among all cases
     numbers: IntArray
+    #: of these histories; the contacts start from here
     physics: Physics = field(metadata=along(None))
     contacts: CorrectedContacts = field(metadata=along(None))
+    #: the states
     state: State
+    #: that led there; None at the start
     step: Step | None = field(metadata=along(None))
+    #: of step control, after it
     progress: Progress
+    #: (B,) int, of the contact solver, for these states
     iterations: IntArray
+    #: (B,) bool, which histories have come to a new state; of the others nothing is to be taken
     accepted: BoolArray
+    #: (B,) bool, which new states their cases store, and which are the last ones
     stored: BoolArray
     finished: BoolArray
+    #: whether all of them lie within steps, at times of output, and the histories do not continue
+    #: from them
     passing: bool = field(default=False, metadata=along(None))
 
     def instant(self, place: int) -> "Instant":
@@ -55,17 +50,13 @@ class Snapshot:
 
 @dataclass(frozen=True)
 class Instant:
-    """One history at an instant.
+    """One history at an instant."""
 
-    Parameters
-    ----------
-    state : without the axis of histories.
-    steps : number of steps made.
-    stored, passing, finished : see ``Snapshot``.
-    """
-
+    #: without the axis of histories
     state: State
+    #: number of steps made
     steps: int
+    #: see ``Snapshot``
     stored: bool
     passing: bool
     finished: bool

@@ -15,24 +15,21 @@ class Tangent:
 
     Of histories with layers the last of P rows is with respect to the end of the step, which other
     numbers may move: it is where an element comes to the end of its layer.
-
-    Parameters
-    ----------
-    wear : (2, P, ..., n) float, mm over each number's unit.
-    energy : (P, ...) float, N mm.
-    pressure, gap : (P, ..., n) float, MPa and mm, of the contact.
-    approach : (P, ...) float, mm.
-    time : (P, ...) float, s, of the time of the state.
-    interface : (P, ...) float, s, of the end of the step if it is where the first element is at the
-        end of its layer; 0 where none is.
     """
 
+    #: (2, P, ..., n) float, mm over each number's unit
     wear: FloatArray = field(metadata=along(2))
+    #: (P, ...) float, N mm
     energy: FloatArray = field(metadata=along(1))
+    #: (P, ..., n) float, MPa and mm, of the contact
     pressure: FloatArray = field(metadata=along(1))
     gap: FloatArray = field(metadata=along(1))
+    #: (P, ...) float, mm
     approach: FloatArray = field(metadata=along(1))
+    #: (P, ...) float, s, of the time of the state
     time: FloatArray = field(metadata=along(1))
+    #: (P, ...) float, s, of the end of the step if it is where the first element is at the end of
+    #: its layer; 0 where none is
     interface: FloatArray = field(metadata=along(1))
 
     __repr__ = short_repr
@@ -56,37 +53,32 @@ class Tangent:
 
 @dataclass(frozen=True)
 class State:
-    """B wear histories on one contact pair, each at an instant of its own: the physics alone.
+    """B wear histories on one contact pair, each at an instant of its own: the physics alone."""
 
-    Parameters
-    ----------
-    time : (B,) float, s.
-    wear : (2, B, n) float, mm, loss of lower and upper.
-    worn : (2, B) float, mm^3, time integrals of the rates of the worn volumes.
-    energy : (B,) float, N mm, dissipated by friction.
-    contact : the contact solution with these profiles.
-    rates : (2, B, n) float, mm/s, at which lower and upper wear now.
-    error : (B, n) float, mm, what the wear of both bodies together lacks for the steps so far, by
-        estimate; 0 from schemes that do not carry it.
-    meshed_wear : (2, B, n) float, mm, the wear that the elements have followed; None where they do
-        not.
-    gap_offset : (B, n) float, mm, what elements are nearer than their profiles say since their
-        slopes turned, see ``moving_geometry``; None where they do not.
-    tangent : derivatives; None where there are none.
-    through : (2, B) float, s, when wear first got through all layers of lower and upper; infinite
-        where it has not; None without layers.
-    """
-
+    #: (B,) float, s
     time: FloatArray
+    #: (2, B, n) float, mm, loss of lower and upper
     wear: FloatArray = field(metadata=along(1))
+    #: (2, B) float, mm^3, time integrals of the rates of the worn volumes
     worn: FloatArray = field(metadata=along(1))
+    #: (B,) float, N mm, dissipated by friction
     energy: FloatArray
+    #: the contact solution with these profiles
     contact: ContactState
+    #: (2, B, n) float, mm/s, at which lower and upper wear now
     rates: FloatArray = field(metadata=along(1))
+    #: (B, n) float, mm, what the wear of both bodies together lacks for the steps so far, by
+    #: estimate; 0 from schemes that do not carry it
     error: FloatArray
+    #: (2, B, n) float, mm, the wear that the elements have followed; None where they do not
     meshed_wear: FloatArray | None = field(default=None, metadata=along(1))
+    #: (B, n) float, mm, what elements are nearer than their profiles say since their slopes turned,
+    #: see ``moving_geometry``; None where they do not
     gap_offset: FloatArray | None = None
+    #: derivatives; None where there are none
     tangent: Tangent | None = None
+    #: (2, B) float, s, when wear first got through all layers of lower and upper; infinite where it
+    #: has not; None without layers
     through: FloatArray | None = field(default=None, metadata=along(1))
 
     __repr__ = short_repr
@@ -94,34 +86,29 @@ class State:
 
 @dataclass(frozen=True)
 class Progress:
-    """The progress of the step control of B histories, (B,) each.
+    """The progress of the step control of B histories, (B,) each."""
 
-    Parameters
-    ----------
-    steps : number of accepted steps.
-    next_step : s, length that error control tries next; 0 before its first step.
-    rejected : steps that were repeated with a smaller length.
-    iterations : of the contact solver, in accepted steps.
-    length : s, length of the present try.
-    begun : whether a try of the present step was made.
-    pressed : whether a try of the present step failed by its pressure.
-    tried_iterations : of the contact solver, in tries of the present step.
-    undefined : whether the error of the last try was not a number.
-    interface : s, when the first element is expected at the end of its layer; infinite where none
-        is.
-    step_error : mm, estimated error of the last step, all of its parts, see ``Step.history_error``.
-    """
-
+    #: number of accepted steps
     steps: IntArray
+    #: s, length that error control tries next; 0 before its first step
     next_step: FloatArray
+    #: steps that were repeated with a smaller length
     rejected: IntArray
+    #: of the contact solver, in accepted steps
     iterations: IntArray
+    #: s, length of the present try
     length: FloatArray
+    #: whether a try of the present step was made
     begun: BoolArray
+    #: whether a try of the present step failed by its pressure
     pressed: BoolArray
+    #: of the contact solver, in tries of the present step
     tried_iterations: IntArray
+    #: whether the error of the last try was not a number
     undefined: BoolArray
+    #: s, when the first element is expected at the end of its layer; infinite where none is
     interface: FloatArray
+    #: mm, estimated error of the last step, all of its parts, see ``Step.history_error``
     step_error: FloatArray
 
     @classmethod
@@ -134,17 +121,13 @@ class Progress:
 
 @dataclass(frozen=True)
 class Start:
-    """Where an interrupted history continues, to the last bit as if it had not been interrupted.
+    """Where an interrupted history continues, to the last bit as if it had not been interrupted."""
 
-    Parameters
-    ----------
-    state : the last one, of one history (B = 1).
-    progress : of step control.
-    warm : where the contact solver starts.
-    updates : how often the elements were assembled again to follow the wear.
-    """
-
+    #: the last one, of one history (B = 1)
     state: State
+    #: of step control
     progress: Progress
+    #: where the contact solver starts
     warm: WarmStart
+    #: how often the elements were assembled again to follow the wear
     updates: int = field(default=0, metadata=along(None))

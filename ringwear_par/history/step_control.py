@@ -35,18 +35,14 @@ _ENERGY_TOLERANCE = 1e-4
 
 @dataclass(frozen=True)
 class Decision:
-    """What a control makes of tries.
+    """What a control makes of tries."""
 
-    Parameters
-    ----------
-    accepted : (B,) bool, which histories go on from the end of their try.
-    complete : (B,) bool, which of these have come to the end of a step; the others to an interface
-        of layers within it.
-    progress : afterwards.
-    """
-
+    #: (B,) bool, which histories go on from the end of their try
     accepted: BoolArray
+    #: (B,) bool, which of these have come to the end of a step; the others to an interface of
+    #: layers within it
     complete: BoolArray
+    #: afterwards
     progress: Progress
 
 
@@ -103,17 +99,13 @@ def _padded(rows: Sequence[Sequence[float]]) -> FloatArray:
 
 @dataclass(frozen=True)
 class FixedSteps:
-    """Steps of one length, or to given times; their errors are estimated, not held.
+    """Steps of one length, or to given times; their errors are estimated, not held."""
 
-    Parameters
-    ----------
-    length : (B,) s.
-    steps : (B,) number of them.
-    ends : (B, m) s, given times, each history's last one repeated; None: multiples of the length.
-    """
-
+    #: (B,) s
     length: FloatArray
+    #: (B,) number of them
     steps: IntArray
+    #: (B, m) s, given times, each history's last one repeated; None: multiples of the length
     ends: FloatArray | None = None
 
     @classmethod
@@ -181,19 +173,16 @@ class ErrorControl:
     steps before it leaves of the tolerance. Steps end at the times at which a schedule or a
     parameter bends, and while elements follow the wear they wear about the tolerance of the
     geometry at most.
-
-    Parameters
-    ----------
-    end : (B,) s, of the histories.
-    wear_tolerance, pressure_tolerance : (B,) mm, and relative to the mean pressure.
-    limits : (B, m) s, times at which steps end, each history's last one repeated.
-    meshed_wear : (B,) mm, most wear of a step of elements that follow it; infinite for others.
     """
 
+    #: (B,) s, of the histories
     end: FloatArray
+    #: (B,) mm, and relative to the mean pressure
     wear_tolerance: FloatArray
     pressure_tolerance: FloatArray
+    #: (B, m) s, times at which steps end, each history's last one repeated
     limits: FloatArray
+    #: (B,) mm, most wear of a step of elements that follow it; infinite for others
     meshed_wear: FloatArray
 
     @classmethod

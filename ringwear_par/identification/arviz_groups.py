@@ -31,19 +31,17 @@ _SMALL = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class _Draws:
-    """Draws of what a fit knows.
+    """Draws of what a fit knows."""
 
-    Parameters
-    ----------
-    kind : of what they are.
-    keys : (draws, m) unknowns, of the material where they scatter; tests : (draws, tests, m).
-    taus : (draws, levels) sizes of scatters; sizes : (draws, bodies) mm, of random wear.
-    """
-
+    #: of what the draws are
     kind: str
+    #: (draws, m) unknowns, of the material where they scatter
     keys: FloatArray
+    #: (draws, tests, m)
     tests: FloatArray
+    #: (draws, levels) sizes of scatters
     taus: FloatArray
+    #: (draws, bodies) mm, of random wear
     sizes: FloatArray
 
 

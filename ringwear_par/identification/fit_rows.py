@@ -27,24 +27,21 @@ LAWS = (
 
 @dataclass(frozen=True)
 class KeyRow:
-    """A number of a fitted key, in the unit that its user writes.
+    """A number of a fitted key, in the unit that its user writes."""
 
-    Parameters
-    ----------
-    label : the key, or what the number is where it is another one.
-    estimate : None where limits alone bound the key on one side.
-    interval : its ends, None where there is no limit.
-    verdict : on the key, "" beside another number; note : what else is to be said of the number.
-    posterior : median and ends of an interval of samples; () for none.
-    """
-
+    #: the key, or what the number is where it is another one
     label: str
+    #: None where limits alone bound the key on one side
     estimate: float | None
     sd: float | None
     unit: str
+    #: its ends, None where there is no limit
     interval: Interval
+    #: on the key, "" beside another number
     verdict: str = ""
+    #: what else is to be said of the number
     note: str = ""
+    #: median and ends of an interval of samples; () for none
     posterior: tuple[float, ...] = ()
 
 

@@ -31,35 +31,33 @@ _IMPROBABLE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class FittedValues:
-    """Distributions of the fitted keys' unknowns: mixtures of normal ones over sizes of scatter.
+    """Distributions of the fitted keys' unknowns: mixtures of normal ones over sizes of scatter."""
 
-    Parameters
-    ----------
-    keys : the m fitted keys; logarithmic : (m,) whether an unknown is a value's logarithm.
-    bounds : (m, 2) of the values.
-    weights : (g,) of the parts of the mixtures; one without scatter.
-    means, covariances : (g, 1 + tests, m) and (g, 1 + tests, m, m) of the unknowns of the material
-        and of each test; NaN where nothing is known.
-    scatters : (g, levels) sizes of the scatters; scattering : (levels,) number of the key of each.
-    sizes : (g, 2) mm, of the process noise of lower and upper; 0: none.
-    specimens : of the tests, by name.
-    laws : names of the laws by table of keys, see ``law_names``.
-    conditions : (tests, 5), see ``conditions_of``.
-    samples : (s, m) values, of an ensemble's posterior; None: there are none.
-    """
-
+    #: the m fitted keys
     keys: tuple[str, ...]
+    #: (m,) whether an unknown is a value's logarithm
     logarithmic: BoolArray
+    #: (m, 2) of the values
     bounds: FloatArray
+    #: (g,) of the parts of the mixtures; one without scatter
     weights: FloatArray
+    #: (g, 1 + tests, m) and (g, 1 + tests, m, m) of the unknowns of the material and of each test;
+    #: NaN where nothing is known
     means: FloatArray
     covariances: FloatArray
+    #: (g, levels) sizes of the scatters
     scatters: FloatArray
+    #: (levels,) number of the key of each
     scattering: IntArray
+    #: (g, 2) mm, of the process noise of lower and upper; 0: none
     sizes: FloatArray
+    #: of the tests, by name
     specimens: tuple[str, ...]
+    #: names of the laws by table of keys, see ``law_names``
     laws: Mapping[str, str]
+    #: (tests, 5), see ``conditions_of``
     conditions: FloatArray
+    #: (s, m) values, of an ensemble's posterior; None: there are none
     samples: FloatArray | None = None
 
 

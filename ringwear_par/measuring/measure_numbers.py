@@ -21,17 +21,13 @@ _SMALL, _LARGE, _MOST_DIGITS = -3, 5, 6
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number of a test: what it is called, and where it is in the test's entry.
-
-    Parameters
-    ----------
-    path : in the entry; measured: to a table with ``value`` and ``u``.
-    factor : from the unit of measure.json.
-    """
+    """A number of a test: what it is called, and where it is in the test's entry."""
 
     name: str
     unit: str
+    #: in the entry; measured: to a table with ``value`` and ``u``
     path: tuple[str, ...]
+    #: from the unit of measure.json
     factor: float = 1.0
     measured: bool = False
 

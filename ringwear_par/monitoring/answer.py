@@ -30,82 +30,70 @@ _ENDED = 0.999
 
 @dataclass(frozen=True)
 class KeyAnswer:
-    """A key of the specimen.
+    """A key of the specimen."""
 
-    Parameters
-    ----------
-    unit : of its numbers.
-    estimate, interval : median, and interval of the level, by the readings.
-    before : interval before the test.
-    percent : half the interval over the median.
-    """
-
+    #: of its numbers
     unit: str
+    #: median, and interval of the level, by the readings
     estimate: float
     interval: tuple[float, float]
+    #: interval before the test
     before: tuple[float, float]
+    #: half the interval over the median
     percent: float
 
 
 @dataclass(frozen=True)
 class Goal:
-    """When the interval of a key is as narrow as is wished.
-
-    Parameters
-    ----------
-    percent : half its width over the median, at most.
-    time : s, expected; None: not before the end of the test.
-    at_end : half width in percent that is expected there.
-    """
+    """When the interval of a key is as narrow as is wished."""
 
     key: str
+    #: half its width over the median, at most
     percent: float
+    #: s, expected; None: not before the end of the test
     time: float | None
+    #: half width in percent that is expected there
     at_end: float
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """Readings left the predicted band.
+    """Readings left the predicted band."""
 
-    Parameters
-    ----------
-    time : s, of the first of them; probability : of readings so far off.
-    """
-
+    #: s, of the first of them
     time: float
+    #: of readings so far off
     probability: float
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What is known of a specimen at a time of its test.
+    """What is known of a specimen at a time of its test."""
 
-    Parameters
-    ----------
-    test, whom : name of the experiment, and of whom the draws are before it.
-    time, end : s, of the last reading, and of the test.
-    readings : how many; level : of intervals.
-    depth : mm, whose time is asked, and when it is reached; None: none is asked.
-    trace : (answers, 4) time, low end, median and high end of the goal's key.
-    effective : number of independent draws; moves : how often they were made anew.
-    interpolated : relative error of histories; None: all draws were stepped.
-    """
-
+    #: name of the experiment
     test: str
+    #: of whom the draws are before the test
     whom: str
+    #: s, of the last reading, and of the test
     time: float
     end: float
+    #: number of readings
     readings: int
+    #: of intervals
     level: float
     keys: Mapping[str, KeyAnswer]
     goal: Goal
+    #: mm, whose time is asked, and when it is reached; None: none is asked
     depth: tuple[float, TimeTo] | None
     alarm: Alarm | None
+    #: (answers, 4) time, low end, median and high end of the goal's key
     trace: FloatArray
     draws: int
+    #: number of independent draws
     effective: float
+    #: how often they were made anew
     moves: int
+    #: relative error of histories; None: all draws were stepped
     interpolated: float | None
     doubts: tuple[str, ...]
 

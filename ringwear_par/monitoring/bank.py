@@ -37,18 +37,15 @@ _DEGREES, _WIDER, _EVERY = 8.0, 1.3, 0.1
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Draws of a specimen's keys.
+    """Draws of a specimen's keys."""
 
-    Parameters
-    ----------
-    unknowns : (draws, m) of the keys; part : (draws,) of the mixture that is known of them.
-    base : (draws,) logarithm of the prior's density over that of the draws, but for a constant.
-    coordinates : (draws, modes) of their histories.
-    """
-
+    #: (draws, m) of the keys
     unknowns: FloatArray
+    #: (draws,) of the mixture that is known of them
     part: IntArray
+    #: (draws,) logarithm of the prior's density over that of the draws, but for a constant
     base: FloatArray
+    #: (draws, modes) of their histories
     coordinates: FloatArray
 
 

@@ -19,17 +19,15 @@ from ringwear_par.prediction.known import FitKnowledge, check_predicted, doubts_
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What is followed.
+    """What is followed."""
 
-    Parameters
-    ----------
-    test : that runs; problem : of it alone, with the random wear that the fit knows.
-    known : before the test; of : whom that is about.
-    """
-
+    #: that runs
     test: RunningTest
+    #: of it alone, with the random wear that the fit knows
     problem: Problem
+    #: before the test
     known: FitKnowledge
+    #: whom that is about
     of: str
 
     @property

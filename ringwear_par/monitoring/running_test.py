@@ -52,19 +52,15 @@ def _whole_lines(path: Path) -> Measurements:
 
 @dataclass(frozen=True)
 class RunningTest:
-    """Which experiment of a fit file runs.
+    """Which experiment of a fit file runs."""
 
-    Parameters
-    ----------
-    source : the fit file.
-    name : of the experiment.
-    files : names of its files.
-    alone : whether the fit file has no other.
-    """
-
+    #: the fit file
     source: Path
+    #: of the experiment
     name: str
+    #: names of its files
     files: frozenset[str]
+    #: whether the fit file has no other
     alone: bool
 
     @classmethod

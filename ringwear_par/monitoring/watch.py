@@ -24,17 +24,13 @@ _IMPROBABLE = 1e-5
 
 @dataclass(frozen=True)
 class Wishes:
-    """What is asked of a running test.
+    """What is asked of a running test."""
 
-    Parameters
-    ----------
-    key : number of the key whose interval is to become narrow.
-    percent : half its width over the median.
-    depth : mm, of penetration; None: none.
-    """
-
+    #: number of the key whose interval is to become narrow
     key: int
+    #: half its width over the median
     percent: float
+    #: mm, of penetration; None: none
     depth: float | None
 
 

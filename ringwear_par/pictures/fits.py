@@ -44,32 +44,30 @@ _LINE, _DIGITS = "#808080", str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00
 
 @dataclass(frozen=True)
 class Series:
-    """Readings of a series and the model of a fit, in the unit that they are shown in.
+    """Readings of a series and the model of a fit, in the unit that they are shown in."""
 
-    Parameters
-    ----------
-    experiment, name : of the series.
-    quantity : what was read, as fit files have it; unit : of its readings.
-    x : (n,) float, times (s), or radii (mm) of a profile.
-    data, model : (n,) float; sd, band : standard deviations of the noise and of the model.
-    residuals : (n,) float, in standard deviations of the noise.
-    level : confidence of the bands.
-    edges : mm, of the contact, where the model of a profile is broken; () if they are not known.
-    censored : (n,) int, -1 where the true value is at most the reading, 1 where at least, else 0.
-    """
-
+    #: of the series
     experiment: str
     name: str
+    #: what was read, as fit files have it
     quantity: str
+    #: of its readings
     unit: str
+    #: (n,) float, times (s), or radii (mm) of a profile
     x: FloatArray
+    #: (n,) float
     data: FloatArray
     model: FloatArray
+    #: (n,) float, standard deviations of the noise and of the model
     sd: FloatArray
     band: FloatArray
+    #: (n,) float, in standard deviations of the noise
     residuals: FloatArray
+    #: confidence of the bands
     level: float
+    #: mm, of the contact, where the model of a profile is broken; () if they are not known
     edges: tuple[float, ...]
+    #: (n,) int, -1 where the true value is at most the reading, 1 where at least, else 0
     censored: IntArray
 
     @property
@@ -244,20 +242,17 @@ def users_unit(entry: Mapping[str, Any]) -> tuple[str, float]:
 
 @dataclass(frozen=True)
 class FittedKey:
-    """A fitted key on an axis.
+    """A fitted key on an axis."""
 
-    Parameters
-    ----------
-    name : of the case key; entry : of fit.json.
-    log : whether its unknown is the logarithm of its value.
-    sd : of the unknown, infinite where the readings give none.
-    samples : of the posterior, (s,) float; None for none.
-    """
-
+    #: of the case key
     name: str
+    #: of fit.json
     entry: Mapping[str, Any]
+    #: whether its unknown is the logarithm of its value
     log: bool
+    #: of the unknown, infinite where the readings give none
     sd: float
+    #: of the posterior, (s,) float; None for none
     samples: FloatArray | None
 
     def values(self, shifts: FloatArray) -> FloatArray:

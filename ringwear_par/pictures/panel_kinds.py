@@ -29,18 +29,14 @@ Drawing = Panel | partial[None]
 
 
 class Item(NamedTuple):
-    """A result to be drawn.
-
-    Parameters
-    ----------
-    label : that sets it apart.
-    rows : its stored states whose profiles or stresses are drawn.
-    chosen : whether the user chose these, by steps or times.
-    """
+    """A result to be drawn."""
 
     result: Result
+    #: that sets it apart
     label: str
+    #: its stored states whose profiles or stresses are drawn
     rows: Sequence[int]
+    #: whether the user chose these, by steps or times
     chosen: bool
 
 
@@ -102,21 +98,17 @@ def _shared(panel: Callable[[Sequence[Result], Sequence[str]], Panel]) -> Any:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of panel.
+    """A kind of panel."""
 
-    Parameters
-    ----------
-    drawings : returns those of results.
-    needs : raises InputError where a result does not hold what it shows.
-    rows : whether it shows stored states, which steps and times choose.
-    apart : whether results without it are left out alone, or else all of them.
-    shared : whether results share it, those too whose profiles are not drawn.
-    """
-
+    #: returns those of results
     drawings: Callable[[Sequence[Item]], Iterable[Drawing]]
+    #: raises InputError where a result does not hold what it shows
     needs: Callable[[Result], Any]
+    #: whether it shows stored states, which steps and times choose
     rows: bool = True
+    #: whether results without it are left out alone, or else all of them
     apart: bool = False
+    #: whether results share it, those too whose profiles are not drawn
     shared: bool = False
 
     def faults(self, result: Result) -> tuple[str, ...]:

@@ -16,156 +16,131 @@ FEW_POINTS = 20
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis of a panel.
+    """An axis of a panel."""
 
-    Parameters
-    ----------
-    label : with the unit.
-    ends : low and high end; None: what is drawn, with some room.
-    zero : whether it includes 0, if it has no ends.
-    log : whether it is logarithmic.
-    reversed : whether it grows downwards, or to the left.
-    categories : words at 0, 1, ...; () for numbers.
-    """
-
+    #: with the unit
     label: str
+    #: low and high end; None: what is drawn, with some room
     ends: tuple[float, float] | None = None
+    #: whether it includes 0, if it has no ends
     zero: bool = False
+    #: whether it is logarithmic
     log: bool = False
+    #: whether it grows downwards, or to the left
     reversed: bool = False
+    #: words at 0, 1, ...; () for numbers
     categories: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A line; NaN are gaps.
+    """A line; NaN are gaps."""
 
-    Parameters
-    ----------
-    x, y : (n,) float; of means between points of x, y is shorter by one, and the line has steps.
-    name : of the legend and of the table of numbers.
-    dash : number of its dashes, 0 for none.
-    marked : whether its points are.
-    tabulated : whether a table of the panel's numbers has it.
-    words : at the pointer, before its numbers.
-    legend : the name in the legend, if another one.
-    cases : (n,) int, of marked points, see ``Points``.
-    """
-
+    #: (n,) float; of means between points of x, y is shorter by one, and the line has steps
     x: FloatArray
     y: FloatArray
+    #: of the legend and of the table of numbers
     name: str = ""
     colour: str = COLOURS[0]
+    #: number of its dashes, 0 for none
     dash: int = 0
     width: float = 1.6
     opacity: float = 1.0
+    #: whether its points are
     marked: bool = False
+    #: whether a table of the panel's numbers has it
     tabulated: bool = True
+    #: at the pointer, before its numbers
     words: str = ""
+    #: the name in the legend, if another one
     legend: str = ""
+    #: (n,) int, of marked points, see ``Points``
     cases: IntArray | None = None
 
 
 @dataclass(frozen=True)
 class Label:
-    """Words at a place, to its right or centred.
-
-    Parameters
-    ----------
-    below : whether they stand below it, or else above.
-    """
+    """Words at a place, to its right or centred."""
 
     x: float
     y: float
     words: str
+    #: whether they stand below it, or else above
     below: bool = False
     centred: bool = False
 
 
 @dataclass(frozen=True)
 class Band:
-    """A ribbon between two curves; NaN are gaps.
-
-    Parameters
-    ----------
-    name : of the legend.
-    ends : names of the low and the high curve in a table of numbers.
-    edge : width of the lines at its ends, which are dotted.
-    """
+    """A ribbon between two curves; NaN are gaps."""
 
     x: FloatArray
     low: FloatArray
     high: FloatArray
+    #: of the legend
     name: str
+    #: names of the low and the high curve in a table of numbers
     ends: tuple[str, str]
     colour: str = COLOURS[0]
     opacity: float = 0.3
+    #: width of the lines at its ends, which are dotted
     edge: float = 0.0
 
 
 @dataclass(frozen=True)
 class Points:
-    """Points of one kind.
-
-    Parameters
-    ----------
-    size : pixels of a page.
-    marker : "dot", "level" (a short line), or an arrow "up" or "down".
-    hollow : whether only their outlines are drawn.
-    errors : (n,) float, half-lengths of upright bars; probability : of the truth within a bar.
-    cases : (n,) int, rows of a list of words that are at the pointer, which panels share, or -1;
-        files have such points behind curves.
-    """
+    """Points of one kind."""
 
     x: FloatArray
     y: FloatArray
     name: str = ""
     colour: str = GREY
+    #: pixels of a page
     size: float = 5.0
     opacity: float = 1.0
+    #: "dot", "level" (a short line), or an arrow "up" or "down"
     marker: Literal["dot", "level", "up", "down"] = "dot"
+    #: whether only their outlines are drawn
     hollow: bool = False
+    #: (n,) float, half-lengths of upright bars
     errors: FloatArray | None = None
+    #: of the truth within a bar
     probability: str = "95 %"
+    #: (n,) int, rows of a list of words that are at the pointer, which panels share, or -1; files
+    #: have such points behind curves
     cases: IntArray | None = None
 
 
 @dataclass(frozen=True)
 class Bars:
-    """Bars to the right.
+    """Bars to the right."""
 
-    Parameters
-    ----------
-    places : (n,) float, their middles on the axis of categories.
-    values : (n,) float, where they end; errors : (n,) float, half-lengths about these.
-    starts : (n,) float, where they begin; None: at 0.
-    height : where categories are 1 apart.
-    """
-
+    #: (n,) float, their middles on the axis of categories
     places: FloatArray
+    #: (n,) float, where they end
     values: FloatArray
     name: str
     colour: str
+    #: (n,) float, half-lengths about these
     errors: FloatArray | None = None
+    #: (n,) float, where they begin; None: at 0
     starts: FloatArray | None = None
+    #: where categories are 1 apart
     height: float = 0.3
     opacity: float = 0.75
 
 
 @dataclass(frozen=True)
 class Cells:
-    """A table of values as colours, the darker the larger.
+    """A table of values as colours, the darker the larger."""
 
-    Parameters
-    ----------
-    x : (m,) float; y : (n,) float, middles of the cells.
-    values : (n, m) float; NaN are gaps.
-    label : of the values, with the unit.
-    """
-
+    #: (m,) float
     x: FloatArray
+    #: (n,) float, middles of the cells
     y: FloatArray
+    #: (n, m) float; NaN are gaps
     values: FloatArray
+    #: of the values, with the unit
     label: str
 
     @property
@@ -190,25 +165,23 @@ def _borders(middles: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Panel:
-    """A chart.
-
-    Parameters
-    ----------
-    title : a line about it; note : of what it does not show, "" for nothing.
-    levels : values at which dotted lines go across; uprights : go up.
-    legend : title of the legend, in lines.
-    """
+    """A chart."""
 
     x: Axis
     y: Axis
+    #: a line about it
     title: str = ""
+    #: of what it does not show, "" for nothing
     note: str = ""
     curves: Sequence[Curve] = ()
     bands: Sequence[Band] = ()
     points: Sequence[Points] = ()
     bars: Sequence[Bars] = ()
     cells: Cells | None = None
+    #: values at which dotted lines go across
     levels: tuple[float, ...] = ()
+    #: go up
     uprights: tuple[float, ...] = ()
     labels: Sequence[Label] = ()
+    #: title of the legend, in lines
     legend: str = ""

@@ -35,18 +35,14 @@ _BESIDE = 0.15
 
 @dataclass(frozen=True)
 class HistoryPanel:
-    """What is drawn over time.
+    """What is drawn over time."""
 
-    Parameters
-    ----------
-    label : of the axis, with the unit.
-    curves : returns the curves of a result by their names, "" where there is one; (stored states,)
-        or, between these, one fewer.
-    whole : the end of the axis where all is 0.
-    """
-
+    #: of the axis, with the unit
     label: str
+    #: returns the curves of a result by their names, "" where there is one; (stored states,) or,
+    #: between these, one fewer
     curves: Callable[[Result], dict[str, FloatArray]]
+    #: the end of the axis where all is 0
     whole: float = 1.0
 
 

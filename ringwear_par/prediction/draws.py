@@ -85,7 +85,8 @@ def log_densities(
 
     Parameters
     ----------
-    unknowns : (draws, m) of the fitted keys; part : (draws,) of the mixture.
+    unknowns : (draws, m) of the fitted keys.
+    part : (draws,) of the mixture.
     """
     covariances = values.covariances[:, _place(values, of)].copy()
     if of == NEXT:

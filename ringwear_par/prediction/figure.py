@@ -19,7 +19,8 @@ def panel(time: FloatArray, quantiles: FloatArray, of: str) -> Panel:
 
     Parameters
     ----------
-    time : (steps,) float, s; quantiles : (5, steps) float, mm, at ``PROBABILITIES``.
+    time : (steps,) float, s.
+    quantiles : (5, steps) float, mm, at ``PROBABILITIES``.
     of : title.
     """
     unit, seconds = time_unit(float(time[-1]))

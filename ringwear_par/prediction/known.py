@@ -34,20 +34,17 @@ _A_FIT = "must be the folder of a fit that is done (ringwear fit -o)"
 
 @dataclass(frozen=True, eq=False)
 class FitKnowledge:
-    """What a fit knows.
+    """What a fit knows."""
 
-    Parameters
-    ----------
-    name : what messages call it.
-    values : of its keys; units : of these, by key.
-    verdicts : by key.
-    warnings : how many it has.
-    """
-
+    #: what messages call it
     name: str
+    #: of its keys
     values: FittedValues
+    #: of these, by key
     units: Mapping[str, str]
+    #: by key
     verdicts: Mapping[str, str]
+    #: how many it has
     warnings: int
 
     @property
@@ -118,7 +115,8 @@ def check_predicted(known: FitKnowledge, case: Case, name: str, of: str, dashes:
 
     Parameters
     ----------
-    name : what messages call the case; dashes : before the options of the command.
+    name : what messages call the case.
+    dashes : before the options of the command.
 
     Raises
     ------

@@ -24,16 +24,13 @@ PROBABILITIES = (0.025, 0.25, 0.5, 0.75, 0.975)
 
 
 class TimeTo(NamedTuple):
-    """When a depth is reached, s; None where that is after the end of the case.
+    """When a depth is reached, s; None where that is after the end of the case."""
 
-    Parameters
-    ----------
-    median : half of the draws reach it by then; interval : holds 95 % of them.
-    reached : share of the draws that reach it before the end.
-    """
-
+    #: half of the draws reach it by then
     median: float | None
+    #: holds 95 % of them
     interval: tuple[float | None, float | None]
+    #: share of the draws that reach it before the end
     reached: float
 
     @classmethod
@@ -69,9 +66,11 @@ class Prediction(Outcome):
     Parameters
     ----------
     of : "next specimen", "material" or the name of a specimen.
-    fit : what messages call the fit; case : TOML text of the case.
+    fit : what messages call the fit.
+    case : TOML text of the case.
     seed : of the draws.
-    keys : of the fit, with their units; values : (draws, m) of these.
+    keys : of the fit, with their units.
+    values : (draws, m) of these.
     sizes : (2, draws) mm, of the process noise of lower and upper; 0: none.
     time : (steps,) s.
     histories : (draws, steps) each, by name, see ``QUANTITIES``.

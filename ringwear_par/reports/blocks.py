@@ -9,34 +9,26 @@ from ringwear_par.pictures.panels import Panel
 
 @dataclass(frozen=True)
 class Lines:
-    """A list of sentences.
-
-    Parameters
-    ----------
-    warning : whether they speak against the results.
-    folded : caption under which they are shown only when they are asked for; "": they are shown.
-    """
+    """A list of sentences."""
 
     lines: Sequence[str]
+    #: whether they speak against the results
     warning: bool = False
+    #: caption under which they are shown only when they are asked for; "": they are shown
     folded: str = ""
     kind = "lines"
 
 
 @dataclass(frozen=True)
 class Tile:
-    """A key number, large, with what it is above it.
-
-    Parameters
-    ----------
-    note : in small letters below it.
-    good : whether it is a check that was passed; None: it is no check.
-    """
+    """A key number, large, with what it is above it."""
 
     label: str
     value: str
     unit: str = ""
+    #: in small letters below it
     note: str = ""
+    #: whether it is a check that was passed; None: it is no check
     good: bool | None = None
 
 
@@ -62,19 +54,15 @@ def checks_tile(doubts: int, note: str = "", wrong: int = 0) -> Tile:
 
 @dataclass(frozen=True)
 class Table:
-    """A table; the first cell of a row is its header.
-
-    Parameters
-    ----------
-    rows : texts, or numbers as their texts.
-    sortable : whether columns can be sorted by their headers.
-    folded : whether it is shown only when it is asked for.
-    """
+    """A table; the first cell of a row is its header."""
 
     caption: str
     header: Sequence[str]
+    #: texts, or numbers as their texts
     rows: Sequence[Sequence[str]]
+    #: whether columns can be sorted by their headers
     sortable: bool = False
+    #: whether it is shown only when it is asked for
     folded: bool = False
     kind = "table"
 
@@ -90,15 +78,11 @@ class Source:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture that is drawn already.
-
-    Parameters
-    ----------
-    form : MIME type.
-    """
+    """A picture that is drawn already."""
 
     caption: str
     content: bytes
+    #: MIME type
     form: str
     alt: str
     kind = "picture"
@@ -111,22 +95,18 @@ class Picture:
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart.
+    """A chart."""
 
-    Parameters
-    ----------
-    name : of its element, without blanks, only one on the page.
-    label : what it shows, for those who do not see it.
-    height : pixels.
-    frames : values of y by instant of the last curve of the panel, where there is a slider.
-    wide : whether it has no other one beside it.
-    """
-
+    #: of its element, without blanks, only one on the page
     name: str
     panel: Panel
+    #: what it shows, for those who do not see it
     label: str
+    #: pixels
     height: int = 320
+    #: values of y by instant of the last curve of the panel, where there is a slider
     frames: Sequence[Sequence[float]] = ()
+    #: whether it has no other one beside it
     wide: bool = False
     kind = "chart"
 
@@ -138,18 +118,14 @@ class Chart:
 
 @dataclass(frozen=True)
 class Charts:
-    """Charts beside each other, as far as there is room.
-
-    Parameters
-    ----------
-    instants : what a slider above them goes through, in words; () for none.
-    first : where it stands at the beginning.
-    points : words at the pointer, whose numbers are the ``cases`` of points.
-    """
+    """Charts beside each other, as far as there is room."""
 
     charts: Sequence[Chart]
+    #: what a slider above them goes through, in words; () for none
     instants: Sequence[str] = ()
+    #: where it stands at the beginning
     first: int = 0
+    #: words at the pointer, whose numbers are the ``cases`` of points
     points: Sequence[str] = ()
     kind = "charts"
 
@@ -167,17 +143,13 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A page.
+    """A page."""
 
-    Parameters
-    ----------
-    kind : what it is of, which stands above its title.
-    refresh : s, after which a browser loads it again; 0: never.
-    """
-
+    #: what it is of, which stands above its title
     kind: str
     title: str
     sections: Sequence[Section]
+    #: s, after which a browser loads it again; 0: never
     refresh: int = 0
 
     @property
@@ -210,7 +182,8 @@ def reproduced(
     Parameters
     ----------
     first : what is to be done before the commands are typed.
-    versions : of the software; data : SHA-256 of files by name.
+    versions : of the software.
+    data : SHA-256 of files by name.
     """
     blocks: list[Block] = [Lines([first]), Source("Commands", commands), *sources]
     if data:

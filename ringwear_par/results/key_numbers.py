@@ -66,7 +66,8 @@ def pressure_limit(area: FloatArray, pressure: FloatArray, force: FloatArray) ->
     Parameters
     ----------
     area : (n,) float, mm2, of the contact elements.
-    pressure : (s, n) float, MPa; force : (s,) float, N.
+    pressure : (s, n) float, MPa.
+    force : (s,) float, N.
     """
     touched = (pressure > 0.0) @ area
     return 3.0 * float((force / np.where(touched > 0.0, touched, np.inf)).max())

@@ -108,17 +108,22 @@ def examples(tmp_path, monkeypatch):
         shutil.copytree(ROOT / "scripts" / name, tmp_path / name)
     first = (ROOT / "docs" / "first_case.md").read_text("utf-8")
     (tmp_path / "fit" / "rig.toml").write_text(measured.first_case_of(first).text, "utf-8")
+    torque = "".join(f"{time},470\n" for time in range(0, 151, 10))
+    (tmp_path / "fit" / "test1_torque.csv").write_text(f"time_s,torque_Nm\n{torque}", "utf-8")
     monkeypatch.chdir(tmp_path / "cases")
     return tmp_path
 
 
 @each_page("```toml")
 def test_toml_is_read_as_the_program_reads_it(page, examples):
+    whole_fit = ""
     for number, block in enumerate(blocks(page, "toml")):
         tables = parse_toml(block, page.name)
         if {"fit", "experiment"} & tables.keys():
             file = examples / "fit" / f"block_{number}.toml"
-            file.write_text(block, "utf-8")
+            # a table of an experiment is of the last one of the fit before it
+            whole_fit = block if "fit" in tables else f"{whole_fit}\n{block}"
+            file.write_text(whole_fit, "utf-8")
             read_fit(file)
         elif {"measure", "test"} & tables.keys():
             file = examples / "measure" / f"block_{number}.toml"

@@ -4,15 +4,66 @@ Histories have derivatives with respect to them like any other number, by differ
 (``elasticity.bem.pair``); those at other values need another pair.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
 from mpi4py import MPI
 
+from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import layer_entry
+from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.elasticity.bem.pair import ComplianceChange, ContactPair, Entry, layer_derivative
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.history.elastic.bodies import bodies
+from ringwear_par.history.elastic.bodies import bodies, young
+from ringwear_par.history.elastic.compliances import key_of
 
 _ENTRIES: tuple[Entry, ...] = ("thickness", "young", "poisson")
+
+
+@dataclass(frozen=True)
+class ElasticDerivatives:
+    """Derivatives with respect to a number of m compliances, of other pairs or moduli."""
+
+    #: (m, n, n) of K / m and C, transposed
+    symmetric: FloatArray
+    collocated: FloatArray
+    #: (m, n)
+    twist: FloatArray
+    #: (B,) int of each history, or 0
+    which: Any
+
+    @classmethod
+    def of(
+        cls, cases: Sequence[Case], pairs: Sequence[ContactPair], key: str
+    ) -> "ElasticDerivatives":
+        """Return the derivatives of some cases, each on its pair."""
+        operators = [key_of(pair, case) for pair, case in zip(pairs, cases, strict=True)]
+        firsts = dict(zip(operators, zip(pairs, cases, strict=True), strict=True))
+        places = {operator: place for place, operator in enumerate(firsts)}
+        every = [
+            pair.d_compliance(young(case), compliance_change(case, pair, key))
+            for pair, case in firsts.values()
+        ]
+        area = pairs[0].line.area
+        return cls(
+            np.array([(matrix / area[:, None]).T for matrix, _, _ in every]),
+            np.array([collocated.T for _, collocated, _ in every]),
+            np.array([twist for _, _, twist in every]),
+            np.array([places[operator] for operator in operators]),
+        )
+
+    def take(self, histories: IntArray) -> "ElasticDerivatives":
+        """Return the derivatives of some of B histories."""
+        return replace(self, which=self.which[histories])
+
+    def add_gap(self, gap: FloatArray, p: FloatArray, at: FloatArray) -> None:
+        """Add to derivatives of the gap, (..., n) mm; pressures as those of ``Sensitivity``."""
+        products = RowProducts(self.which)
+        gap += products.of(p - at, self.symmetric)
+        gap += products.of(at, self.collocated)
 
 
 def compliance_change(case: Case, pair: ContactPair, key: str) -> ComplianceChange:

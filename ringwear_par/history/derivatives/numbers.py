@@ -2,22 +2,17 @@
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, columns
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import layer_entry
-from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.mesh import obliquity
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.history.derivatives.elastic_numbers import compliance_change
+from ringwear_par.history.derivatives.elastic_numbers import ElasticDerivatives
 from ringwear_par.history.derivatives.keys import RATES, elastic_numbers
-from ringwear_par.history.elastic.bodies import young
-from ringwear_par.history.elastic.compliances import key_of
 from ringwear_par.schedules import Quantity, Table, in_time
 from ringwear_par.wear.law import Law
 from ringwear_par.wear.laws.non_local import d_averaging
@@ -92,7 +87,9 @@ class Sensitivity:
         self._force = rows.get("load.force") if isinstance(cases[0].load.force, Table) else None
         elastic = {"lower.young", "upper.young", *elastic_numbers(cases[0])}
         self.elastic = [
-            (row, _Elastic.of(cases, pairs, key)) for key, row in rows.items() if key in elastic
+            (row, ElasticDerivatives.of(cases, pairs, key))
+            for key, row in rows.items()
+            if key in elastic
         ]
         rows_of_keys = [*keys, ""][: len(self)]
         #: of bodies with layers, (layers, P), which number is the thickness of which layer
@@ -178,45 +175,4 @@ class Sensitivity:
         p, at : (..., n) MPa, of a solution, and those that it was corrected at.
         """
         for row, elastic in self.elastic:
-            products = RowProducts(elastic.which)
-            gap[row] += products.of(p - at, elastic.symmetric)
-            gap[row] += products.of(at, elastic.collocated)
-
-
-@dataclass(frozen=True)
-class _Elastic:
-    """Derivatives with respect to a number of m compliances, of other pairs or moduli.
-
-    Parameters
-    ----------
-    symmetric, collocated : (m, n, n) of K / m and C, transposed.
-    twist : (m, n).
-    which : (B,) int of each history, or 0.
-    """
-
-    symmetric: FloatArray
-    collocated: FloatArray
-    twist: FloatArray
-    which: Any
-
-    @classmethod
-    def of(cls, cases: Sequence[Case], pairs: Sequence[ContactPair], key: str) -> "_Elastic":
-        """Return the derivatives of some cases, each on its pair."""
-        operators = [key_of(pair, young(case)) for pair, case in zip(pairs, cases, strict=True)]
-        firsts = dict(zip(operators, zip(pairs, cases, strict=True), strict=True))
-        places = {operator: place for place, operator in enumerate(firsts)}
-        every = [
-            pair.d_compliance(young(case), compliance_change(case, pair, key))
-            for pair, case in firsts.values()
-        ]
-        area = pairs[0].line.area
-        return cls(
-            np.array([(matrix / area[:, None]).T for matrix, _, _ in every]),
-            np.array([collocated.T for _, collocated, _ in every]),
-            np.array([twist for _, _, twist in every]),
-            np.array([places[operator] for operator in operators]),
-        )
-
-    def take(self, histories: IntArray) -> "_Elastic":
-        """Return the derivatives of some of B histories."""
-        return replace(self, which=self.which[histories])
+            elastic.add_gap(gap[row], p, at)

@@ -8,53 +8,51 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.batched import along, take
+from ringwear_par.cases.case import Case
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.engine import ContactEngine
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
+from ringwear_par.history.elastic.bodies import young
 
 #: identity of a contact pair, and Young's moduli of lower and upper
 OperatorKey = tuple[int, tuple[float, float]]
 
 
-def key_of(pair: ContactPair, young: tuple[float, float]) -> OperatorKey:
-    """Return the key of a compliance among those of some pairs."""
-    return id(pair), young
+def key_of(pair: ContactPair, case: Case) -> OperatorKey:
+    """Return the key of the compliance of a case among those of some pairs."""
+    return id(pair), young(case)
 
 
 @dataclass(frozen=True)
 class Compliances:
-    """How the contact elements of B histories yield.
+    """How the contact elements of B histories yield."""
 
-    Parameters
-    ----------
-    every : compliances of all different pairs and moduli, that of the first history first.
-    which : (B,) int, the one of each history.
-    diagonal : (B, n) float, mm/MPa, displacement of each element under its own pressure alone.
-    stiffness : (B,) float, MPa/mm, uniform pressure over the mean displacement that it makes.
-    twist : (B, n) float, mm/MPa, see ``ContactCompliance``.
-    force_reaction, torque_reaction : (B, 2, n) float, mm^2 and mm^3, see there.
-    symmetry_defect : (B,) float, see there.
-    """
-
+    #: compliances of all different pairs and moduli, that of the first history first
     every: Sequence[ContactCompliance] = field(metadata=along(None))
+    #: (B,) int, the one of each history
     which: IntArray
+    #: (B, n) float, mm/MPa, displacement of each element under its own pressure alone
     diagonal: FloatArray
+    #: (B,) float, MPa/mm, uniform pressure over the mean displacement that it makes
     stiffness: FloatArray
+    #: (B, n) float, mm/MPa, see ``ContactCompliance``
     twist: FloatArray
+    #: (B, 2, n) float, mm^2 and mm^3, see ``ContactCompliance``
     force_reaction: FloatArray
     torque_reaction: FloatArray
+    #: (B,) float, see ``ContactCompliance``
     symmetry_defect: FloatArray
 
     @classmethod
     def of(
         cls,
         pairs: Sequence[ContactPair],
-        moduli: Sequence[tuple[float, float]],
+        cases: Sequence[Case],
         known: Mapping[OperatorKey, ContactCompliance],
     ) -> Self:
         """Return the compliances of histories; some may be known."""
-        keys = [key_of(*row) for row in zip(pairs, moduli, strict=True)]
+        keys = [key_of(*row) for row in zip(pairs, cases, strict=True)]
         pair_of = dict(zip(keys, pairs, strict=True))
         places = {key: place for place, key in enumerate(pair_of)}
         every = [known.get(key) or pair.compliance(key[1]) for key, pair in pair_of.items()]

@@ -18,28 +18,25 @@ class Balances:
 
     Force, volume, energy and residual hold to round-off; torque and reaction vanish with the mesh,
     the step error with the steps.
-
-    Parameters
-    ----------
-    force : contact pressure against the applied force (0 at given displacement).
-    torque : torque on the fixed faces against the friction torque, the worse of both bodies.
-    reaction : axial force on the fixed faces against that of the contact pressure, likewise.
-    volume : worn volume of the profiles against the time integral of the rate at the contact
-        pressures, which implicit schemes evaluate apart from the depths (a check of bookkeeping for
-        explicit steps, whose depths are the rates times the step).
-    energy : worn volume against k times the dissipated energy, where p0 = 0 (else 0); with layers
-        what the volumes of all of them took of it.
-    residual : KKT residual of the contact solution.
-    step_error : mm, estimated error of wear that time steps make: over the whole history with
-        adaptive ones, in one step with fixed ones.
     """
 
+    #: contact pressure against the applied force (0 at given displacement)
     force: float = 0.0
+    #: torque on the fixed faces against the friction torque, the worse of both bodies
     torque: float = 0.0
+    #: axial force on the fixed faces against that of the contact pressure, the worse of both bodies
     reaction: float = 0.0
+    #: worn volume of the profiles against the time integral of the rate at the contact pressures,
+    #: which implicit schemes evaluate apart from the depths (a check of bookkeeping for explicit
+    #: steps, whose depths are the rates times the step)
     volume: float = 0.0
+    #: worn volume against k times the dissipated energy, where p0 = 0 (else 0); with layers what
+    #: the volumes of all of them took of it
     energy: float = 0.0
+    #: KKT residual of the contact solution
     residual: float = 0.0
+    #: mm, estimated error of wear that time steps make: over the whole history with adaptive ones,
+    #: in one step with fixed ones
     step_error: float = 0.0
 
     @property

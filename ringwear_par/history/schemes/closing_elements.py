@@ -30,17 +30,13 @@ _ENTRY_ERROR, _STAGE_ERROR = 0.33, 0.67
 
 @dataclass(frozen=True)
 class ClosingElements:
-    """The elements that wear may bring into contact in a step.
+    """The elements that wear may bring into contact in a step."""
 
-    Parameters
-    ----------
-    gap : (..., n) float, mm, of these elements at the start, 0 elsewhere.
-    area : (n,) float, mm^2.
-    force_kept : whether the others carry what these do not.
-    """
-
+    #: (..., n) float, mm, of these elements at the start, 0 elsewhere
     gap: FloatArray
+    #: (n,) float, mm^2
     area: FloatArray
+    #: whether the others carry what these do not
     force_kept: bool
 
     @property

@@ -96,30 +96,26 @@ def next_to_cross(physics: Physics, state: State) -> str:
 
 @dataclass(frozen=True)
 class Passage:
-    """How elements come to the ends of their layers in a step, (2, B, n) of lower and upper.
+    """How elements come to the ends of their layers in a step, (2, B, n) of lower and upper."""
 
-    Parameters
-    ----------
-    physics, following : of the layers that elements are in, and of the next ones of those that get
-        there, and of all others that have one.
-    layers : int, that elements are in.
-    ends : mm, of these, infinite of bodies themselves.
-    wear : mm, at the end of the step.
-    crossing : which elements get to the end of their layer.
-    time, sliding : (B,) s, at which rates are those of the last part of the step.
-    pressure : (B, n) MPa, of the last part.
-    mean, here, below : mm/s, rates in the step, in its last part, and those of the next layers.
-    """
-
+    #: of the layers that elements are in, and of the next ones of those that get there, and of all
+    #: others that have one
     physics: Physics
     following: Physics
+    #: int, that elements are in
     layers: IntArray
+    #: mm, of these, infinite of bodies themselves
     ends: FloatArray
+    #: mm, at the end of the step
     wear: FloatArray
+    #: which elements get to the end of their layer
     crossing: BoolArray
+    #: (B,) s, at which rates are those of the last part of the step
     time: FloatArray
     sliding: Sliding
+    #: (B, n) MPa, of the last part
     pressure: FloatArray
+    #: mm/s, rates in the step, in its last part, and those of the next layers
     mean: FloatArray
     here: FloatArray
     below: FloatArray

@@ -157,17 +157,13 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
 
 @dataclass(frozen=True)
 class _Feedback:
-    """What a change of depth does to wear in a stage: (I - gamma h J)^-1 - I, J = d rate / d depth.
+    """Wear of a stage for a depth change: (I - gamma h J)^-1 - I, J = d rate / d depth."""
 
-    Parameters
-    ----------
-    last : the increment of the last stage.
-    slope : of its depth over pressure.
-    memory : see ``WearIncrement.memory``.
-    """
-
+    #: the increment of the last stage
     last: WearIncrement
+    #: of its depth over pressure
     slope: FloatArray
+    #: see ``WearIncrement.memory``
     memory: FloatArray | float
 
     def after_relief(self, depths: FloatArray, reliefs: FloatArray) -> FloatArray:

@@ -22,38 +22,32 @@ from ringwear_par.history.validity.state_limits import checked
 
 @dataclass(frozen=True)
 class Step:
-    """One step.
+    """One step."""
 
-    Parameters
-    ----------
-    state : at its end; the iterations of its contact are those of all stages.
-    wear_error : (B,), mm, estimated error of the wear of both bodies together in the
-        step, of the worst element.
-    history_error : (B,), mm, that of the history up to the end of the step; from a scheme
-        that does not carry it that of the step.
-    energy_error : (B,), N mm, estimated error of the energy dissipated in the step; 0 from
-        a scheme that leaves it to the wear.
-    power : (B,), N mm/s, largest power of friction in the step, where there is such error.
-    pressure_error : (B,), estimated error of the pressure at the end, of the worst
-        element, over the mean pressure (force over the area in contact); 0 from a scheme that does
-        not know it.
-    carried_error : (B,), mm, what is left at the end of the step of the error of the
-        history before it; 0 from a scheme that does not carry it.
-    closing : (B,), whether elements came into contact within the step, which errors of wear
-        do not know of.
-    too_far : (B,), whether an element went too far beyond its layer; the step is no good then.
-    interface : (B,), s, when the first element got to the end of its layer, or is expected to.
-    """
-
+    #: at its end; the iterations of its contact are those of all stages
     state: State
+    #: (B,), mm, estimated error of the wear of both bodies together in the step, of the worst
+    #: element
     wear_error: FloatArray
+    #: (B,), mm, that of the history up to the end of the step; from a scheme that does not carry it
+    #: that of the step
     history_error: FloatArray
+    #: (B,), N mm, estimated error of the energy dissipated in the step; 0 from a scheme that leaves
+    #: it to the wear
     energy_error: Any = 0.0
+    #: (B,), N mm/s, largest power of friction in the step, where there is such error
     power: Any = 0.0
+    #: (B,), estimated error of the pressure at the end, of the worst element, over the mean
+    #: pressure (force over the area in contact); 0 from a scheme that does not know it
     pressure_error: Any = 0.0
+    #: (B,), mm, what is left at the end of the step of the error of the history before it; 0 from a
+    #: scheme that does not carry it
     carried_error: Any = 0.0
+    #: (B,), whether elements came into contact within the step, which errors of wear do not know of
     closing: Any = False
+    #: (B,), whether an element went too far beyond its layer; the step is no good then
     too_far: Any = False
+    #: (B,), s, when the first element got to the end of its layer, or is expected to
     interface: Any = np.inf
 
 

@@ -115,15 +115,12 @@ class _Box:
     """Coordinates in which all that bounds and rules allow is a box.
 
     Those of most unknowns are the unknowns; one that is never less than another counts from it.
-
-    Parameters
-    ----------
-    forward, back : (u, u), coordinates of the unknowns, and the unknowns of coordinates.
-    low, high : (u,) of the coordinates.
     """
 
+    #: (u, u), coordinates of the unknowns, and the unknowns of coordinates
     forward: FloatArray
     back: FloatArray
+    #: (u,) of the coordinates
     low: FloatArray
     high: FloatArray
 

@@ -34,33 +34,29 @@ _HALVINGS = 3
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Solution:
-    """The best optimum of a least squares problem, and how well it is known.
+    """The best optimum of a least squares problem, and how well it is known."""
 
-    Parameters
-    ----------
-    x : (u,) unknowns at the optimum.
-    evaluation : residuals there.
-    parameters : estimates of the fitted keys.
-    covariance : (u, u) of the unknowns.
-    starts : what came of each, the best optimum among them.
-    histories : computed in all.
-    profiles : of the likelihood, by key: (2, points) values and what the sum of squares grows by.
-    posterior : samples of the fitted keys, where they were asked for.
-    histories_of_profiles : how many of them were for likelihood profiles.
-    inexact_limits : keys of which a profile's limit is not as close as it should be.
-    discretisation_shift_sd : sd by which steps half as long would move a key, by key.
-    """
-
+    #: (u,) unknowns at the optimum
     x: FloatArray
+    #: residuals there
     evaluation: Evaluation
+    #: estimates of the fitted keys
     parameters: tuple[ParameterEstimate, ...]
+    #: (u, u) of the unknowns
     covariance: FloatArray
+    #: what came of each, the best optimum among them
     starts: tuple[StartOutcome, ...] = ()
+    #: computed in all
     histories: int = 0
+    #: of the likelihood, by key: (2, points) values and what the sum of squares grows by
     profiles: Mapping[str, FloatArray] = field(default_factory=dict)
+    #: samples of the fitted keys, where they were asked for
     posterior: Posterior | None = None
+    #: how many of them were for likelihood profiles
     histories_of_profiles: int = 0
+    #: keys of which a profile's limit is not as close as it should be
     inexact_limits: tuple[str, ...] = ()
+    #: sd by which steps half as long would move a key, by key
     discretisation_shift_sd: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -14,15 +14,11 @@ _REACH, _BISECTIONS = 40.0, 80
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """A mixture of normal distributions of one number.
+    """A mixture of normal distributions of one number."""
 
-    Parameters
-    ----------
-    weights : (g,) float, of the parts; they sum to 1.
-    means, variances : (g,) float, of the parts.
-    """
-
+    #: (g,) float, of the parts; they sum to 1
     weights: FloatArray
+    #: (g,) float, of the parts
     means: FloatArray
     variances: FloatArray
 

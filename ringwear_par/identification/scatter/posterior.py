@@ -37,31 +37,23 @@ _AT_BOUND = 2.71
 
 @dataclass(frozen=True)
 class Size:
-    """A size that is known, or has a prior.
+    """A size that is known, or has a prior."""
 
-    Parameters
-    ----------
-    known : the size, None where it is to be fitted.
-    scale : of its half-t prior.
-    """
-
+    #: the size, None where it is to be fitted
     known: float | None
+    #: of its half-t prior
     scale: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """The points of a size.
+    """The points of a size."""
 
-    Parameters
-    ----------
-    points : (k,) float, increasing; one where the size is known.
-    weights : (k,) float, prior density times the width that a point stands for, but for a factor.
-    log_factor : logarithm of that.
-    """
-
+    #: (k,) float, increasing; one where the size is known
     points: FloatArray
+    #: (k,) float, prior density times the width that a point stands for, but for a factor
     weights: FloatArray
+    #: logarithm of that
     log_factor: float = 0.0
 
 
@@ -89,56 +81,47 @@ def grid(axes_of_sizes: Sequence[Axis]) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class SizePosterior:
-    """What is known of one size.
+    """What is known of one size."""
 
-    Parameters
-    ----------
-    median : of its posterior.
-    interval : of the asked level; from 0 where 0 is not excluded.
-    restricted : the size of the largest restricted likelihood.
-    at_bound : whether a size of 0 is not excluded by the readings.
-    """
-
+    #: of its posterior
     median: float
+    #: of the asked level; from 0 where 0 is not excluded
     interval: tuple[float, float]
+    #: the size of the largest restricted likelihood
     restricted: float
+    #: whether a size of 0 is not excluded by the readings
     at_bound: bool
 
 
 class Drawn(NamedTuple):
-    """Draws of the unknowns of the material and of all tests, and of the sizes.
+    """Draws of the unknowns of the material and of all tests, and of the sizes."""
 
-    Parameters
-    ----------
-    material : (n, m); tests : (n, tests, m); tau : (n, levels); shares : (n, bodies).
-    """
-
+    #: (n, m)
     material: FloatArray
+    #: (n, tests, m)
     tests: FloatArray
+    #: (n, levels)
     tau: FloatArray
+    #: (n, bodies)
     shares: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class ScatterPosterior:
-    """The posterior of mixed models over the grid of their sizes.
+    """The posterior of mixed models over the grid of their sizes."""
 
-    Parameters
-    ----------
-    models : one for each point of the process noise, one at least; of the same levels.
-    solutions : at the points of the grid, those of each model after another.
-    weights : (G,) float, posterior probability of each point.
-    shares : (G, bodies) float, shares of the process noise at each point.
-    without : (bodies,) float, smallest restricted -2 log likelihood without that of a body; NaN
-        where its size is known.
-    log_mass : logarithm of the likelihood that was integrated over the grid, but for a constant.
-    """
-
+    #: one for each point of the process noise, one at least; of the same levels
     models: tuple[MixedModel, ...]
+    #: at the points of the grid, those of each model after another
     solutions: Solutions
+    #: (G,) float, posterior probability of each point
     weights: FloatArray
+    #: (G, bodies) float, shares of the process noise at each point
     shares: FloatArray
+    #: (bodies,) float, smallest restricted -2 log likelihood without that of a body; NaN where its
+    #: size is known
     without: FloatArray
+    #: logarithm of the likelihood that was integrated over the grid, but for a constant
     log_mass: float
 
     @property

@@ -25,19 +25,15 @@ _NARROW = 0.5
 
 @dataclass(frozen=True, eq=False)
 class RandomWear:
-    """The bodies of a fit whose wear is random.
+    """The bodies of a fit whose wear is random."""
 
-    Parameters
-    ----------
-    process : by key ("wear.lower").
-    depths : (bodies,) mm, largest mean worn depth of each in any test.
-    steps : (bodies,) mm, worn between two readings or blocks of them, the median of all.
-    shares : of the process noise: sqrt(size / depth).
-    """
-
+    #: by key ("wear.lower")
     process: Mapping[str, ProcessNoise]
+    #: (bodies,) mm, largest mean worn depth of each in any test
     depths: FloatArray
+    #: (bodies,) mm, worn between two readings or blocks of them, the median of all
     steps: FloatArray
+    #: of the process noise: sqrt(size / depth)
     shares: tuple[Size, ...]
 
     @classmethod

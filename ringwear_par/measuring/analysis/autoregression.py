@@ -12,18 +12,15 @@ _USUAL = 0.8
 
 
 class Regression(NamedTuple):
-    """A linear regression.
+    """A linear regression."""
 
-    Parameters
-    ----------
-    coefficients : (m,) float; covariance : (m, m) float.
-    autocorrelation : of the errors, from one to the next.
-    sd : of an error.
-    """
-
+    #: (m,) float
     coefficients: FloatArray
+    #: (m, m) float
     covariance: FloatArray
+    #: of the errors, from one to the next
     autocorrelation: float
+    #: of an error
     sd: float
 
 
@@ -35,7 +32,8 @@ def regress(columns: FloatArray, values: FloatArray) -> Regression:
 
     Parameters
     ----------
-    columns : (n, m) float, n > m; values : (n,) float.
+    columns : (n, m) float, n > m.
+    values : (n,) float.
     """
     n, m = columns.shape
     autocorrelation = 0.0

@@ -18,20 +18,16 @@ _AGREEMENT = 0.1
 
 @dataclass(frozen=True)
 class Source:
-    """A source of uncertainty.
+    """A source of uncertainty."""
 
-    Parameters
-    ----------
-    name : of what is not known for certain.
-    type : A, from statistics of readings, or B.
-    u : its standard uncertainty, in ``unit``.
-    sensitivity : derivative of the measurand with respect to it.
-    """
-
+    #: of what is not known for certain
     name: str
+    #: A, from statistics of readings, or B
     type: Literal["A", "B"]
+    #: its standard uncertainty, in ``unit``
     u: float
     unit: str
+    #: derivative of the measurand with respect to it
     sensitivity: float
 
     @property
@@ -42,16 +38,12 @@ class Source:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A measurand: its value, and the sources of its uncertainty.
-
-    Parameters
-    ----------
-    shortest : the shortest interval of 95 % of Monte Carlo draws; None where nothing was drawn.
-    """
+    """A measurand: its value, and the sources of its uncertainty."""
 
     value: float
     unit: str
     sources: tuple[Source, ...]
+    #: the shortest interval of 95 % of Monte Carlo draws; None where nothing was drawn
     shortest: tuple[float, float] | None = None
 
     def __repr__(self) -> str:

@@ -42,31 +42,29 @@ _DIFFERENT, _GAP, _SHORT, _OTHER_LOAD = 0.05, 10.0, 0.3, 0.02
 
 @dataclass(frozen=True, eq=False)
 class TestNumbers:
-    """The numbers of a test.
-
-    Parameters
-    ----------
-    part : that friction and rates are of.
-    conditions : means over it.
-    wear_blocks, friction_blocks : block means of the depth (mm) and of the coefficient.
-    friction, wear_rate (mm/s), specific_wear_rate (mm3/(N m)) : None: not read.
-    autocorrelation : of the blocks of the depth, or of the friction where there is none.
-    temperature : degC, mean and largest of the part.
-    """
+    """The numbers of a test."""
 
     #: pytest looks for classes that are called so
     __test__ = False
 
     test: Test
+    #: that friction and rates are of
     part: SteadyPart
+    #: means over the part
     conditions: Conditions
+    #: block means of the depth, mm, and of the friction coefficient
     wear_blocks: Blocks | None
     friction_blocks: Blocks | None
+    #: the coefficient; None: not read, as of the rates
     friction: Estimate | None
+    #: mm/s
     wear_rate: Estimate | None
+    #: mm3/(N m)
     specific_wear_rate: Estimate | None
+    #: of the blocks of the depth, or of the friction where there is none
     autocorrelation: float
     whole: WholeTest
+    #: degC, mean and largest of the part
     temperature: tuple[float, float] | None
     doubts: tuple[ValidityWarning, ...]
     notes: tuple[str, ...]

@@ -20,19 +20,15 @@ _REPEATABILITY, _LEVEL = 2.8, 0.975
 
 @dataclass(frozen=True)
 class Repeats:
-    """Steady tests of the same conditions.
+    """Steady tests of the same conditions."""
 
-    Parameters
-    ----------
-    tests : their names.
-    mean : mm3/(N m), of logarithms; interval : of the mean, 95 %: Student's t, and in squares what
-        all tests share, as they have one rig.
-    s_r : standard deviation of the logarithms.
-    """
-
+    #: their names
     tests: tuple[str, ...]
+    #: mm3/(N m), of logarithms
     mean: float
+    #: of the mean, 95 %: Student's t, and in squares what all tests share, as they have one rig
     interval: tuple[float, float]
+    #: standard deviation of the logarithms
     s_r: float
 
     @property

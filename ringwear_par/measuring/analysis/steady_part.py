@@ -33,19 +33,15 @@ class Blocks(NamedTuple):
 
 
 class Change(NamedTuple):
-    """How much a slope or a level changes over a part of a record, and what it is in its middle.
+    """How much a slope or a level changes over a part of a record, and what it is in its middle."""
 
-    Parameters
-    ----------
-    change, change_u : from the part's start to its end, with its standard uncertainty.
-    value, value_u : in the middle.
-    autocorrelation, sd : of the blocks about the curve.
-    """
-
+    #: from the part's start to its end, with its standard uncertainty
     change: float
     change_u: float
+    #: in the middle
     value: float
     value_u: float
+    #: of the blocks about the curve
     autocorrelation: float
     sd: float
 
@@ -61,16 +57,13 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True)
 class SteadyPart:
-    """The part of a test that numbers are of.
+    """The part of a test that numbers are of."""
 
-    Parameters
-    ----------
-    start : s; of : "steady part", "last third" or "given part".
-    wear, friction : s, from when on each is steady by itself; None: never, or it was not read.
-    """
-
+    #: s
     start: float
+    #: "steady part", "last third" or "given part"
     of: Literal["steady part", "last third", "given part"]
+    #: s, from when on each is steady by itself; None: never, or it was not read
     wear: float | None
     friction: float | None
 
@@ -92,7 +85,8 @@ def block_means(time: FloatArray, values: FloatArray) -> Blocks:
 
     Parameters
     ----------
-    time : (n,) s, not falling, from 0; values : (n,), NaN where nothing was read.
+    time : (n,) s, not falling, from 0.
+    values : (n,), NaN where nothing was read.
     """
     filled = np.isfinite(values)
     time, values = time[filled], values[filled]

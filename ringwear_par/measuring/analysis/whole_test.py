@@ -24,19 +24,17 @@ _END_BLOCKS, _RUNNING_IN, _STEADY = 5, 2, 1
 
 @dataclass(frozen=True)
 class WholeTest:
-    """Numbers of a test from its start to its end.
+    """Numbers of a test from its start to its end."""
 
-    Parameters
-    ----------
-    mass_loss : mg; volume : mm3; specific_wear_rate : mm3/(N m); None: not weighed.
-    volume_by_displacement : mm3, area times depth; None: no depth was read near an end.
-    distance : m, slid.
-    """
-
+    #: m, slid
     distance: float
+    #: mg
     mass_loss: Estimate | None
+    #: mm3
     volume: Estimate | None
+    #: mm3/(N m); None: not weighed
     specific_wear_rate: Estimate | None
+    #: mm3, area times depth; None: no depth was read near an end
     volume_by_displacement: Estimate | None
 
 

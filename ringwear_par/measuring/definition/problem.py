@@ -27,18 +27,15 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What a test is run at: means over a part of it.
+    """What a test is run at: means over a part of it."""
 
-    Parameters
-    ----------
-    force : N; omega : rad/s; product : N rad/s, mean of force times omega, which is not that of
-        their means where both change.
-    inner, outer : mm, radii of the contact.
-    """
-
+    #: N
     force: float
+    #: rad/s
     omega: float
+    #: N rad/s, mean of force times omega, which is not that of their means where both change
     product: float
+    #: mm, radii of the contact
     inner: float
     outer: float
 
@@ -71,13 +68,7 @@ class Conditions:
 
 @dataclass(frozen=True, eq=False)
 class Test:
-    """A test: its record, its weighing, and the case of its rig.
-
-    Parameters
-    ----------
-    duration : s, of sliding.
-    weighing : None where there is none.
-    """
+    """A test: its record, its weighing, and the case of its rig."""
 
     #: pytest looks for classes that are called so
     __test__ = False
@@ -85,7 +76,9 @@ class Test:
     name: str
     case: Case
     record: Record
+    #: s, of sliding
     duration: float
+    #: None where there is none
     weighing: Weighing | None
 
     def __repr__(self) -> str:
@@ -123,40 +116,34 @@ class Test:
 
 @dataclass(frozen=True)
 class Limits:
-    """When a test is steady.
+    """When a test is steady."""
 
-    Parameters
-    ----------
-    wear, friction : shares of the rate and of the coefficient that they may change by.
-    start : s, where the steady part begins; None: it is looked for.
-    """
-
+    #: shares of the rate and of the coefficient that they may change by
     wear: float = 0.15
     friction: float = 0.05
+    #: s, where the steady part begins; None: it is looked for
     start: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What a measure file asks.
+    """What a measure file asks."""
 
-    Parameters
-    ----------
-    name : what messages call it; text : TOML.
-    mass_sd : g, of one weighing; None: not known. mass_type : "A" where readings tell it.
-    uncertainty : by case key, or "torque", "displacement", "time".
-    hashes : SHA-256 of the files, by name.
-    notes : sentences about what was read.
-    """
-
+    #: what messages call it
     name: str
+    #: TOML
     text: str
     tests: tuple[Test, ...]
+    #: g, of one weighing; None: not known
     mass_sd: float | None
+    #: "A" where readings tell it
     mass_type: Literal["A", "B"]
+    #: by case key, or "torque", "displacement", "time"
     uncertainty: Mapping[str, Uncertainty]
     limits: Limits = field(default_factory=Limits)
+    #: SHA-256 of the files, by name
     hashes: Mapping[str, str] = field(default_factory=dict)
+    #: sentences about what was read
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:

@@ -44,37 +44,35 @@ Sense = Literal["rising", "falling"]
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Readings of one test.
+    """Readings of one test."""
 
-    Parameters
-    ----------
-    file : its name; sha256 : of the file.
-    time : (n,) s from the first stamp.
-    duration : s, the last stamp less the first, also where readings there are excluded.
-    wear : (n,) mm, positive where material is lost, NaN where nothing was read; None: no channel.
-    torque : (n,) N mm; load : (n,) N; temperature : (n,) degC; likewise.
-    falling : whether the file's depth is a position, which falls.
-    columns : names of the channels' columns.
-    empty, repeated, excluded : number of cells that were empty, of stamps that were there before,
-        of readings left out.
-    exclude : s, increasing intervals without readings, as a user wants it.
-    notes : sentences about how the file was read.
-    """
-
+    #: its name
     file: str
+    #: of the file
     sha256: str
+    #: (n,) s from the first stamp
     time: FloatArray
+    #: s, the last stamp less the first, also where readings there are excluded
     duration: float
+    #: (n,) mm, positive where material is lost, NaN where nothing was read; None: no channel
     wear: FloatArray | None
+    #: (n,) N mm
     torque: FloatArray | None
+    #: (n,) N
     load: FloatArray | None
+    #: (n,) degC; None: no channel
     temperature: FloatArray | None
+    #: whether the file's depth is a position, which falls
     falling: bool
+    #: names of the channels' columns
     columns: Mapping[str, str]
+    #: number of cells that were empty, of stamps that were there before, of readings left out
     empty: int
     repeated: int
     excluded: int
+    #: s, increasing intervals without readings, as a user wants it
     exclude: tuple[tuple[float, float], ...] = ()
+    #: sentences about how the file was read
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:

@@ -24,16 +24,11 @@ _LOSS = {"loss", "verlust", "massenverlust"}
 
 @dataclass(frozen=True)
 class Weighing:
-    """The mass that a specimen has lost.
+    """The mass that a specimen has lost."""
 
-    Parameters
-    ----------
-    loss : g, mean of before less mean of after.
-    before, after : how many readings each is the mean of; a loss that was read is of one before
-        and one after.
-    """
-
+    #: g, mean of before less mean of after
     loss: float
+    #: how many readings each is the mean of; a loss that was read is of one before and one after
     before: int
     after: int
 
@@ -44,21 +39,17 @@ class Weighing:
 
 @dataclass(frozen=True)
 class Weighings:
-    """All weighings of a file.
+    """All weighings of a file."""
 
-    Parameters
-    ----------
-    specimens : by name.
-    scatter : g, sd of readings of one mass about their mean; None where none was read twice.
-    resolution : g, by the digits of readings.
-    sha256 : of the file.
-    notes : sentences about how the file was read.
-    """
-
+    #: by name
     specimens: Mapping[str, Weighing]
+    #: g, sd of readings of one mass about their mean; None where none was read twice
     scatter: float | None
+    #: g, by the digits of readings
     resolution: float
+    #: of the file
     sha256: str
+    #: sentences about how the file was read
     notes: tuple[str, ...] = ()
 
     @property

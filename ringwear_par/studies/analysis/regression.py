@@ -52,23 +52,19 @@ _FORMS: dict[str, tuple[Any, Any]] = {
 
 @dataclass(frozen=True)
 class Response:
-    """A response in the cases of a part, and how well it is met where they are left out.
+    """A response in the cases of a part, and how well it is met where they are left out."""
 
-    Parameters
-    ----------
-    values : (cases, columns), one column a time, or an element of a profile.
-    form : which function of it is interpolated, a name in the table of forms.
-    error : root mean square of leave-out errors, in the response's unit.
-    form_error : root mean square of leave-out errors of its form.
-    shape : of a case's values, whose product is the number of columns: () of one number.
-    limit : above which it cannot be.
-    """
-
+    #: (cases, columns), one column a time, or an element of a profile
     values: FloatArray
+    #: which function of it is interpolated, a name in the table of forms
     form: str
+    #: root mean square of leave-out errors, in the response's unit
     error: float
+    #: root mean square of leave-out errors of its form
     form_error: float
+    #: of a case's values, whose product is the number of columns: () of one number
     shape: tuple[int, ...]
+    #: above which it cannot be
     limit: float = math.inf
 
     @cached_property
@@ -94,26 +90,22 @@ class Response:
 
 @dataclass(frozen=True)
 class Part:
-    """The surrogate of the cases that share all texts.
+    """The surrogate of the cases that share all texts."""
 
-    Parameters
-    ----------
-    texts : values of the varied keys that are no numbers.
-    keys : the varied keys that are numbers and differ.
-    low, high : (keys,) ends of their ranges.
-    logarithmic : (keys,) whether a key goes by its logarithm.
-    points : (cases, keys) places between the ends, about 0 to 1.
-    stretches : (keys,) what they are multiplied by.
-    responses : by name.
-    """
-
+    #: values of the varied keys that are no numbers
     texts: tuple[str, ...]
+    #: the varied keys that are numbers and differ
     keys: tuple[str, ...]
+    #: (keys,) ends of their ranges
     low: FloatArray
     high: FloatArray
+    #: (keys,) whether a key goes by its logarithm
     logarithmic: BoolArray
+    #: (cases, keys) places between the ends, about 0 to 1
     points: FloatArray
+    #: (keys,) what they are multiplied by
     stretches: FloatArray
+    #: by name
     responses: dict[str, Response]
 
     def values_at(self, key: int, places: FloatArray) -> FloatArray:

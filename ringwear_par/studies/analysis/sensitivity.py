@@ -44,30 +44,25 @@ _NO_SALIB = (
 
 @dataclass(frozen=True)
 class Indices:
-    """Two sensitivity indices of one output by key.
+    """Two sensitivity indices of one output by key."""
 
-    Parameters
-    ----------
-    output : name of a final value.
-    keys : the varied keys that are numbers.
-    source : what the indices are of.
-    names : of both indices.
-    first : first-order indices, (keys,).
-    influence : how much each key matters, (keys,): total Sobol' indices, or delta.
-    first_width, influence_width : half-widths of their 95 % confidence intervals, None where errors
-        are not of sampling.
-    noise : what ``influence`` comes to, by sampling, for a key that does not matter, its confidence
-        included.
-    """
-
+    #: name of a final value
     output: str
+    #: the varied keys that are numbers
     keys: tuple[str, ...]
+    #: what the indices are of
     source: str
+    #: of both indices
     names: tuple[str, str]
+    #: first-order indices, (keys,)
     first: FloatArray
+    #: how much each key matters, (keys,): total Sobol' indices, or delta
     influence: FloatArray
+    #: half-widths of their 95 % confidence intervals, None where errors are not of sampling
     first_width: FloatArray | None = None
     influence_width: FloatArray | None = None
+    #: what ``influence`` comes to, by sampling, for a key that does not matter, its confidence
+    #: included
     noise: float = 0.0
 
 

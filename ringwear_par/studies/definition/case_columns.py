@@ -18,19 +18,16 @@ class CaseColumns:
     """The cases of a study, or a stretch of them, by column.
 
     Cases whose columns differ in numbers only (see ``cases.numbers``) are of one kind.
-
-    Parameters
-    ----------
-    base : dotted keys and raw values of the base case.
-    names : the varied keys.
-    columns : raw values, in the order of ``names``.
-    numbers : which columns are numbers of a case in all cases of the study, whatever the others
-        are: a stretch of it has no more.
     """
 
+    #: dotted keys and raw values of the base case
     base: Mapping[str, Any]
+    #: the varied keys
     names: tuple[str, ...]
+    #: raw values, in the order of ``names``
     columns: tuple[Column, ...]
+    #: which columns are numbers of a case in all cases of the study, whatever the others are: a
+    #: stretch of it has no more
     numbers: Mapping[Number, int]
 
     @classmethod
@@ -111,15 +108,11 @@ def by_kind(kinds: IntArray) -> Iterator[tuple[int, IntArray]]:
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """Groups of cases, in two arrays whatever their number; those of group g are ``groups[g]``.
+    """Groups of cases, in two arrays whatever their number; those of group g are ``groups[g]``."""
 
-    Parameters
-    ----------
-    cases : numbers of the cases, group after group.
-    starts : (groups + 1,) where each begins.
-    """
-
+    #: numbers of the cases, group after group
     cases: IntArray
+    #: (groups + 1,) where each begins
     starts: IntArray
 
     def __len__(self) -> int:

@@ -31,29 +31,25 @@ _NAMED = 3
 
 @dataclass
 class CheckedCases:
-    """A stretch of a draft's cases, checked.
+    """A stretch of a draft's cases, checked."""
 
-    Parameters
-    ----------
-    identities : (cases,) ids, none if any case is bad.
-    operators : (cases,) which of the keys of ``largest`` the operator of each depends on.
-    moduli : (cases, 2) Young's moduli of lower and upper.
-    work : (cases,) estimated seconds of stepping.
-    largest : of the cases that share an operator, the one that stores most.
-    operator_faults : faults in the size or the mesh of each operator.
-    tried : a case of each kind that has a user's law, see ``Study``.
-    faults : of each of the first bad cases, with its number.
-    bad : number of bad cases.
-    """
-
+    #: (cases,) ids, none if any case is bad
     identities: Any
+    #: (cases,) which of the keys of ``largest`` the operator of each depends on
     operators: IntArray
+    #: (cases, 2) Young's moduli of lower and upper
     moduli: FloatArray
+    #: (cases,) estimated seconds of stepping
     work: FloatArray
+    #: of the cases that share an operator, the one that stores most
     largest: dict[Hashable, Case]
+    #: faults in the size or the mesh of each operator
     operator_faults: dict[Hashable, tuple[str, ...]]
+    #: a case of each kind that has a user's law, see ``Study``
     tried: dict[str, bytes]
+    #: of each of the first bad cases, with its number
     faults: list[tuple[int, tuple[str, ...]]]
+    #: number of bad cases
     bad: int
 
 

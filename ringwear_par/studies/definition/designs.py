@@ -46,19 +46,15 @@ _DECIMAL = re.compile(r"-?(0|[1-9][0-9]*)(\.[0-9]+)?(e[-+]?[0-9]+)?", re.ASCII)
 
 @dataclass(frozen=True)
 class Draft:
-    """A study whose cases have not been looked at yet.
+    """A study whose cases have not been looked at yet."""
 
-    Parameters
-    ----------
-    name : what messages call it.
-    text : the TOML text of the study.
-    method : of the design.
-    cases : all of them.
-    """
-
+    #: what messages call it
     name: str
+    #: the TOML text of the study
     text: str
+    #: of the design
     method: str
+    #: all of them
     cases: CaseColumns
 
 

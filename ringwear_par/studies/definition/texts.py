@@ -27,15 +27,11 @@ class Place:
 
 @dataclass(frozen=True)
 class Frame:
-    """A text with places for values.
+    """A text with places for values."""
 
-    Parameters
-    ----------
-    pieces : the texts before, between and after them.
-    columns : numbers of the columns that the values come from.
-    """
-
+    #: the texts before, between and after them
     pieces: tuple[str, ...]
+    #: numbers of the columns that the values come from
     columns: tuple[int, ...]
 
     @classmethod

@@ -27,15 +27,11 @@ _INSIDE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """The raw values of a varied key in all cases.
+    """The raw values of a varied key in all cases."""
 
-    Parameters
-    ----------
-    values : the distinct ones, float64 where all are floats, else of objects.
-    codes : (cases,) which of the values each case has.
-    """
-
+    #: the distinct ones, float64 where all are floats, else of objects
     values: NDArray[Any]
+    #: (cases,) which of the values each case has
     codes: NDArray[np.int32]
 
     @classmethod
@@ -103,26 +99,22 @@ def _objects(values: Sequence[Any]) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class Variation:
-    """One varied key.
+    """One varied key."""
 
-    Parameters
-    ----------
-    name : as in the study: a case key, or an entry of one that is a pair, such as ``upper.r[1]``,
-        a table or a list of layers.
-    path : the case key.
-    index : which entry, None for the whole value.
-    spacing : how values follow from ``values`` (the values, or both ends of a range).
-    values : raw values.
-    count : number of values of a range in a grid.
-    unit : in which the study writes the values, "" for the case's.
-    """
-
+    #: as in the study: a case key, or an entry of one that is a pair, such as ``upper.r[1]``, a
+    #: table or a list of layers
     name: str
+    #: the case key
     path: str
+    #: which entry, None for the whole value
     index: int | str | None
+    #: how values follow from ``values`` (the values, or both ends of a range)
     spacing: Literal["values", "linear", "log"]
+    #: raw values
     values: tuple[Any, ...]
+    #: number of values of a range in a grid
     count: int = 0
+    #: in which the study writes the values, "" for the case's
     unit: str = ""
 
     @property

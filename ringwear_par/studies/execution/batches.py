@@ -79,17 +79,13 @@ def _block(case: Case, most: int) -> int:
 
 @dataclass(frozen=True)
 class Computed:
-    """Cases that were computed together.
+    """Cases that were computed together."""
 
-    Parameters
-    ----------
-    numbers : of the cases among all.
-    recorder : of their histories.
-    failures : why some of them failed, by place in ``numbers``.
-    """
-
+    #: of the cases among all
     numbers: tuple[int, ...]
+    #: of their histories
     recorder: Recorder
+    #: why some of them failed, by place in ``numbers``
     failures: dict[int, Exception]
 
     @property

@@ -31,21 +31,17 @@ _MOST_SLICES = 100_000
 
 @dataclass(frozen=True)
 class Request:
-    """How a study is to be computed.
+    """How a study is to be computed."""
 
-    Parameters
-    ----------
-    folder : of the results.
-    ranks : of the sweep.
-    ranks_per_case : size of the teams; divides the number of ranks.
-    part : which slice, and of how many; None for the whole, which merges.
-    retry_failed : compute failed cases again.
-    """
-
+    #: of the results
     folder: Path
+    #: of the sweep
     ranks: int
+    #: size of the teams; divides the number of ranks
     ranks_per_case: int = 1
+    #: which slice, and of how many; None for the whole, which merges
     part: tuple[int, int] | None = None
+    #: compute failed cases again
     retry_failed: bool = False
 
     @property
@@ -77,15 +73,11 @@ class Request:
 
 
 class CaseSet(NamedTuple):
-    """Some cases of a study.
+    """Some cases of a study."""
 
-    Parameters
-    ----------
-    cases : the cases.
-    ids : of each.
-    """
-
+    #: the cases
     cases: Sequence[Case]
+    #: of the cases
     ids: Sequence[str]
 
     def part(self, places: Sequence[int]) -> "CaseSet":
@@ -96,33 +88,29 @@ class CaseSet(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """The cases that a sweep computes, the same on all ranks.
+    """The cases that a sweep computes, the same on all ranks."""
 
-    Parameters
-    ----------
-    request : how.
-    study : the study.
-    folder : its files.
-    todo : for each group of the study, its cases that are to be computed here.
-    checkpoints : ids of cases that were interrupted.
-    in_slice : (cases,) which cases are of this slice.
-    done, failed : how many of them had ended before.
-    not_in_study : how many cases the folder holds that are not of the study.
-    flagged : how many have the same flags, by these.
-    all_assemble : whether all ranks assemble each operator (there are fewer than teams) or the team
-        that takes its group.
-    """
-
+    #: how it is computed
     request: Request
+    #: the study
     study: Study
+    #: files of the sweep
     folder: SweepFolder
+    #: for each group of the study, its cases that are to be computed here
     todo: Groups
+    #: ids of cases that were interrupted
     checkpoints: frozenset[str]
+    #: (cases,) which cases are of this slice
     in_slice: BoolArray
+    #: how many of them had ended before
     done: int
     failed: int
+    #: how many cases the folder holds that are not of the study
     not_in_study: int
+    #: how many have the same flags, by these
     flagged: Counter[tuple[str, ...]]
+    #: whether all ranks assemble each operator (there are fewer than teams) or the team that takes
+    #: its group
     all_assemble: bool
 
     @property

@@ -35,33 +35,29 @@ class Timings:
 
 @dataclass(frozen=True)
 class Summary:
-    """The summary of a sweep; the command prints it as a text.
+    """The summary of a sweep; the command prints it as a text."""
 
-    Parameters
-    ----------
-    folder : of the results.
-    part : name of the slice, "" for the whole.
-    total, done, failed : cases of the study, or slice, those that are done and have failed.
-    computed : those of them that this sweep computed.
-    operators : how many it assembled.
-    seconds : wall time.
-    peak : MB, largest memory of a rank.
-    timings : of each rank.
-    flagged : how many cases have the same flags, by these.
-    merged : whether the results were written.
-    """
-
+    #: of the results
     folder: Path
+    #: name of the slice, "" for the whole
     part: str
+    #: cases of the study, or slice, those that are done and have failed
     total: int
     done: int
     failed: int
+    #: those of them that this sweep computed
     computed: int
+    #: how many it assembled
     operators: int
+    #: wall time
     seconds: float
+    #: MB, largest memory of a rank
     peak: float
+    #: of each rank
     timings: tuple[Timings, ...]
+    #: how many cases have the same flags, by these
     flagged: Counter[tuple[str, ...]]
+    #: whether the results were written
     merged: bool = False
 
     def __str__(self) -> str:

@@ -40,21 +40,17 @@ def spans(values: FloatArray, ratio: float) -> bool:
 
 @dataclass(frozen=True)
 class Key:
-    """A varied key of the cases drawn.
+    """A varied key of the cases drawn."""
 
-    Parameters
-    ----------
-    name : of the key.
-    values : (cases,) numbers, or codes of categories; NaN where there is none.
-    categories : in words.
-    by_log : whether the design spaces it by logarithms; None: it has no spacing.
-    unit, scale : of the values, "" for none, and how much it is in the case's unit.
-    """
-
+    #: of the key
     name: str
+    #: (cases,) numbers, or codes of categories; NaN where there is none
     values: FloatArray
+    #: in words
     categories: tuple[str, ...]
+    #: whether the design spaces it by logarithms; None: it has no spacing
     by_log: bool | None = None
+    #: of the values, "" for none, and how much it is in the case's unit
     unit: str = ""
     scale: float = 1.0
 
@@ -125,24 +121,20 @@ def _categories(texts: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class Arrangement:
-    """How cases lie along a key.
+    """How cases lie along a key."""
 
-    Parameters
-    ----------
-    key : the key.
-    kind : "curves" where its values repeat with the same others, "levels" where there are more
-        cases at each of its values, or else "scatter".
-    curves : cases of each curve, along the key.
-    points : cases that are on none.
-    labels : of the curves; () if there is but one.
-    title : what the labels are of.
-    """
-
+    #: the key
     key: Key
+    #: "curves" where its values repeat with the same others, "levels" where there are more cases at
+    #: each of its values, or else "scatter"
     kind: str
+    #: cases of each curve, along the key
     curves: tuple[IntArray, ...] = ()
+    #: cases that are on none
     points: IntArray | None = None
+    #: of the curves; () if there is but one
     labels: tuple[str, ...] = ()
+    #: what the labels are of
     title: str = ""
 
     @classmethod
@@ -176,19 +168,15 @@ class Arrangement:
 
 @dataclass(frozen=True)
 class Responses:
-    """What is drawn of a sweep's surrogate, which is that of its part of most cases.
+    """What is drawn of a sweep's surrogate, which is that of its part of most cases."""
 
-    Parameters
-    ----------
-    surrogate : of the sweep.
-    names : outputs that vary and are met well enough.
-    coarse : those that vary and are not.
-    keys : numbers of the part's keys over which they are drawn, by name.
-    """
-
+    #: of the sweep
     surrogate: Surrogate
+    #: outputs that vary and are met well enough
     names: tuple[str, ...]
+    #: those that vary and are not
     coarse: tuple[str, ...]
+    #: numbers of the part's keys over which they are drawn, by name
     keys: dict[str, int]
 
     @classmethod
@@ -243,22 +231,18 @@ class Responses:
 
 @dataclass(frozen=True)
 class Choice:
-    """What is drawn of a sweep.
+    """What is drawn of a sweep."""
 
-    Parameters
-    ----------
-    cases : numbers of those that are done.
-    outputs : names of final values.
-    keys, arrangements : the varied keys of the largest indices, and how cases lie along each.
-    responses : of the surrogate; None: nothing of it is drawn, or there is none.
-    counts : how many cases and keys, in words.
-    """
-
+    #: numbers of those that are done
     cases: IntArray
+    #: names of final values
     outputs: list[str]
+    #: the varied keys of the largest indices, and how cases lie along each
     keys: list[Key]
     arrangements: list[Arrangement]
+    #: of the surrogate; None: nothing of it is drawn, or there is none
     responses: Responses | None
+    #: how many cases and keys, in words
     counts: str
 
 

@@ -75,17 +75,13 @@ def _lines(ensemble: Ensemble, choice: Choice) -> Panel:
 
 @dataclass(frozen=True)
 class _Table:
-    """Penetrations of many cases at common times.
+    """Penetrations of many cases at common times."""
 
-    Parameters
-    ----------
-    time : (times,) s.
-    depth : (cases, times) um, NaN where a case has ended.
-    even : whether all cases last equally long.
-    """
-
+    #: (times,) s
     time: FloatArray
+    #: (cases, times) um, NaN where a case has ended
     depth: FloatArray
+    #: whether all cases last equally long
     even: bool
 
     @classmethod

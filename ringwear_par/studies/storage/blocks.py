@@ -92,39 +92,31 @@ def reporting_damage(path: Path) -> Iterator[None]:
 
 
 class Kind(NamedTuple):
-    """Words that many cases have in common.
+    """Words that many cases have in common."""
 
-    Parameters
-    ----------
-    version : of ringwear-par that computed them.
-    flags : short names of the reasons to doubt their answers.
-    error : why they failed, "" where they have not.
-    """
-
+    #: of ringwear-par that computed them
     version: str
+    #: short names of the reasons to doubt their answers
     flags: tuple[str, ...] = ()
+    #: why they failed, "" where they have not
     error: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class CaseBlock(ABC):
-    """Cases that are stored together, and are read together.
+    """Cases that are stored together, and are read together."""
 
-    Parameters
-    ----------
-    path : of their file.
-    cases : (cases,) of ``CASE``.
-    kinds : of the cases.
-    axes : the first axis of each stored column.
-    sizes : of the other axes.
-    longest : bytes of the longest text.
-    """
-
+    #: of their file
     path: Path
+    #: (cases,) of ``CASE``
     cases: Any
+    #: of the cases
     kinds: tuple[Kind, ...]
+    #: the first axis of each stored column
     axes: Mapping[str, str]
+    #: of the other axes
     sizes: Mapping[str, int]
+    #: bytes of the longest text
     longest: int
 
     @property
@@ -154,19 +146,15 @@ class CaseBlock(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Cases of one contact pair, with the same fields stored as often, to be packed.
+    """Cases of one contact pair, with the same fields stored as often, to be packed."""
 
-    Parameters
-    ----------
-    cases, kinds, axes : see ``CaseBlock``.
-    columns : by name.
-    texts : of the cases, as case files.
-    """
-
+    #: see ``CaseBlock``
     cases: Any
     kinds: tuple[Kind, ...]
     axes: Mapping[str, str]
+    #: by name
     columns: Mapping[str, Any]
+    #: of the cases, as case files
     texts: Sequence[str]
 
     @classmethod
@@ -241,17 +229,13 @@ def _checksum(numbers: tuple[int, int, int], header: bytes) -> int:
 
 @dataclass(frozen=True, eq=False)
 class PackedBlock(CaseBlock):
-    """A packed block of a file.
+    """A packed block of a file."""
 
-    Parameters
-    ----------
-    begin, start, stop : where it begins, where its data begin, and end.
-    parts : bytes and checksum of each column, and of the texts.
-    """
-
+    #: where it begins, where its data begin, and end
     begin: int
     start: int
     stop: int
+    #: bytes and checksum of each column, and of the texts
     parts: Mapping[str, tuple[int, int]]
 
     def read(self, names: Iterable[str]) -> dict[str, Any]:

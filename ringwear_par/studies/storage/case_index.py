@@ -16,17 +16,13 @@ ENTRY = np.dtype([*CASE.descr, ("block", "<i4"), ("place", "<i4")])
 
 @dataclass(frozen=True, eq=False)
 class CaseIndex:
-    """The stored cases; ``index["status"]`` is a column of its entries.
+    """The stored cases; ``index["status"]`` is a column of its entries."""
 
-    Parameters
-    ----------
-    entries : (cases,) of ``ENTRY``.
-    kinds : versions, flags and errors that cases have in common.
-    blocks : where the cases are.
-    """
-
+    #: (cases,) of ``ENTRY``
     entries: Any
+    #: versions, flags and errors that cases have in common
     kinds: tuple[Kind, ...] = ()
+    #: where the cases are
     blocks: tuple[CaseBlock, ...] = ()
 
     @classmethod

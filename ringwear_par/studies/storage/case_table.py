@@ -37,21 +37,17 @@ _BEFORE, _AFTER = ("status", "error"), ("seconds", "in_study", "version", "flags
 
 @dataclass(frozen=True, eq=False)
 class CaseTable:
-    """Numbers and words of all cases.
+    """Numbers and words of all cases."""
 
-    Parameters
-    ----------
-    ids : (cases,) bytes.
-    varied : varied keys, None where a case has no such.
-    words : by name, see ``OF_CASES``.
-    numbers : likewise.
-    end_values : by name, see ``END_VALUES``: (cases,) or (cases, layers or points).
-    """
-
+    #: (cases,) bytes
     ids: Any
+    #: varied keys, None where a case has no such
     varied: Mapping[str, Column]
+    #: by name, see ``OF_CASES``
     words: Mapping[str, Column]
+    #: by name, see ``OF_CASES``, too
     numbers: Mapping[str, Any]
+    #: by name, see ``END_VALUES``: (cases,) or (cases, layers or points)
     end_values: Mapping[str, FloatArray]
 
     def store(self, file: h5py.File) -> None:

@@ -58,18 +58,15 @@ class Chunks:
     HDF5 knows how to read them, by any rank and twice as fast as HDF5 would do it: runs of the same
     byte are looked for only. Most of what can be saved is in these, once the bytes of all numbers
     are sorted by their weight: padding, exponents, what does not change.
-
-    Parameters
-    ----------
-    name : of the variable.
-    shape : of all its values, cases first.
-    kind : type of the values.
-    sizes : of a chunk.
     """
 
+    #: of the variable
     name: str
+    #: of all its values, cases first
     shape: tuple[int, ...]
+    #: type of the values
     kind: Any
+    #: of a chunk
     sizes: tuple[int, ...]
 
     @classmethod

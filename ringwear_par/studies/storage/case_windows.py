@@ -16,35 +16,27 @@ from ringwear_par.studies.storage.stored_variables import STORED, STRESS, has_la
 
 
 class FilledWindow(NamedTuple):
-    """What is written of a window of cases.
+    """What is written of a window of cases."""
 
-    Parameters
-    ----------
-    chunks : of each variable of their histories and of their texts, see ``Chunks.packed``.
-    end_values : by name, (cases,) or (cases, layers or points).
-    """
-
+    #: of each variable of their histories and of their texts, see ``Chunks.packed``
     chunks: dict[str, Any]
+    #: by name, (cases,) or (cases, layers or points)
     end_values: dict[str, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
 class CaseWindow:
-    """Some cases, one after the other in a results file.
+    """Some cases, one after the other in a results file."""
 
-    Parameters
-    ----------
-    cases : (cases,) of ``case_index.ENTRY``; block -1: not begun.
-    blocks : those that hold the cases, by number.
-    chunks : of the variables of their histories, by name.
-    texts : of those cases that were not begun.
-    of_texts : of the texts.
-    """
-
+    #: (cases,) of ``case_index.ENTRY``; block -1: not begun
     cases: Any
+    #: those that hold the cases, by number
     blocks: Mapping[int, CaseBlock]
+    #: of the variables of their histories, by name
     chunks: Mapping[str, Chunks]
+    #: of those cases that were not begun
     texts: Sequence[str]
+    #: of the texts
     of_texts: Chunks
 
     def fill(self) -> FilledWindow:

@@ -36,19 +36,15 @@ _ENTRY = re.compile(rf"(.+)\[(\d+|{BODY})\]")
 
 @dataclass(frozen=True)
 class EndValue:
-    """A number of each case, or one a layer or point, which have names of their own.
+    """A number of each case, or one a layer or point, which have names of their own."""
 
-    Parameters
-    ----------
-    name : in the table.
-    source : name of the variable that it is taken of.
-    stored : the variable of the results file.
-    smooth : whether surrogates answer for it: places of the largest stress jump.
-    """
-
+    #: in the table
     name: str
+    #: name of the variable that it is taken of
     source: str
+    #: the variable of the results file
     stored: Variable
+    #: whether surrogates answer for it: places of the largest stress jump
     smooth: bool = True
 
     def of(self, table: FloatArray, last: IntArray) -> FloatArray:

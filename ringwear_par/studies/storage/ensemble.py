@@ -38,31 +38,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Ensemble:
-    """A sweep's results without their histories, which ``histories`` reads.
+    """A sweep's results without their histories, which ``histories`` reads."""
 
-    Parameters
-    ----------
-    path : of results.h5.
-    ids, status, error : (cases,) str.
-    in_study : (cases,) bool.
-    seconds : (cases,) float.
-    steps_stored : (cases,) int.
-    varied : values by varied key, (cases,) float, or str where they are not numbers.
-    final : last stored values by name, (cases,) float, see ``finals``; NaN where nothing is stored.
-    attributes : of the file: ``method`` of the design, ``study``, ``status``, versions.
-    flags : reasons to doubt the answer of a case, (cases,).
-    """
-
+    #: of results.h5
     path: Path
+    #: (cases,) str
     ids: tuple[str, ...]
     status: tuple[str, ...]
     error: tuple[str, ...]
+    #: (cases,) bool
     in_study: BoolArray
+    #: (cases,) float
     seconds: FloatArray
+    #: (cases,) int
     steps_stored: IntArray
+    #: values by varied key, (cases,) float, or str where they are not numbers
     varied: dict[str, Any]
+    #: last stored values by name, (cases,) float, see ``finals``; NaN where nothing is stored
     final: dict[str, FloatArray]
+    #: of the file: ``method`` of the design, ``study``, ``status``, versions
     attributes: dict[str, Any]
+    #: reasons to doubt the answer of a case, (cases,)
     flags: tuple[tuple[str, ...], ...] = ()
 
     @cached_property

@@ -41,15 +41,11 @@ _FOLDERS = ("shards", "inflight")
 
 @dataclass(frozen=True)
 class SweepFolder:
-    """The files of a sweep.
+    """The files of a sweep."""
 
-    Parameters
-    ----------
-    path : of the folder.
-    part : "" for the whole, or the slice, such as "2-8".
-    """
-
+    #: of the folder
     path: Path
+    #: "" for the whole, or the slice, such as "2-8"
     part: str = ""
 
     def shard(self, team: int) -> Path:

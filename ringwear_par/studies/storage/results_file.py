@@ -81,13 +81,9 @@ def cases_at_once(size: float) -> int:
 
 @dataclass(frozen=True, eq=False)
 class ResultsBlock(CaseBlock):
-    """A stretch of the cases of a results file.
+    """A stretch of the cases of a results file."""
 
-    Parameters
-    ----------
-    stretch : which.
-    """
-
+    #: places of the cases in the file
     stretch: slice
 
     @cached_property

@@ -67,23 +67,18 @@ _SIDE_BYTES = max(map(len, POINT_SIDES))
 
 @dataclass(frozen=True, eq=False)
 class CaseList:
-    """The cases as the files list them, in arrays (cases,).
+    """The cases as the files list them, in arrays (cases,)."""
 
-    Parameters
-    ----------
-    varied : by key, raw values in the first of the cases; those of the rest are looked up in their
-        texts.
-    ids : bytes.
-    in_study : whether the study still has the case.
-    index, entry : the stored cases, and where each case is among them, -1: it was not begun.
-    texts : returns the texts of cases by their numbers, where they are not stored.
-    """
-
+    #: by key, raw values in the first of the cases; those of the rest are looked up in their texts
     varied: Mapping[str, Column]
+    #: bytes
     ids: Any
+    #: whether the study still has the case
     in_study: BoolArray
+    #: the stored cases, and where each case is among them, -1: it was not begun
     index: CaseIndex
     entry: IntArray
+    #: returns the texts of cases by their numbers, where they are not stored
     texts: Callable[[IntArray], list[str]]
 
 

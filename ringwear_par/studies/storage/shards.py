@@ -124,17 +124,13 @@ class Shard:
 
 
 class ShardContents(NamedTuple):
-    """The cases of a shard.
+    """The cases of a shard."""
 
-    Parameters
-    ----------
-    blocks : its good ones.
-    damaged : how many stretches of the file are no good blocks.
-    end : where the last good block ends; behind it, if anything, is one that was cut off.
-    """
-
+    #: its good ones
     blocks: tuple[PackedBlock, ...]
+    #: how many stretches of the file are no good blocks
     damaged: int
+    #: where the last good block ends; behind it, if anything, is one that was cut off
     end: int
 
 
