@@ -114,8 +114,9 @@ class RunningTestState:
         doubts, worth = self._doubts, effective_count(weights)
         if are_too_few(weights):
             doubts += (
-                f"only {worth:.0f} of {len(weights)} draws are worth anything by these readings; "
-                "more --draws, or readings that the fit cannot explain",
+                f"only {worth:.0f} of {len(weights)} draws are worth anything by these "
+                "readings, so that intervals are rough; must be more (--draws), or these readings are "
+                "none that the fit can explain",
             )
         self._weights = weights
         return Answer(
