@@ -47,8 +47,8 @@ class Ensemble:
     method: Method
     #: why, of the histories that failed, by number
     failures: dict[int, Exception] = field(default_factory=dict)
-    #: whether an observer stopped all
-    stopped: bool = False
+    #: whether an observer interrupted all
+    interrupted: bool = False
 
     def control(self, numbers: IntArray) -> Control:
         """Return the step control of some histories."""
@@ -103,7 +103,7 @@ class Ensemble:
         """Show new states to the observers."""
         for snapshot in snapshots:
             for observer in self.observers:
-                self.stopped |= bool(observer(snapshot))
+                self.interrupted |= bool(observer(snapshot))
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@
 
 Each round every history of a batch tries a step as long as its control says. One whose try is
 rejected tries again with the others' next step, and one that has ended leaves its place to another
-case. Digits of a history do not depend on the others. One whose step cannot be made steps alone
+case. A history ends where its step control says that it is finished; an observer interrupts all of
+them. Digits of a history do not depend on the others. One whose step cannot be made steps alone
 until it has made it, or fails with the reason.
 """
 
@@ -38,8 +39,8 @@ class Outcome(NamedTuple):
 
     #: why, of those that failed, by number
     failures: dict[int, Exception]
-    #: whether an observer stopped all
-    stopped: bool
+    #: whether an observer ended all of them before their ends
+    interrupted: bool
 
 
 def simulate(
@@ -54,7 +55,7 @@ def simulate(
     step_times: Sequence[Sequence[float]] | None = None,
     paces: Sequence[FloatArray] | None = None,
 ) -> Outcome:
-    """Step wear histories from their starts to their ends, or until an observer says stop.
+    """Step wear histories from their starts to their ends, or until an observer interrupts all.
 
     Collective on comm.
 
@@ -89,7 +90,7 @@ def simulate(
     batches: list[Batch] = []
     begun, most = 0, most or len(cases)
     try:
-        while (batches or begun < len(cases)) and not ensemble.stopped:
+        while (batches or begun < len(cases)) and not ensemble.interrupted:
             stepping = sum(len(batch.numbers) for batch in batches)
             if begun < len(cases) and 2 * stepping <= most:
                 count = min(most - stepping, len(cases) - begun)
@@ -101,7 +102,7 @@ def simulate(
     finally:
         for batch in batches:
             batch.close()
-    return Outcome(ensemble.failures, ensemble.stopped)
+    return Outcome(ensemble.failures, ensemble.interrupted)
 
 
 def simulate_one(

@@ -68,15 +68,23 @@ def _of_the_model(fit: "FitResult") -> Iterator[ValidityWarning]:
 
 
 def _outliers(fit: "FitResult") -> Iterator[ValidityWarning]:
-    """Yield a doubt for each series a few of whose readings do not fit at all."""
+    """Yield a doubt for each series a few of whose readings do not fit at all, or limits hold."""
     misfit = fit.misfit
     for experiment, series, part in misfit.records:
-        far = np.abs(fit.evaluation.noise[part])
+        far, limit = np.abs(fit.evaluation.noise[part]), misfit.censored[part] != 0
+        name = f"{series.name} ({experiment.name})"
+        if (broken := far[limit & (far > _FAR)]).size:
+            text = (
+                f"{name}: the model is on the wrong side of {counted(len(broken), 'limit')}, by up "
+                f"to {broken.max():.3g} sd; check censored and the unit"
+            )
+            yield ValidityWarning("outliers", text, (), (experiment.name,))
+        far[limit] = 0.0
         few = np.argsort(-far)[: max(1, int(_SHARE * series.n))]
         worst = few[far[few] > _FAR]
         if series.sd_fitted or not len(worst):
             continue
-        name, share = f"{series.name} ({experiment.name})", far[worst] @ far[worst] / (far @ far)
+        share = far[worst] @ far[worst] / (far @ far)
         if share < 0.5 and np.count_nonzero(far > _FAR) > len(worst):
             continue  # most of them are off
         if series.n == 1:

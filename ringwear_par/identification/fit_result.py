@@ -226,7 +226,8 @@ class FitResult(Outcome, Solution):
     def n_at_best(self) -> int:
         """How many starts ended at the best optimum."""
         best = min(one.objective for one in self.starts)
-        return sum(one.objective <= best * (1.0 + _SAME) for one in self.starts)
+        most = best + _SAME * max(best, 1.0)
+        return sum(one.objective <= most for one in self.starts)
 
     @cached_property
     def doubts(self) -> tuple[ValidityWarning, ...]:

@@ -31,7 +31,8 @@ class KeyRow:
 
     #: the key, or what the number is where it is another one
     label: str
-    estimate: float
+    #: None where limits alone bound the key on one side
+    estimate: float | None
     sd: float | None
     unit: str
     #: its ends, None where there is no limit
@@ -72,19 +73,9 @@ def key_rows(key: str, entry: Entry) -> list[KeyRow]:
     posterior: tuple[float, ...] = ()
     if (sampled := entry.get("posterior")) is not None:
         posterior = tuple(v / in_unit["scale"] for v in (sampled["median"], *sampled["interval"]))
-    verdict = entry["verdict"]
-    rows = [
-        KeyRow(
-            key,
-            in_unit["estimate"],
-            in_unit["sd"],
-            unit,
-            in_unit["interval"],
-            verdict,
-            "",
-            posterior,
-        )
-    ]
+    verdict, sd = entry["verdict"], in_unit["sd"]
+    estimate = None if verdict == "at bound" and sd is None else in_unit["estimate"]
+    rows = [KeyRow(key, estimate, sd, unit, in_unit["interval"], verdict, "", posterior)]
     rate = entry.get("specific_wear_rate")
     if rate is not None and verdict != "not identified":
         product = f"k mu at mu = {rate['mu']:.4g}" if "mu" in rate else "k"
@@ -109,8 +100,9 @@ def series_rows(outcome: Entry) -> list[tuple[str, ...]]:
                 for kind, nuisance in fitted.get(name, {}).items()
             ]
             noise = f"{entry['sd']:.3g}" if "sd" in entry else ""
+            squares = "" if limits_read == entry["n"] else f"{entry['chi2']:.4g}"
             rows.append(
-                (f"{experiment}, {name}", str(entry["n"]), f"{entry['chi2']:.4g}", unit, noise,
+                (f"{experiment}, {name}", str(entry["n"]), squares, unit, noise,
                  ", ".join(notes))
             )  # fmt: skip
     return rows
@@ -146,7 +138,7 @@ def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
         parameters = ", ".join(_estimate_text(k, p) for k, p in law["parameters"].items())
         verdict = "does not fit" if law["flagged"] else "fits"
         if law["p_value"] is None:
-            verdict = "not tested: noise was fitted, or has long tails"
+            verdict = "not tested: noise was fitted, has long tails, or readings are limits"
         numbers = f"{law['aic'] - best:+.1f}", f"{law['bic']:.5g}", f"{law['chi2']:.5g}"
         share = f"{shares[name]:.2g}" if shares else "-"
         rows.append((name, *numbers, share, parameters, verdict))
@@ -158,6 +150,9 @@ def goodness(outcome: Entry) -> str:
     """Return chi2, degrees of freedom, p-value and information criteria in a sentence."""
     p_value = outcome["p_value"]
     every = [entry for series in outcome["experiments"].values() for entry in series.values()]
+    criteria = f"AIC {outcome['aic']:.5g}, BIC {outcome['bic']:.5g}"
+    if all(entry.get("censored") == entry["n"] for entry in every):
+        return f"all readings are limits, which have no chi2; {criteria}"
     noise_fitted = any("sd" in entry for entry in every)
     if p_value is not None:
         test = f"p = {p_value:.2g}" + " for the readings with a given sd" * noise_fitted
@@ -167,8 +162,7 @@ def goodness(outcome: Entry) -> str:
         test = 'loss "student"' if outcome["loss"] == "student" else "no p-value"
     return (
         f"chi2 = {outcome['chi2']:.5g} of {outcome['n_data']} readings, "
-        f"{outcome['degrees_of_freedom']:.6g} degrees of freedom ({test}); "
-        f"AIC {outcome['aic']:.5g}, BIC {outcome['bic']:.5g}"
+        f"{outcome['degrees_of_freedom']:.6g} degrees of freedom ({test}); {criteria}"
     )
 
 
@@ -181,6 +175,8 @@ def _nuisance(kind: str, entry: Entry, unit: str) -> str:
 
 def _estimate_text(key: str, entry: Entry) -> str:
     row = key_rows(key, entry)[0]
+    if row.estimate is None:
+        return f"{key} {limits(row.interval)} {row.unit}".rstrip()
     sd = row.sd if row.verdict == "identified" else None
     return f"{key} = {_with_sd(row.estimate, sd, 5, f' {row.unit}'.rstrip())}"
 

@@ -51,7 +51,11 @@ def summary(fit: "FitResult") -> str:
     lines += warning_lines(doubt.text for doubt in fit.doubts)
     lines.append(goodness(outcome))
     for name, n, chi2, unit, noise, notes in series_rows(outcome):
-        words = [counted(int(n), "reading"), f"chi2 {chi2}", noise and f"noise {noise} {unit}"]
+        words = [
+            counted(int(n), "reading"),
+            chi2 and f"chi2 {chi2}",
+            noise and f"noise {noise} {unit}",
+        ]
         lines.append(f"  {name}: {', '.join(filter(None, [*words, notes]))}")
     lines += [f"  {line}" for line in input_lines(outcome)]
     lines += _correlation_lines(fit)
@@ -107,7 +111,8 @@ def _parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
         row, *derived = key_rows(key, entry)
         text = _row_text(row, 5)
         if of or row.verdict != "not identified":
-            text = f"{text}{of}  {limits(row.interval)} ({100 * level:g} %{by})"
+            interval = "" if row.estimate is None else f"  {limits(row.interval)}"
+            text = f"{text}{of}{interval} ({100 * level:g} %{by})"
         lines.append(f"  {key.ljust(width)}  {text}  {row.verdict}")
         if row.posterior:
             median, *ends = row.posterior
@@ -122,7 +127,8 @@ def _parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
 
 
 def _row_text(row: KeyRow, digits: int) -> str:
-    return f"{row.estimate:.{digits}g} {row.unit}".rstrip()
+    number = limits(row.interval) if row.estimate is None else f"{row.estimate:.{digits}g}"
+    return f"{number} {row.unit}".rstrip()
 
 
 def _unit_lines(fit: "FitResult") -> list[str]:

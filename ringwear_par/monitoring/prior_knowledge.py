@@ -42,17 +42,17 @@ class FollowedTest:
         ------
         InputError : its faults; the file has other keys or another case than at the beginning.
         """
-        problem, place = self.running.read(), f"{self.running.source}: "
-        faults = []
-        if problem.parameters != self.problem.parameters:
-            faults.append(f"{place}fit.parameters: must stay as they were while a test is followed")
-        if problem.experiments[0].case.text != self.problem.experiments[0].case.text:
-            faults.append(
-                f"{place}{legible(self.running.name)}: its case must stay as it was while the test "
-                "is followed"
+        problem, name = self.running.read(), legible(self.running.name)
+        (test,), (before,) = problem.experiments, self.problem.experiments
+        changed = {
+            "fit.parameters": problem.parameters != self.problem.parameters,
+            f"the case of {name}": test.case.text != before.case.text,
+        }
+        if any(changed.values()):
+            keys = " and ".join(key for key, differs in changed.items() if differs)
+            raise InputError(
+                f"{self.running.source}: {keys} changed; must stay while {name} is followed"
             )
-        if faults:
-            raise InputError(*faults)
         return replace(problem, settings=self.problem.settings)
 
 

@@ -113,8 +113,8 @@ class RunningTestState:
         doubts, worth = self._doubts, effective_count(weights)
         if are_too_few(weights):
             doubts += (
-                f"only {worth:.0f} of {len(weights)} draws are worth anything by these readings; "
-                "more --draws, or readings that the fit cannot explain",
+                f"only {worth:.0f} of {len(weights)} draws are worth anything by these readings: "
+                "intervals are rough; must be more (--draws), if the fit can explain them at all",
             )
         self._weights = weights
         return Answer(

@@ -36,6 +36,8 @@ _INPUTS = {"contact.friction": "friction coefficient", "load.force": "axial forc
 _LEVELS = (0.68, 0.95)
 #: sd to both sides of an estimate that an axis of a key shows, and points of a curve over it
 _WIDTH_SD, _FINE = 4.0, 161
+#: of a limit, which an axis shows to both sides of it
+_AROUND = 0.5
 _LINE, _DIGITS = "#808080", str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074"
                                           "\u2075\u2076\u2077\u2078\u2079")  # fmt: skip
 
@@ -201,7 +203,8 @@ def single_readings(every: Sequence[Series]) -> Panel:
     for series in every:
         unit, (sd, band) = in_signs(series.unit), (quantile * series.sd, quantile * series.band)
         reading, of_model = (
-            f"{value[0]:.4g} {unit} from {(value - reach)[0]:.4g} to {(value + reach)[0]:.4g}"
+            f"{value[0]:.4g} {unit}"
+            + f" from {(value - reach)[0]:.4g} to {(value + reach)[0]:.4g}" * bool(reach[0])
             for value, reach in ((series.data, sd), (series.model, band))
         )
         if side := int(series.censored[0]):
@@ -264,10 +267,18 @@ class FittedKey:
         return self.entry["verdict"] != "not identified" and math.isfinite(self.sd)
 
     @property
+    def is_bare_limit(self) -> bool:
+        """Whether limits alone bound it, on one side."""
+        return self.entry["verdict"] == "at bound" and self.entry["sd"] is None
+
+    @property
     def ends(self) -> tuple[float, float] | None:
         """The ends of its axis; None: what is drawn there."""
         ends = [float(self.entry["estimate"])]
-        if self.is_known:
+        if self.is_bare_limit:
+            (limit,) = (end for end in self.entry["interval"] if end is not None)
+            ends = [(1.0 - _AROUND) * limit, (1.0 + _AROUND) * limit]
+        elif self.is_known:
             ends += self.values(self.sd * np.array([-_WIDTH_SD, _WIDTH_SD])).tolist()
         if self.samples is not None:
             ends += np.quantile(self.samples, [0.001, 0.999]).tolist()
@@ -335,7 +346,8 @@ def _likelihood(outcome: Mapping[str, Any], key: FittedKey) -> Panel:
     if key.name in outcome["profiles"]:
         x, growth = np.array(outcome["profiles"][key.name], dtype=float)
         # the root of the growth is nearly linear between points
-        between = np.linspace(x[0], x[-1], _FINE)
+        low, high = key.ends if key.is_bare_limit and key.ends else (x[0], x[-1])
+        between = np.linspace(max(x[0], low), min(x[-1], high), _FINE)
         roots = np.interp(between, x, np.sign(x - entry["estimate"]) * np.sqrt(growth))
         name, colour = "likelihood profile", COLOURS[2]
         curves.append(Curve(key.scaled(between), np.exp(-0.5 * roots**2), name, colour))
@@ -354,7 +366,8 @@ def _likelihood(outcome: Mapping[str, Any], key: FittedKey) -> Panel:
         for end in limits
     ]
     at = key.scaled(entry["estimate"])
-    curves.append(Curve(np.full(2, at), upright, "best fit", COLOURS[1]))
+    if not key.is_bare_limit:
+        curves.append(Curve(np.full(2, at), upright, "best fit", COLOURS[1]))
     labels = []
     if entry["verdict"] == "not identified":
         middle = float(at) if ends is None else 0.5 * (ends[0] + ends[1])

@@ -137,7 +137,7 @@ def _tiles(outcome: Mapping[str, Any]) -> Tiles:
     for key, entry in outcome["parameters"].items():
         row = key_rows(key, entry)[0]
         unlimited = [end is None for end in row.interval]
-        value, note = f"{row.estimate:.4g}", row.verdict
+        value, note = _number(row.estimate, 4), row.verdict
         if not any(unlimited):
             note = f"{limits(row.interval, 4)} ({percent})"
         elif not all(unlimited):

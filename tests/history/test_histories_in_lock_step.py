@@ -310,7 +310,7 @@ def test_an_observer_stops_all(flat, pair):
     seen = []
     cases = of_laws(flat, "threshold")
     stop = [seen.append, lambda _: len(seen) > 3]
-    assert simulate(cases, ALONE, pair=pair, observers=stop).stopped
+    assert simulate(cases, ALONE, pair=pair, observers=stop).interrupted
     assert len(seen) == 4
 
 

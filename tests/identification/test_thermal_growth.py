@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from laboratory import (
     CASE,
+    PAPER,
     PEN,
     SD_PENETRATION,
     TRUTH,
@@ -21,11 +22,13 @@ from mpi4py import MPI
 import ringwear_par as rw
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.problem import Nuisance
 from ringwear_par.identification.estimation.intervals import estimates
 from ringwear_par.identification.estimation.minimise import minimise
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.estimation.record_checks import refuse_reversed
 from ringwear_par.identification.model.histories import STEPS, Histories
+from ringwear_par.identification.model.readings import growth
 
 K = "wear.lower.k"
 #: s, um; and the record's end and number of readings
@@ -165,6 +168,60 @@ def test_a_drift_is_much_like_growth(warm):
     assert "readings until 2940 s hardly tell a drift from thermal growth" in doubt.text
 
 
+def test_growth_with_friction_power_is_a_sum_over_steps():
+    """Steps of load and speed: 40, 80 and 20 of at most 80, and derivatives by the time."""
+    loads, speeds = [[3000.0, 40.0], [3000.001, 80.0]], [[5000.0, 1.0], [5000.001, 0.25]]
+    case = rw.read_case(PAPER, {"load.pressure": loads, "load.omega": speeds})
+    t, nuisance = np.linspace(0.0, END, 97), Nuisance("thermal", power=True)
+    expected = sum(
+        share * -np.expm1(-np.maximum(t - start, 0.0) / TIME)
+        for share, start in ((0.5, 0.0), (0.5, 3000.0), (-0.75, 5000.0))
+    )
+    (_, by_time), (here, _), low, high = (
+        growth(nuisance, case, t, TIME + d) for d in (0.0, 0.0, -1.0, 1.0)
+    )
+    assert here == pytest.approx(expected, abs=1e-6)
+    assert by_time == pytest.approx((high[0] - low[0]) / 2.0, rel=1e-5, abs=2e-9)
+
+
+def test_growth_with_friction_power_is_recovered(tmp_path):
+    """A load that is doubled half way: a rig that is cold but once does not explain it."""
+    loads = [[3600.0, 40.0], [3610.0, 80.0]]
+    times = np.linspace(END / READINGS, END, READINGS)
+    run = history(loads, end=END, **{"load.omega": OMEGA})
+    t, z = penetration(run, np.random.default_rng(3), times, 1e-3, 0.0)
+    grown = sum(0.5 * -np.expm1(-np.maximum(t - s, 0.0) / TIME) for s in (0.0, 3605.0))
+    write_table(tmp_path / "z.csv", ("t_s", "z_um"), t, 1e3 * z - 6.0 * grown)
+    (tmp_path / "case.toml").write_text(CASE)
+    record = {"quantity": "penetration", "file": str(tmp_path / "z.csv"), "sd": 0.2,
+              "columns": {"time": "t_s", "value": "z_um"},
+              "nuisance": {"offset": {}, "thermal": {**THERMAL, "power": True}}}  # fmt: skip
+    changes = {"load.pressure": loads, "load.omega": OMEGA, "time.end": END,
+               "wear.lower.p0": TRUTH["wear.lower.p0"]}  # fmt: skip
+    tables = fit_tables(tmp_path, [{"name": "a", "set": changes, "data": [record]}], starts=1)
+    del tables["fit"]["parameters"]["wear.lower.p0"]
+    found = rw.fit(tables, MPI.COMM_SELF)
+    assert found.p_value > 0.01
+    (k,) = found.parameters
+    assert abs(k.estimate - TRUTH[K]) < 2.0 * k.sd < 0.3 * TRUTH[K]
+    of_rig = found.to_dict()["nuisance"]["a"]["penetration"]["thermal"]
+    assert abs(of_rig["estimate"] + 6.0) < 2.0 * of_rig["sd"] < 2.0
+    record["nuisance"]["thermal"]["power"] = False
+    assert rw.fit(tables, MPI.COMM_SELF).chi2 > found.chi2 + 10.0
+    record["nuisance"]["thermal"]["power"] = True
+    for key, value, said in (
+        ("contact.friction", 0.0, "power = true: needs friction power, mu F omega > 0"),
+        ("load.control", "displacement", 'power = true: needs load.control = "force"'),
+    ):
+        other = changed(tables, ("experiment", 0, "set", key), value)
+        if key == "load.control":
+            del other["experiment"][0]["set"]["load.pressure"]
+            other["experiment"][0]["set"]["load.displacement"] = 1e-3
+        with pytest.raises(InputError) as caught:
+            read_fit(other)
+        assert any(said in fault for fault in caught.value.faults)
+
+
 @pytest.mark.parametrize("nuisance", ["thermal", "offset"])
 def test_growth_that_outweighs_the_wear_is_no_wrong_sign(warm, nuisance):
     known = {"offset": {}} | (
@@ -190,7 +247,7 @@ def test_growth_that_outweighs_the_wear_is_no_wrong_sign(warm, nuisance):
         (("time", "start"), 60, "start = 60: must be within its bounds, 120 to 10800 s"),
         (("time", "bounds"), [0, 9000], "bounds = [0, 9000]: must be two increasing numbers > 0"),
         (("time", "prior"), {"normal": [-1, 1]}, "must have a mean > 0"),
-        (("power",), True, "thermal: power: unknown key; must be one of"),
+        (("power",), 1, "thermal: power = 1: must be true or false"),
         (("amplitude",), {"start": 1}, "thermal.amplitude: start: unknown key"),
         (("amplitude",), {"prior": 1}, "thermal.amplitude: prior = 1: must be { normal"),
     ],

@@ -15,6 +15,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.files.text import parse_json, toml_text
 from ringwear_par.identification.definition.problem import ProcessNoise, Series
 from ringwear_par.identification.model.rounds import Rounds
+from ringwear_par.monitoring import bank
 from ringwear_par.monitoring.bank import Bank, quantiles
 from ringwear_par.monitoring.follow import run_follow
 from ringwear_par.monitoring.histories import planned
@@ -214,7 +215,7 @@ def bank_of(followed, draws=2000):
     return Bank(followed.known.values, followed.specimen, problem, rounds, draws, 0)
 
 
-def test_draws_that_are_made_anew_and_a_record_that_is_replaced(laboratory):
+def test_draws_that_are_made_anew_and_a_record_that_is_replaced(laboratory, monkeypatch):
     """By quadrature, though few draws of before are near; nothing is left of another record."""
     tests = {
         name: followed_test(RunningTest.of(fine_record(laboratory, name, factor), None),
@@ -244,6 +245,9 @@ def test_draws_that_are_made_anew_and_a_record_that_is_replaced(laboratory):
     assert (key.estimate, *key.interval) == pytest.approx(
         (fresh.estimate, *fresh.interval), rel=1e-9
     )
+    monkeypatch.setattr(bank, "_ROUNDS", 0)
+    (words,) = state().answer(problem).warnings
+    assert "draws are worth anything" in words
 
 
 def test_readings_after_an_alarm_do_not_change_the_time_to_a_depth(laboratory):
@@ -263,9 +267,9 @@ def test_readings_after_an_alarm_do_not_change_the_time_to_a_depth(laboratory):
     changed = replace(followed.problem, experiments=(replace(test, series=(other,)),))
     depths = []
     for problem in (followed.problem, changed):
-        bank = bank_of(followed)
-        weights = bank.update(problem, ~later)
-        depths.append(time_to(bank, problem, weights, 8e-3, ~later))
+        histories = bank_of(followed)
+        weights = histories.update(problem, ~later)
+        depths.append(time_to(histories, problem, weights, 8e-3, ~later))
     low, high = np.quantile(depths[0], (0.1, 0.5))
     assert 60.0 < low < high - 1.0 < END
     assert depths[1] == pytest.approx(depths[0], rel=1e-9)
@@ -279,9 +283,12 @@ def test_the_fit_file_may_not_change_what_is_followed(laboratory):
     another_key = text.replace('"parameters" = { ', f'"parameters" = {{ {bounds}, ', 1)
     another_key = another_key.replace(', "wear.lower.p0" = 25.0', "")
     for changed, sentence in (
-        (another_key, "fit.parameters: must stay as they were"),
-        (text.replace("80.0", "40.0"), "test 5: its case must stay as it was"),
-        (text.replace('"time.end" = 100.0', '"time.end" = 200.0'), "its case must stay as it was"),
+        (another_key, "fit.parameters and the case of test 5 changed"),
+        (text.replace("80.0", "40.0"), "toml: the case of test 5 changed"),
+        (
+            text.replace('"time.end" = 100.0', '"time.end" = 200.0'),
+            "toml: the case of test 5 changed",
+        ),
     ):
         assert changed != text
         path.write_text(changed)

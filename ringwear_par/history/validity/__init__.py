@@ -1,1 +1,4 @@
-"""What a case, a state and a step may be for the physics to hold."""
+"""What is refused: cases, states and steps of which the physics does not hold.
+
+Reasons that only warn are in ``results/warnings.py``.
+"""

@@ -131,6 +131,15 @@ GROWTH_TIME = "thermal time"
 SCALE = "scale"
 
 
+def friction_power(case: Case) -> tuple[FloatArray, FloatArray]:
+    """Return mu F omega (N/s) of a case under force at the times (s) where its schedules bend."""
+    load = case.load
+    assert load.force is not None
+    times = np.array([0.0, *schedules.breakpoints(case.friction, load.force, load.omega)])
+    factors = [schedules.in_time(q, times) for q in (case.friction, load.force, load.omega)]
+    return times, np.prod(factors, axis=0)
+
+
 @dataclass(frozen=True)
 class Nuisance:
     """Something that a measurement has besides what is measured."""
@@ -143,6 +152,8 @@ class Nuisance:
     bounds: tuple[float, float] = (-np.inf, np.inf)
     #: s, of a time constant
     start: float = 0.0
+    #: of thermal growth and its time constant: whether it goes with the friction power
+    power: bool = False
 
     @property
     def expected(self) -> float:

@@ -132,6 +132,11 @@ def check_scatter(
         )
     if not scatters or not experiments:
         return
+    if all(s.censored is not None and s.censored.all() for e in experiments for s in e.series):
+        faults.append(
+            f"{name}: all readings are limits, which tell nothing of keys with scatter; some must "
+            "be values, or scatter absent"
+        )
     for group, place in (("batch", 1), ("lab", 2)):
         seen: dict[str, str] = {}
         for experiment in experiments:

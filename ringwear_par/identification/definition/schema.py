@@ -97,6 +97,17 @@ def _prior() -> Values:
     return Values("any", read, "{ normal = [mean, sd] }, two numbers, sd > 0")
 
 
+def _flag() -> Values:
+    """Return true and false."""
+
+    def read(value: Any) -> bool:
+        if not isinstance(value, bool):
+            raise RejectedError
+        return value
+
+    return Values("any", read, "true or false")
+
+
 def _scatter_size(kind: str = "number") -> Values:
     """Return standard deviations, and the word that has them fitted."""
 
@@ -328,6 +339,10 @@ KEYS: tuple[Key, ...] = (
     Key("experiment.data.nuisance.thermal.amplitude", *anything("a table of prior and bounds"),
         "data's", "growth in the end, negative where rings grow; default: nothing is known of it",
         None),
+    Key("experiment.data.nuisance.thermal.power", *_flag(), "-",
+        "whether growth goes with the friction power mu F omega: each change of it makes a growth "
+        "of its own, and amplitude is that of the largest power of the test. Needs load.control = "
+        "\"force\"", False),
     Key("experiment.data.nuisance.thermal.time", *anything("a table of start, prior and bounds"),
         "s", "time constant of the growth; needs start, and prior or bounds"),
     Key("experiment.data.nuisance.thermal.time.start", *number(0.0), "s",

@@ -22,6 +22,7 @@ from ringwear_par.identification.definition.problem import (
     Nuisance,
     Quantity,
     Series,
+    friction_power,
 )
 from ringwear_par.identification.definition.schema import (
     DATA,
@@ -160,7 +161,7 @@ def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisa
             continue
         place = f"{reader.place}: nuisance.{name}"
         if name == "thermal":
-            nuisances += _growth(place, entry, reader.faults)
+            nuisances += _growth(place, entry, case, reader.faults)
             continue
         entry_reader = TableReader(place, entry, reader.faults, NUISANCE)
         bounds, prior = entry_reader.read("bounds"), entry_reader.read("prior")
@@ -171,12 +172,18 @@ def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisa
     return tuple(nuisances)
 
 
-def _growth(place: str, entry: Any, faults: list[str]) -> list[Nuisance]:
+def _growth(place: str, entry: Any, case: Case | None, faults: list[str]) -> list[Nuisance]:
     """Return the growth of a warm rig, and its time constant, s."""
     before, reader = len(faults), TableReader(place, entry, faults, THERMAL)
     amplitude = TableReader(f"{place}.amplitude", reader.raw("amplitude", {}), faults, NUISANCE)
-    grown = Nuisance("thermal", amplitude.read("prior"), amplitude.read("bounds"))
+    prior_of_growth, bounds_of_growth = amplitude.read("prior"), amplitude.read("bounds")
     amplitude.finish()
+    power = reader.read("power")
+    if power and case is not None:
+        if case.load.force is None:
+            reader.wrong("power", 'needs load.control = "force"')
+        elif not friction_power(case)[1].any():
+            reader.wrong("power", "needs friction power, mu F omega > 0, at some time of the test")
     time = TableReader(f"{place}.time", reader.raw("time", {}), faults, THERMAL_TIME)
     start, prior, bounds = (time.read(name) for name in ("start", "prior", "bounds"))
     time.finish()
@@ -196,7 +203,8 @@ def _growth(place: str, entry: Any, faults: list[str]) -> list[Nuisance]:
         time.wrong("bounds", "must be two increasing numbers > 0 (s)")
     if not bounds[0] <= start <= bounds[1]:
         time.wrong("start", f"must be within its bounds, {bounds[0]:g} to {bounds[1]:g} s")
-    return [grown, Nuisance(GROWTH_TIME, prior, bounds, start)]
+    grown = Nuisance("thermal", prior_of_growth, bounds_of_growth, power=power)
+    return [grown, Nuisance(GROWTH_TIME, prior, bounds, start, power)]
 
 
 def density_of(reader: TableReader, quantity: str, case: Case | None) -> float | None:

@@ -111,13 +111,26 @@ class Spectrum:
 def estimates(
     misfit: Misfit, x: FloatArray, evaluation: Evaluation
 ) -> tuple[tuple[ParameterEstimate, ...], FloatArray]:
-    """Return the estimate of each fitted key, and the covariance (u, u) of the unknowns."""
+    """Return the estimate of each fitted key, and the covariance (u, u) of the unknowns.
+
+    Limits alone have no normal distribution: only a likelihood profile tells what they say.
+    """
     whole = Spectrum.of(information(misfit, evaluation))
     covariance = whole.covariance
     alone = Spectrum.of(information(misfit, evaluation, priors=False))
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
     free = x - finite @ evaluation.jacobian.T @ evaluation.residuals  # where no bound is in the way
     values = misfit.values(x)
+    if misfit.censored.all():
+        m = len(values)
+        covariance[:m], covariance[:, :m] = 0.0, 0.0
+        covariance[range(m), range(m)] = np.inf
+        return tuple(
+            ParameterEstimate(
+                key, value, None, (None, None), "not identified", "all readings are limits"
+            )
+            for key, value in zip(misfit.problem.keys, values.tolist(), strict=True)
+        ), covariance
     sds = np.sqrt(np.diag(covariance))
     verdicts = [_judged(misfit, j, x[j], free[j], float(sds[j])) for j in range(len(values))]
     vague = [

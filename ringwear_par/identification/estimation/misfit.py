@@ -335,13 +335,15 @@ class Misfit:
     ) -> FloatArray | None:
         """Return by how many sd (m,) steps half as long would move the fitted keys' unknowns.
 
-        To the first order, and 0 of those of which nothing is known; None, and a warning, where no
-        history comes of such steps. Not collective.
+        To the first order, and 0 of those of which nothing is known; None where all readings are
+        limits, and, with a warning, where no history comes of such steps. Not collective.
 
         Parameters
         ----------
         x, evaluation, covariance : the optimum, the residuals there, (u, u) of the unknowns.
         """
+        if self.censored.all():
+            return None
         finer = self.responses.in_shorter_steps(self.values(x))
         if isinstance(finer, HistoryError):
             log.warning("what shorter steps would change is not known: %s", finer)

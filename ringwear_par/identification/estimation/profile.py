@@ -14,7 +14,11 @@ import numpy as np
 from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.identification.estimation.intervals import ParameterEstimate
+from ringwear_par.identification.estimation.intervals import (
+    ParameterEstimate,
+    is_mere_prior,
+    is_vague,
+)
 from ringwear_par.identification.estimation.minimise import Optimum, minimise
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.model.histories import HistoryError
@@ -22,7 +26,8 @@ from ringwear_par.identification.model.rounds import WaitFor, side_by_side
 
 #: of the root of the growth of the sum of squares, at which a limit is found
 _CLOSE = 0.01
-_MOST_POINTS = 8
+#: points on a side; where readings are limits nothing says how far away these are
+_MOST_POINTS, _MOST_OF_LIMITS = 8, 24
 #: decrease of the sum of squares that is a better optimum, and no rest of the minimiser's
 _BETTER = 1e-2
 
@@ -42,6 +47,8 @@ class Profiles:
     #: for each key (2, points): values of the parameter, increasing, and what twice the objective
     #: grows by.
     tables: Mapping[str, FloatArray]
+    #: (u, u) of the unknowns; of keys that limits bound on both sides by the width of the interval.
+    covariance: FloatArray
     #: keys of which a limit is not as close as it should be.
     inexact_limits: tuple[str, ...] = ()
     #: (u,) unknowns on the way that are better than the optimum; None: there are none.
@@ -72,7 +79,7 @@ def likelihood_profiles(
     covariance : (u, u) of the unknowns.
     """
     level = misfit.problem.settings.level
-    limited, covariance = list(estimates), covariance.copy()
+    limited, known, covariance = list(estimates), covariance.copy(), covariance.copy()
     keys: list[int] = []
     for j, estimate in enumerate(estimates):
         if estimate.verdict != "identified" and misfit.censored.any():
@@ -83,45 +90,67 @@ def likelihood_profiles(
         elif estimate.verdict != "not identified":
             keys += [j] * ("profile" in misfit.problem.settings.intervals)
     if not keys:
-        return Profiles(tuple(estimates), {})
+        return Profiles(tuple(estimates), {}, known)
     tables: dict[int, dict[float, float]] = {}
     searched = []
+    two_sided = math.sqrt(float(chi2.ppf(level, 1)))
     for j in keys:
         estimate = estimates[j]
         tables[j] = {float(optimum.x[j]): 0.0}
         one_sided = estimate.verdict != "identified"
-        root = math.sqrt(float(chi2.ppf(2.0 * level - 1.0 if one_sided else level, 1)))
+        root = math.sqrt(float(chi2.ppf(2.0 * level - 1.0, 1))) if one_sided else two_sided
         searched += [
             (j, side, root)
             for side in (0, 1)
             if estimate.verdict != "at bound" or estimate.interval[side] is not None
         ]
-    searches = [
-        partial(_limit, misfit, optimum, covariance, j, (-1.0, 1.0)[side], root, tables[j])
-        for j, side, root in searched
-    ]
-    limits = side_by_side(searches, misfit.responses.compute)
-    better = [one.better for one in limits if one.better is not None]
-    if better:
-        best = min(better, key=lambda one: one.evaluation.objective)
-        return Profiles(tuple(estimates), {}, better=best.x)
-    ends_by_key = {(j, side): one.at for (j, side, _), one in zip(searched, limits, strict=True)}
-    inexact_limits = {j for (j, _, _), one in zip(searched, limits, strict=True) if not one.close}
+    limits: dict[tuple[int, int], _Limit] = {}
+
+    def ends_of(j: int) -> list[float | None]:
+        return [limits[j, side].at if (j, side) in limits else None for side in (0, 1)]
+
+    while searched:
+        searches = [
+            partial(_limit, misfit, optimum, covariance, j, (-1.0, 1.0)[side], root, tables[j])
+            for j, side, root in searched
+        ]
+        of_searches = side_by_side(searches, misfit.responses.compute)
+        better = [one.better for one in of_searches if one.better is not None]
+        if better:
+            best = min(better, key=lambda one: one.evaluation.objective)
+            return Profiles(tuple(estimates), {}, known, better=best.x)
+        limits |= {(j, side): one for (j, side, _), one in zip(searched, of_searches, strict=True)}
+        # an interval with two ends has them at another level than one with one end
+        searched = [
+            (j, side, two_sided)
+            for j, side, root in searched
+            if root < two_sided and None not in ends_of(j)
+        ]
+    inexact_limits = {j for (j, _), one in limits.items() if not one.close}
     profiles = {}
     for j, points in tables.items():
         parameter = misfit.problem.parameters[j]
-        ends = (ends_by_key.get((j, side)) for side in (0, 1))
+        ends = ends_of(j)
         low, high = (None if end is None else parameter.value(end) for end in ends)
         if limited[j].verdict == "not identified":
-            if (low is None) == (high is None):
+            if ends == [None, None]:
                 continue
-            limited[j] = replace(limited[j], verdict="at bound", direction="")
+            known[j], known[:, j], known[j, j] = 0.0, 0.0, math.inf
+            limited[j] = replace(limited[j], verdict="at bound", direction="", sd=None)
+            if low is not None and high is not None:
+                half = 0.5 * (parameter.unknown(high) - parameter.unknown(low))
+                sd = half / two_sided * parameter.slope(parameter.value(optimum.x[j]))
+                if is_vague(parameter, half) or is_mere_prior(parameter, sd):
+                    limited[j] = estimates[j]
+                    continue
+                known[j, j] = (half / two_sided) ** 2
+                limited[j] = replace(limited[j], verdict="identified", sd=sd)
         limited[j] = replace(limited[j], interval=(low, high))
         table = np.array(sorted(points.items())).T
         table[0] = [parameter.value(u) for u in table[0]]
         profiles[parameter.key] = table
     inexact = tuple(misfit.problem.keys[j] for j in sorted(inexact_limits))
-    return Profiles(tuple(limited), profiles, inexact)
+    return Profiles(tuple(limited), profiles, known, inexact)
 
 
 def _limit(
@@ -145,7 +174,7 @@ def _limit(
     inner, outer = (0.0, 0.0), (math.inf, math.inf)
     step, x = wanted * sd, optimum.x
     before = centre
-    for _ in range(_MOST_POINTS):
+    for _ in range(_MOST_OF_LIMITS if misfit.censored.any() else _MOST_POINTS):
         at = centre + side * step
         at = max(at, end) if side < 0 else min(at, end)
         start = x + follow * (at - before)
@@ -154,6 +183,8 @@ def _limit(
             best = minimise(misfit, np.clip(start, *bounds), wait_for, fixed=j)
         except HistoryError:  # too far: no case by the rules of a law, or worn through
             outer = abs(at - centre), math.inf
+            if outer[0] - inner[0] < _CLOSE * outer[0]:
+                break
             step = 0.5 * (inner[0] + outer[0])
             continue
         growth = 2.0 * (best.evaluation.objective - least)
@@ -177,4 +208,8 @@ def _limit(
             share = (wanted - inner[1]) / (outer[1] - inner[1])
             step = inner[0] + (outer[0] - inner[0]) * min(max(share, 0.05), 0.95)
     beyond = math.isfinite(outer[0]) and math.isinf(outer[1])  # trials there never gave residuals
+    if (
+        beyond and inner[0] > 0.0 and inner[1] < _FLAT * wanted
+    ):  # until there nothing speaks against it
+        return _Limit(None)
     return _Limit(None if beyond else centre + side * step, close=False)

@@ -212,10 +212,11 @@ def _responding(misfit: Misfit, start: FloatArray) -> BoolArray:
 
     def at(x: FloatArray) -> BoolArray:
         try:
-            evaluation = misfit.evaluate(x)
+            of_priors = misfit.evaluate(x).jacobian[misfit.n :]
         except HistoryError:
             return np.ones(m, dtype=bool)
-        rows = np.concatenate([evaluation.noise_jacobian, evaluation.jacobian[misfit.n :]])
+        # limits that hold by far respond, but their likelihood does not
+        rows = np.concatenate([misfit.whitened(misfit.columns(x)), of_priors])
         columns, nuisances = rows[:, :m], rows[:, m:]
         columns = NuisanceProjection(nuisances).rest(columns)
         responding: BoolArray = np.linalg.norm(columns[: misfit.n], axis=0) * reach > _NOT_FELT
@@ -275,7 +276,8 @@ class _Record:
             if nuisance.kind == GROWTH_TIME:  # growth with any of some time constants
                 low, high = nuisance.bounds
                 for time in (nuisance.start, low, 0.5 * (low + high), high):
-                    columns.append(series.factor * growth(series.x, time)[0])
+                    grown = growth(nuisance, experiment.case, series.x, time)[0]
+                    columns.append(series.factor * grown)
                     self._nuisances.append(Nuisance("thermal"))
             elif nuisance.kind != "thermal":
                 columns.append(column)

@@ -110,6 +110,7 @@ def solve(misfit: Misfit, rounds: Rounds, law: str, stored: StoredStarts) -> Sol
         rounds.tell(f"{prefix}intervals")
         profiles = likelihood_profiles(misfit, optimum, parameters, covariance)
         histories_of_profiles += rounds.count - before
+        covariance = profiles.covariance
         if profiles.better is None:
             break
         log.info("a likelihood profile has found a better optimum; the fit goes on from there")

@@ -14,7 +14,13 @@ from scipy.interpolate import CubicSpline
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.identification.definition.problem import GROWTH_TIME, Experiment, Series
+from ringwear_par.identification.definition.problem import (
+    GROWTH_TIME,
+    Experiment,
+    Nuisance,
+    Series,
+    friction_power,
+)
 from ringwear_par.schedules import in_time
 
 #: of a segment's length: within it steps are equal, beyond it their logarithms
@@ -174,16 +180,38 @@ def _radial(series: Series, case: Case) -> FloatArray:
     return weights
 
 
-def growth(t: FloatArray, time: float) -> tuple[FloatArray, FloatArray]:
+def growth(
+    nuisance: Nuisance, case: Case, t: FloatArray, time: float
+) -> tuple[FloatArray, FloatArray]:
     """Return the share of its growth that a warm rig has, and its derivative by ``time``, 1/s.
+
+    It is cold at first, and follows its heat by time g' = heat - g: each change of the heat makes a
+    growth of its own.
 
     Parameters
     ----------
-    t : (n,) s, since it was cold.
+    nuisance : whose heat goes with the friction power where it has ``power``, else is 1.
+    t : (n,) s.
     time : constant, s.
     """
-    rest = np.exp(-t / time)
-    return 1.0 - rest, -t / time**2 * rest
+    starts, heat = np.zeros(1), np.ones(1)
+    if nuisance.power:
+        starts, heat = friction_power(case)
+        heat = heat / heat.max()
+    slopes = np.append(np.diff(heat) / np.diff(starts), 0.0)
+    # what is missing of the growth at the start of each part, and its derivative
+    missing, by_time = np.empty((2, len(starts)))
+    missing[0], by_time[0] = heat[0] - slopes[0] * time, -slopes[0]
+    for i, length in enumerate(np.diff(starts).tolist(), start=1):
+        rest = np.exp(-length / time)
+        bend = slopes[i] - slopes[i - 1]
+        by_time[i] = (by_time[i - 1] + missing[i - 1] * length / time**2) * rest - bend
+        missing[i] = missing[i - 1] * rest - bend * time
+    part = np.maximum(np.searchsorted(starts, t, side="right") - 1, 0)
+    since, slope, missing = t - starts[part], slopes[part], missing[part]
+    rest = np.exp(-since / time)
+    grown = heat[part] + slope * (since - time) - missing * rest
+    return grown, -slope - (by_time[part] + missing * since / time**2) * rest
 
 
 def nuisance_columns(
@@ -194,7 +222,8 @@ def nuisance_columns(
     The offset and the level are constant; the drift grows to 1 at the end of the test; the
     compliance goes with the load in kN (of a penetration with what it has changed since the start);
     the tilt with the distance in mm from the middle of the contact. Thermal growth comes near to 1
-    after some time constants, with respect to which its column is the derivative.
+    after some time constants, with respect to which its column is the derivative; with ``power`` it
+    follows the friction power, over its largest.
 
     Parameters
     ----------
@@ -212,9 +241,9 @@ def nuisance_columns(
         elif nuisance.kind == "tilt":
             column = series.x - 0.5 * sum(case.contact)
         elif nuisance.kind == "thermal":
-            column = growth(series.x, values[place + 1])[0]
+            column = growth(nuisance, case, series.x, values[place + 1])[0]
         elif nuisance.kind == GROWTH_TIME:
-            column = values[place - 1] * growth(series.x, values[place])[1]
+            column = values[place - 1] * growth(nuisance, case, series.x, values[place])[1]
         else:
             column = np.ones(series.n)
         columns.append(series.factor * column)

@@ -146,7 +146,7 @@ def computed(
                 step_times=None if step_times is None else [step_times[n] for n in part],
                 paces=None if paces is None else [paces[n] for n in part],
             )  # fmt: skip
-            if outcome.stopped:
+            if outcome.interrupted:
                 return
             yield Computed(tuple(part), recorder, outcome.failures)
 

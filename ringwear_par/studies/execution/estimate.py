@@ -85,7 +85,7 @@ def _timed(plan: Plan) -> str:
     lines += [
         f"timed on one rank: {t1 - t0:.3g} s for an assembly, {seconds_of_case:.2g} s for the "
         f"{first.time.scheme} steps of a case, of {len(cases)} side by side"
-        f"{' (the first of their steps)' if outcome.stopped else ''}",
+        f"{' (the first of their steps)' if outcome.interrupted else ''}",
         f"estimate for {count} cases on {request.ranks} rank(s) in {request.teams} team(s), from "
         f"these times: about {duration(float(f'{seconds:.2g}'))}, "
         f"about {memory / 1e6:.0f} MB of memory in all ({memory / request.ranks / 1e6:.0f} MB a "

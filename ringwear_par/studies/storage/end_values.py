@@ -198,7 +198,8 @@ def figure_columns(final: Mapping[str, Any], cases: Any) -> list[str]:
     there are some; the largest stress. Numbers of each layer and point would make figures that
     nobody reads.
     """
-    worn = [name for name in MAIN_END_VALUES[1:] if np.nan_to_num(final[name][cases]).any()]
+    volumes = ("worn_volume_lower", "worn_volume_upper")
+    worn = [name for name in volumes if np.nan_to_num(final[name][cases]).any()]
     through = [name for name in LAYER_HISTORIES if np.nan_to_num(final.get(name, [])).any()]
     stress = [STRESS_STATES] if STRESS_STATES in final else []
     return ["penetration", *(worn or ["worn_volume_lower"]), *through, *stress]

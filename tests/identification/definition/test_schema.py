@@ -97,7 +97,12 @@ def test_every_key_of_readings_is_told():
         errors |= set(fault.rpartition("must be one of ")[2].split(", "))
     table = "experiment.data.nuisance."
     told = {key.path.removeprefix(table) for key in KEYS if key.path.startswith(table)}
-    of_growth = {"amplitude", "time", *(f"time.{name}" for name in ("start", "prior", "bounds"))}
+    of_growth = {
+        "amplitude",
+        "power",
+        "time",
+        *(f"time.{name}" for name in ("start", "prior", "bounds")),
+    }
     of_growth = {f"thermal.{name}" for name in of_growth}
     assert told == errors | {"KIND.prior", "KIND.bounds"} | of_growth
 

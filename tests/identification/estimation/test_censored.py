@@ -76,22 +76,59 @@ def test_limits_of_a_record(tables):
     assert k["sd"] < without["sd"]
 
 
-def test_limits_alone_bound_one_side(tables):
-    """A weighing below what the balance resolves."""
+def weighed(tables, scale, *sides):
+    """Return a fit file of weighings of 1 mg that are limits."""
     light = copy.deepcopy(tables)
+    light["fit"]["starts"] = 2
+    light["fit"]["parameters"][K]["scale"] = scale
     light["experiment"][0]["data"] = [
         {"quantity": "mass.lower", "value": 1.0, "unit": "mg", "density": 7.8e-3, "sd": 0.05,
-         "censored": "below"}
+         "censored": side} for side in sides
     ]  # fmt: skip
+    return light
+
+
+@pytest.mark.parametrize(("side", "scale"), [("below", "log"), ("above", "linear")])
+def test_limits_alone_bound_one_side(tables, side, scale):
+    """A weighing below what the balance resolves, or above what it bears."""
+    light = weighed(tables, scale, side)
     fit = rw.fit(light, MPI.COMM_SELF)
-    k = fit.to_dict()["parameters"][K]
-    assert (k["verdict"], k["interval"][0]) == ("at bound", None)
-    assert "less than" in fit.summary()
+    k, place, words = fit.to_dict()["parameters"][K], side == "below", fit.summary()
+    assert (k["verdict"], k["interval"][1 - place], k["sd"]) == ("at bound", None, None)
+    said = f"{'less' if place else 'more'} than {k['interval'][place]:.5g} 1/MPa (95 %, like"
+    assert f"wear.lower.k  {said}lihood profile)  at bound" in words
+    assert "all readings are limits, which have no chi2" in words
+    assert [doubt.code for doubt in fit.doubts] == ["at-bound"]
     # twice the log likelihood is 2.71 less, where the probability is 0.26
-    problem = read_fit(light)
-    histories = Histories(problem, MPI.COMM_SELF)
-    (mass,) = histories.responses(np.array([[k["interval"][1]]]))[0][:, 0] * 1e3
-    assert mass == pytest.approx(1.0 - 0.05 * norm.ppf(np.exp(-0.5 * 2.7055)), rel=0.02)
+    off = -0.05 * norm.ppf(np.exp(-0.5 * 2.7055)) * (1 if place else -1)
+    assert mass_at(light, k["interval"][place]) == pytest.approx(1.0 + off, rel=0.005)
+
+
+def mass_at(tables, k):
+    """Return the mass (mg) that is lost at a k."""
+    histories = Histories(read_fit(tables), MPI.COMM_SELF)
+    return histories.responses(np.array([[k]]))[0][0, 0] * 1e3
+
+
+def test_limits_on_both_sides(tables):
+    """Of one weighing they are an interval with two ends; the model is on neither's wrong side."""
+    both = weighed(tables, "log", "below", "above")
+    fit = rw.fit(both, MPI.COMM_SELF)
+    k = fit.to_dict()["parameters"][K]
+    assert k["verdict"] == "identified"
+    assert fit.doubts == ()
+    # of equal probabilities; product of both is 3.84 less in twice its logarithm
+    for end, sign in zip(k["interval"], (-1.0, 1.0), strict=True):
+        t = (mass_at(both, end) - 1.0) / 0.05
+        assert sign * t > 0.0
+        lost = -2.0 * (norm.logcdf(t) + norm.logcdf(-t) - 2.0 * norm.logcdf(0.0))
+        assert lost == pytest.approx(3.84, rel=0.03)
+    both["experiment"][0]["data"][0]["value"] = 0.4  # at most 0.4, at least 1
+    (*_, doubt) = [d for d in rw.fit(both, MPI.COMM_SELF).doubts if d.code == "outliers"]
+    assert "the model is on the wrong side of 1 limit, by up to" in doubt.text
+    both["fit"]["parameters"][K]["scatter"] = 0.1
+    with pytest.raises(InputError, match="all readings are limits, which tell nothing of keys"):
+        read_fit(both)
 
 
 def coated(tables, value, **changes):
