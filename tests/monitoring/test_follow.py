@@ -1,5 +1,6 @@
 """Running tests: the posterior of a bank, the alarm, files that grow, what is refused."""
 
+import json
 import threading
 import time
 from dataclasses import replace
@@ -192,8 +193,13 @@ def test_two_ranks_say_the_same(laboratory, tmp_path):
     done = ringwear(*words, "--after", laboratory / "out", "--draws", 2000, ranks=2)
     assert done.returncode == 0, done.stderr
     stored = parse_json((tmp_path / "two" / "follow.json").read_text())
-    assert stored["keys"] == alone["keys"]
-    assert stored["goal"] == alone["goal"]
+    for name in ("keys", "goal"):
+        assert to_ten_digits(stored[name]) == to_ten_digits(alone[name])
+
+
+def to_ten_digits(contents):
+    """The same numbers: digits of a singular value decomposition depend on where arrays lie."""
+    return json.loads(json.dumps(contents), parse_float=lambda text: f"{float(text):.9e}")
 
 
 def fine_record(laboratory, name, factor):
