@@ -12,7 +12,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, Numbers
 
-#: of the largest value, see ``bends``
+#: of the largest size, see ``bends``
 _SLIGHT_BEND = 1e-3
 
 
@@ -223,7 +223,7 @@ def breakpoints(*quantities: Quantity | None) -> tuple[float, ...]:
 def bends(schedule: Quantity | None) -> tuple[float, ...]:
     """Return the times at which a schedule bends so much that steps must end there, increasing.
 
-    That is where a line past the point would be off it by a thousandth of the largest value: the
+    That is where a line past the point would be off it by a thousandth of the largest size: the
     points of a smooth curve are closer.
     """
     if not isinstance(schedule, Table):
@@ -231,7 +231,7 @@ def bends(schedule: Quantity | None) -> tuple[float, ...]:
     x, y = np.array(schedule.x), np.array(schedule.y)
     share = (x[1:-1] - x[:-2]) / (x[2:] - x[:-2])
     past = (1.0 - share) * y[:-2] + share * y[2:]
-    sharp = x[1:-1][np.abs(y[1:-1] - past) > _SLIGHT_BEND * y.max()]
+    sharp = x[1:-1][np.abs(y[1:-1] - past) > _SLIGHT_BEND * np.abs(y).max()]
     times = {schedule.x[0], *sharp.tolist(), schedule.x[-1]}
     return tuple(sorted(time for time in times if time > 0.0))
 

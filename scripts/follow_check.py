@@ -136,7 +136,7 @@ def main() -> None:
             ends = np.quantile(values, (0.025, 0.5, 0.975))
             theirs = (of["interval"][0], of["estimate"], of["interval"][1])
             print(f"{key}: sd {spread:.4g}; emcee is worth {worth:.0f} draws, the bank "
-                  f"{followed['effective']:.0f}")  # fmt: skip
+                  f"{followed['effective_count']:.0f}")  # fmt: skip
             for name, one, other in zip(
                 ("low end", "median", "high end"), ends, theirs, strict=True
             ):

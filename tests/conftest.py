@@ -130,7 +130,7 @@ def stopped_after(monkeypatch, comm):
     from ringwear_par.results.execution import run as run_command
     from ringwear_par.studies.execution import single_cases
 
-    call = run_command.Watch.__call__
+    call = run_command.CheckpointWatch.__call__
 
     @contextmanager
     def stopped_after(step):
@@ -140,7 +140,7 @@ def stopped_after(monkeypatch, comm):
             return call(self, snapshot)
 
         with monkeypatch.context() as patch:
-            patch.setattr(run_command.Watch, "__call__", interrupted)
+            patch.setattr(run_command.CheckpointWatch, "__call__", interrupted)
             patch.setattr(single_cases, "LONG_STEPS", 0)
             yield
 

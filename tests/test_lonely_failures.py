@@ -32,7 +32,7 @@ calls = 0
 def rate(p, at):
     global calls
     calls += 1
-    if calls > 50 and os.environ["OMPI_COMM_WORLD_RANK"] == "1":
+    if calls > 20 and os.environ["OMPI_COMM_WORLD_RANK"] == "1":
         raise KeyboardInterrupt
     return 1e-9 * p
 """

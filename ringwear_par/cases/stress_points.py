@@ -1,4 +1,4 @@
-"""BodyName body, and which side of an interface, the points of stress belong to."""
+"""Which body, and which side of an interface, the points of stress belong to."""
 
 from collections.abc import Iterator, Sequence
 

@@ -1,4 +1,4 @@
-"""BodyName numbers of a case have a slider, by its raw keys."""
+"""Which numbers of a case have a slider, by its raw keys."""
 
 import itertools
 from collections.abc import Iterator, Mapping

@@ -51,9 +51,7 @@ def curve(time: FloatArray, value: FloatArray, smooth: Smoothing, end: float) ->
     return Table(tuple(at.tolist()), tuple(values.tolist()))
 
 
-def penalised(
-    x: FloatArray, value: FloatArray, penalty: float | None = None, count: int = _KNOTS
-) -> BSpline:
+def penalised(x: FloatArray, value: FloatArray, penalty: float | None = None) -> BSpline:
     """Return the cubic spline with few equal knots that fits readings, of little curvature.
 
     Its sum of squares and ``penalty`` times the integral of its squared second derivative are the
@@ -62,9 +60,9 @@ def penalised(
     Parameters
     ----------
     penalty : None: that of the least generalised cross-validation.
-    count : of the knots, half of the readings at most.
     """
-    knots = np.linspace(x[0], x[-1], max(2, min(count, len(x) // 2 if penalty is None else count)))
+    count = _KNOTS if penalty is not None else max(2, min(_KNOTS, len(x) // 2))
+    knots = np.linspace(x[0], x[-1], count)
     padded = np.concatenate([[x[0]] * 3, knots, [x[-1]] * 3])
     basis = BSpline.design_matrix(x, padded, 3).toarray()
     functions = basis.shape[1]

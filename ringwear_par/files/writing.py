@@ -18,6 +18,8 @@ from typing import BinaryIO
 
 from ringwear_par.errors import ComputationError, InputError, RingwearError
 
+log = logging.getLogger(__name__)
+
 _MUST = "must be an ordinary file"
 
 
@@ -61,8 +63,6 @@ def read_bytes(path: Path) -> bytes:
     with open_ordinary(path) as file:
         return file.read()
 
-
-log = logging.getLogger(__name__)
 
 #: failures that another name would not mend
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)

@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 
 HOST, MODEL, _VERSION = "127.0.0.1", "forward", 1.0
 #: names of this machine under which programs may ask
-_NAMES = ("127.0.0.1", "localhost", "[::1]")
+_NAMES = ("127.0.0.1", "localhost")
 #: bytes of a request, and cases of a batch
 _LARGEST, _MOST = 2**20, 1024
 #: s: how long the first of a batch waits for others, a program may take to send a request, and the
@@ -185,7 +185,8 @@ def _vector(name: str, values: Any, names: Sequence[str]) -> list[float]:
         or len(values) != len(names)
         or not all(is_number(value) and math.isfinite(value) for value in values)
     ):
-        _refuse(f"{name} = {shortened(values)}: must be {len(names)} numbers: {', '.join(names)}")
+        count = "1 number" if len(names) == 1 else f"{len(names)} numbers"
+        _refuse(f"{name} = {shortened(values)}: must be {count}: {', '.join(names)}")
     return values
 
 

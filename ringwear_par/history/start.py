@@ -45,8 +45,8 @@ def initial_state(physics: Physics, contacts: CorrectedContacts) -> State:
     rates = physics.rates_at(time, wear, contact.pressure)
     worn = np.zeros(wear.shape[:-1])
     state = State(
-        time, wear, worn, np.zeros_like(time), contact, rates, np.zeros(shape),
-        tangent=None if along is None else along.reached(contact),
+        time, wear, worn, np.zeros_like(time), np.zeros_like(time), contact, rates,
+        np.zeros(shape), tangent=None if along is None else along.reached(contact),
         through=np.full(worn.shape, np.inf) if physics.inputs.layered else None,
     )  # fmt: skip
     return checked(physics.case, state)

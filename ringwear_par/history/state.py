@@ -63,6 +63,8 @@ class State:
     worn: FloatArray = field(metadata=along(1))
     #: (B,) float, N mm, dissipated by friction
     energy: FloatArray
+    #: (B,) float, N mm, pressure times sliding distance, over all places
+    normal_work: FloatArray
     #: the contact solution with these profiles
     contact: ContactState
     #: (2, B, n) float, mm/s, at which lower and upper wear now

@@ -30,7 +30,7 @@ _SMALL = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class _Draws:
+class _FitDraws:
     """Draws of what a fit knows."""
 
     #: of what the draws are
@@ -109,7 +109,7 @@ def to_arviz(fit: FitResult) -> "arviz.InferenceData":
     return data
 
 
-def _drawn(fit: FitResult, random: np.random.Generator) -> _Draws:
+def _drawn(fit: FitResult, random: np.random.Generator) -> _FitDraws:
     m, tests = len(fit.parameters), len(fit.misfit.problem.experiments)
     if fit.material is not None:
         material, free = fit.material, list(fit.material.free)
@@ -118,7 +118,7 @@ def _drawn(fit: FitResult, random: np.random.Generator) -> _Draws:
         of_tests = np.tile(material.test_unknowns, (DRAWS, 1, 1))
         keys[:, free], of_tests[:, :, free] = drawn.material, drawn.tests
         sizes = material.wear.sizes(drawn.shares)
-        return _Draws("mixture over sizes of scatter and random wear", keys, of_tests, drawn.tau,
+        return _FitDraws("mixture over sizes of scatter and random wear", keys, of_tests, drawn.tau,
                       sizes)  # fmt: skip
     if fit.posterior is not None:
         samples = fit.posterior.samples
@@ -129,7 +129,7 @@ def _drawn(fit: FitResult, random: np.random.Generator) -> _Draws:
         kind = "linear model"
         keys = random.multivariate_normal(fit.x[:m], fit.covariance[:m, :m], DRAWS)
     none = np.zeros((len(keys), 0))
-    return _Draws(kind, keys, np.repeat(keys[:, None], tests, axis=1), none, none)
+    return _FitDraws(kind, keys, np.repeat(keys[:, None], tests, axis=1), none, none)
 
 
 def _linearised(fit: FitResult) -> Linearisation:
@@ -143,7 +143,7 @@ def _linearised(fit: FitResult) -> Linearisation:
 
 
 def _of_readings(
-    linear: Linearisation, number: int, draws: _Draws, random: np.random.Generator
+    linear: Linearisation, number: int, draws: _FitDraws, random: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Return log likelihoods (draws, n) of a test's readings, and replicas of these less them."""
     test, misfit, rows = linear.tests[number], linear.misfit, linear.rows[number]
@@ -171,7 +171,7 @@ def _of_readings(
     return likelihood, replica
 
 
-def _marginal(fit: FitResult, linear: Linearisation, number: int, draws: _Draws) -> FloatArray:
+def _marginal(fit: FitResult, linear: Linearisation, number: int, draws: _FitDraws) -> FloatArray:
     """Return the log likelihood (draws,) of a test whose own values are integrated."""
     assert fit.material is not None
     m, n = draws.keys.shape[1], len(linear.tests[number].readings)

@@ -90,9 +90,9 @@ class Answer:
     trace: FloatArray
     draws: int
     #: number of independent draws
-    effective: float
+    effective_count: float
     #: how often they were made anew
-    moves: int
+    redraws: int
     #: relative error of histories; None: all draws were stepped
     interpolated: float | None
     doubts: tuple[str, ...]
@@ -128,12 +128,13 @@ class Answer:
         goal, share = self.goal, f"{100 * self.level:g} %"
         lines = [f"{self.test}: {self.readings} readings to {self._at(self.time)} of "
                  f"{self._at(self.end)}"]  # fmt: skip
-        for key, of in self.keys.items():
-            unit = "" if of.unit in ("1", "-") else f" {of.unit}"
-            (low, high), (first, last) = of.interval, of.before
+        for key, key_answer in self.keys.items():
+            unit = "" if key_answer.unit in ("1", "-") else f" {key_answer.unit}"
+            (low, high), (first, last) = key_answer.interval, key_answer.before
             lines.append(
-                f"  {key}  {of.estimate:.4g}{unit} of this specimen  from {low:.4g} to {high:.4g} "
-                f"({share}, +-{of.percent:.2g} %; before the test {first:.4g} to {last:.4g})"
+                f"  {key}  {key_answer.estimate:.4g}{unit} of this specimen  "
+                f"from {low:.4g} to {high:.4g} ({share}, +-{key_answer.percent:.2g} %; "
+                f"before the test {first:.4g} to {last:.4g})"
             )
         expected = f", +-{goal.at_end:.2g} % is expected there" if goal.time is None else ""
         lines.append(f"  {goal.key} to +-{goal.percent:g} %: {self.left}{expected}")
@@ -153,7 +154,7 @@ class Answer:
         depth, when = (None, None) if self.depth is None else self.depth
         return {
             **content,
-            "keys": {key: asdict(of) for key, of in self.keys.items()},
+            "keys": {key: asdict(key_answer) for key, key_answer in self.keys.items()},
             "goal": asdict(self.goal),
             "depth": None if when is None else {"depth": depth, **when._asdict()},
             "alarm": None if self.alarm is None else asdict(self.alarm),

@@ -8,7 +8,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.files.folders import FOLLOW, json_bytes, write_outcome
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.monitoring.answer import Answer
-from ringwear_par.monitoring.watch import Watch
+from ringwear_par.monitoring.running_state import RunningTestState
 from ringwear_par.pictures.panels import Panel
 from ringwear_par.reports.report import check_page, write_page
 from ringwear_par.version import versions
@@ -37,7 +37,9 @@ class AnswerFiles:
         self._paged, self._printed, self._alarmed = -_PAUSE, -_PAUSE, False
         self._has_page = True
 
-    def write(self, answer: Answer, watch: Watch, problem: Problem, *, last: bool) -> None:
+    def write(
+        self, answer: Answer, state: RunningTestState, problem: Problem, *, last: bool
+    ) -> None:
         """Write an answer, its page now and then and at last, and say it.
 
         Raises
@@ -49,7 +51,7 @@ class AnswerFiles:
         write_outcome(self._folder, "follow", {FOLLOW: lambda: json_bytes(content)})
         now = time.monotonic()
         if last or now - self._paged > _PAUSE:
-            self._record = watch.record(problem)
+            self._record = state.record(problem)
             self.write_page()
         alarm = answer.alarm is not None and not self._alarmed
         if not last and (alarm or now - self._printed > _PAUSE):

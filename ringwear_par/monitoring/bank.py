@@ -25,18 +25,20 @@ from ringwear_par.identification.scatter.reduction import LinearisedTest, reduce
 from ringwear_par.monitoring.histories import SpecimenHistories
 from ringwear_par.prediction.draws import draw_parts, log_densities
 
-#: shares of the draws: fewer effective ones are drawn anew, from as many after tempering
-_FEW, _ENOUGH = 0.1, 0.2
+#: share of the draws: fewer effective ones are drawn anew
+_LEAST_EFFECTIVE = 0.1
+#: share of the draws that are effective after tempering
+_TEMPERED_EFFECTIVE = 0.2
 #: most rounds of tempering, and halvings until the exponent is found
 _ROUNDS, _HALVINGS = 12, 40
 #: sd, by which the mean may be off where readings are linearised
-_NEAR = 0.3
+_MOST_OFF_SD = 0.3
 #: of the distribution of new draws: degrees of freedom, factor of covariances, share of all parts
-_DEGREES, _WIDER, _EVERY = 8.0, 1.3, 0.1
+_DEGREES, _WIDER, _PRIOR_SHARE = 8.0, 1.3, 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Draws:
+class BankDraws:
     """Draws of a specimen's keys."""
 
     #: (draws, m) of the keys
@@ -44,13 +46,16 @@ class Draws:
     #: (draws,) of the mixture that is known of them
     part: IntArray
     #: (draws,) logarithm of the prior's density over that of the draws, but for a constant
-    base: FloatArray
+    log_prior_over_proposal: FloatArray
     #: (draws, modes) of their histories
     coordinates: FloatArray
 
 
-def rows_of(test: LinearisedTest, chosen: BoolArray) -> LinearisedTest:
-    """Return a test with some of its readings (n,)."""
+Linearised = tuple[LinearisedTest, Misfit, FloatArray]
+
+
+def rows_of(test: LinearisedTest, chosen: BoolArray | IntArray) -> LinearisedTest:
+    """Return a test with some of its readings: a mask (n,), or numbers in their order."""
     return replace(
         test, readings=test.readings[chosen], jacobian=test.jacobian[chosen],
         nuisances=test.nuisances[chosen],
@@ -64,9 +69,14 @@ def normalised(logs: FloatArray) -> FloatArray:
     return weights
 
 
-def effective(weights: FloatArray) -> float:
+def effective_count(weights: FloatArray) -> float:
     """Return how many draws of equal weights some weights (draws,) are worth."""
     return float(1.0 / (weights @ weights))
+
+
+def are_too_few(weights: FloatArray) -> bool:
+    """Tell whether too few draws have the weights (draws,)."""
+    return effective_count(weights) < _LEAST_EFFECTIVE * len(weights)
 
 
 class Bank:
@@ -75,55 +85,57 @@ class Bank:
     Parameters
     ----------
     known : what is known of the keys before the test.
-    of : whom the test is of: the next specimen, or one of the fit.
-    problem : of the running test, whose readings are planned ones.
+    specimen : whom the test is of: the next specimen, or one of the fit.
+    problem : of the running test.
     rounds : computes its histories.
     draws, seed : number of the draws, and their seed.
 
     Attributes
     ----------
-    moves : how often draws were made anew.
+    prior_covariance : (m, m) of the unknowns before the test.
+    redraws : how often draws were made anew.
     """
 
     def __init__(
         self,
         known: FittedValues,
-        of: str,
+        specimen: str,
         problem: Problem,
         rounds: Rounds,
         draws: int,
         seed: int,
     ) -> None:
-        self._known, self._of, self.problem = known, of, problem
+        self._known, self._specimen, self.problem = known, specimen, problem
         self._random = np.random.default_rng(seed)
         self.histories = SpecimenHistories(problem, rounds)
         self._rounds = rounds
-        values, part = draw_parts(known, of, draws, self._random)
+        values, part = draw_parts(known, specimen, draws, self._random)
         unknowns = np.where(known.logarithmic, np.log(values), values)
         self.histories.prepare(unknowns)
-        self.draws = Draws(unknowns, part, np.zeros(draws), self.histories.coordinates(unknowns))
-        self.moves = 0
+        coordinates = self.histories.coordinates(unknowns)
+        self.draws = BankDraws(unknowns, part, np.zeros(draws), coordinates)
+        self.redraws = 0
+        self._linearised: tuple[Problem, Linearised] | None = None
         wearing = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
         self._sizes, self._of_part = np.unique(known.sizes[:, wearing], axis=0, return_inverse=True)
-        self._refer(normalised(self._logs(np.zeros(draws))))
+        equal = np.full(draws, 1.0 / draws)
+        self.prior_covariance = _moments(unknowns, equal)[1]
+        self._linearise_at(equal)
 
     @property
     def values(self) -> FloatArray:
         """(draws, m) of the keys."""
-        return np.array([self.problem.values(u) for u in self.draws.unknowns])
-
-    @property
-    def prior_covariance(self) -> FloatArray:
-        """(m, m) of the unknowns before the test."""
-        weights = normalised(self._logs(np.zeros(len(self.draws.base))))
-        return _moments(self.draws.unknowns, weights)[1]
+        columns = zip(self.problem.parameters, self.draws.unknowns.T, strict=True)
+        return np.column_stack(
+            [np.clip(np.exp(u) if key.log else u, *key.bounds) for key, u in columns]
+        )
 
     def sizes(self, weights: FloatArray) -> FloatArray:
         """Return the means (bodies,) mm of the process noise."""
         sizes: FloatArray = weights @ self._sizes[self._of_part.ravel()[self.draws.part]]
         return sizes
 
-    def linearised(self, problem: Problem) -> tuple[LinearisedTest, Misfit, FloatArray]:
+    def linearised(self, problem: Problem) -> Linearised:
         """Return a test, its misfit and the unknowns (u,) at which it is linearised.
 
         The unknowns of the linearised test are the coordinates of histories.
@@ -132,6 +144,8 @@ class Bank:
         ----------
         problem : of the running test, with its readings so far, or with others.
         """
+        if self._linearised is not None and self._linearised[0] is problem:
+            return self._linearised[1]
         test, at = problem.experiments[0], self._reference
         misfit = Misfit(problem, self._rounds)
         response = self.histories.at(at, test)
@@ -140,10 +154,12 @@ class Bank:
         evaluation = misfit.evaluate(x, at[None])
         linear = Linearisation(misfit, evaluation, x, at[None]).tests[0]
         modes = Reader(test).read(self.histories.modes())
-        beside = misfit.whitened(response[:, 0] - modes[:, 0])
-        readings = linear.readings - linear.jacobian @ at + beside
+        above_mean = misfit.whitened(response[:, 0] - modes[:, 0])
+        readings = linear.readings - linear.jacobian @ at + above_mean
         jacobian = misfit.whitened(modes[:, 1:])
-        return replace(linear, readings=readings, jacobian=jacobian), misfit, x
+        linearised = replace(linear, readings=readings, jacobian=jacobian), misfit, x
+        self._linearised = problem, linearised
+        return linearised
 
     def weigh(self, test: LinearisedTest) -> FloatArray:
         """Return the weights (draws,) of the draws by a linearised test's readings."""
@@ -156,30 +172,24 @@ class Bank:
         ----------
         chosen : (n,) which of the problem's readings count.
         """
-        for _ in range(_ROUNDS):
+        for round_number in range(_ROUNDS + 1):
             test = rows_of(self.linearised(problem)[0], chosen)
             likelihood = self._log_likelihood(test)
-            logs = self._logs(likelihood)
-            weights = normalised(logs)
-            count = len(weights)
-            if effective(weights) >= _FEW * count:
+            weights = normalised(self._logs(likelihood))
+            if round_number == _ROUNDS or not are_too_few(weights):
                 break
-            power = self._exponent(likelihood)
-            tempered = self._logs(power * likelihood)
-            self._draw_anew(normalised(tempered))
-            self._refer(normalised(tempered))
-            self.moves += 1
-        else:
-            test = rows_of(self.linearised(problem)[0], chosen)
-            logs = self._logs(self._log_likelihood(test))
-            weights = normalised(logs)
+            tempered = normalised(self._logs(self._exponent(likelihood) * likelihood))
+            self._linearise_at(tempered)
+            self._draw_anew(tempered)
+            self.redraws += 1
         mean, covariance = _moments(self.draws.unknowns, weights)
-        if (np.abs(mean - self._reference) > _NEAR * np.sqrt(np.diag(covariance))).any():
-            self._refer(weights)
+        off = np.abs(mean - self._reference)
+        if (off > _MOST_OFF_SD * np.sqrt(np.diag(covariance))).any():
+            self._linearise_at(weights)
         return weights
 
     def _logs(self, likelihood: FloatArray) -> FloatArray:
-        logs = self.draws.base + likelihood
+        logs = self.draws.log_prior_over_proposal + likelihood
         return np.where(np.isfinite(logs), logs, -np.inf)
 
     def _log_likelihood(self, test: LinearisedTest) -> FloatArray:
@@ -201,9 +211,8 @@ class Bank:
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
             weights = normalised(self._logs(middle * likelihood))
-            low, high = (
-                (middle, high) if effective(weights) >= _ENOUGH * len(weights) else (low, middle)
-            )
+            enough = effective_count(weights) >= _TEMPERED_EFFECTIVE * len(weights)
+            low, high = (middle, high) if enough else (low, middle)
         return low
 
     def _draw_anew(self, weights: FloatArray) -> None:
@@ -212,7 +221,7 @@ class Bank:
         mean, covariance = _moments(self.draws.unknowns, weights)
         factor = np.linalg.cholesky(_WIDER * covariance)
         of_parts = np.bincount(self.draws.part, weights, len(known.weights))
-        of_parts = (1.0 - _EVERY) * of_parts + _EVERY * known.weights
+        of_parts = (1.0 - _PRIOR_SHARE) * of_parts + _PRIOR_SHARE * known.weights
         part = random.choice(len(of_parts), size=count, p=of_parts / of_parts.sum())
         scale = np.sqrt(_DEGREES / random.chisquare(_DEGREES, count))
         normal = random.standard_normal((count, len(mean)))
@@ -221,17 +230,20 @@ class Bank:
         inside = ((unknowns >= low) & (unknowns <= high)).all(axis=1)
         square = (np.linalg.solve(factor, (unknowns - mean).T) ** 2).sum(axis=0)
         density = -0.5 * (_DEGREES + len(mean)) * np.log1p(square / _DEGREES)
-        base = log_densities(known, self._of, unknowns, part) - density
-        base -= np.log(of_parts[part])
+        ratio = log_densities(known, self._specimen, unknowns, part) - density
+        ratio -= np.log(of_parts[part])
         unknowns = np.clip(unknowns, low, high)
         if self.histories.error is None:  # polynomials may do where draws are nearer
             self.histories.prepare(unknowns)
         coordinates = self.histories.coordinates(unknowns)
-        self.draws = Draws(unknowns, part, np.where(inside, base, -np.inf), coordinates)
+        ratio = np.where(inside, ratio, -np.inf)
+        self.draws = BankDraws(unknowns, part, ratio, coordinates)
+        self._linearised = None  # histories may have other modes
 
-    def _refer(self, weights: FloatArray) -> None:
+    def _linearise_at(self, weights: FloatArray) -> None:
         """Linearise readings at the mean of the draws from now on."""
         self._reference: FloatArray = weights @ self.draws.unknowns
+        self._linearised = None
 
 
 def _moments(points: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:

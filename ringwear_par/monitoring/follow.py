@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.cases.units import number_in
@@ -18,10 +19,10 @@ from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.model.rounds import Rounds, StoppedError
 from ringwear_par.monitoring.answer_files import PAGE, AnswerFiles
 from ringwear_par.monitoring.bank import Bank
-from ringwear_par.monitoring.before import Job, job_after
 from ringwear_par.monitoring.histories import planned
+from ringwear_par.monitoring.prior_knowledge import FollowedTest, followed_test
+from ringwear_par.monitoring.running_state import RunningTestState, Targets
 from ringwear_par.monitoring.running_test import RunningTest
-from ringwear_par.monitoring.watch import Watch, Wishes
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.draws import NEXT
 from ringwear_par.results.execution.stopping import StopSignals
@@ -65,10 +66,14 @@ def run_follow(
     """
 
     def begin() -> tuple[RunningTest, float, float | None]:
-        for name, number, least in (("draws", draws, _FEWEST), ("seed", seed, 0)):
-            if number < least:
-                raise InputError(f"--{name} = {number}: must be a whole number >= {least}")
-        wishes = _percent(to), None if depth is None else _depth(depth)
+        faults = [
+            f"--{name} = {number}: must be a whole number >= {least}"
+            for name, number, least in (("draws", draws, _FEWEST), ("seed", seed, 0))
+            if number < least
+        ]
+        percent, mm = _percent(to, faults), None if depth is None else _depth(depth, faults)
+        if faults:
+            raise InputError(*faults)
         check_folder(folder, (FOLLOW, PAGE), "follow")
         running = RunningTest.of(source, test)
         while not once and (missing := running.missing):
@@ -76,11 +81,11 @@ def run_follow(
             while running.missing == missing:
                 time.sleep(_LOOK)
         running.read()
-        return running, *wishes
+        return running, percent, mm
 
     running, percent, mm = on_first_rank(comm, begin)
-    job = job_after(running, after, comm)
-    problem, name = job.problem, legible(running.name)
+    followed = followed_test(running, after, comm)
+    problem, name = followed.problem, legible(running.name)
     plan = replace(problem, experiments=(planned(problem.experiments[0]),))
     files = AnswerFiles(folder, shlex.join(["ringwear", "follow", str(source), "-o", str(folder)]))
     with StopSignals() as signals:
@@ -88,11 +93,14 @@ def run_follow(
 
         def lead() -> None:
             rounds.tell(f"{draws} draws of {name}")
-            bank = Bank(job.known.values, job.of, problem, rounds, draws, seed)
-            whom = job.of if job.of == NEXT else f"specimen {legible(job.of)}"
-            wishes = Wishes(_key_of(problem), percent, mm)
-            watch = Watch(bank, wishes, whom, job.doubts)
-            _follow(job, watch, files, once, lambda: bool(signals.received))
+            specimen, values = followed.specimen, followed.known.values
+            whom = specimen if specimen == NEXT else f"specimen {legible(specimen)}"
+            targets = Targets(_key_of(problem), percent, mm)
+            state = RunningTestState(
+                lambda: Bank(values, specimen, problem, rounds, draws, seed),
+                targets, whom, followed.doubts,
+            )  # fmt: skip
+            _follow(followed, state, files, once, lambda: bool(signals.received))
 
         try:
             rounds.lead(lead)
@@ -104,15 +112,19 @@ def run_follow(
 
 
 def _follow(
-    job: Job, watch: Watch, files: AnswerFiles, once: bool, stopped: Callable[[], bool]
+    followed: FollowedTest,
+    state: RunningTestState,
+    files: AnswerFiles,
+    once: bool,
+    stopped: Callable[[], bool],
 ) -> None:
     """Answer whenever the files change, until the end of the test."""
-    state, warned = None, ""
+    stamps, warned = None, ""
     while not stopped():
-        if (present := job.test.state) != state:
-            state = present
+        if (present := followed.running.file_stamps) != stamps:
+            stamps = present
             try:
-                one = job.test.read()
+                problem = followed.read()
             except InputError as error:  # it is being written, or was replaced
                 if once:
                     raise
@@ -120,10 +132,9 @@ def _follow(
                     log.warning("%s; the last answer stays until that changes", reason)
                 warned = reason
             else:
-                one = replace(one, settings=job.problem.settings)
-                answer = watch.answer(one)
+                answer = state.answer(problem)
                 ended = once or answer.ended
-                files.write(answer, watch, one, last=ended)
+                files.write(answer, state, problem, last=ended)
                 if ended:
                     return
         time.sleep(_LOOK)
@@ -136,18 +147,19 @@ def _key_of(problem: Problem) -> int:
     return next(logarithmic, 0)
 
 
-def _percent(text: str) -> float:
+def _percent(text: str, faults: list[str]) -> float:
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*%?\s*", text)
     if match is None or not 0.0 < float(match[1]) < 100.0:
-        raise InputError(f"--to = {legible(text)}: must be a percentage, such as 10%")
+        faults.append(f"--to = {legible(text)}: must be a percentage, such as 10%")
+        return np.nan
     return float(match[1])
 
 
-def _depth(text: str) -> float:
+def _depth(text: str, faults: list[str]) -> float:
     try:
         depth = number_in(text, "mm")
     except RejectedError:
         depth = 0.0
     if not depth > 0.0:
-        raise InputError(f"--depth = {legible(text)}: must be a length > 0, such as '20 um'")
+        faults.append(f"--depth = {legible(text)}: must be a length > 0, such as '20 um'")
     return depth

@@ -59,8 +59,7 @@ def planned(test: Experiment) -> Experiment:
 class SpecimenHistories:
     """Histories of one test at any values of the fitted keys.
 
-    Making one is collective on the communicator of the signals' ranks; all else is done where
-    ``Rounds.lead`` does it.
+    On the first rank, within ``Rounds.lead``.
 
     Parameters
     ----------

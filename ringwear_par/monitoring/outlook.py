@@ -11,7 +11,7 @@ from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import Problem, Series, body_of_wear
 from ringwear_par.identification.scatter.clocks import projected_precision
 from ringwear_par.identification.scatter.reduction import LinearisedTest, uncorrelated
-from ringwear_par.monitoring.bank import Bank
+from ringwear_par.monitoring.bank import Bank, rows_of
 from ringwear_par.prediction.prediction import times_at
 
 #: most readings of a record that are planned to the end, and times at which intervals are looked at
@@ -45,23 +45,23 @@ def surprise(
     )
     expected = np.linalg.solve(known, test.prior_rows.T @ test.prior_values)
     covariance += columns @ np.linalg.solve(known, columns.T)
-    counts = np.isfinite(bank.draws.coordinates).all(axis=1)
-    coordinates, share = bank.draws.coordinates[counts], weights[counts]
+    has_history = np.isfinite(bank.draws.coordinates).all(axis=1)
+    coordinates, share = bank.draws.coordinates[has_history], weights[has_history]
     mean = share @ coordinates
     spread = (share[:, None] * (coordinates - mean)).T @ (coordinates - mean)
     rest = test.readings - test.jacobian @ mean - columns @ expected
     gain = cho_solve(
         cho_factor(covariance[np.ix_(old, old)], lower=True), covariance[np.ix_(old, new)]
     )
-    beside = test.jacobian[new] - gain.T @ test.jacobian[old]
+    jacobian = test.jacobian[new] - gain.T @ test.jacobian[old]
     variance = covariance[np.ix_(new, new)] - covariance[np.ix_(new, old)] @ gain
-    variance += beside @ spread @ beside.T
+    variance += jacobian @ spread @ jacobian.T
     off = rest[new] - gain.T @ rest[old]
     return float(chi2.sf(off @ np.linalg.solve(variance, off), len(off)))
 
 
 def widths(
-    bank: Bank, problem: Problem, weights: FloatArray, key: int, level: float
+    bank: Bank, problem: Problem, weights: FloatArray, key: int, level: float, now: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return times from now to the end, s, and the relative half width of a key's interval there.
 
@@ -70,18 +70,14 @@ def widths(
     Parameters
     ----------
     key : its number.
+    now : s, of the last reading that counts.
     """
     (experiment,), end = problem.experiments, problem.experiments[0].case.time.end
-    series = tuple(_to_end(one, end) for one in experiment.series)
+    series = tuple(_to_end(record, end) for record in experiment.series)
     plan = replace(problem, experiments=(replace(experiment, series=series),))
-    now, times = float(times_of(problem).max()), times_of(plan)
-    test = bank.linearised(plan)[0]
+    times = times_of(plan)
     order = np.argsort(times, kind="stable")
-    test = replace(
-        test, readings=test.readings[order], jacobian=test.jacobian[order],
-        nuisances=test.nuisances[order],
-        process=tuple(kernel[np.ix_(order, order)] for kernel in test.process),
-    )  # fmt: skip
+    test = rows_of(bank.linearised(plan)[0], order)
     slopes = _slopes(bank, weights)
     alone = uncorrelated(test, bank.sizes(weights))[0]
     rows, m = np.column_stack([alone.jacobian @ slopes, alone.nuisances]), slopes.shape[1]
@@ -116,19 +112,26 @@ def _to_end(series: Series, end: float) -> Series:
 
 def _slopes(bank: Bank, weights: FloatArray) -> FloatArray:
     """Return derivatives (modes, m) of the coordinates of histories with respect to unknowns."""
-    counts = np.isfinite(bank.draws.coordinates).all(axis=1) & (weights > 0.0)
-    root = np.sqrt(weights[counts])[:, None]
-    unknowns = bank.draws.unknowns[counts] - weights @ bank.draws.unknowns
+    has_history = np.isfinite(bank.draws.coordinates).all(axis=1) & (weights > 0.0)
+    root = np.sqrt(weights[has_history])[:, None]
+    unknowns = bank.draws.unknowns[has_history] - weights @ bank.draws.unknowns
     columns = np.column_stack([unknowns, np.ones(len(unknowns))])
-    solution = np.linalg.lstsq(root * columns, root * bank.draws.coordinates[counts], rcond=None)[0]
+    coordinates = bank.draws.coordinates[has_history]
+    solution = np.linalg.lstsq(root * columns, root * coordinates, rcond=None)[0]
     slopes: FloatArray = solution[:-1].T
     return slopes
 
 
-def time_to(bank: Bank, problem: Problem, weights: FloatArray, depth: float) -> FloatArray:
+def time_to(
+    bank: Bank, problem: Problem, weights: FloatArray, depth: float, counted: BoolArray
+) -> FloatArray:
     """Return times (draws,) at which this specimen's penetration reaches a depth, mm; inf: later.
 
     Wear that is random goes on from what the readings tell of it.
+
+    Parameters
+    ----------
+    counted : (n,) which of the readings do.
     """
     random, case = np.random.default_rng(_SEED), problem.experiments[0].case
     chosen = random.choice(len(weights), _DRAWS, p=weights)
@@ -138,8 +141,9 @@ def time_to(bank: Bank, problem: Problem, weights: FloatArray, depth: float) -> 
     depths = approach[:, 0] + coordinates @ approach[:, 1:].T
     if not problem.settings.process:
         return times_at(time, depths, depth)
-    test, misfit, x = bank.linearised(problem)
-    now = float(times_of(problem).max())
+    whole, misfit, x = bank.linearised(problem)
+    test = rows_of(whole, counted)
+    now = float(times_of(problem)[counted].max(initial=0.0))
     sizes = bank.sizes(weights)
     precision = projected_precision(test, sizes, np.zeros((coordinates.shape[1],) * 2))
     n = len(test.readings)
@@ -152,7 +156,7 @@ def time_to(bank: Bank, problem: Problem, weights: FloatArray, depth: float) -> 
             modes.volume[body, :, 0] + coordinates @ modes.volume[body, :, 1:].T
         ) / case.area
         across = np.zeros(n + len(test.prior_values))
-        across[:n] = size * misfit.whitened(answers[:, number] * worn[:, number])
+        across[:n] = size * misfit.whitened(answers[:, number] * worn[:, number])[counted]
         at_now = np.array([np.interp(now, time, row) for row in mean_depth])
         excess = rest @ (precision @ across)
         variance = np.maximum(size * at_now - across @ precision @ across, 0.0)

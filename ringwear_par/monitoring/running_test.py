@@ -1,6 +1,7 @@
 """A test that runs: one experiment of a fit file, whose files grow while it is followed."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -94,13 +95,15 @@ class RunningTest:
         return [path for path in paths if not _has_readings(path)]
 
     @property
-    def state(self) -> tuple[Any, ...]:
+    def file_stamps(self) -> list[tuple[int, int, int] | None]:
         """What changes when the fit file or one of the test's files is written to."""
         paths = [self.source, *(self.source.parent / name for name in sorted(self.files))]
-        return tuple(
-            (s.st_ino, s.st_size, s.st_mtime_ns) if path.exists() and (s := path.stat()) else None
-            for path in paths
-        )
+        stamps: list[tuple[int, int, int] | None] = [None] * len(paths)
+        for number, path in enumerate(paths):
+            with suppress(OSError):  # it may be replaced just now
+                status = path.stat()
+                stamps[number] = status.st_ino, status.st_size, status.st_mtime_ns
+        return stamps
 
     def other_tests(self) -> Problem:
         """Return the problem of the other tests of the fit file, to be fitted before.
@@ -117,7 +120,7 @@ class RunningTest:
         whole = read_fit(self.source, files=GrowingFiles(self.source.parent, self.files))
         if not whole.mixed:
             raise InputError(f"{self.source}: {NOT_KNOWN}")
-        tests = tuple(one for one in whole.experiments if one.name != self.name)
+        tests = tuple(test for test in whole.experiments if test.name != self.name)
         faults: list[str] = []
         check_scatter(place, whole.parameters, tests, whole.settings, faults)
         if faults:
@@ -136,11 +139,16 @@ class RunningTest:
         problem = read_fit(self.source, test=self.name, files=files)
         (experiment,) = problem.experiments
         faults = [fault for series in experiment.series for fault in _faults(series)]
+        faults += [
+            f"{measured.key}: is a measured input, which must cover the test; must be a number or "
+            "a table of the case while a test runs"
+            for measured in experiment.inputs
+        ]
         if problem.settings.loss != "gaussian":
             faults.append('fit.loss: must be "gaussian" where a test is followed')
         if faults:
             raise InputError(*(f"{self.source}: {legible(self.name)}: {f}" for f in faults))
-        series = tuple(averaged(one, experiment.case.time.end) for one in experiment.series)
+        series = tuple(averaged(record, experiment.case.time.end) for record in experiment.series)
         return replace(problem, experiments=(replace(experiment, series=series),))
 
 
@@ -192,5 +200,10 @@ def averaged(series: Series, end: float) -> Series:
         )
     weights = series.sd**-2
     total = np.add.reduceat(weights, number)
-    x, value = (np.add.reduceat(weights * v, number) / total for v in (series.x, series.value))
-    return replace(series, x=x, value=value, sd=total**-0.5, lines=None)
+    single = counts == 1  # to the last bit, so that a record that grows stays what it was
+    x, value = (
+        np.where(single, column[number], np.add.reduceat(weights * column, number) / total)
+        for column in (series.x, series.value)
+    )
+    sd = np.where(single, series.sd[number], total**-0.5)
+    return replace(series, x=x, value=value, sd=sd, lines=None)

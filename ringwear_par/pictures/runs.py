@@ -17,7 +17,6 @@ from ringwear_par.pictures.style import COLOURS, stage_colour
 from ringwear_par.results.key_numbers import (
     friction_of,
     nominal_area,
-    normal_work,
     pressure_peak,
     stages,
     time_unit,
@@ -69,15 +68,17 @@ def _rates(result: Result) -> dict[str, FloatArray]:
 
 def _p_v(result: Result) -> dict[str, FloatArray]:
     """Return pressure times speed, meaned over the nominal area and between states, MPa m/s."""
-    friction = result.attributes.get("friction")
+    friction, reason = result.attributes.get("friction"), "is 0"
+    if friction is None:
+        reason = "was stored without it"
+    elif "friction_table" in result.attributes:  # energy between states does not tell the work
+        friction, reason = 0.0, "is a table"
     if not friction:
-        reason = "was stored without it" if friction is None else "is 0"
         raise InputError(
-            f"{result.name}: pv needs the friction coefficient, which {reason}; must be > 0"
+            f"{result.name}: pv needs the friction coefficient, which {reason}; "
+            "must be one number > 0"
         )
     seconds = np.diff(result.histories["time"])
-    if "friction_times" in result.attributes:
-        return {"": 1e-3 * normal_work(result) / seconds / nominal_area(result)}
     power = np.diff(result.histories["dissipated_energy"]) / seconds
     return {"": 1e-3 * power / friction / nominal_area(result)}
 

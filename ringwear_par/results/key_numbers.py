@@ -1,5 +1,6 @@
 """The key numbers of a run, one table; what summaries and pictures call numbers and instants."""
 
+import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from ringwear_par.history.state import State
 from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import worn_layers
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
-from ringwear_par.schedules import Quantity, Table, mean
+from ringwear_par.schedules import Quantity, Table
 
 #: s, up to which times are told in a unit, and its seconds
 _UNITS_OF_TIME = ((7200.0, "s", 1.0), (7 * 86400.0, "h", 3600.0), (np.inf, "days", 86400.0))
@@ -190,20 +191,10 @@ def nominal_area(result: Result) -> float:
 def friction_of(result: Result) -> Quantity:
     """Return the friction coefficient, a number or a table in time."""
     about = result.attributes
-    if "friction_times" in about:
-        return Table(tuple(about["friction_times"]), tuple(about["friction_values"]))
+    if "friction_table" in about:
+        times, values = zip(*json.loads(about["friction_table"]), strict=True)
+        return Table(times, values)
     return float(about["friction"])
-
-
-def normal_work(result: Result) -> FloatArray:
-    """Return load times sliding distance of every place between stored states, N mm, (s - 1,).
-
-    That is energy over friction.
-    """
-    friction, time = friction_of(result), result.histories["time"]
-    means = mean(friction, time[:-1], time[1:])
-    energy = np.diff(result.histories["dissipated_energy"])
-    return np.divide(energy, means, out=np.zeros_like(energy), where=means > 0.0)
 
 
 def _penetration(result: Result, state: State) -> Iterator[KeyNumber]:
@@ -240,10 +231,11 @@ def _worn(result: Result, state: State, i: int) -> Iterator[KeyNumber]:
         yield number("mean_rate", "mean rate", 1e3 * volume / area / hours, "um/h", ".4g")
         now = 3.6e6 * float(state.rates[i] @ line.area) / area
         yield number("last_rate", "rate at the end", now, "um/h", ".4g")
-    if about["friction"] and energy > 0:
-        friction = friction_of(result)
-        over = friction if isinstance(friction, float) else energy / normal_work(result).sum()
-        specific = 1e3 * volume * over / energy
+    over, work = about["friction"], energy
+    if "friction_table" in about:
+        over, work = 1.0, float(state.normal_work)
+    if over and work > 0:
+        specific = 1e3 * volume * over / work
         yield number("specific_rate", "specific wear rate", specific, "mm3/(N m)", ".4g")
 
 

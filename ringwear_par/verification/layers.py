@@ -13,7 +13,7 @@ from scipy.special import j0, j1, jn_zeros
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.bem.body import (
-    Problem,
+    BoundaryProblem,
     body_zones,
     contact_problem,
     solve_bodies,
@@ -94,7 +94,7 @@ def sleeve_errors(n: int, comm: MPI.Comm) -> tuple[float, float]:
         load[pressed, 0], traction[pressed, 0] = 0, value
         zones.append(Zone(boundary, BoundaryConditions(fixed, load, traction, 1), material))
     first, second = (zone.boundary for zone in zones)
-    problem = Problem(
+    problem = BoundaryProblem(
         tuple(zones), _TOLERANCE, (first.elements[first.inner_side, 1], none),
         (none, second.above),
     )  # fmt: skip
@@ -143,7 +143,7 @@ def mode_errors(n: int, comm: MPI.Comm) -> tuple[float, float, float, float]:
             traction[boundary.contact, 2] = j1(turned * line.r)
         conditions = BoundaryConditions(fixed, load, traction, 1)
         zones.append(replace(zone, conditions=conditions))
-    problem = Problem(
+    problem = BoundaryProblem(
         tuple(zones), _TOLERANCE,
         tuple(zone.boundary.elements[zone.boundary.contact, 1] for zone in zones),
         tuple(zone.boundary.above for zone in zones),

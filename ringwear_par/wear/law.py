@@ -356,11 +356,6 @@ class PacedLaw(Law):
         potential = self.law.potential(p, local)
         return None if potential is None else self.pace * potential
 
-    def ratios(self, friction: Quantity) -> list[float]:
-        """Return worn volume per dissipated energy, 1/MPa, 0 where it is not always the same."""
-        ends = {self.per_energy(of(friction)) or 0.0 for of in (smallest, largest)}
-        return [ends.pop() if len(ends) == 1 else 0.0]
-
     def onset(self, local: LocalState) -> float | FloatArray:
         """Return the pressure, MPa, up to which nothing wears."""
         return self.law.onset(local)

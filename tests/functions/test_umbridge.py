@@ -8,6 +8,7 @@ import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from threading import Thread
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from commands import RINGWEAR, SHELL_ENVIRONMENT, ringwear, sentences
 from paths import PAPER
 
 import ringwear_par as rw
-from ringwear_par.functions.umbridge import MODEL, Model, _Server
+from ringwear_par.functions.umbridge import MODEL, Model, RefusedError, _Server
 
 pytestmark = pytest.mark.serial
 SMALL = {"mesh.contact_elements": 12, "time.steps": 20}
@@ -131,6 +132,12 @@ def test_what_it_is_and_what_is_wrong(functions):
             assert connection.recv(100).startswith(b"HTTP/1.1 400 ")
         with socket.socket() as other, pytest.raises(ConnectionRefusedError):
             other.connect(("127.0.0.2", port))
+
+
+def test_one_number_is_called_so():
+    function = SimpleNamespace(schema={"inputs": ["k"], "outputs": ["torque"]})
+    with pytest.raises(RefusedError, match="must be 1 number: k"):
+        Model(function, None).answer("Evaluate", {"name": MODEL, "input": [[]]})
 
 
 def test_the_command(functions):

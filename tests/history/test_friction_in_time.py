@@ -7,8 +7,8 @@ from paths import CASES, PAPER
 
 import ringwear_par as rw
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.results.key_numbers import normal_work
-from ringwear_par.schedules import Table, integral
+from ringwear_par.results.key_numbers import key_numbers
+from ringwear_par.schedules import Table, bends, integral
 from ringwear_par.studies.execution.batches import computed
 
 K = 4e-7
@@ -40,11 +40,21 @@ def test_worn_in_rings_wear_by_the_integral_of_friction(scheme):
     np.testing.assert_allclose(wear[-1] - wear[start], depth, rtol=1e-4)
     torque = case.friction(time) * force * 0.5 * (a + b)
     np.testing.assert_allclose(result.histories["torque"][start:], torque[start:], rtol=5e-6)
-    # energy per friction: force times distance
-    slid = force * omega * 0.5 * (a + b) * (time[-1] - time[start])
-    assert normal_work(result)[start:].sum() == pytest.approx(slid, rel=2e-3)
+    # force times distance
+    slid = force * omega * 0.5 * (a + b) * time[-1]
+    assert result.checkpoint.state.normal_work == pytest.approx(slid, rel=2e-3)
     assert result.attributes["balance_energy"] < 1e-12
     assert result.attributes["balance_volume"] < 1e-12
+
+
+@pytest.mark.parametrize("every", [1, 10**6])
+def test_a_specific_wear_rate_counts_sliding_without_friction(every):
+    """Archard's law knows no friction: its k is the specific wear rate, however much is stored."""
+    case = rw.read_case(CASES / "archard.toml", {
+        "contact.friction": [[0.0, 0.0], [50.0, 0.0], [50.1, 0.1]], "output.every": every,
+    })  # fmt: skip
+    rates = [n.value for n in key_numbers(rw.simulate(case)) if n.name == "lower_specific_rate"]
+    assert rates == pytest.approx([1e3 * case.laws[0].k], rel=1e-9)
 
 
 def test_steps_end_where_friction_bends_and_nowhere_for_a_smooth_curve():
@@ -54,6 +64,8 @@ def test_steps_end_where_friction_bends_and_nowhere_for_a_smooth_curve():
     curve = [[*point] for point in zip(t.tolist(), (0.15 - 0.04 * np.exp(-t / 80.0)).tolist(),
                                        strict=True)]  # fmt: skip
     assert case_of(**{"contact.friction": curve}).breakpoints == ()
+    negative = Table(tuple(t.tolist()), tuple(-v for _, v in curve))
+    assert bends(negative) == (450.0,)
 
 
 @pytest.mark.parametrize(
@@ -105,3 +117,26 @@ def test_derivatives_by_a_factor_on_a_table_are_those_of_the_history(key):
         slope = there.derivatives[f"d_{name}"][0]
         size = np.abs(there.histories[name]).max()
         np.testing.assert_allclose(slope, central, rtol=0, atol=2e-7 * size)
+
+
+@pytest.mark.parametrize("key", ["contact.friction", "load.omega", "load.force"])
+def test_derivatives_of_numbers_and_tables_are_as_alone_in_any_order(key):
+    base = {"load.pressure": None, "load.force": 3e4, "contact.friction": 0.1, "time.end": 20.0}
+    tables = {"contact.friction": 0.1, "load.omega": 3.0, "load.force": 2e4}
+    size = tables[key]
+    number = case_of(**{**base, key: size})
+    table = number.replace({key: [[0.0, size], [10.0, 2.0 * size]]})
+    pair, times = assemble(number, MPI.COMM_SELF), [5.0, 10.0, 20.0]
+
+    def derivatives(*cases):
+        parts = list(computed(list(cases), pair, results=True, derivatives=(key,),
+                              step_times=[times] * len(cases)))  # fmt: skip
+        assert len(parts) == 1  # they step together
+        return [result.derivatives for result in parts[0].results()]
+
+    alone = [*derivatives(number), *derivatives(table)]
+    for order in ([0, 1], [1, 0]):
+        together = derivatives(*([number, table][i] for i in order))
+        for i, of in zip(order, together, strict=True):
+            for name, values in alone[i].items():
+                np.testing.assert_array_equal(of[name], values, err_msg=name)

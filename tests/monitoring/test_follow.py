@@ -2,22 +2,29 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from commands import ringwear, sentences
-from laboratory import CASE, END, SD_PENETRATION, fit_tables, history, penetration, write_table
+from laboratory import CASE, END, fit_tables, history, penetration, write_table
 from mpi4py import MPI
 from scipy.special import logsumexp
 
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import parse_json, toml_text
-from ringwear_par.identification.definition.problem import Series
-from ringwear_par.monitoring.bank import quantiles
+from ringwear_par.identification.definition.problem import ProcessNoise, Series
+from ringwear_par.identification.model.rounds import Rounds
+from ringwear_par.monitoring.bank import Bank, quantiles
 from ringwear_par.monitoring.follow import run_follow
+from ringwear_par.monitoring.histories import planned
+from ringwear_par.monitoring.outlook import time_to
+from ringwear_par.monitoring.prior_knowledge import followed_test
+from ringwear_par.monitoring.running_state import RunningTestState, Targets
 from ringwear_par.monitoring.running_test import BLOCKS, RunningTest, averaged
 from ringwear_par.prediction.draws import log_densities
 from ringwear_par.prediction.known import fit_knowledge
+from ringwear_par.results.execution.stopping import StopSignals
 
 KEY, P0, TRUE_K = "wear.lower.k", 25.0, 1.3e-7
 #: of the running specimen, over the material's k
@@ -61,22 +68,23 @@ def followed(laboratory, folder, **options):
     return parse_json((folder / "follow.json").read_text())
 
 
-def exact_quantiles(laboratory):
-    """Return quantiles of the running specimen's k, by quadrature of prior times likelihood."""
-    problem = RunningTest.of(laboratory / "running.toml", None).read()
+def exact_quantiles(laboratory, problem, unknowns):
+    """Return quantiles of the running specimen's k, by quadrature of prior times likelihood.
+
+    Over 141 unknowns, at equal distances.
+    """
     (test,), known = problem.experiments, fit_knowledge(laboratory / "out").values
     record = test.series[0]
-    unknowns = np.log(TRUE_K) + np.linspace(-0.7, 0.7, 141)
     times = record.x
-    readings = []
-    for k in np.exp(unknowns[::20]):
-        result = history(80.0, {KEY: k, "wear.lower.p0": P0})
-        readings.append(penetration(result, times=times, offset=0.0, drift=0.0)[1])
-    weights = np.polynomial.chebyshev.chebfit(np.linspace(-1, 1, 8), np.array(readings), 7)
+    k = np.exp(unknowns[::20])
+    rounds = Rounds(problem, MPI.COMM_SELF, StopSignals())
+    readings = rounds.read(k[:, None], [(i, 0) for i in range(len(k))], derivatives=False)
+    weights = np.polynomial.chebyshev.chebfit(np.linspace(-1, 1, 8), np.array(readings)[:, :, 0], 7)
     model = np.polynomial.chebyshev.chebval(np.linspace(-1, 1, 141), weights).T
     column = times / END
-    covariance = SD_PENETRATION**2 * np.eye(len(times)) + 1.0
-    covariance += (5e-4) ** 2 * np.outer(column, column)
+    covariance = np.diag(record.sd**2) + 1.0
+    drift = record.factor * record.nuisances[1].prior.sd
+    covariance += drift**2 * np.outer(column, column)
     rest = record.value - model
     logs = -0.5 * np.einsum("ki,ij,kj->k", rest, np.linalg.inv(covariance), rest)
     parts = np.arange(len(known.weights))
@@ -90,20 +98,22 @@ def exact_quantiles(laboratory):
 def test_the_posterior_of_a_running_test(laboratory, tmp_path):
     """By quadrature; the interval narrows, its goal comes, and nothing is out of the way."""
     stored = followed(laboratory, tmp_path / "a", to="2%", depth="5 um")
-    exact, of = np.log(exact_quantiles(laboratory)), stored["keys"][KEY]
+    problem, key = RunningTest.of(laboratory / "running.toml", None).read(), stored["keys"][KEY]
+    unknowns = np.log(TRUE_K) + np.linspace(-0.7, 0.7, 141)
+    exact = np.log(exact_quantiles(laboratory, problem, unknowns))
     sd = (exact[2] - exact[0]) / 3.92
-    own = np.log([of["interval"][0], of["estimate"], of["interval"][1]])
-    assert own == pytest.approx(exact, abs=0.12 * sd)
+    quantiles_of_key = np.log([key["interval"][0], key["estimate"], key["interval"][1]])
+    assert quantiles_of_key == pytest.approx(exact, abs=0.12 * sd)
     assert stored["alarm"] is None
     assert stored["interpolated"] < 1e-4
-    assert of["percent"] < 0.2 * (50 * (of["before"][1] - of["before"][0]) / of["estimate"])
-    assert of["interval"][0] < FACTOR * TRUE_K < of["interval"][1]
+    assert key["percent"] < 0.2 * (50 * (key["before"][1] - key["before"][0]) / key["estimate"])
+    assert key["interval"][0] < FACTOR * TRUE_K < key["interval"][1]
     truth = history(80.0, {KEY: TRUE_K * FACTOR, "wear.lower.p0": P0})
     reached = np.interp(5e-3, truth.histories["penetration"], truth.histories["time"])
     low, high = stored["depth"]["interval"]
     assert low < reached < high
     half = stored["trace"][len(stored["trace"]) // 2]
-    assert half[3] - half[1] > of["interval"][1] - of["interval"][0]
+    assert half[3] - half[1] > key["interval"][1] - key["interval"][0]
     page = (tmp_path / "a" / "follow.html").read_text()
     assert 'http-equiv="refresh"' not in page  # it has ended
 
@@ -169,6 +179,102 @@ def test_two_ranks_say_the_same(laboratory, tmp_path):
     assert stored["goal"] == alone["goal"]
 
 
+def fine_record(laboratory, name, factor):
+    """Write a record of a sensor that is twenty times as good, and return its fit file."""
+    times, z = penetration(history(80.0, {KEY: TRUE_K * factor, "wear.lower.p0": P0}), drift=0.0)
+    z += 1e-5 * np.random.default_rng(1).standard_normal(len(z))
+    write_table(laboratory / f"{name}.csv", ("t_s", "z_um"), times, 1e3 * z)
+    text = (laboratory / "running.toml").read_text().replace("z5.csv", f"{name}.csv")
+    text = text.replace('"sd" = 0.2', '"sd" = 0.01').replace("[0.0, 0.5]", "[0.0, 0.001]")
+    (laboratory / f"{name}.toml").write_text(text)
+    return laboratory / f"{name}.toml"
+
+
+def bank_of(followed, draws=2000):
+    """Return the bank of a followed test, before its readings."""
+    problem = followed.problem
+    plan = replace(problem, experiments=(planned(problem.experiments[0]),))
+    rounds = Rounds(plan, MPI.COMM_SELF, StopSignals())
+    return Bank(followed.known.values, followed.specimen, problem, rounds, draws, 0)
+
+
+def test_draws_that_are_made_anew_and_a_record_that_is_replaced(laboratory):
+    """By quadrature, though few draws of before are near; nothing is left of another record."""
+    tests = {
+        name: followed_test(RunningTest.of(fine_record(laboratory, name, factor), None),
+                            laboratory / "out", MPI.COMM_SELF)
+        for name, factor in (("quick", FACTOR), ("slow", 0.7))
+    }  # fmt: skip
+
+    def state():
+        return RunningTestState(
+            lambda: bank_of(tests["slow"], 4000), Targets(0, 10.0, None), "", ()
+        )
+
+    replaced = state()
+    for name, factor in (("quick", FACTOR), ("slow", 0.7)):
+        problem = tests[name].problem
+        answer = replaced.answer(problem)
+        key = answer.keys[KEY]
+        unknowns = np.log(TRUE_K * factor) + np.linspace(-0.006, 0.006, 141)
+        exact = np.log(exact_quantiles(laboratory, problem, unknowns))
+        sd = (exact[2] - exact[0]) / 3.92
+        assert answer.redraws > 0
+        assert np.log([key.interval[0], key.estimate, key.interval[1]]) == pytest.approx(
+            exact, abs=0.15 * sd
+        )
+        assert not answer.warnings
+    fresh = state().answer(problem).keys[KEY]
+    assert (key.estimate, *key.interval) == pytest.approx(
+        (fresh.estimate, *fresh.interval), rel=1e-9
+    )
+
+
+def test_readings_after_an_alarm_do_not_change_the_time_to_a_depth(laboratory):
+    """Where wear is random and goes on from the readings before."""
+    followed = followed_test(
+        RunningTest.of(laboratory / "running.toml", None), laboratory / "out", MPI.COMM_SELF
+    )
+    values, problem = followed.known.values, followed.problem
+    settings = replace(problem.settings, process={"wear.lower": ProcessNoise(size=1.0)})
+    sizes = np.tile([2e-5, 0.0], (len(values.weights), 1))
+    known = replace(followed.known, values=replace(values, sizes=sizes))
+    followed = replace(followed, known=known, problem=replace(problem, settings=settings))
+    (test,) = followed.problem.experiments
+    record = test.series[0]
+    later = record.x > 60.0
+    other = replace(record, value=record.value + 1e-2 * later)
+    changed = replace(followed.problem, experiments=(replace(test, series=(other,)),))
+    depths = []
+    for problem in (followed.problem, changed):
+        bank = bank_of(followed)
+        weights = bank.update(problem, ~later)
+        depths.append(time_to(bank, problem, weights, 8e-3, ~later))
+    low, high = np.quantile(depths[0], (0.1, 0.5))
+    assert 60.0 < low < high - 1.0 < END
+    assert depths[1] == pytest.approx(depths[0], rel=1e-9)
+
+
+def test_the_fit_file_may_not_change_what_is_followed(laboratory):
+    path, text = laboratory / "edited.toml", (laboratory / "running.toml").read_text()
+    path.write_text(text)
+    followed = followed_test(RunningTest.of(path, None), laboratory / "out", MPI.COMM_SELF)
+    bounds = '"wear.lower.p0" = { "start" = 20.0, "bounds" = [1.0, 60.0] }'
+    another_key = text.replace('"parameters" = { ', f'"parameters" = {{ {bounds}, ', 1)
+    another_key = another_key.replace(', "wear.lower.p0" = 25.0', "")
+    for changed, sentence in (
+        (another_key, "fit.parameters: must stay as they were"),
+        (text.replace("80.0", "40.0"), "test 5: its case must stay as it was"),
+        (text.replace('"time.end" = 100.0', '"time.end" = 200.0'), "its case must stay as it was"),
+    ):
+        assert changed != text
+        path.write_text(changed)
+        with pytest.raises(InputError, match=sentence):
+            followed.read()
+    path.write_text(text)
+    assert followed.read().keys == (KEY,)
+
+
 def test_long_records_are_averaged():
     x = np.arange(1.0, 5001.0) / 50.0
     series = Series("z", "penetration", x, 2.0 * x, np.full(5000, 0.5))
@@ -177,6 +283,14 @@ def test_long_records_are_averaged():
     assert short.value == pytest.approx(2.0 * short.x)
     assert short.sd[3] == pytest.approx(0.5 / np.sqrt(10), rel=0.06)
     assert averaged(short, 100.0).n == short.n
+    x = np.append(np.arange(1, 200) + 0.5, 199.51)  # the last block grows, all others stay
+    y = np.random.default_rng(0).standard_normal(200)
+    before, after = (
+        averaged(Series("z", "penetration", x[:n], y[:n], np.full(n, 0.3)), 500.0)
+        for n in (199, 200)
+    )
+    assert after.n == before.n
+    assert np.array_equal(after.value[:-1], before.value[:-1])
 
 
 def test_what_is_refused(laboratory, tmp_path):
@@ -199,8 +313,19 @@ def test_what_is_refused(laboratory, tmp_path):
     refused("so that its readings would count twice", text.replace('"test 5"', '"test 1"'))
     refused("holds no fit.json", after=laboratory)
     refused("without test 5 has no test; --after must name", after=None)
-    refused("must be a percentage, such as 10%", to="a bit")
-    refused("must be a length > 0, such as '20 um'", depth="3 s")
+    wrong = {"draws": 10, "to": "a bit", "depth": "3 s"}
+    refused("--draws = 10: must be a whole number >= 2000", **wrong)
+    refused("must be a percentage, such as 10%", **wrong)
+    refused("must be a length > 0, such as '20 um'", **wrong)
+    (laboratory / "speed.csv").write_text(
+        "t_s,omega_rpm\n" + "".join(f"{t},{33 + t / 100}\n" for t in range(0, 101, 5))
+    )
+    columns = '"columns" = { "time" = "t_s", "value" = "omega_rpm" }'
+    speed = f'"input" = [{{ "key" = "load.omega", "file" = "speed.csv", {columns} }}], "data" ='
+    refused(
+        "load.omega: is a measured input",
+        text.replace('"data" =', speed).replace('"load.omega" = 3.5, ', ""),
+    )
     refused('sd = "fit": must be a number', text.replace('"sd" = 0.2', '"sd" = "fit"'))
     refused("cannot be read", text.replace("z5.csv", "none.csv"))
     plain = (laboratory / "fit.toml").read_text().replace(', "scatter" = "fit"', "")

@@ -15,9 +15,10 @@ from stored import contents
 
 import ringwear_par as rw
 from ringwear_par.cases.case import Stepping
+from ringwear_par.pictures.runs import HISTORY_PANELS
 from ringwear_par.results.execution import run as driver
 from ringwear_par.results.execution.run import run_case
-from ringwear_par.results.key_numbers import check_numbers, key_numbers
+from ringwear_par.results.key_numbers import check_numbers, friction_of, key_numbers
 from ringwear_par.results.storage.boundaries import BOUNDARY_FIELDS
 from ringwear_par.results.storage.result_files import open_result
 from ringwear_par.results.variables import (
@@ -273,3 +274,20 @@ def test_the_elastic_part_of_a_penetration_is_that_of_the_load():
     elastic = np.subtract(*numbers)
     assert elastic == pytest.approx(1e3 * pressed, rel=0.02)
     assert elastic > 1.0  # um
+
+
+def test_tables_of_many_points_are_stored(tmp_path):
+    """HDF5 has room for 64 kB in an attribute that is no text."""
+    t = np.linspace(0.0, 20.0, 9000)
+    tables = {
+        key: np.column_stack([t, size * (1.0 + 1e-3 * t)]).tolist()
+        for key, size in (("contact.friction", 0.1), ("load.pressure", 50.0), ("load.omega", 3.5))
+    }
+    case = rw.read_case(PAPER, {"mesh.contact_elements": 12, "time.steps": 4, **tables})
+    result = rw.simulate(case)
+    result.save(tmp_path / "run.h5")
+    stored = open_result(tmp_path / "run.h5")
+    assert friction_of(stored) == case.friction
+    assert stored.case == result.case
+    with pytest.raises(rw.InputError, match=r"pv needs .* which is a table"):
+        HISTORY_PANELS["pv"].curves(stored)

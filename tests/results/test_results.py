@@ -95,7 +95,7 @@ def test_a_signal_during_the_meeting_stops_all_ranks_at_the_same_step(
     import signal
     import time
 
-    call = monitor.Watch.__call__
+    call = monitor.CheckpointWatch.__call__
 
     def late(self, snapshot):
         if snapshot.progress.steps == 5 and comm.rank > 0:
@@ -106,7 +106,7 @@ def test_a_signal_during_the_meeting_stops_all_ranks_at_the_same_step(
 
     if comm.rank == 0:
         signal.signal(signal.SIGALRM, lambda *_: os.kill(os.getpid(), signal.SIGUSR1))
-    monkeypatch.setattr(monitor.Watch, "__call__", late)
+    monkeypatch.setattr(monitor.CheckpointWatch, "__call__", late)
     path = shared_path / "run.h5"
     with pytest.raises(ComputationError, match=r"SIGUSR1 after step [56] of 20"):
         run_case(PAPER, path, SMALL, comm=comm)

@@ -15,6 +15,8 @@ from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, read_measurements
 
+log = logging.getLogger(__name__)
+
 T = TypeVar("T")
 #: what messages say of units
 UNITS = {
@@ -123,9 +125,6 @@ def unit_by_name(table: Measurements, column: str, base: str, hint: str = "") ->
             f"{table.name}: the column {legible(column)} {reason}; must be in the unit of "
             f"{UNITS[base]}{hint}"
         ) from reason
-
-
-log = logging.getLogger(__name__)
 
 
 def read_trace(path: Path) -> list[list[float]]:

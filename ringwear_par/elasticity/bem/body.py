@@ -107,7 +107,7 @@ def boundary_conditions(
 
 
 @dataclass(frozen=True)
-class Problem:
+class BoundaryProblem:
     """Equation (5) of a body, and what is wanted of its solution."""
 
     #: the body
@@ -126,7 +126,7 @@ class Assembled:
     #: this rank's part of them
     rows: Assembly
     #: of which they are
-    problem: Problem
+    problem: BoundaryProblem
     #: where its unknowns stand, one a zone
     dofs: Sequence[DofMap]
     #: wall time of the assembly
@@ -147,10 +147,10 @@ def solve_body(
     Collective on comm.
     """
     zone = Zone(boundary, conditions, Material(1.0, poisson))
-    return solve_bodies([Problem((zone,), tolerance, (nodes,), (elements,))], comm)[0]
+    return solve_bodies([BoundaryProblem((zone,), tolerance, (nodes,), (elements,))], comm)[0]
 
 
-def solve_bodies(problems: Sequence[Problem], comm: MPI.Comm) -> list[Response]:
+def solve_bodies(problems: Sequence[BoundaryProblem], comm: MPI.Comm) -> list[Response]:
     """Solve (5) of several bodies: at once where ranks can share their systems. Collective."""
     largest = max(
         2 * sum(len(zone.boundary.nodes) for zone in problem.zones) for problem in problems
@@ -161,7 +161,7 @@ def solve_bodies(problems: Sequence[Problem], comm: MPI.Comm) -> list[Response]:
     return [solve_assembled([_assembled(problem, comm)], comm)[0] for problem in problems]
 
 
-def _assembled(problem: Problem, comm: MPI.Comm) -> Assembled:
+def _assembled(problem: BoundaryProblem, comm: MPI.Comm) -> Assembled:
     started = time.perf_counter()
     dofs = number_dofs(problem.zones)
     rows = assemble(problem.zones, dofs, quadrature(problem.tolerance), comm)
@@ -245,7 +245,7 @@ def boundary_responses(
     zones = body_zones(body, line, mesh, worn, slope, fine=fine)
     counts = [(len(zone.boundary.nodes), len(zone.boundary.elements)) for zone in zones]
     nodes, elements = (tuple(map(np.arange, of)) for of in zip(*counts, strict=True))
-    problem = Problem(zones, mesh.quadrature_tolerance, nodes, elements)
+    problem = BoundaryProblem(zones, mesh.quadrature_tolerance, nodes, elements)
     response = solve_bodies([problem], comm)[0]
     responses, after = [], np.cumsum(counts, axis=0)[:-1]
     displacements = np.split(response.displacement, after[:, 0])
@@ -345,7 +345,7 @@ def body_zones(
 
 def contact_problem(
     body: Body, line: ContactLine, mesh: Mesh, worn: FloatArray | None, slope: FloatArray | None
-) -> Problem:
+) -> BoundaryProblem:
     """Return a body under unit loads on its contact elements. Not collective.
 
     Displacements are collocated at the elements' mid-points; taking them from the end nodes would
@@ -353,7 +353,7 @@ def contact_problem(
     """
     zones = body_zones(body, line, mesh, worn, slope)
     boundaries = [zone.boundary for zone in zones]
-    return Problem(
+    return BoundaryProblem(
         zones,
         mesh.quadrature_tolerance,
         tuple(boundary.elements[boundary.contact, 1] for boundary in boundaries),
@@ -361,7 +361,9 @@ def contact_problem(
     )
 
 
-def condense(problem: Problem, response: Response, slope: FloatArray | None = None) -> Compliance:
+def condense(
+    problem: BoundaryProblem, response: Response, slope: FloatArray | None = None
+) -> Compliance:
     """Return the compliance of a solved body. Not collective.
 
     Parameters

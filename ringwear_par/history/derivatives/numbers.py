@@ -83,8 +83,9 @@ class Sensitivity:
                 self._load[row] = [case.area for case in cases]
             elif key in ("load.force", "load.displacement"):
                 self._load[row] = 1.0
-        #: row of a factor on the force
-        self._force = rows.get("load.force") if isinstance(cases[0].load.force, Table) else None
+        #: row of the force, and of which histories it is a factor on a table, (B,) bool
+        self._force = rows.get("load.force")
+        self._is_table = np.array([isinstance(case.load.force, Table) for case in cases])
         elastic = {"lower.young", "upper.young", *elastic_numbers(cases[0])}
         self.elastic = [
             (row, ElasticDerivatives.of(cases, pairs, key))
@@ -107,7 +108,7 @@ class Sensitivity:
         """Return the sensitivity of some of B histories."""
         taken = copy.copy(self)
         taken._sizes = {row: size[histories] for row, size in self._sizes.items()}
-        taken._load = self._load[:, histories]
+        taken._load, taken._is_table = self._load[:, histories], self._is_table[histories]
         taken.elastic = [(row, elastic.take(histories)) for row, elastic in self.elastic]
         return taken
 
@@ -127,10 +128,10 @@ class Sensitivity:
 
     def load(self, force: Quantity | None, time: FloatArray) -> FloatArray:
         """Return derivatives (P, B) of forces, N, or displacements, mm, at times (B,)."""
-        if self._force is None or force is None:
+        if self._force is None or force is None or not self._is_table.any():
             return self._load
         load = self._load.copy()
-        load[self._force] = in_time(force, time)
+        load[self._force] = np.where(self._is_table, in_time(force, time), 1.0)
         return load
 
     def layer_starts(self, i: int, law: Law) -> FloatArray | float:

@@ -33,8 +33,9 @@ def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: Fl
         along.work(length, sliding, p, along.pressure)
     contact = contacts.solve(physics.contact_inputs(end, wear), p, along=along)
     then = physics.rates_at(end, wear, contact.pressure)
-    energy = length * sliding.omega * physics.torque(p, sliding)
-    after = advanced(physics, state, end, wear, volumes, energy, contact, then, along)
+    turn, moment = length * sliding.omega, physics.moment(p)
+    energy, work = turn * (sliding.friction * moment), turn * moment
+    after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, along)
     passage = Passage.of(physics, state, after, state.time, sliding, p)
     return end_at_interfaces(contacts, state, _judged(state, after), passage, along)
 
@@ -55,11 +56,12 @@ def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: F
     volumes = length * physics.integrals(then)
     if not physics.inputs.rates_last:
         then = physics.rates_at(end, wear, p)
-    energy = length * sliding.omega * physics.torque(p, sliding)
+    turn, moment = length * sliding.omega, physics.moment(p)
+    energy, work = turn * (sliding.friction * moment), turn * moment
     if along is not None:
         along.implicit()
         along.work(length, sliding, p, along.pressure)
-    after = advanced(physics, state, end, wear, volumes, energy, contact, then, along)
+    after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, along)
     passage = Passage.of(physics, state, after, end, sliding, p)
     return end_at_interfaces(contacts, state, _judged(state, after), passage, along)
 

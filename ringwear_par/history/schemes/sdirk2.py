@@ -76,16 +76,18 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         state.contact.pressure, _counted(counts, stage.pressure),
         _counted(counts_last, contact.pressure),
     )  # fmt: skip
-    powers = np.stack(
-        [at.omega * physics.torque(p, at) for at, p in zip(sliding, pressures, strict=True)],
-        axis=-1,
+    moments = [physics.moment(p) for p in pressures]
+    torques = [at.friction * moment for at, moment in zip(sliding, moments, strict=True)]
+    powers, normal_powers = (
+        np.stack([at.omega * of for at, of in zip(sliding, turning, strict=True)], axis=-1)
+        for turning in (torques, moments)
     )
     contact = replace(
         contact,
         iterations=stage.iterations + contact.iterations,
         residual=np.maximum(stage.residual, contact.residual),
     )
-    energy = length * inner(_WEIGHTS, powers)
+    energy, work = (length * inner(_WEIGHTS, power) for power in (powers, normal_powers))
     wear = carried + losses
     then = last.rates(contact.pressure, worn_last)
     volumes = length * (
@@ -98,7 +100,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         along.last_stage(last, contact.pressure, GAMMA * length)
         for i, d_p in enumerate(along.counted, start=1):
             along.work(_WEIGHTS[i] * length, sliding[i], pressures[i], d_p)
-    after = advanced(physics, state, end, wear, volumes, energy, contact, then, along)
+    after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, along)
     # of both bodies: at the rate of the start, in the first stage, in a last one of usual length
     at_start = columns(length) * total_of(state.rates)
     in_first, in_last = (

@@ -61,6 +61,7 @@ def advanced(
     wear: FloatArray,
     volumes: FloatArray,
     energy: FloatArray,
+    normal_work: FloatArray,
     contact: ContactState,
     rates: FloatArray,
     along: Along | None,
@@ -71,7 +72,7 @@ def advanced(
     ----------
     wear : (2, ..., n) float, mm, at its end.
     volumes : (2, ...) float, mm^3, integrals over the step of the rates of the worn volumes.
-    energy : (B,), N mm, dissipated in it.
+    energy, normal_work : (B,), N mm, in it, see ``State``.
     rates : (2, ..., n) float, mm/s, of wear at its end.
     along : derivatives along it, where they are asked for.
 
@@ -80,8 +81,8 @@ def advanced(
     ComputationError : the physics no longer holds, see ``checked``.
     """
     after = State(
-        end, wear, state.worn + volumes, state.energy + energy, contact, rates,
-        state.error, state.meshed_wear, state.gap_offset,
-        None if along is None else along.reached(contact), state.through,
+        end, wear, state.worn + volumes, state.energy + energy,
+        state.normal_work + normal_work, contact, rates, state.error, state.meshed_wear,
+        state.gap_offset, None if along is None else along.reached(contact), state.through,
     )  # fmt: skip
     return checked(physics.case, after)

@@ -93,7 +93,7 @@ class SizePosterior:
     at_bound: bool
 
 
-class Drawn(NamedTuple):
+class MaterialDraws(NamedTuple):
     """Draws of the unknowns of the material and of all tests, and of the sizes."""
 
     #: (n, m)
@@ -147,7 +147,7 @@ class ScatterPosterior:
         means = np.einsum("gki,gi->gk", rows, s.effects)
         return means, np.einsum("gki,gij,glj->gkl", rows, s.covariance, rows, optimize=True)
 
-    def draw(self, tests: int, count: int, random: np.random.Generator) -> Drawn:
+    def draw(self, tests: int, count: int, random: np.random.Generator) -> MaterialDraws:
         """Return some draws of everything, of all of so many tests together."""
         s = self.solutions
         part = random.choice(len(self.weights), count, p=self.weights)
@@ -157,7 +157,7 @@ class ScatterPosterior:
         of_tests = [
             np.einsum("nki,ni->nk", self._rows(test)[part], effects) for test in range(tests)
         ]
-        return Drawn(effects[:, : self.model.m], np.stack(of_tests, axis=1), s.tau[part],
+        return MaterialDraws(effects[:, : self.model.m], np.stack(of_tests, axis=1), s.tau[part],
                      self.shares[part])  # fmt: skip
 
     def of_test(self, test: int, key: int) -> Mixture:

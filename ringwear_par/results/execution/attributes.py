@@ -12,7 +12,7 @@ from ringwear_par.elasticity.bem.body import BodyCost
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.history.physics import Physics
 from ringwear_par.results.variables import TIMES_THROUGH
-from ringwear_par.schedules import Table, in_time, integral, mean
+from ringwear_par.schedules import Table, in_time, integral, mean, points_of
 from ringwear_par.version import versions
 
 
@@ -28,8 +28,9 @@ def case_attributes(case: Case, time: float) -> dict[str, Any]:
         "time_steps": case.time.steps,
         "time_end": case.time.end,
         "friction": mean(case.friction, 0.0, time or case.time.end),  # so far
+        # as a text: other attributes of HDF5 have room for 64 kB
         **(
-            {"friction_times": case.friction.x, "friction_values": case.friction.y}
+            {"friction_table": json.dumps(points_of(case.friction))}
             if isinstance(case.friction, Table)
             else {}
         ),

@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 CHECKPOINT_SECONDS = 30.0
 
 
-class Watch:
+class CheckpointWatch:
     """Observer in which ranks meet after every step, for a checkpoint or to stop.
 
     Parameters
@@ -86,9 +86,6 @@ class Watch:
         self._saved = time.perf_counter()
 
 
-log = logging.getLogger(__name__)
-
-
 def run_case(
     path: Path,
     output: Path,
@@ -132,7 +129,7 @@ def run_case(
         _log_continuation(output, recorder, before)
     file = _ResultFile(output, recorder, comm)
     signals = StopSignals()
-    watch = Watch(signals, file.save, comm)
+    watch = CheckpointWatch(signals, file.save, comm)
     with ExitStack() as handlers:
 
         def note_signals(snapshot: Snapshot) -> bool:

@@ -51,10 +51,9 @@ _NUMBERS = {
     "balance_force", "balance_torque", "balance_reaction", "balance_volume", "balance_energy",
     "balance_residual",
 }  # fmt: skip
-_OPTIONAL_TEXTS = {"face_lower", "face_upper", "layers_lower", "layers_upper"}
+_OPTIONAL_TEXTS = {"face_lower", "face_upper", "layers_lower", "layers_upper", "friction_table"}
 _OPTIONAL_NUMBERS = {"density_lower", "density_upper", "time_through_lower", "time_through_upper"}
 _OPTIONAL_PREFIXES = ("balance_", "seconds_")
-_LISTS = {"friction_times", "friction_values"}
 #: densities of the layers of lower and upper
 _OF_LAYERS = dict(
     zip(("density_lower_layers", "density_upper_layers"), table.LAYER_VOLUMES, strict=True)
@@ -182,10 +181,12 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
     for name in attributes:
         if name in _NUMBERS | _OPTIONAL_NUMBERS or name.startswith(_OPTIONAL_PREFIXES):
             read_number(attributes[name])
-        elif name in _OF_LAYERS or name in _LISTS:
+        elif name in _OF_LAYERS:
             attributes[name] = read_numbers(attributes[name])
     if attributes["status"] not in ("complete", "incomplete"):
         raise ValueError("status")
+    if any(len(point) != 2 for point in json.loads(attributes.get("friction_table", "[]"))):
+        raise ValueError("friction_table")
     doubts, laws = json.loads(attributes["doubts"]), json.loads(attributes["user_laws"])
     texts = [ValidityWarning.of(doubt).text for doubt in doubts]
     for text in (*texts, *laws, *laws.values()):
@@ -283,6 +284,7 @@ _STATE_NUMBERS: dict[str, tuple[str, type]] = {
     "progress.steps": ("step", int),
     "state.time": ("time", float),
     "state.energy": ("energy", float),
+    "state.normal_work": ("normal_work", float),
     "progress.iterations": ("iterations", int),
     "progress.next_step": ("next_step", float),
     "progress.rejected": ("rejected", int),

@@ -11,7 +11,7 @@ from ringwear_par.history.lockstep import must_run_alone
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Observer
 from ringwear_par.results.execution.recorder import Recorder
-from ringwear_par.results.execution.run import Watch
+from ringwear_par.results.execution.run import CheckpointWatch
 from ringwear_par.results.execution.stopping import StopSignals
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.studies.execution.batches import PairResources
@@ -62,7 +62,7 @@ def simulate_alone(
     try:
         simulate_one(
             case, comm, pair=resources.pair, start=recorder.start,
-            observers=[recorder, *observers, Watch(signals, save, comm)],
+            observers=[recorder, *observers, CheckpointWatch(signals, save, comm)],
         )  # fmt: skip
     except (StorageError, KeyboardInterrupt):
         raise

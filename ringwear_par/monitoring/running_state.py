@@ -1,5 +1,6 @@
-"""A running test under watch: its readings are judged window by window, and answered."""
+"""The state of a running test: its readings are judged window by window, and answered."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.monitoring.answer import Alarm, Answer, Goal, KeyAnswer
-from ringwear_par.monitoring.bank import Bank, effective, quantiles
+from ringwear_par.monitoring.bank import Bank, are_too_few, effective_count, quantiles
 from ringwear_par.monitoring.outlook import surprise, time_to, times_of, widths
 from ringwear_par.pictures.panels import Axis, Band, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS
@@ -23,7 +24,7 @@ _IMPROBABLE = 1e-5
 
 
 @dataclass(frozen=True)
-class Wishes:
+class Targets:
     """What is asked of a running test."""
 
     #: number of the key whose interval is to become narrow
@@ -34,27 +35,30 @@ class Wishes:
     depth: float | None
 
 
-class Watch:
+class RunningTestState:
     """The state of a running test.
 
     Parameters
     ----------
-    bank : of its histories.
+    new_bank : returns the bank of its histories before there are readings.
     whom : in words, of whom the draws are before the test.
     """
 
-    def __init__(self, bank: Bank, wishes: Wishes, whom: str, doubts: tuple[str, ...]) -> None:
-        self._bank, self._wishes, self._whom, self._doubts = bank, wishes, whom, doubts
-        count = len(bank.draws.base)
-        self._before = self._intervals(np.full(count, 1.0 / count))
+    def __init__(
+        self, new_bank: Callable[[], Bank], targets: Targets, whom: str, doubts: tuple[str, ...]
+    ) -> None:
+        self._new_bank, self._targets, self._whom, self._doubts = new_bank, targets, whom, doubts
         self._begin()
 
     def _begin(self) -> None:
-        """Forget what was judged, of a file that was replaced."""
+        """Know nothing of readings, as before them or where their file was replaced."""
+        self._bank = self._new_bank()
+        count = len(self._bank.draws.unknowns)
+        self._before = self._intervals(np.full(count, 1.0 / count))
         self._judged = 0.0
         self._alarm: Alarm | None = None
         self._trace: list[list[float]] = []
-        self._readings = np.zeros(0)
+        self._readings: dict[str, FloatArray] = {}
 
     @property
     def _probabilities(self) -> list[float]:
@@ -64,7 +68,7 @@ class Watch:
     def _intervals(self, weights: FloatArray) -> FloatArray:
         """Return low end, median and high end of each key, (m, 3)."""
         columns = self._bank.values.T
-        return np.array([quantiles(v, weights, self._probabilities) for v in columns])
+        return np.array([quantiles(values, weights, self._probabilities) for values in columns])
 
     def answer(self, problem: Problem) -> Answer:
         """Return the answer to the readings so far.
@@ -73,10 +77,11 @@ class Watch:
         ----------
         problem : of the running test, with its readings so far.
         """
-        bank, wishes, settings = self._bank, self._wishes, problem.settings
+        targets, settings = self._targets, problem.settings
         experiment, times = problem.experiments[0], times_of(problem)
-        self._compare(experiment.series[0].value)
+        self._compare({series.name: series.value for series in experiment.series})
         self._judge(problem, times)
+        bank = self._bank
         counted = times < (np.inf if self._alarm is None else self._alarm.time)
         weights = bank.update(problem, counted)
         intervals = self._intervals(weights)
@@ -96,30 +101,36 @@ class Watch:
                 problem.keys, intervals.tolist(), self._before.tolist(), strict=True
             )
         }
-        key = problem.keys[wishes.key]
-        at, half = widths(bank, problem, weights, wishes.key, settings.level)
-        half *= keys[key].percent / half[0]  # what is known now is known better
-        reached = np.flatnonzero(half <= wishes.percent)
-        when = float(at[reached[0]]) if len(reached) else None
-        goal = Goal(key, wishes.percent, when, float(half[-1]))
         depth = None
-        if wishes.depth is not None:
-            reached_at = time_to(bank, problem, weights, wishes.depth)
-            depth = wishes.depth, TimeTo.of(reached_at, settings.level)
+        if targets.depth is not None:
+            reached_at = time_to(bank, problem, weights, targets.depth, counted)
+            depth = targets.depth, TimeTo.of(reached_at, settings.level)
+        key = problem.keys[targets.key]
+        at, half = widths(bank, problem, weights, targets.key, settings.level, until)
+        half *= keys[key].percent / half[0]  # what is known now is known better
+        reached = np.flatnonzero(half <= targets.percent)
+        when = float(at[reached[0]]) if len(reached) else None
+        goal = Goal(key, targets.percent, when, float(half[-1]))
+        doubts, worth = self._doubts, effective_count(weights)
+        if are_too_few(weights):
+            doubts += (
+                f"only {worth:.0f} of {len(weights)} draws are worth anything by these readings; "
+                "more --draws, or readings that the fit cannot explain",
+            )
         self._weights = weights
         return Answer(
             experiment.name, self._whom, now, end, len(times), settings.level, keys, goal, depth,
-            self._alarm, np.array(self._trace), len(weights), effective(weights), bank.moves,
-            bank.histories.error, self._doubts,
+            self._alarm, np.array(self._trace), len(weights), worth, bank.redraws,
+            bank.histories.error, doubts,
         )  # fmt: skip
 
-    def _compare(self, readings: FloatArray) -> None:
-        """Begin anew where the readings are not those of before, and more."""
-        common = readings[: len(self._readings) - 1]  # the last block of an average may grow
-        if len(common) < len(self._readings) - 1 or not np.array_equal(
-            common, self._readings[: len(common)]
-        ):
-            self._begin()
+    def _compare(self, readings: dict[str, FloatArray]) -> None:
+        """Begin anew where the readings (n,) of a series are not those of before, and more."""
+        for name, before in self._readings.items():
+            whole = max(len(before) - 1, 0)  # the last block of an average may grow
+            if not np.array_equal(readings.get(name, before[:0])[:whole], before[:whole]):
+                self._begin()
+                break
         self._readings = readings
 
     def _judge(self, problem: Problem, times: FloatArray) -> None:
@@ -140,7 +151,7 @@ class Watch:
             self._judged += window
 
     def _note(self, time: float, intervals: FloatArray) -> None:
-        row = [time, *intervals[self._wishes.key].tolist()]
+        row = [time, *intervals[self._targets.key].tolist()]
         if self._trace and self._trace[-1][0] >= time:
             self._trace.pop()
         self._trace.append(row)
@@ -161,12 +172,12 @@ class Watch:
             curves = modes[:, 0] + np.nan_to_num(bank.draws.coordinates) @ modes[:, 1:].T
             band = np.array([quantiles(c, self._weights, self._probabilities) for c in curves.T]).T
             _, misfit, x = bank.linearised(problem)
-            beside = misfit.nuisance_readings(x)[first : first + series.n]
+            nuisances = misfit.nuisance_readings(x)[first : first + series.n]
             unit, seconds = time_unit(experiment.case.time.end)
             symbol, factor = DISPLAY_UNITS.get(series.quantity, ("N mm", 1.0))
             time, (low, median, high) = bank.histories.time / seconds, factor * band
             level = f"{100 * problem.settings.level:g} %"
-            readings = factor * (series.value - beside)
+            readings = factor * (series.value - nuisances)
             return Panel(
                 Axis(f"time ({unit})"), Axis(f"{series.quantity} ({symbol})", zero=True),
                 "readings, and histories of this specimen",

@@ -18,27 +18,46 @@ from ringwear_par.prediction.known import FitKnowledge, check_predicted, doubts_
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
-    """What is followed."""
+class FollowedTest:
+    """A test that is followed, with what is known of its specimen before."""
 
-    #: that runs
-    test: RunningTest
+    running: RunningTest
     #: of it alone, with the random wear that the fit knows
     problem: Problem
     #: before the test
     known: FitKnowledge
     #: whom that is about
-    of: str
+    specimen: str
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """Sentences about what speaks against the draws."""
         case = self.problem.experiments[0].case
-        return tuple(doubt.text for doubt in doubts_of(self.known, case, self.of))
+        return tuple(doubt.text for doubt in doubts_of(self.known, case, self.specimen))
+
+    def read(self) -> Problem:
+        """Return the problem with the readings so far.
+
+        Raises
+        ------
+        InputError : its faults; the file has other keys or another case than at the beginning.
+        """
+        problem, place = self.running.read(), f"{self.running.source}: "
+        faults = []
+        if problem.parameters != self.problem.parameters:
+            faults.append(f"{place}fit.parameters: must stay as they were while a test is followed")
+        if problem.experiments[0].case.text != self.problem.experiments[0].case.text:
+            faults.append(
+                f"{place}{legible(self.running.name)}: its case must stay as it was while the test "
+                "is followed"
+            )
+        if faults:
+            raise InputError(*faults)
+        return replace(problem, settings=self.problem.settings)
 
 
-def job_after(running: RunningTest, after: Path | None, comm: MPI.Intracomm) -> Job:
-    """Return the job of following a test. Collective.
+def followed_test(running: RunningTest, after: Path | None, comm: MPI.Intracomm) -> FollowedTest:
+    """Return a test with what is known before it. Collective.
 
     Parameters
     ----------
@@ -50,13 +69,15 @@ def job_after(running: RunningTest, after: Path | None, comm: MPI.Intracomm) -> 
     ComputationError : of the fit.
     """
     if after is not None:
-        return on_first_rank(comm, lambda: _job(running, fit_knowledge(after), _tests_of(after)))
+        return on_first_rank(
+            comm, lambda: _followed_test(running, fit_knowledge(after), _tests_of(after))
+        )
     fit = fit_problem(on_first_rank(comm, running.other_tests), comm)
-    return on_first_rank(comm, lambda: _job(running, fit_knowledge(fit), set()))
+    return on_first_rank(comm, lambda: _followed_test(running, fit_knowledge(fit), set()))
 
 
-def _job(running: RunningTest, known: FitKnowledge, tests: set[str]) -> Job:
-    """Return the job after a fit of tests. On one rank.
+def _followed_test(running: RunningTest, known: FitKnowledge, tests: set[str]) -> FollowedTest:
+    """Return a test with what a fit of tests knows before it. On one rank.
 
     Raises
     ------
@@ -82,8 +103,8 @@ def _job(running: RunningTest, known: FitKnowledge, tests: set[str]) -> Job:
             "followed with numbers of wear laws and friction only"
         )
     specimen = experiment.groups[0] or experiment.name
-    of = specimen if specimen in values.specimens else NEXT
-    check_predicted(known, experiment.case, place, of)
+    specimen = specimen if specimen in values.specimens else NEXT
+    check_predicted(known, experiment.case, place, specimen)
     # the size itself is drawn
     process = {
         f"wear.{body}": ProcessNoise(size=1.0)
@@ -91,7 +112,7 @@ def _job(running: RunningTest, known: FitKnowledge, tests: set[str]) -> Job:
         if sizes.any()
     }
     settings = replace(problem.settings, process=process)
-    return Job(running, replace(problem, settings=settings), known, of)
+    return FollowedTest(running, replace(problem, settings=settings), known, specimen)
 
 
 def _tests_of(folder: Path) -> set[str]:
