@@ -227,8 +227,8 @@ COMMANDS = {
         _output("FIG.png"),
         _argument("--panels", metavar="LIST",
                   help="any of wear, pressure, section, stress, depth, interfaces, mises, "
-                  "penetration, approach, force, torque, energy, volume, rate, pv, through, in "
-                  "this order (default: wear,penetration)"),
+                  "penetration, approach, force, torque, friction, energy, volume, rate, pv, "
+                  "through, in this order (default: wear,penetration)"),
         _argument("--steps", metavar="LIST",
                   help="steps whose profiles are drawn, such as 1,50,100 (default: the first, and "
                   "at each quarter)"),
@@ -311,6 +311,8 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose complaints are said once, not once per rank."""
 
     def error(self, message: str) -> NoReturn:
+        if flag := re.search(r"(--[\w-]+): expected one argument", message):
+            message += f" behind it, which is written {flag[1]}=VALUE where it begins with -"
         raise InputError(
             f"{legible(message, 300)} (see {self.prog} --help; PETSc's options go behind --)"
         )

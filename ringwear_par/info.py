@@ -1,5 +1,7 @@
 """``ringwear info``: the versions of an installation, and the keys of files."""
 
+import difflib
+import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -10,6 +12,8 @@ from ringwear_par.version import __version__, versions
 
 if TYPE_CHECKING:
     from mpi4py import MPI
+
+log = logging.getLogger(__name__)
 
 
 def _optional(package: str) -> str:
@@ -79,9 +83,15 @@ def _print_keys(words: Sequence[str]) -> None:
     kinds = words[:1] if words and words[0] in schemas else list(schemas)
     phrase = " ".join(words[1:] if words[:1] == kinds else words)
     tables = {kind: key_table(schemas[kind], phrase) for kind in kinds}
+    near = difflib.get_close_matches(phrase, schemas, n=1) if len(kinds) > 1 else []
+    hint = f" (did you mean {near[0]}?)" if near else ""
     if not any(tables.values()):
         files = " or ".join(kinds)
-        raise InputError(f"--schema {legible(phrase)}: is in no row of the keys of {files} files")
+        raise InputError(
+            f"--schema {legible(phrase)}: is in no row of the keys of {files} files{hint}"
+        )
+    if near:
+        log.warning("--schema %s: is no kind of file%s; rows with this word", phrase, hint)
     for kind, table in tables.items():
         if len(kinds) > 1:
             print(f"Keys of {kind} files\n")

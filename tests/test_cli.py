@@ -113,6 +113,8 @@ def test_info_schema_help_and_version():
     assert info.stdout.count("petsc version") == 1
     assert "ranks: 2" in info.stdout
     assert "lower.young" in ringwear("info", "--schema").stdout
+    near = ringwear("info", "--schema", "stdy")
+    assert (near.returncode, near.stderr.count("(did you mean study?)")) == (2, 1)
     assert ringwear("--version", ranks=2).stdout.count("ringwear") == 1
     printed = ringwear("--help")
     assert printed.returncode == 0

@@ -113,7 +113,8 @@ def storing(case: Case, outputs: Sequence[Output]) -> dict[str, Any]:
 
     Raises
     ------
-    InputError : the case has no times for outputs of all states, and others are at times.
+    InputError : outputs after the end; the case has no times for outputs of all states, and others
+        are at times.
     """
     changes: dict[str, Any] = {"output.fields": [], "output.boundary": None, "stress": None}
     times = {o.time for o in outputs if 0.0 < o.time < math.inf}
@@ -121,6 +122,15 @@ def storing(case: Case, outputs: Sequence[Output]) -> dict[str, Any]:
     if times and whole and not case.output.times:
         raise InputError(
             f"function: outputs: {whole}: needs output.times in the case, beside outputs at times"
+        )
+    end = case.time.end * (1.0 + SAME_TIME)
+    if late := [o for o in outputs if end < o.time < math.inf]:
+        raise InputError(
+            *(
+                f"function: outputs: {legible(o.text)}: {o.time:g} s is after the end of the case; "
+                f"must be <= time.end = {case.time.end:g} (s)"
+                for o in late
+            )
         )
     if times:
         times |= {*case.output.times} if whole else set()

@@ -299,10 +299,13 @@ def serve(
             "are one batch"
         )
     if whole := [output for output in outputs if output.endswith("@all")]:
-        raise InputError(f"serve: outputs: {legible(whole[0])}: must be NAME or NAME@t")
+        raise InputError(f"--outputs: {legible(whole[0])}: must be NAME or NAME@t")
     case = read_case(path, overrides)
-    values, gradients = function(case, inputs, outputs), "yes"
-    slopes = None
+    try:
+        values = function(case, inputs, outputs)
+    except InputError as error:
+        raise InputError(*(f.replace("function: ", "--", 1) for f in error.faults)) from error
+    slopes, gradients = None, "yes"
     try:
         slopes = function(case, inputs, outputs, derivatives=True)
     except InputError as error:

@@ -7,6 +7,7 @@ are worn through, all draws are stepped.
 """
 
 import itertools
+import logging
 from dataclasses import replace
 from functools import cache
 
@@ -15,7 +16,7 @@ from numpy.polynomial.chebyshev import chebvander
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.errors import ComputationError
+from ringwear_par.errors import ComputationError, legible
 from ringwear_par.identification.definition.problem import (
     BASE,
     Experiment,
@@ -27,6 +28,8 @@ from ringwear_par.identification.definition.problem import (
 from ringwear_par.identification.model.histories import HistoryError, step_times
 from ringwear_par.identification.model.readings import Reader, Trajectory
 from ringwear_par.identification.model.rounds import Rounds
+
+log = logging.getLogger(__name__)
 
 #: draws that are stepped for polynomials, and of these those that test them
 _STEPPED, _TESTS = 1000, 100
@@ -78,6 +81,10 @@ class SpecimenHistories:
 
     def prepare(self, unknowns: FloatArray) -> None:
         """Find modes and polynomials from the first of some draws, (draws, m)."""
+        log.info(
+            "computing %d histories of %s", min(len(unknowns), _STEPPED),
+            legible(self._test.name),
+        )  # fmt: skip
         stepped = self._stepped(unknowns[:_STEPPED])
         good = np.isfinite(stepped).all(axis=1)
         if np.count_nonzero(~good) > _MOST_FAILED * len(stepped):

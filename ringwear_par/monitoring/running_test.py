@@ -11,6 +11,7 @@ import numpy as np
 from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, measurements_in
+from ringwear_par.files.table_text import decode
 from ringwear_par.files.text import parse_toml, read_text
 from ringwear_par.files.writing import read_bytes
 from ringwear_par.identification.definition.fit_file import read_fit
@@ -47,7 +48,10 @@ def _whole_lines(path: Path) -> Measurements:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from error
     if not content.startswith(_MARKS):
-        content = content[: content.rfind(b"\n") + 1]
+        whole = content[: content.rfind(b"\n") + 1]
+        if not whole:
+            decode(str(path), content)  # refused if it is no text
+        content = whole
     return measurements_in(content, str(path))
 
 

@@ -2,7 +2,7 @@
 
 import logging
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from ringwear_par.cases.layers import expanded
 from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible
 from ringwear_par.pictures.matplotlib import draw, draw_labels
 from ringwear_par.pictures.panel_kinds import KINDS, Drawing, Item
@@ -289,7 +290,8 @@ def _labels(results: Sequence[Result]) -> list[str]:
             f"result {number}" if result.path is None else plain(result.path.stem)
             for number, result in enumerate(results, 1)
         ]
-    names = [path.rpartition(".")[2] for path in paths]
+    keys = {path for case in cases for path in case}
+    names = [_short(path, keys) for path in paths]
     return [
         ", ".join(
             plain(f"{name} = {in_words(case[path], unit_of(path))}")
@@ -297,3 +299,12 @@ def _labels(results: Sequence[Result]) -> list[str]:
         )
         for case in cases
     ]
+
+
+def _short(path: str, keys: Container[str]) -> str:
+    """Return the last part of a key, with its body where the other one has it too."""
+    name = path.rpartition(".")[2]
+    for body, other in (BODIES, BODIES[::-1]):
+        if body in path.split(".") and path.replace(body, other) in keys:
+            return f"{body}.{name}"
+    return name

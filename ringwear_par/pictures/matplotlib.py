@@ -1,7 +1,7 @@
 """Panels in files, drawn by matplotlib."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,7 +29,7 @@ _LETTERS_OF_INCH = 15.0
 _WIDTH, _SIZE = 0.65, 0.7
 _MARKERS = {"dot": "o", "level": "_", "up": "^", "down": "v"}
 #: most intervals between numbers of an axis below, whose labels would run together
-_MOST_INTERVALS = 5
+_MOST_INTERVALS = 6
 #: so many points are a picture in drawings, whose files would be large
 _MANY = 200
 #: share of a panel's height that a label takes
@@ -143,15 +143,28 @@ def panel_grid(
             draw(axes, panel, 0)
             draw_labels(axes, panel)
             axes.set_title(plain(panel.title), loc="left")
-            handles, labels = axes.get_legend_handles_labels()
-            entries |= {label: h for h, label in zip(handles, labels, strict=True) if label}
-    if entries and legend:
+            entries |= legend_entries(axes)
+    if legend:
+        add_shared_legend(chart, entries)
+
+
+def add_shared_legend(chart: Any, entries: Mapping[str, Any], title: str = "") -> None:
+    """Add a legend of several panels above them.
+
+    Parameters
+    ----------
+    chart : a figure, or a part of one, of which the panels are.
+    entries : handles by label.
+    """
+    if entries:
         widest = max(map(len, entries)) + _GLYPH
         letters = _LETTERS_OF_INCH * chart.bbox.width / chart.figure.dpi
-        chart.legend(
+        legend = chart.legend(
             entries.values(), entries.keys(), loc="outside upper center", frameon=False,
-            ncols=max(1, min(len(entries), int(letters / widest))),
+            ncols=max(1, min(len(entries), int(letters / widest))), title=title,
+            title_fontsize=8.0,
         )  # fmt: skip
+        legend.get_title().set_multialignment("center")
 
 
 def _draw_curve(axes: Any, curve: Curve) -> None:
@@ -181,7 +194,7 @@ def _set_axis(axes: Any, name: str, axis: Axis) -> None:
     if axis.categories:
         _set_categories(axes, name, axis.categories)
     elif name == "x" and not axis.log:
-        axes.xaxis.set_major_locator(MaxNLocator(_MOST_INTERVALS, steps=[1, 2, 2.5, 5, 10]))
+        axes.xaxis.set_major_locator(MaxNLocator(_MOST_INTERVALS, steps=[1, 2, 5, 10]))
     elif axis.log:
         _label_decades(getattr(axes, f"{name}axis"))
     if axis.reversed:
@@ -231,10 +244,15 @@ def legend_shape(panel: Panel, letters: int = _LETTERS, most: int | None = None)
     return -(-len(labels) // max(lines, 1)), lines + len(panel.legend.splitlines())
 
 
+def legend_entries(axes: Any) -> dict[str, Any]:
+    """Return the handles of a panel's legend by label."""
+    handles, labels = axes.get_legend_handles_labels()
+    return {label: handle for handle, label in zip(handles, labels, strict=True) if label}
+
+
 def add_legend(axes: Any, title: str = "", columns: int = _MOST_COLUMNS) -> None:
     """Add a legend above a panel, where it covers nothing; a label stands there once."""
-    handles, labels = axes.get_legend_handles_labels()
-    entries = {label: h for h, label in zip(handles, labels, strict=True) if label}
+    entries = legend_entries(axes)
     if entries or title:
         letters = max(map(len, entries), default=0) + _GLYPH
         columns = max(1, min(columns, _LETTERS // letters))

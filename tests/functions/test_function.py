@@ -77,7 +77,7 @@ def test_shares_of_layers_and_what_names_mean(comm):
         (["load.force", "load.pressure"], ["torque"], False, "both are given"),
         (KEYS, ["torqe"], False, r"unknown name \(did you mean torque\?\)"),
         (KEYS, ["torque@soon"], False, "torque@soon: behind @ must be all, or a time"),
-        (KEYS, ["torque@1 h"], False, "output.times: 3600 is after the end; must be <= 20"),
+        (KEYS, ["torque@1 h"], False, "torque@1 h: 3600 s is after the end .* <= time.end = 20"),
         (KEYS, ["torque@1", "torque@all"], False, "torque@all: needs output.times in the case"),
         (["lower.poisson"], ["torque"], True, "lower.poisson: is no plain number"),
         (KEYS, ["time"], True, "time: has no derivatives"),

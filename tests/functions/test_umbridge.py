@@ -162,8 +162,8 @@ def test_the_command(functions):
 
 def test_bad_words_of_the_command():
     for words, sentence in (
-        (["torque@all"], "serve: outputs: torque@all: must be NAME or NAME@t"),
-        (["torque@x"], "function: outputs: torque@x: behind @ must be all"),
+        (["torque@all"], "--outputs: torque@all: must be NAME or NAME@t"),
+        (["torque@x"], "--outputs: torque@x: behind @ must be all"),
     ):
         refused = ringwear("serve", PAPER, "--inputs", "wear.lower.k", "--outputs", *words)
         assert refused.returncode == 2

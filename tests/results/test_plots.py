@@ -227,6 +227,15 @@ def test_what_is_stored_is_drawn_beside_what_is_not(runs, caplog):
         plot(runs[0], "wear,warmth")
 
 
+def test_labels_name_the_body_where_both_have_the_key(tmp_path, comm):
+    paths = [tmp_path / "a.h5", tmp_path / "b.h5"]
+    for path, young in zip(paths, (1e3, 2e3), strict=True):
+        keys = ["mesh.contact_elements=12", "time.steps=1", f"upper.young={young}"]
+        run_case(PAPER, path, keys, comm=comm)
+    texts = plot(paths, "penetration").axes[0].get_legend().texts
+    assert [text.get_text().partition(" =")[0] for text in texts] == ["upper.young"] * 2
+
+
 def test_long_histories_are_drawn_in_hours(tmp_path, comm):
     from ringwear_par.results.key_numbers import time_unit
 

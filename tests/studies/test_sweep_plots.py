@@ -11,7 +11,7 @@ from known_sweeps import sample, write
 from ringwear_par.errors import InputError
 from ringwear_par.studies.analysis.sensitivity import sensitivity_indices
 from ringwear_par.studies.pictures.choice import choose
-from ringwear_par.studies.pictures.figures import draw_sweep
+from ringwear_par.studies.pictures.figures import draw_sweep, draw_sweep_and_surrogate
 from ringwear_par.studies.pictures.plot import plot_stored
 from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 
@@ -41,6 +41,19 @@ def ishigami(u):
 
 def linear(u):
     return u @ [1.0, 2.0, 3.0]
+
+
+def test_panels_of_four_keys_share_a_legend_and_have_room(tmp_path, few_resamples):
+    keys = (*KEYS, "lower.r[0]")
+    u = sample(keys, 64)
+    figure = draw_sweep_and_surrogate(write(tmp_path, keys, u, 1.0 + u @ [1, 2, 3, 4], "sobol"))
+    figure.draw_without_rendering()
+    part = figure.subfigs[-1]
+    assert [len(legend.get_texts()) for legend in part.legends] == [3]
+    assert not any(axes.get_legend() for axes in part.axes)
+    widths = [axes.get_window_extent().width / figure.dpi for axes in part.axes]
+    assert len(widths) >= 4
+    assert min(widths) > 1.5
 
 
 @pytest.mark.parametrize(

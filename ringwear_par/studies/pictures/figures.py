@@ -7,15 +7,21 @@ Sobol sequence or of a grid is no sample of it.
 import logging
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
 
 from ringwear_par.errors import InputError
-from ringwear_par.pictures.matplotlib import draw, legend_shape
+from ringwear_par.pictures.matplotlib import (
+    add_shared_legend,
+    draw,
+    legend_entries,
+    legend_shape,
+)
 from ringwear_par.pictures.panels import Panel
-from ringwear_par.pictures.style import STYLE, NotebookFigure, plain
+from ringwear_par.pictures.style import STYLE, NotebookFigure, number_text, plain, set_legend
 from ringwear_par.studies.analysis.predictions import Surrogate
 from ringwear_par.studies.analysis.sensitivity import Indices, sensitivity_indices
 from ringwear_par.studies.analysis.surrogate import surrogate
@@ -78,14 +84,12 @@ def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figu
         parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
         _draw_top(parts[0], histories(ensemble, choice), beside, len(choice.cases))
         for part, row in zip(parts[1:], below, strict=False):
-            axes = part.subplots(1, _BARS)
+            axes = part.subplots(1, len(below[0]), squeeze=False)[0]
             _draw_bars(axes[: len(row)], row)
             for empty in axes[len(row) :]:
                 empty.remove()
         for number, (part, grid) in enumerate(zip(parts[1 + len(below) :], grids, strict=True)):
-            if remarks and not number:
-                part.suptitle("\n".join(remarks), fontsize=8.0)
-            _draw_grid(part, grid)
+            _draw_grid(part, grid, "" if number else "\n".join(remarks))
     return figure
 
 
@@ -151,18 +155,28 @@ def _draw_bars(all_axes: Any, panels: Sequence[Panel]) -> None:
             axes.tick_params(labelleft=False)
 
 
-def _draw_grid(part: Any, grid: Sequence[Sequence[Panel]]) -> None:
-    """Draw panels of final values: those of a key below each other, an output on one scale."""
+def _draw_grid(part: Any, grid: Sequence[Sequence[Panel]], remarks: str) -> None:
+    """Draw panels of final values: those of a key below each other, an output on one scale.
+
+    They share a legend, but for curves of other keys' values, which each column names for itself.
+    """
     all_axes = part.subplots(len(grid), len(grid[0]), squeeze=False, sharex="col")
+    entries: dict[str, Any] = {}
     for number, row in enumerate(grid):
         for axes, panel in zip(all_axes[number], row, strict=True):
-            legend = not number and (panel is row[0] or panel.x != row[0].x)
-            draw(axes, panel, legend_shape(panel, _LEGEND_LETTERS)[0] if legend else 0)
+            draw(axes, panel, 0)
+            every, column = legend_entries(axes), _of_column(panel)
+            names = [plain(curve.name) for curve in column.curves]
+            entries |= {name: handle for name, handle in every.items() if name not in names}
+            if names and not number:
+                columns = legend_shape(column, _LEGEND_LETTERS)[0]
+                set_legend(axes, columns, panel.legend, {name: every[name] for name in names})
             axes.set_ylabel(textwrap.fill(axes.get_ylabel(), _LABEL_LETTERS))
             if number < len(grid) - 1:
                 axes.set_xlabel("")
             if not (panel.x.log or panel.x.categories):
                 axes.locator_params(axis="x", nbins=3 if max(axes.get_xlim()) >= 1e4 else 5)
+                axes.xaxis.set_major_formatter(lambda value, _: number_text(value, 6))
         if row[0].y.label == row[-1].y.label:
             low, high = zip(*(axes.get_ylim() for axes in all_axes[number]), strict=True)
             for axes in all_axes[number]:
@@ -171,3 +185,10 @@ def _draw_grid(part: Any, grid: Sequence[Sequence[Panel]]) -> None:
                 axes.set_ylabel("")
                 axes.tick_params(labelleft=False)
     part.align_ylabels(all_axes[:, 0])
+    add_shared_legend(part, entries, remarks)
+
+
+def _of_column(panel: Panel) -> Panel:
+    """Return a panel with what its column alone names: curves at other values of other keys."""
+    curves = [curve for curve in panel.curves if panel.legend and curve.cases is not None]
+    return replace(panel, curves=curves, bands=(), points=())
