@@ -25,6 +25,12 @@ CASE = {
 }
 
 
+def remarks(part):
+    """What a part of a figure says of itself, above its legend."""
+    (legend,) = part.legends
+    return legend.get_title().get_text()
+
+
 def scaled(u):
     """Keys at points of the unit square or cube: k, and p of the square, by their logarithms."""
     x = u.copy()
@@ -155,7 +161,7 @@ def test_what_is_told_too_coarsely_is_not_drawn_but_said(tmp_path):
     assert made.relative_error["penetration"] > 0.2
     figure = draw_sweep_and_surrogate(ensemble)
     assert len(figure.axes) == 1 + 2 * 3  # histories, penetrations and volumes against the keys
-    said = " ".join(figure.subfigs[-1].get_suptitle().split())
+    said = " ".join(remarks(figure.subfigs[-1]).split())
     assert said.startswith("surrogate of 36 cases not drawn, for leave-out errors above 20 % of")
     assert "more values of keys that have few" in said
 
@@ -300,7 +306,7 @@ def test_it_is_drawn(tmp_path, monkeypatch):
     assert [bar.get_width() for bar in indices.containers[0]] == pytest.approx(found.first)
     assert [bar.get_width() for bar in indices.containers[1]] == pytest.approx(found.influence)
     assert "leave-out error" in indices.get_legend().get_title().get_text()
-    title = figure.subfigs[1].get_suptitle()
+    title = remarks(figure.subfigs[1])
     assert title.startswith("surrogate of 128 cases; ")
     assert "leave-out errors, of the spread: penetration < 1e-06 %" in title
     mean, points = along_k.lines
@@ -359,4 +365,4 @@ def test_a_sweep_is_answered_for(swept, monkeypatch):
     assert error < 3.0 * early.error["penetration"]
     monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._EVALUATIONS", 1e4)
     figure = rw.plot(swept / "a")
-    assert "surrogate of 64 cases" in figure.subfigs[-1].get_suptitle()
+    assert "surrogate of 64 cases" in remarks(figure.subfigs[-1])
