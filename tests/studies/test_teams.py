@@ -4,7 +4,7 @@ import pytest
 from swept import CASE, table, write_study
 
 from ringwear_par.errors import ComputationError
-from ringwear_par.history import batch
+from ringwear_par.history import ensemble
 from ringwear_par.studies.execution.sweep import sweep
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
@@ -58,14 +58,14 @@ def test_a_law_that_raises_on_one_rank_fails_its_cases(
 
 
 def test_a_start_that_fails_on_one_rank_fails_its_case(swept, shared_path, comm, monkeypatch):
-    initial_state = batch.initial_state
+    initial_state = ensemble.initial_state
 
     def failing(physics, contacts):
         if is_bad(physics.case.wear_lower) and comm.rank == comm.size - 1:
             raise MemoryError("no room")
         return initial_state(physics, contacts)
 
-    monkeypatch.setattr(batch, "initial_state", failing)
+    monkeypatch.setattr(ensemble, "initial_state", failing)
     with pytest.raises(ComputationError, match="4 of 12 cases failed"):
         swept()
     comm.Barrier()
