@@ -25,7 +25,7 @@ from ringwear_par.results.key_numbers import time_unit, time_words
 
 #: s, after which a browser loads the page of a test that runs again
 _REFRESH = 10
-#: of a test: who has come so far is at its end
+#: share of its time from which on a test has ended
 _ENDED = 0.999
 
 

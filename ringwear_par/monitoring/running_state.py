@@ -52,7 +52,7 @@ class RunningTestState:
         self._begin()
 
     def _begin(self) -> None:
-        """Know nothing of readings, as before them or where their file was replaced."""
+        """Make the bank, without readings: at first, and where another record has replaced them."""
         self._bank = self._new_bank()
         count = len(self._bank.draws.unknowns)
         self._before = self._intervals(np.full(count, 1.0 / count))
