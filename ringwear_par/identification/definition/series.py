@@ -10,7 +10,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.cases.files.columns import FileStore, read_intervals
 from ringwear_par.cases.tables import TableReader
-from ringwear_par.errors import legible
+from ringwear_par.errors import counted, legible
 from ringwear_par.files.measurements import and_more
 from ringwear_par.identification.definition.data_sources import (
     read_censored,
@@ -137,7 +137,7 @@ def read_series(
             _check_depths(reader, series, case)
     if series.n <= len(free):
         reader.fault(
-            f"has {series.n} reading{'s' if series.n > 1 else ''}; must have more than nuisances "
+            f"has {counted(series.n, 'reading')}; must have more than nuisances "
             f"without prior or bounds, {', '.join(free)}, which take all that they tell"
         )
     return series if len(faults) == before else None

@@ -7,7 +7,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.contact.tao import Guard
-from ringwear_par.identification.definition.parameter_rules import ordered_keys
+from ringwear_par.identification.definition.fitted_parameters import ordered_keys
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.model.histories import HistoryError, bends_within
 from ringwear_par.identification.model.noise import NuisanceProjection

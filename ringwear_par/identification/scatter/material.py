@@ -18,8 +18,12 @@ from ringwear_par.identification.estimation.intervals import (
     is_vague,
 )
 from ringwear_par.identification.estimation.misfit import Evaluation
-from ringwear_par.identification.scatter.mixture import Mixture
-from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size, SizePosterior
+from ringwear_par.identification.scatter.posterior import (
+    Mixture,
+    ScatterPosterior,
+    Size,
+    SizePosterior,
+)
 from ringwear_par.identification.scatter.random_wear import RandomWear
 
 #: ISO 5725: limit of the difference of two results that is exceeded once in twenty times
