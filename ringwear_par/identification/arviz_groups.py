@@ -48,9 +48,7 @@ class _FitDraws:
 def to_arviz(fit: FitResult) -> "arviz.InferenceData":
     """Return the groups of a fit as ArviZ has them.
 
-    Raises
-    ------
-    InputError : arviz is not installed; readings without a normal distribution.
+    InputError where arviz is not installed, or readings have no normal distribution.
     """
     try:
         import arviz

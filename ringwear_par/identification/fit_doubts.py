@@ -193,12 +193,10 @@ def assumptions(fit: "FitResult") -> list[ValidityWarning]:
 def growths_of_sd(
     covariance: FloatArray, at_bounds: Collection[int]
 ) -> dict[tuple[int, int], float]:
-    """Return by how much the sd of an unknown is larger where one at its bound is free: (j, i).
+    """Return by how much the sd of an unknown j grows where one i at its bound is free, by (j, i).
 
-    Parameters
-    ----------
-    covariance : (m, m) of all unknowns, as if there were no bounds.
-    at_bounds : numbers of those at their bounds; the others of them stay there.
+    The covariance (m, m) of all unknowns is as if there were no bounds; others at bounds stay
+    there.
     """
 
     def sd(j: int, fixed: Sequence[int]) -> float:
@@ -223,11 +221,8 @@ def conditional_verdicts(
 ) -> list[ValidityWarning]:
     """Return warnings about keys that are identified only while others are at their bounds.
 
-    Parameters
-    ----------
-    covariance : (m, m) of the keys' unknowns, as if there were no bounds.
-    narrowed : keys whose intervals are those with the others within their bounds.
-    keys_at_bound : those whose estimate is one; others may have a limit on one side only.
+    The covariance (m, m) is as if there were no bounds; ``narrowed`` are keys whose intervals are
+    those with the others within their bounds, ``keys_at_bound`` those whose estimate is one.
     """
     known = [j for j in range(len(estimates)) if np.isfinite(covariance[j, j])]
     at_bounds = [
@@ -271,12 +266,7 @@ def disagreements(
 ) -> list[ValidityWarning]:
     """Return a warning about the key of a rate whose values differ most between tests.
 
-    Of those that the fit file does not let scatter.
-
-    Parameters
-    ----------
-    x, evaluation, test_unknowns : unknowns (u,), residuals, and (tests, m) of the keys.
-    sizes : (bodies,) mm, of the process noise; None: there is none.
+    Of those that the fit file does not let scatter; sizes (bodies,) mm are of the process noise.
     """
     problem = misfit.problem
     if len(problem.experiments) < 2:

@@ -31,14 +31,11 @@ def unit_scale(parameter: FittedParameter) -> float:
 
 
 def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[str, Any] | None:
-    """Return the numbers of a key in the user's unit; None where that is the case's.
+    """Return the numbers of a key's entry in fit.json in the user's unit; None for the case's.
 
     Its ``scale`` is how much the unit is in the case's; ``per`` is "friction energy" for wear
-    coefficients k of laws whose specific wear rate is k mu.
-
-    Parameters
-    ----------
-    entry : of the key, as in fit.json; of a running test its interval before too.
+    coefficients k of laws whose specific wear rate is k mu. Of a running test the interval before
+    too.
     """
     if not parameter.unit:
         return None
@@ -63,11 +60,7 @@ def specific_wear_rate(
     """Return the specific wear rate of a fitted wear coefficient; None where there is no one.
 
     That is where wear goes with friction energy or load, without a threshold: k mu, or k itself.
-
-    Parameters
-    ----------
-    entries : of all fitted keys, as in fit.json.
-    covariance : (m, m) of their values.
+    The covariance (m, m) is of the values of the keys.
     """
     body, entry = key.removeprefix("wear.").removesuffix(".k"), entries[key]
     share = _share_of_friction(problem, body, entries) if body in BODIES else None

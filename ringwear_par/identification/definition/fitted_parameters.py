@@ -31,10 +31,7 @@ _EXAMPLES = {"1/MPa": "mm3/(N m)", "MPa": "GPa", "mm": "um", "mm/s": "um/h", "ra
 
 
 def ordered_keys(parameters: Sequence[FittedParameter]) -> list[tuple[int, int]]:
-    """Return the pairs (i, j) of fitted keys of one scale of which i is never less than j.
-
-    That is as their wear law declares them, see ``Parameter.at_least``.
-    """
+    """Return pairs (i, j) of fitted keys of one scale of which i may not be less than j."""
     least = {
         name: parameter.at_least
         for law in LAWS.values()
@@ -54,12 +51,7 @@ def ordered_keys(parameters: Sequence[FittedParameter]) -> list[tuple[int, int]]
 def refuse_unfit(
     said: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
 ) -> None:
-    """Add a fault for each key on which a case does not depend smoothly, or out of order.
-
-    Parameters
-    ----------
-    said : how sentences about the experiment begin.
-    """
+    """Add a fault for each key on which a case does not depend smoothly, or out of order."""
     _refuse_fixed(said, parameters, case, faults)
     _refuse_order(said, parameters, case, faults)
 
@@ -71,10 +63,6 @@ def _refuse_order(
 
     As k_start of at least k. Of two fitted keys of one scale the rule is a bound, see
     ``ordered_keys``.
-
-    Parameters
-    ----------
-    said : how sentences about the experiment begin.
     """
     fitted = {parameter.key: parameter for parameter in parameters}
     ordered = {(parameters[i].key, parameters[j].key) for i, j in ordered_keys(parameters)}
@@ -104,12 +92,7 @@ def _refuse_order(
 def _refuse_fixed(
     said: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
 ) -> None:
-    """Add a fault for each key without derivatives, once for all experiments.
-
-    Parameters
-    ----------
-    said : how sentences about the experiment begin.
-    """
+    """Add a fault for each key without derivatives, once for all experiments."""
     allowed, elastic = differentiable(case), elastic_numbers(case)
     for parameter in parameters:
         if parameter.key in elastic:
@@ -139,13 +122,7 @@ def _faults_of_bounds(said: str, parameter: FittedParameter, case: Case) -> list
 def refuse_both(
     said: str, parameters: Sequence[FittedParameter], changes: Mapping[str, Any], faults: list[str]
 ) -> None:
-    """Add a fault for each key that is both set and fitted.
-
-    Parameters
-    ----------
-    said : how sentences about what is set begin.
-    changes : dotted keys that are set.
-    """
+    """Add a fault for each key that is both set and fitted."""
     loads = {"load.force", "load.pressure", "load.displacement"}
     for parameter in parameters:
         path = split_key(parameter.key)[0]
@@ -181,11 +158,8 @@ def read_parameters(
 ) -> tuple[FittedParameter, ...]:
     """Return the fitted keys, and add what is wrong with them to the faults.
 
-    Parameters
-    ----------
-    said : how sentences about the table begin.
-    units : in which keys are told, instead of those in which their starts are written.
-    case_units : in which the case writes numbers, for keys whose start has no unit.
+    A key is told in its unit of ``units``, or in which its start is written, or the case its
+    number.
     """
     if not isinstance(table, Mapping) or not table:
         faults.append(f"{said}: is missing or empty; must name one case key at least")
@@ -208,13 +182,7 @@ def _is_other(unit: str, key: str) -> bool:
 
 
 def read_units(said: str, table: Any, parameters: Any, faults: list[str]) -> dict[str, str]:
-    """Return the units in which fitted keys are told, as ``fit.units`` names them.
-
-    Parameters
-    ----------
-    said : how sentences about the table begin.
-    parameters : the table of fitted keys.
-    """
+    """Return the units in which fitted keys are told, as ``fit.units`` names them."""
     if not isinstance(table, Mapping):
         faults.append(f"{said} = {shortened(table)}: must be a table of units by fitted key")
         return {}

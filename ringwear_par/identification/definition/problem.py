@@ -62,8 +62,8 @@ class Scatter:
 class ProcessNoise:
     """How the wear of a body is itself random.
 
-    Its worn depth is a gamma process: its variance is a size times its mean. The share is the
-    standard deviation over the depth, at the end of the test that wears most.
+    Its worn depth is a gamma process, of a variance of size times mean. The share is the standard
+    deviation over the depth, at the end of the test that wears most.
     """
 
     #: mm, and of 1; both None where the size is fitted

@@ -20,10 +20,7 @@ _SAME = 1e-4
 class MarginalLikelihood:
     """The logarithm of the probability of readings, but for a constant.
 
-    Parameters
-    ----------
-    misfit : the least squares problem, with its noise.
-    x : (u,) unknowns at which thermal growth is linearised.
+    Thermal growth is linearised at unknowns x (u,).
     """
 
     def __init__(self, misfit: Misfit, x: FloatArray) -> None:

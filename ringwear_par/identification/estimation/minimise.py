@@ -56,20 +56,11 @@ def minimise(
     wait_for: WaitFor | None = None,
     fixed: int | None = None,
 ) -> Optimum:
-    """Return the least squares near a start, within bounds. Not collective.
+    """Return the least squares near a start (u,), within bounds. Not collective.
 
     Unknowns without bounds on which residuals depend linearly are at every trial the best for the
-    others. Histories of trials are forgotten, but for those at the optimum.
-
-    Parameters
-    ----------
-    start : (u,) within the bounds.
-    wait_for : has the histories at a point computed, with those of other searches.
-    fixed : a fitted key that stays where it is.
-
-    Raises
-    ------
-    ComputationError : a history.
+    others; one fitted key may be ``fixed``. Histories of trials are forgotten, but for those at the
+    optimum; ``wait_for`` has those at a point computed with those of other searches.
     """
     new_points: list[FloatArray] = []
 
@@ -156,18 +147,10 @@ class _NoProgressError(Exception):
 class _Reduced:
     """A problem over nonlinear coordinates, in units of their scale where it starts.
 
-    Remembers its last point, as minimisers ask for residuals and Jacobian one after the other.
-
-    Parameters
-    ----------
-    x : (u,) where it starts.
-    box : of all unknowns.
-    nonlinear, linear : (u,) bool; at each trial linear ones are the best for the others.
-
-    Attributes
-    ----------
-    patience : trials in vain after which it raises ``_NoProgressError``; None: it never does.
-    best : (u,) the unknowns of the best trial since then.
+    Remembers its last point, as minimisers ask for residuals and Jacobian one after the other. At
+    each trial linear unknowns are the best for the others. After ``patience`` trials in vain it
+    raises ``_NoProgressError`` (None: never); ``best`` (u,) are the unknowns of the best one since
+    then.
     """
 
     def __init__(

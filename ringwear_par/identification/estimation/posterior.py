@@ -69,16 +69,9 @@ def sample_posterior(
     covariance: FloatArray,
     path: Path | None,
 ) -> Posterior:
-    """Return samples of the fitted keys. Not collective.
+    """Return samples of the fitted keys, from the optimum x and its covariance on. Not collective.
 
-    Parameters
-    ----------
-    x, covariance : (u,) and (u, u) of the unknowns at the optimum.
-    path : file of the chain, which continues where it was stopped; None: it is not stored.
-
-    Raises
-    ------
-    StoppedError : a signal; the chain is stored.
+    The chain is stored in the file, and continues where it was stopped by a signal (StoppedError).
     """
     import emcee
 

@@ -12,19 +12,10 @@ from ringwear_par.identification.model.histories import ROUGH_STEPS, STEPS, Hist
 class Responses:
     """Readings of a problem's tests and their derivatives, one history a test.
 
-    Points are unknowns of the fitted keys, or of these and the nuisances.
-
-    Parameters
-    ----------
-    problem : whose tests they are.
-    histories : of its experiments.
-
-    Attributes
-    ----------
-    steps : about how many a history makes.
-    exact : whether the operators of histories are; those of a search may be interpolated.
-    known : readings of each test with derivatives (n, 1 + m), or why there are none, by its number
-        and the bytes of the keys' values.
+    Points are unknowns of the fitted keys, or of these and the nuisances. ``known`` holds readings
+    with derivatives (n, 1 + m), or why there are none, by the test's number and the bytes of the
+    values; histories make about ``steps``, on operators that are ``exact`` or, in a search,
+    interpolated.
     """
 
     def __init__(self, problem: Problem, histories: Histories) -> None:
@@ -60,15 +51,9 @@ class Responses:
         return (0, self._values(point).tobytes()) in self.known
 
     def of_tests(self, values: Sequence[FloatArray]) -> FloatArray:
-        """Return the readings of all tests and their derivatives by the values, (n, 1 + m).
+        """Return the readings of all tests and derivatives by the values (m,) of each, (n, 1 + m).
 
-        Parameters
-        ----------
-        values : (m,) of the keys in each test.
-
-        Raises
-        ------
-        HistoryError : there is no history.
+        Raises HistoryError where there is no history.
         """
         wanted = list(enumerate(values))
         self._compute(wanted)
@@ -98,10 +83,7 @@ class Responses:
         self.known = {key: response for key, response in self.known.items() if key in remaining}
 
     def renew_inputs(self, values: FloatArray) -> tuple[Experiment, ...]:
-        """Return the tests with friction as torques tell it at values of the keys (m,).
-
-        Histories are those of these tests from now on. Not collective.
-        """
+        """Return the tests, friction as torques tell it at values (m,); histories are theirs."""
         self.known = {}
         return self._histories.renew_inputs(values)
 

@@ -52,22 +52,10 @@ _CLOSE = 1e-7
 
 
 class Operators:
-    """Contact pairs of the experiments of a problem.
+    """Contact pairs of the experiments of a problem. Making them is collective on comm.
 
-    Making them is collective on comm.
-
-    Parameters
-    ----------
-    problem : the problem.
-    comm : of the ranks that share the assembly.
-
-    Attributes
-    ----------
-    owners : of each experiment, what its pair at the starts has in common with those of others.
-
-    Raises
-    ------
-    ComputationError : the assembly.
+    ``owners`` tell of each experiment what its pair at the starts has in common with those of
+    others. Raises ComputationError where the assembly fails.
     """
 
     def __init__(self, problem: Problem, comm: MPI.Comm) -> None:
@@ -134,16 +122,12 @@ class Operators:
 
 
 def step_times(experiment: Experiment, steps: int = STEPS) -> FloatArray:
-    """Return the ends of steps of a test, s.
+    """Return the ends of steps of a test, s; about ``steps`` where its schedules have no bends.
 
     After the start, and after every bend of a schedule, they grow geometrically: pressures change
     quickly there. Profiles are read at ends of steps. Pieces between bends share the steps of a
     test, but for a number that each needs. Where a body with layers wears, steps stay short to the
     end: rates change at once as a layer is worn through, whenever that is.
-
-    Parameters
-    ----------
-    steps : of a test whose schedules have no bends.
     """
     case = experiment.case
     end = case.time.end
@@ -219,16 +203,8 @@ def cases_at(case: Case, keys: Sequence[str], points: FloatArray) -> list[Case |
 class Histories:
     """Model readings of the experiments of a problem, at any values of the fitted keys.
 
-    Making one is collective on comm; all else is done by each rank for itself.
-
-    Parameters
-    ----------
-    problem : the problem.
-    comm : of the ranks that share the assembly.
-
-    Raises
-    ------
-    ComputationError : the assembly.
+    Making one is collective on comm, whose ranks share the assembly, and raises ComputationError;
+    all else is done by each rank for itself.
     """
 
     def __init__(self, problem: Problem, comm: MPI.Comm) -> None:
@@ -252,21 +228,10 @@ class Histories:
         derivatives: bool = True,
         exact: bool = True,
     ) -> list[FloatArray | HistoryError]:
-        """Return readings and derivatives of all experiments at some points. Not collective.
+        """Return for each point (p, m) the readings of all experiments, or why there are none.
 
-        Histories of all points and experiments step side by side; none depends on the others.
-
-        Parameters
-        ----------
-        points : (p, m) values of the fitted keys.
-        steps : about how many a history makes.
-        derivatives : whether they are asked for.
-        exact : whether operators are, or may be interpolated, see ``Operators``.
-
-        Returns
-        -------
-        For each point (n, 1 + m), the readings of all experiments, one after another, and their
-        derivatives with respect to the values, or (n, 1) without; or why there are none.
+        One after another, (n, 1 + m), with derivatives by the values, or (n, 1) without. Operators
+        may be interpolated unless ``exact``. Not collective.
         """
         every, m = range(len(self._experiments)), len(self._keys)
         pairs = [(i, e) for i in range(len(points)) for e in every]
@@ -297,9 +262,9 @@ class Histories:
     ) -> list[FloatArray | HistoryError]:
         """Return the readings at some of the points, of an experiment each, or why not.
 
-        See ``responses``. After its derivatives by the values follow those by factors on measured
-        inputs, then, for each body whose wear is random, that by a factor on its rates, and then
-        for each its mean worn depth, mm.
+        All step side by side; none depends on the others. After its derivatives by the values
+        follow those by factors on measured inputs, then, for each body whose wear is random, that
+        by a factor on its rates, and then for each its mean worn depth, mm.
         """
         by_experiment: dict[int, list[int]] = defaultdict(list)
         for number, (_, experiment) in enumerate(pairs):
@@ -343,11 +308,8 @@ class Histories:
     def renew_inputs(self, values: FloatArray) -> tuple[Experiment, ...]:
         """Return the experiments, friction now as their torques tell it at values of the keys.
 
-        By the radius at which friction acts in their histories there. Not collective.
-
-        Raises
-        ------
-        HistoryError : there is no history.
+        By the radius at which friction acts in their histories there; HistoryError for none. Not
+        collective.
         """
         experiments = list(self._experiments)
         for number, experiment in enumerate(experiments):

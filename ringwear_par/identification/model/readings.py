@@ -35,7 +35,7 @@ _NEVER = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """What is read of a history, at its steps, the start included.
+    """What is read of a history, at its s steps, the start included.
 
     The last axis of all but ``time`` holds the value and, where there are any, its derivatives.
     """
@@ -58,14 +58,7 @@ class Trajectory:
 
 
 class TimeInterpolation:
-    """What values at other times are of those at the ends of steps.
-
-    Parameters
-    ----------
-    time : (s,) s, of the steps, the breaks among them.
-    at : (t,) s.
-    breaks : from the start to the end, s.
-    """
+    """Values at times ``at`` (t,), s, of those at the ends (s,) of steps, the breaks among them."""
 
     def __init__(self, time: FloatArray, at: FloatArray, breaks: Sequence[float]) -> None:
         self._count = len(at)
@@ -98,12 +91,9 @@ class TimeInterpolation:
 
 
 class Reader:
-    """Reads all series of an experiment.
+    """Reads all series of an experiment, whose case may have other values of the fitted keys.
 
-    Parameters
-    ----------
-    experiment : its case may have other values of the fitted keys than the histories.
-    clocks : 0 for lower and 1 for upper, of which mean worn depths are read along.
+    Mean worn depths of the bodies ``clocks`` (0 lower, 1 upper) are read along.
     """
 
     def __init__(self, experiment: Experiment, clocks: Sequence[int] = ()) -> None:
@@ -165,10 +155,7 @@ class Reader:
 
 
 def _radial(series: Series, case: Case) -> FloatArray:
-    """Return (n, elements) what a profile's points are of the elements' depths.
-
-    Outside the contact it is unworn.
-    """
+    """Return (n, elements) what points of a profile are of depths of elements; 0 beyond them."""
     a, b = case.contact
     mid_points = case.line.r
     close = _CLOSE * b
@@ -183,16 +170,11 @@ def _radial(series: Series, case: Case) -> FloatArray:
 def growth(
     nuisance: Nuisance, case: Case, t: FloatArray, time: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the share of its growth that a warm rig has, and its derivative by ``time``, 1/s.
+    """Return the share of its growth that a warm rig has at t (n,) s, and its derivative by time.
 
-    It is cold at first, and follows its heat by time g' = heat - g: each change of the heat makes a
-    growth of its own.
-
-    Parameters
-    ----------
-    nuisance : whose heat goes with the friction power where it has ``power``, else is 1.
-    t : (n,) s.
-    time : constant, s.
+    It is cold at first, and follows its heat by time g' = heat - g (s): each change of the heat
+    makes a growth of its own. The heat is 1, or goes with the friction power where the nuisance has
+    ``power``.
     """
     starts, heat = np.zeros(1), np.ones(1)
     if nuisance.power:
@@ -220,14 +202,11 @@ def nuisance_columns(
     """Return (n, nuisances) what each nuisance of a series adds to its readings, by its unit.
 
     The offset and the level are constant; the drift grows to 1 at the end of the test; the
-    compliance goes with the load in kN (of a penetration with what it has changed since the start);
-    the tilt with the distance in mm from the middle of the contact. Thermal growth comes near to 1
-    after some time constants, with respect to which its column is the derivative; with ``power`` it
-    follows the friction power, over its largest.
-
-    Parameters
-    ----------
-    values : (nuisances,) at which growth is linearised; None: as they are expected.
+    compliance goes with the load in kN (of a penetration with its change since the start); the tilt
+    with the distance in mm from the middle of the contact. Thermal growth comes near to 1 after
+    some time constants, with respect to which its column is the derivative at the values
+    (nuisances,), or as these are expected; with ``power`` it follows the friction power, over its
+    largest.
     """
     columns = []
     values = [n.expected for n in series.nuisances] if values is None else values
@@ -255,14 +234,8 @@ def time_through(
 ) -> FloatArray:
     """Return when (s) the first layer of lower (0) or upper (1) is worn through anywhere, (q,).
 
-    From the rate of the last step before it, or of the last one of all; with derivatives; NaN of a
-    body without layers.
-
-    Parameters
-    ----------
-    time : (s,) s.
-    wear : (s, n, q) mm, along the axis, and its derivatives.
-    keys : of the q - 1 derivatives, of which the layer's thickness moves its end.
+    From worn depths (s, n, q) mm, by the rate of the last step before it, or of the last one of
+    all; with derivatives by the keys; NaN of a body without layers.
     """
     if not case.rings[body].layers:
         return np.full(wear.shape[-1], np.nan)
@@ -287,12 +260,8 @@ def time_through(
 def lost_mass(case: Case, body: int, wear: FloatArray, keys: Sequence[str] = ()) -> FloatArray:
     """Return the mass (g) that layers and body of lower (0) or upper (1) have lost, (s, q).
 
-    NaN where a density is not known, and of a body without layers, whose volume tells it.
-
-    Parameters
-    ----------
-    wear : (s, n, q) mm, along the axis, and its derivatives.
-    keys : of the q - 1 derivatives, of which thicknesses of layers move where these end.
+    By worn depths (s, n, q) mm, with derivatives by the keys. NaN where a density is not known, and
+    of a body without layers, whose volume tells it.
     """
     ring = case.rings[body]
     if not ring.layers or None in ring.densities:

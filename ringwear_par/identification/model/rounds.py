@@ -35,17 +35,10 @@ class StoppedError(ComputationError):
 def side_by_side(
     jobs: Sequence[Callable[[WaitFor], T]], compute: Callable[[list[FloatArray]], Any]
 ) -> list[T]:
-    """Return the results of jobs. Not collective.
+    """Return the results of jobs, each called with what it waits by for histories. Not collective.
 
-    Parameters
-    ----------
-    jobs : each is given a function to be called before it needs the histories at a point.
-    compute : computes those at several points; must keep them.
-
-    Raises
-    ------
-    ComputationError : MPI may not be called from threads.
-    Exception : of ``compute``, which ends all jobs; or of a job, once the others have ended.
+    ``compute`` computes those at several points, and must keep them; its error ends all jobs, that
+    of a job is raised once the others have ended. ComputationError where MPI allows no threads.
     """
     if MPI.Query_thread() < MPI.THREAD_SERIALIZED:
         raise ComputationError(
@@ -119,16 +112,10 @@ class Renewed:
 
 
 class Rounds(Histories):
-    """Histories that all ranks compute together while the first one leads.
+    """Histories that all ranks compute together while the first one leads. Collective to make.
 
-    Making one is collective on comm.
-
-    Parameters
-    ----------
-    problem : the problem.
-    comm : of the ranks.
-    signals : that end a job before its next round, on whichever rank they come.
-    hint : returns what is added to the sentence that says so.
+    Signals on any rank end a job before its next round; ``hint`` returns what is added to that
+    sentence.
     """
 
     def __init__(
@@ -149,10 +136,7 @@ class Rounds(Histories):
     def lead(self, job: Callable[[], T]) -> T:
         """Return the result of a job of the first rank. Collective.
 
-        Raises
-        ------
-        StoppedError : a signal.
-        RingwearError : of the job, or of the histories of any rank.
+        Raises StoppedError by a signal, and what the job or the histories of any rank raise.
         """
         comm = self._comm
         result = None

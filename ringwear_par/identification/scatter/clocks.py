@@ -86,12 +86,9 @@ class _Responses(NamedTuple):
 def _responses(
     series: Series, blocks: Blocks, roots: FloatArray, answer: FloatArray, depth: FloatArray
 ) -> _Responses:
-    """Return how the blocks of a series respond to a clock.
+    """Return how the blocks of a series respond to a clock, of readings' roots and depths (n,).
 
-    Parameters
-    ----------
-    roots, depth : (n,) of its readings, see ``TestClocks``.
-    answer : (n,) of a reading over its noise, a mm.
+    The answer (n,) is that of a reading over its noise, a mm.
     """
     last = blocks.first + blocks.counts - 1
     low, high = depth[np.maximum(blocks.first - 1, 0)], depth[last]
@@ -111,12 +108,8 @@ def _responses(
 class TestClocks:
     """The clocks of a test's bodies, and its readings in blocks.
 
-    Parameters
-    ----------
-    series : of the test.
-    sd, roots : (n,) noise of its readings, and roots of the weights by the loss.
-    answers, depths : (n, bodies) of each reading: its change a mm worn too much, and the mean worn
-        depth, mm.
+    Of readings (n,) of all series: their noise, and roots of the weights by the loss; (n, bodies):
+    their change a mm worn too much, and the mean worn depth, mm.
     """
 
     def __init__(
@@ -175,12 +168,9 @@ class TestClocks:
     ) -> tuple[FloatArray, FloatArray]:
         """Return by how much bodies have worn more than their mean, and its sd, (n, bodies) mm.
 
-        Parameters
-        ----------
-        sizes : mm, of the process noise of each.
-        rest : (b,) of readings less model and nuisances, in units of noise, times the inverse of
-            their covariance.
-        precision : (b, b) that inverse, less what model and nuisances take.
+        By the sizes (mm) of the process noise; ``rest`` (b,) are readings less model and nuisances,
+        in units of noise, times the inverse of their covariance; the precision (b, b) is that
+        inverse, less what model and nuisances take.
         """
         excesses, sds = [], []
         for size, of, depth in zip(sizes, self._responses, self._depths.T, strict=True):
@@ -202,12 +192,8 @@ def projected_precision(
 ) -> FloatArray:
     """Return the inverse covariance of readings, nuisances' priors after them, all fitted.
 
-    Readings of the best fit are what is left of them times this, (b + r, b + r).
-
-    Parameters
-    ----------
-    sizes : mm, of the process noise.
-    covariance : (m, m) of the unknowns of the keys.
+    Readings of the best fit are what is left of them times this, (b + r, b + r); sizes of the
+    process noise are in mm, the covariance (m, m) is of the unknowns of the keys.
     """
     alone, whitening = uncorrelated(test, sizes)
     n, r = len(test.readings), len(test.prior_rows)

@@ -49,18 +49,10 @@ class Solutions:
 
 
 class MixedModel:
-    """The linear mixed model of reduced tests.
+    """The linear mixed model of reduced tests, one at least.
 
-    Parameters
-    ----------
-    tests : one at least.
-    levels : of all keys that scatter.
-    prior_precision : (m,) float, of the unknowns of the material; 0 where there is no prior.
-    prior_mean : (m,) float.
-
-    Attributes
-    ----------
-    precision : (m + groups,) float, of the priors of all effects.
+    Priors of the material's unknowns have a precision and a mean (m,), 0 for none; ``precision`` (m
+    + groups,) is of the priors of all effects.
     """
 
     def __init__(
@@ -104,9 +96,7 @@ class MixedModel:
     def solve(self, tau: FloatArray) -> Solutions:
         """Return the solutions at sizes (G, levels) of the scatters.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError : the tests and priors together do not determine the material.
+        LinAlgError where the tests and priors together do not determine the material.
         """
         scale, m = self.scales(tau), self.m
         hessian = scale[:, :, None] * self._normal * scale[:, None, :]
@@ -127,10 +117,7 @@ class MixedModel:
 def of_new_specimen(information: FloatArray, variances: FloatArray) -> FloatArray:
     """Return the information (m, m) on the material in a test of one more specimen.
 
-    Parameters
-    ----------
-    information : (m, m) float, that of its readings on its own values.
-    variances : (m,) float, by which these scatter about the material's.
+    Its readings have some on its own values, which scatter about the material's by variances (m,).
     """
     scattering = variances > 0.0
     if not scattering.any():

@@ -15,22 +15,11 @@ _NO_WEIGHT = 1e-12
 
 
 class Linearisation:
-    """The tests of a misfit, linearised where they were evaluated.
+    """The tests of a misfit, linearised at x (u,) and (tests, m) unknowns of the keys in each test.
 
-    Nuisances that are at their bounds stay there.
-
-    Parameters
-    ----------
-    misfit : the least squares problem.
-    evaluation : of it.
-    x : (u,) unknowns at which it was evaluated.
-    test_unknowns : (tests, m) unknowns of the keys in each test.
-    weighed : (n,) residuals by which the loss weighs readings; None: those of the evaluation.
-
-    Attributes
-    ----------
-    rows : of each test among the readings.
-    clocks : of each test, where wear is random.
+    Nuisances that are at their bounds stay there. The loss weighs readings by the residuals of the
+    evaluation or by others, ``weighed`` (n,). ``rows`` are of each test among the readings,
+    ``clocks`` of each test where wear is random.
     """
 
     def __init__(
@@ -67,12 +56,7 @@ class Linearisation:
         self._reduced: dict[bytes, list[list[ReducedTest]]] = {}
 
     def reduced(self, sizes: FloatArray | None = None) -> list[list[ReducedTest]]:
-        """Return the normal equations of all tests, for each size of the process noise.
-
-        Parameters
-        ----------
-        sizes : (G, bodies) mm; None: there is none.
-        """
+        """Return the normal equations of all tests at sizes (G, bodies) mm of the process noise."""
         key = b"" if sizes is None else sizes.tobytes()
         if key not in self._reduced:
             by_test = [reduce_test(test, sizes) for test in self.tests]

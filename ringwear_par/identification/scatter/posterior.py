@@ -250,13 +250,7 @@ class ScatterPosterior:
         return self._between(rows, self._material_rows)
 
     def size(self, level: int, probability: float) -> SizePosterior:
-        """Return the posterior of the size of a level's scatter.
-
-        Parameters
-        ----------
-        level : number of the level.
-        probability : of its interval.
-        """
+        """Return the posterior of the size of a level's scatter, its interval of a probability."""
         return self._size(self.solutions.tau[:, level], self._without_level[level], probability)
 
     @cached_property
@@ -299,18 +293,10 @@ def integrate(
 ) -> ScatterPosterior:
     """Return the posterior of mixed models over the sizes of their levels and of process noise.
 
-    With three sizes to be fitted, or one that is known well, a coarse grid finds where the
-    likelihood is, and a second one covers that.
-
-    Parameters
-    ----------
-    models_at : returns a model for each of (k, bodies) shares of the process noise.
-    sizes : of the levels.
-    shares : of the process noise of bodies.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError : the tests and priors together do not determine the material.
+    ``models_at`` returns a model for each of (k, bodies) shares of the process noise. With three
+    sizes to be fitted, or one that is known well, a coarse grid finds where the likelihood is, and
+    a second one covers that. LinAlgError where tests and priors together do not determine the
+    material.
     """
     every = [*sizes, *shares]
     unknown = sum(size.known is None for size in every)

@@ -42,11 +42,8 @@ class RandomWear:
     ) -> "RandomWear":
         """Return the bodies at unknowns (u,) and those of the keys in each test, (tests, m).
 
-        In a plan, shares are known: half the scale of their priors.
-
-        Raises
-        ------
-        ComputationError : a body does not wear there.
+        In a plan, shares are known: half the scale of their priors. ComputationError where a body
+        does not wear there.
         """
         process = misfit.problem.settings.process
         if not process:

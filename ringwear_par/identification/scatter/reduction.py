@@ -70,15 +70,9 @@ class LinearisedTest:
 
 
 def uncorrelated(test: LinearisedTest, sizes: FloatArray) -> tuple[LinearisedTest, FloatArray]:
-    """Return a test in units of all its noise, the random part of its wear included.
+    """Return a test in units of all its noise, that of its wear, of sizes in mm, included.
 
-    Parameters
-    ----------
-    sizes : mm, of each body's.
-
-    Returns
-    -------
-    The test without process, and the matrix (n, n) that its rows were multiplied by.
+    Without process; and the matrix (n, n) that its rows were multiplied by.
     """
     covariance = np.eye(len(test.readings))
     for size, kernel in zip(sizes, test.process, strict=True):
@@ -94,13 +88,9 @@ def uncorrelated(test: LinearisedTest, sizes: FloatArray) -> tuple[LinearisedTes
 
 
 def reduce_test(test: LinearisedTest, sizes: FloatArray | None = None) -> list[ReducedTest]:
-    """Return the normal equations of a test at each size of the random part of its wear.
+    """Return the normal equations of a test at each size (G, bodies) mm of the noise of its wear.
 
     Nuisances are integrated: those without a prior as if it were infinitely wide.
-
-    Parameters
-    ----------
-    sizes : (G, bodies) mm; None: wear is not random.
     """
     if sizes is None or not test.process:
         return [_reduce(test, np.zeros(len(test.readings)))]

@@ -43,19 +43,11 @@ _HALVINGS = 6
 def estimate_material(
     misfit: Misfit, x: FloatArray, sizes: Mapping[tuple[str, str], float] | None = None
 ) -> Material:
-    """Return the material behind the specimens of a fit. Not collective.
+    """Return the material behind the specimens of a fit, from unknowns x (u,) on. Not collective.
 
-    Noise that is fitted is estimated along; ``misfit`` has it afterwards.
-
-    Parameters
-    ----------
-    x : (u,) unknowns of the fit with one value for all tests, where the search begins.
-    sizes : of scatters, by key and group, that are taken as known, for a plan: readings then are
-        those of x; None: as the fit file says, from the readings.
-
-    Raises
-    ------
-    ComputationError : readings do not determine the material, or no history could be computed.
+    Noise that is fitted is estimated along; ``misfit`` has it afterwards. In a plan, sizes of
+    scatters are known, by key and group, and readings are those of x. ComputationError where
+    readings do not determine the material, or no history could be computed.
     """
     problem, m = misfit.problem, len(misfit.problem.parameters)
     levels, scatters, names = _levels(problem, sizes)
@@ -132,11 +124,8 @@ def _evaluated(
 ) -> tuple[FloatArray, Evaluation, FloatArray]:
     """Return unknowns with the best nuisances, residuals there, and the unknowns of tests.
 
-    Where there is no history, tests go half as far from where they were before.
-
-    Raises
-    ------
-    HistoryError : there is none near that either.
+    Where there is no history, tests go half as far from where they were before; HistoryError in the
+    end.
     """
     # with the noise of wear, time constants are those of its last round
     times_of = x if misfit.problem.settings.process else None

@@ -231,12 +231,7 @@ def name_of_tests(design: DesignResult, one: Design, separator: str = " + ") -> 
 
 
 def name_of(test: Candidate, units: Mapping[str, str]) -> str:
-    """Return a test in a few words.
-
-    Parameters
-    ----------
-    units : that keys are told in, where another than the case's.
-    """
+    """Return a test in a few words, its keys in some units where not in the case's."""
 
     def words_of(key: str, base: str, *values: Any) -> str:
         unit = units.get(key, base)

@@ -75,18 +75,11 @@ class Surrogate:
     def predict(
         self, values: Mapping[str, Any], names: Sequence[str] | None = None
     ) -> dict[str, FloatArray]:
-        """Return responses by name.
+        """Return responses by name, all where no names are given.
 
-        Parameters
-        ----------
-        values : of every varied key: numbers or arrays, which go together as numpy's do; a text of
-            a key that is no number.
-        names : of the responses wanted, None for all.
-
-        Returns
-        -------
-        Arrays of the values' common shape, followed by an axis of times or elements where a
-        response has one.
+        Values are of every varied key: numbers or arrays, which go together as numpy's do; a text
+        of a key that is no number. Arrays have the values' common shape, followed by an axis of
+        times or elements where a response has one.
 
         Raises
         ------

@@ -130,12 +130,7 @@ class Groups:
         return np.diff(self.starts)
 
     def only(self, wanted: BoolArray) -> "Groups":
-        """Return the groups with the wanted cases only.
-
-        Parameters
-        ----------
-        wanted : by number of the case.
-        """
+        """Return the groups with the wanted cases only, by number of the case."""
         chosen = wanted[self.cases]
         starts = np.concatenate([[0], np.cumsum(chosen)])[self.starts]
         return Groups(self.cases[chosen], starts)

@@ -11,12 +11,7 @@ _PLACE = re.compile("\0([0-9]+)\0")  # no text of a case has a zero byte
 
 
 class Place:
-    """Stands in a case's keys for the value of a column.
-
-    Parameters
-    ----------
-    column : its number.
-    """
+    """Stands in a case's keys for the value of a column, by its number."""
 
     def __init__(self, column: int) -> None:
         self._column = column
