@@ -59,8 +59,7 @@ class Draft:
 
 
 def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
-    """Read a study: its name or its tables; refuse its faults but for single cases. Not collective.
-    """
+    """Read a study: its name or its tables; refuse faults but for single cases. Not collective."""
     if isinstance(source, Mapping) and isinstance(source.get("case"), Case):
         raise InputError(
             "study: case is a Case; must be the name of a case file, or its tables as a dict"
