@@ -127,7 +127,7 @@ def entry_error(
 
     Parameters
     ----------
-    depth_if_always_in_contact : (2, ..., n) float, mm, what the elements would have worn in contact all along.
+    depth_if_always_in_contact : (2, ..., n) float, mm, of the elements.
     """
     p = after.contact.pressure
     if before.contact.pressure.min() > 0.0:
