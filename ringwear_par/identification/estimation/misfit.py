@@ -24,7 +24,6 @@ from ringwear_par.identification.definition.problem import (
     Problem,
     Series,
 )
-from ringwear_par.identification.estimation.responses import Responses
 from ringwear_par.identification.model.histories import Histories, HistoryError
 from ringwear_par.identification.model.noise import (
     censored_rows,
@@ -35,6 +34,7 @@ from ringwear_par.identification.model.noise import (
     whitened,
 )
 from ringwear_par.identification.model.readings import nuisance_columns
+from ringwear_par.identification.model.rounds import Responses
 
 log = logging.getLogger(__name__)
 

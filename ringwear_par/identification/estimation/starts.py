@@ -14,9 +14,9 @@ from ringwear_par.errors import InputError, RingwearError, reason_of
 from ringwear_par.files.folders import PROGRESS
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.files.writing import atomic_write
-from ringwear_par.identification.estimation.likelihood import MarginalLikelihood
 from ringwear_par.identification.estimation.minimise import minimise
 from ringwear_par.identification.estimation.misfit import Misfit
+from ringwear_par.identification.estimation.posterior import MarginalLikelihood
 from ringwear_par.identification.model.histories import ROUGH_STEPS, Histories
 from ringwear_par.identification.model.rounds import Rounds, StoppedError, WaitFor, side_by_side
 

@@ -16,7 +16,7 @@ from ringwear_par.identification.definition.problem import (
     body_of_wear,
 )
 from ringwear_par.identification.estimation.misfit import Misfit
-from ringwear_par.identification.scatter.clocks import MOST_READINGS
+from ringwear_par.identification.scatter.linearisation import MOST_READINGS
 from ringwear_par.identification.scatter.posterior import DEGREES, ScatterPosterior, Size
 
 #: of the logarithm of the prior's interval: a narrower one is told by the readings

@@ -22,13 +22,17 @@ from ringwear_par.identification.estimation.intervals import is_vague
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.model.histories import HistoryError
 from ringwear_par.identification.model.noise import log_constant, weights
-from ringwear_par.identification.scatter.clocks import projected_precision
-from ringwear_par.identification.scatter.likelihood import Level, MixedModel
-from ringwear_par.identification.scatter.linearisation import Linearisation
+from ringwear_par.identification.scatter.likelihood import (
+    Level,
+    MixedModel,
+    ReducedTest,
+    uncorrelated,
+    with_fixed,
+)
+from ringwear_par.identification.scatter.linearisation import Linearisation, projected_precision
 from ringwear_par.identification.scatter.material import Material
 from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size, integrate
 from ringwear_par.identification.scatter.random_wear import RandomWear, confounded_with_drift
-from ringwear_par.identification.scatter.reduction import ReducedTest, uncorrelated, with_fixed
 
 #: sd by which no test's unknowns move any more, and most rounds until then
 _STILL, _MOST_ROUNDS = 1e-3, 60

@@ -11,7 +11,7 @@ from ringwear_par.cases.files.law_trials import law_files, law_sources
 from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.errors import InputError
 from ringwear_par.files.writing import check_writable
-from ringwear_par.history.validity.case_limits import check_case
+from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import open_result, read_error, read_status, restored
 

@@ -21,7 +21,7 @@ from ringwear_par.parallel import on_first_rank, warn_of_threads
 from ringwear_par.results.execution.preparation import Figure, prepare, reached_end
 from ringwear_par.results.execution.progress import RunProgress, closing_lines, for_terminal
 from ringwear_par.results.execution.recorder import Recorder
-from ringwear_par.results.execution.stopping import StopSignals, name_of, remark
+from ringwear_par.results.execution.stop_signals import StopSignals, name_of, remark
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import write_result
 from ringwear_par.version import __version__

@@ -12,10 +12,10 @@ from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import InputError, counted
 from ringwear_par.files.text import parse_value, shortened
 from ringwear_par.pictures.style import in_words, number_text
-from ringwear_par.studies.analysis.predictions import USELESS, Surrogate, share_words
 from ringwear_par.studies.analysis.regression import Part, untested
 from ringwear_par.studies.analysis.responses import done_cases
 from ringwear_par.studies.analysis.sensitivity import Indices
+from ringwear_par.studies.analysis.surrogate import USELESS, Surrogate, share_words
 from ringwear_par.studies.definition.designs import SAMPLED
 from ringwear_par.studies.storage.end_values import display_of, figure_columns
 from ringwear_par.studies.storage.ensemble import Ensemble
