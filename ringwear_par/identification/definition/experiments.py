@@ -17,13 +17,13 @@ from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.files.text import shortened
 from ringwear_par.history.refusals.cases import check_case
-from ringwear_par.identification.definition.fitted_parameters import refuse_both, refuse_unfit
 from ringwear_par.identification.definition.inputs import (
     input_keys,
     read_inputs,
     refuse_known,
     with_places,
 )
+from ringwear_par.identification.definition.parameter_rules import refuse_both, refuse_unfit
 from ringwear_par.identification.definition.problem import (
     Experiment,
     FittedParameter,

@@ -7,9 +7,9 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.contact.tao import Guard
-from ringwear_par.identification.definition.fitted_parameters import ordered_keys
+from ringwear_par.identification.definition.parameter_rules import ordered_keys
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
-from ringwear_par.identification.model.histories import HistoryError, bends_within
+from ringwear_par.identification.model.histories import HistoryError
 from ringwear_par.identification.model.noise import NuisanceProjection
 from ringwear_par.identification.model.rounds import WaitFor
 from ringwear_par.options import FIT_PREFIX, set_from_options
@@ -76,7 +76,7 @@ def minimise(
         free[fixed] = False
     box = _Box.of(misfit, start, free)
     nonlinear, linear = free & ~misfit.linear, free & misfit.linear
-    bent = any(bends_within(experiment) for experiment in misfit.problem.experiments)
+    bent = any(experiment.bends_within for experiment in misfit.problem.experiments)
     x, iterations, still = start, 0, False
     solve = _brgn if misfit.problem.settings.method == "brgn" else _scipy
     for _ in range(_SCALES):

@@ -1,12 +1,12 @@
 """The likelihood of all readings at values of the fitted keys, and samples of their posterior.
 
-Samples are drawn by an ensemble of walkers (emcee: Foreman-Mackey et al., Publ. Astron. Soc. Pac. 125 (2013)
-306-312; moves of differential evolution), whose histories step side by side. Before any reading a
-key has the distribution of its prior within its bounds; one without a prior is uniform there, or
-its logarithm where the scale is logarithmic. Nuisances are those that fit each sample best: as they
-are linear, that is the same as integrating over them where noise is Gaussian and they have no
-bounds. Noise that is fitted stays what it is at the optimum: that it is not known better adds
-nothing to the spread of the samples.
+Samples are drawn by an ensemble of walkers (emcee: Foreman-Mackey et al., Publ. Astron. Soc. Pac.
+125 (2013) 306-312; moves of differential evolution), whose histories step side by side. Before any
+reading a key has the distribution of its prior within its bounds; one without a prior is uniform
+there, or its logarithm where the scale is logarithmic. Nuisances are those that fit each sample
+best: as they are linear, that is the same as integrating over them where noise is Gaussian and they
+have no bounds. Noise that is fitted stays what it is at the optimum: that it is not known better
+adds nothing to the spread of the samples.
 """
 
 import logging

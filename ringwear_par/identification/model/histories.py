@@ -22,12 +22,10 @@ from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.interpolated_pairs import InterpolatedPairs, interpolate
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
-from ringwear_par.identification.model.readings import Reader, Trajectory, lost_mass, time_through
-from ringwear_par.results.result import Result
+from ringwear_par.identification.model.readings import Reader, trajectory
 from ringwear_par.schedules import Table, in_time
 from ringwear_par.studies.definition.variations import split_key
 from ringwear_par.studies.execution.batches import computed
-from ringwear_par.wear.layered import LayeredLaw
 
 #: most pairs kept of points that have some of their own
 _MOST_PAIRS = 64
@@ -133,7 +131,7 @@ def step_times(experiment: Experiment, steps: int = STEPS) -> FloatArray:
     end = case.time.end
     cuts = list(itertools.pairwise((0.0, *case.breakpoints, end)))
     long = sum(high - low > _SHORT * end for low, high in cuts)
-    layered = bends_within(experiment)
+    layered = experiment.bends_within
     pieces = []
     for low, high in cuts:
         length = high - low
@@ -155,11 +153,6 @@ def step_times(experiment: Experiment, steps: int = STEPS) -> FloatArray:
             times.append(time)
     times[-1] = end
     return np.array(times)
-
-
-def bends_within(experiment: Experiment) -> bool:
-    """Tell whether layers may be worn through: readings then bend where a step's end meets that."""
-    return any(isinstance(law, LayeredLaw) for law in experiment.case.laws)
 
 
 def _limited(grown: FloatArray, count: int) -> FloatArray:
@@ -301,7 +294,7 @@ class Histories:
                         readings[number] = HistoryError(reason_of(result))
                     else:
                         reader = self._readers[pairs[number][1]]
-                        readings[number] = reader.read(_trajectory(result, cases[number], keys))
+                        readings[number] = reader.read(trajectory(result, cases[number], keys))
         self.count += len(pairs)
         return [readings[number] for number in range(len(pairs))]
 
@@ -340,25 +333,3 @@ class Histories:
         """Take the experiments with other cases, of the same bodies."""
         self._experiments = experiments
         self._readers = [Reader(experiment, self._clocks) for experiment in experiments]
-
-
-def _trajectory(result: Result, case: Case, keys: Sequence[str]) -> Trajectory:
-    """Return values of a history and derivatives, if it has any, (..., 1 + m)."""
-
-    def both(name: str, values: FloatArray) -> FloatArray:
-        if not result.derivatives:
-            return values[..., None]
-        slopes = np.moveaxis(result.derivatives[f"d_{name}"], 0, -1)
-        return np.concatenate([values[..., None], slopes], axis=-1)
-
-    histories, profiles = result.histories, result.profiles
-    wear = np.stack([both(f"wear_{b}", profiles[f"wear_{b}"]) for b in BODIES])
-    return Trajectory(
-        histories["time"],
-        both("approach", histories["approach"]),
-        both("torque", histories["torque"]),
-        np.stack([both(f"worn_volume_{b}", histories[f"worn_volume_{b}"]) for b in BODIES]),
-        wear,
-        np.stack([lost_mass(case, i, of_body, keys) for i, of_body in enumerate(wear)]),
-        np.stack([time_through(case, i, histories["time"], w, keys) for i, w in enumerate(wear)]),
-    )

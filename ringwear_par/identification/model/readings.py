@@ -21,6 +21,7 @@ from ringwear_par.identification.definition.problem import (
     Series,
     friction_power,
 )
+from ringwear_par.results.result import Result
 from ringwear_par.schedules import in_time
 
 #: of a segment's length: within it steps are equal, beyond it their logarithms
@@ -277,3 +278,25 @@ def lost_mass(case: Case, body: int, wear: FloatArray, keys: Sequence[str] = ())
         ends[:, 1:] = [float(key in names[: i + 1]) for key in keys]
         depth = depth + more * np.where(wear[..., :1] < end[:, None], wear, ends)
     return np.einsum("e,seq->sq", case.line.area, depth)
+
+
+def trajectory(result: Result, case: Case, keys: Sequence[str]) -> Trajectory:
+    """Return values of a history and derivatives, if it has any, (..., 1 + m)."""
+
+    def both(name: str, values: FloatArray) -> FloatArray:
+        if not result.derivatives:
+            return values[..., None]
+        slopes = np.moveaxis(result.derivatives[f"d_{name}"], 0, -1)
+        return np.concatenate([values[..., None], slopes], axis=-1)
+
+    histories, profiles = result.histories, result.profiles
+    wear = np.stack([both(f"wear_{b}", profiles[f"wear_{b}"]) for b in BODIES])
+    return Trajectory(
+        histories["time"],
+        both("approach", histories["approach"]),
+        both("torque", histories["torque"]),
+        np.stack([both(f"worn_volume_{b}", histories[f"worn_volume_{b}"]) for b in BODIES]),
+        wear,
+        np.stack([lost_mass(case, i, of_body, keys) for i, of_body in enumerate(wear)]),
+        np.stack([time_through(case, i, histories["time"], w, keys) for i, w in enumerate(wear)]),
+    )

@@ -68,7 +68,7 @@ class DesignResult(Outcome):
 
     functions: ClassVar = {
         "summary": f"{_ROOM}.design_numbers", "to_dict": f"{_ROOM}.design_numbers",
-        "save": f"{_ROOM}.design_numbers", "plot": f"{_ROOM}.design_numbers",
+        "save": f"{_ROOM}.design_folder", "plot": f"{_ROOM}.design_numbers",
     }  # fmt: skip
 
     problem: Problem

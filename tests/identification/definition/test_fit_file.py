@@ -8,7 +8,7 @@ from laboratory import CASE, FITTED, PEN, PROF, K, changed
 
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.definition.fitted_parameters import refuse_unfit
+from ringwear_par.identification.definition.parameter_rules import refuse_unfit
 from ringwear_par.identification.definition.problem import FittedParameter
 
 #: every key that a fit file may have
