@@ -95,7 +95,7 @@ def _fit_law(
         with together(comm):
             rounds.operators.interpolate(comm)
 
-    def lead() -> tuple[Any, ...]:
+    def lead() -> FitResult:
         solution = expected_solution(misfit) if expected else solve(misfit, rounds, law, stored)
         material = None
         if problem.mixed:
@@ -109,18 +109,7 @@ def _fit_law(
             )  # fmt: skip
         solution = replace(solution, histories=rounds.count)
         test_unknowns = None if material is None else material.test_unknowns
-        responses.keep_only(misfit.values_of_tests(solution.x, test_unknowns))
-        changed = (
-            misfit.data, misfit.noise_scale, misfit.nuisance_columns, responses.steps,
-            responses.known,
-        )  # fmt: skip
-        return solution, material, misfit.problem.experiments, changed
+        misfit.responses.keep_only(misfit.values_of_tests(solution.x, test_unknowns))
+        return FitResult(**vars(solution), misfit=misfit, material=material, versions=versions())
 
-    responses = misfit.responses
-    solution, material, experiments, changed = rounds.lead(lead)
-    misfit.change_cases(experiments)
-    misfit.data, misfit.noise_scale, misfit.nuisance_columns, responses.steps, responses.known = (
-        changed
-    )
-    responses.part_from_histories()
-    return FitResult(**vars(solution), misfit=misfit, material=material, versions=versions())
+    return rounds.lead(lead)

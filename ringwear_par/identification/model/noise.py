@@ -49,9 +49,9 @@ def loss_roots(loss: Loss, residuals: FloatArray) -> tuple[FloatArray, FloatArra
     """Return the square roots (n,) of the loss, with the residuals' signs, and their derivative."""
     if loss == "gaussian":
         return residuals, np.ones(len(residuals))
-    square = residuals * residuals
-    roots = np.sign(residuals) * np.sqrt((_NU + 1.0) * np.log1p(square / _NU))
+    roots = np.sign(residuals) * np.sqrt(student_loss(residuals))
     small = np.abs(residuals) < 1e-6
+    square = residuals * residuals
     slope = (_NU + 1.0) * residuals / ((_NU + square) * np.where(small, 1.0, roots))
     return roots, np.where(small, np.sqrt((_NU + 1.0) / _NU), slope)
 
