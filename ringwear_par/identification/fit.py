@@ -59,13 +59,10 @@ def fit_problem(
         result = _fit_law(problem, "", StoredStarts(folder, problem.key), signals, comm)
         alternatives: dict[str, FitResult] = {}
         failed: dict[str, str] = {}
-        linear = replace(problem.settings, intervals=("linear",))
         for number, (law, other) in enumerate(problem.alternatives.items() if compare else (), 1):
             stored = StoredStarts(folder, f"{other.key} {law}", number)
             try:
-                alternatives[law] = _fit_law(
-                    replace(other, settings=linear), law, stored, signals, comm
-                )
+                alternatives[law] = _fit_law(other, law, stored, signals, comm)
             except StoppedError:
                 raise
             except (ComputationError, InputError) as error:
