@@ -74,15 +74,6 @@ def plot_stored(
     profiles_of: Sequence[Path] | None = None,
     times: str | None = None,
 ) -> None:
-    """Write the picture of runs, of a sweep or of the rig of a case; see ``plot``. On one rank.
-
-    Parameters
-    ----------
-    output : its ending chooses the format.
-
-    Raises
-    ------
-    InputError : what cannot be drawn or written.
-    """
+    """Write the picture of runs, of a sweep or of the rig of a case; see ``plot``. On one rank."""
     check_format(output)
     save_figure(plot(results, panels, steps or "", profiles_of or (), times or ""), output)
