@@ -5,7 +5,18 @@ import json
 
 import numpy as np
 import pytest
-from laboratory import CASE, END, FITTED, TRUTH, fit_tables, history, penetration, write_table
+from laboratory import (
+    CASE,
+    FITTED,
+    TRUTH,
+    ZERO_AND_DRIFT,
+    fit_tables,
+    history,
+    one_test,
+    penetration,
+    record,
+    write_table,
+)
 from mpi4py import MPI
 
 import ringwear_par as rw
@@ -24,16 +35,8 @@ def write_specimens(folder, factors, seed=4):
         pressure = (45.0, 80.0)[number % 2]
         result = history(pressure, {**TRUTH, K: TRUTH[K] * factor})
         t, z = penetration(result, rng)
-        write_table(folder / f"z{number}.csv", ("t_s", "z_um"), t, 1e3 * z)
-        record = {
-            "quantity": "penetration",
-            "file": str(folder / f"z{number}.csv"),
-            "columns": {"time": "t_s", "value": "z_um"},
-            "sd": 0.2,
-            "nuisance": {"offset": {}, "drift": {"prior": {"normal": [0.0, 0.5]}}},
-        }
-        changes = {"load.pressure": pressure, "load.omega": 3.5, "time.end": END}
-        experiments.append({"name": f"test {number}", "set": changes, "data": [record]})
+        data = record(folder / f"z{number}.csv", t, z, nuisance=copy.deepcopy(ZERO_AND_DRIFT))
+        experiments.append(one_test(f"test {number}", pressure, data))
     return experiments
 
 
