@@ -245,8 +245,7 @@ class Misfit:
 
     def nuisance_readings(self, x: FloatArray) -> FloatArray:
         """Return the nuisances of unknowns as they are in the readings, (n,)."""
-        added: FloatArray = self.nuisance_derivatives(x) @ np.where(self._times, 0.0, x[self._m :])
-        return added
+        return self.nuisance_derivatives(x) @ np.where(self._times, 0.0, x[self._m :])
 
     def evaluate(
         self,
@@ -404,8 +403,7 @@ class Misfit:
             lambda nuisances: at(nuisances).jacobian[rows, self._m :], limits, x_scale="jac",
         )  # fmt: skip
         # it stays within the bounds, however close
-        best: FloatArray = np.choose(outcome.active_mask + 1, [limits[0], outcome.x, limits[1]])
-        return best
+        return np.choose(outcome.active_mask + 1, [limits[0], outcome.x, limits[1]])
 
     @property
     def linear(self) -> BoolArray:

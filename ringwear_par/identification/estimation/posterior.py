@@ -104,14 +104,12 @@ class MarginalLikelihood:
             return inverse @ right
         columns, size = self._scaled(roots)
         limits = (self._low * size, self._high * size)
-        nuisances: FloatArray = lsq_linear(columns, right, limits).x / size
-        return nuisances
+        return lsq_linear(columns, right, limits).x / size
 
     def _inverse_of(self, roots: FloatArray) -> FloatArray:
         """Return the matrix (nuisances, rows) of the best nuisances; idle ones stay 0."""
         columns, size = self._scaled(roots)
-        inverse: FloatArray = np.linalg.pinv(columns, rcond=1e-12) / size[:, None]
-        return inverse
+        return np.linalg.pinv(columns, rcond=1e-12) / size[:, None]
 
     def _scaled(self, roots: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the columns of nuisances and priors with norm 1, and their norms."""
@@ -139,8 +137,7 @@ class Posterior:
 
     def interval(self, level: float) -> FloatArray:
         """Return (2, m) ends of the central intervals."""
-        ends: FloatArray = np.quantile(self.samples, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
-        return ends
+        return np.quantile(self.samples, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
 
 
 def sample_posterior(

@@ -199,8 +199,7 @@ def _responding(misfit: Misfit, start: FloatArray) -> BoolArray:
         rows = np.concatenate([misfit.whitened(misfit.columns(x)), of_priors])
         columns, nuisances = rows[:, :m], rows[:, m:]
         columns = NuisanceProjection(nuisances).rest(columns)
-        responding: BoolArray = np.linalg.norm(columns[: misfit.n], axis=0) * reach > _NOT_FELT
-        return responding
+        return np.linalg.norm(columns[: misfit.n], axis=0) * reach > _NOT_FELT
 
     responding = at(start)
     if responding.all():

@@ -121,8 +121,7 @@ class NuisanceProjection:
 
     def rest(self, rows: FloatArray) -> FloatArray:
         """Return the rest of rows (n, ...) that nuisances cannot make."""
-        rest: FloatArray = rows - self._basis @ (self._basis.T @ rows)
-        return rest
+        return rows - self._basis @ (self._basis.T @ rows)
 
     def solution(self, residuals: FloatArray) -> FloatArray:
         """Return the nuisances (k,) that make most of residuals (n,)."""

@@ -213,8 +213,7 @@ def projected_precision(
     by_keys = projection.rest(padded)
     rest = projection.rest(root)
     keys = root.T @ by_keys
-    precision: FloatArray = rest.T @ rest - keys @ covariance @ keys.T
-    return precision
+    return rest.T @ rest - keys @ covariance @ keys.T
 
 
 class Linearisation:

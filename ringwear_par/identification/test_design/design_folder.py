@@ -71,8 +71,7 @@ def next_tests(design: DesignResult) -> str:
 def _measured_as(design: DesignResult) -> dict[str, Any]:
     """Return the table of the experiment as which tests are measured."""
     problem = design.problem
-    first: dict[str, Any] = parse_toml(problem.text, problem.name)["experiment"][0]
-    return first
+    return parse_toml(problem.text, problem.name)["experiment"][0]
 
 
 def _tables(every: Sequence[Series], data: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:

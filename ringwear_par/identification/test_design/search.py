@@ -116,8 +116,7 @@ class Search:
             scores = 0.5 * np.linalg.slogdet(after)[1]
             if self._space.criterion == "eig":
                 scores = scores - 0.5 * np.linalg.slogdet(self._before)[1]
-        mean: FloatArray = scores.mean(axis=0)
-        return mean
+        return scores.mean(axis=0)
 
     def _best_designs(self, tests: IntArray) -> list[Design]:
         scores = self._scores(tests)
@@ -154,8 +153,7 @@ class Search:
     def _natural(self, covariance: FloatArray) -> FloatArray:
         """Return standard deviations (..., m) of values; infinite beyond the bounds' widths."""
         share = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-        spread: FloatArray = np.where(share < 1.0, share * self._widths * self._slopes, np.inf)
-        return spread
+        return np.where(share < 1.0, share * self._widths * self._slopes, np.inf)
 
     def singles(self) -> tuple[FloatArray, FloatArray]:
         """Return predicted standard deviations after each candidate alone, (c, m), and scores."""
@@ -181,5 +179,4 @@ def _inverse(information: FloatArray) -> FloatArray:
     """Return the inverse (..., m, m), lost directions as large as round-off has it."""
     values, vectors = np.linalg.eigh(information)
     values = np.maximum(values, np.maximum(_UNINFORMED, _ROUND_OFF * values[..., -1:]))
-    inverse: FloatArray = (vectors / values[..., None, :]) @ np.swapaxes(vectors, -1, -2)
-    return inverse
+    return (vectors / values[..., None, :]) @ np.swapaxes(vectors, -1, -2)

@@ -79,8 +79,7 @@ class Column:
     @property
     def distinct(self) -> list[Any]:
         """The distinct values."""
-        distinct: list[Any] = self.values.tolist()
-        return distinct
+        return self.values.tolist()
 
     @cached_property
     def numbers(self) -> FloatArray | None:

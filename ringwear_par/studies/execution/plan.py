@@ -133,8 +133,7 @@ class Plan:
     @property
     def left(self) -> list[int]:
         """Numbers of the groups that still have cases."""
-        groups: list[int] = np.flatnonzero(self.todo.sizes).tolist()
-        return groups
+        return np.flatnonzero(self.todo.sizes).tolist()
 
     def first_case(self, group: int) -> Case:
         """Return the first case of a group that is to be computed."""
