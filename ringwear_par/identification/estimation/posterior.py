@@ -23,7 +23,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.files.writing import atomic_write, open_ordinary
 from ringwear_par.identification.definition.problem import reflected
 from ringwear_par.identification.estimation.misfit import Misfit
-from ringwear_par.identification.model.noise import student_loss, student_weights
+from ringwear_par.identification.model.noise import prior_rows, student_loss, student_weights
 from ringwear_par.identification.model.rounds import Rounds, StoppedError
 
 #: rounds of reweighting where the loss is not Gaussian
@@ -57,15 +57,8 @@ class MarginalLikelihood:
         self._student = problem.settings.loss == "student"
         self._low, self._high = misfit.lower[m:], misfit.upper[m:]
         self._free = not np.isfinite([self._low, self._high]).any()
-        count = len(self._low)
         nuisance_priors = [(j - m, prior) for j, prior in misfit.priors if j >= m]
-        self._prior_rows, self._prior_values = (
-            np.zeros((len(nuisance_priors), count)),
-            np.zeros(len(nuisance_priors)),
-        )
-        for row, (j, prior) in enumerate(nuisance_priors):
-            self._prior_rows[row, j] = 1.0 / prior.sd
-            self._prior_values[row] = prior.mean / prior.sd
+        self._prior_rows, self._prior_values = prior_rows(nuisance_priors, len(self._low))
         self._priors = [(j, prior) for j, prior in misfit.priors if j < m]
         columns = misfit.nuisance_derivatives(x)
         self._data = misfit.data - (misfit.nuisance_readings(x) - columns @ x[m:])

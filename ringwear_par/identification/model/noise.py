@@ -6,11 +6,13 @@ loss is what a residual adds to twice the negative logarithm of the likelihood, 
 distributions of noise belong here.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.special import gammaln, log_ndtr
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.identification.definition.problem import Loss, Series
+from ringwear_par.identification.definition.problem import Loss, Prior, Series
 
 #: degrees of freedom of the loss "student"
 _NU = 4.0
@@ -93,6 +95,14 @@ def log_constant(loss: Loss) -> float:
 def information_share(loss: Loss) -> float:
     """Return the Fisher information of a reading under a loss, over that of Gaussian noise."""
     return (_NU + 1.0) / (_NU + 3.0) if loss == "student" else 1.0
+
+
+def prior_rows(priors: Sequence[tuple[int, Prior]], count: int) -> tuple[FloatArray, FloatArray]:
+    """Return rows (r, count) and values (r,) of priors of some of so many numbers, by their sd."""
+    rows = np.zeros((len(priors), count))
+    for row, (number, prior) in zip(rows, priors, strict=True):
+        row[number] = 1.0 / prior.sd
+    return rows, np.array([prior.mean / prior.sd for _, prior in priors])
 
 
 class NuisanceProjection:

@@ -125,15 +125,11 @@ class Search:
             # of the same loads the best durations and instants are told
             kind = tuple(sorted(self._kinds[test] for test in tests[i]))
             if kind not in designs:
-                designs[kind] = self._design(tests[i], float(scores[i]))
+                whole = self._information[:, tests[i]].sum(axis=1)
+                designs[kind] = self._design_of(tuple(tests[i].tolist()), whole, float(scores[i]))
             if len(designs) == _LISTED:
                 break
         return list(designs.values())
-
-    def _design(self, tests: IntArray, score: float) -> Design:
-        return self._design_of(
-            tuple(tests.tolist()), self._information[:, tests].sum(axis=1), score
-        )
 
     def design_of_file(self, information: FloatArray) -> Design:
         """Return the design of tests of information (d, tests, m, m) together."""
