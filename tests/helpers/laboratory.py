@@ -3,10 +3,13 @@
 import copy
 
 import numpy as np
+import pytest
 from mpi4py import MPI
 from paths import PAPER
 
 import ringwear_par as rw
+from ringwear_par.errors import InputError
+from ringwear_par.identification.definition.fit_file import read_fit
 
 CASE = PAPER.read_text() + ("\n[mesh]\ncontact_elements = 12\n")
 TRUTH = {"wear.lower.k": 1.3e-7, "wear.lower.p0": 25.0}
@@ -113,3 +116,10 @@ def changed(tables, path, value):
     else:
         place[last] = value
     return found
+
+
+def refused(tables, **how):
+    """Return the faults for which a fit file is refused."""
+    with pytest.raises(InputError) as caught:
+        read_fit(tables, **how)
+    return caught.value.faults
