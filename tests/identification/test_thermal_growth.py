@@ -67,7 +67,7 @@ def warm(records, tmp_path_factory):
             name = f"{pressure:g} MPa"
             noise = 1e3 * SD_PENETRATION * rng.standard_normal(len(t))
             grown = z + 1e-3 * (growth * -np.expm1(-t / TIME) + noise)
-            data = record(tmp_path / f"{name}.csv", t, grown, nuisance=nuisance)
+            data = record(tmp_path / f"{name}.csv", t, grown, nuisance=copy.deepcopy(nuisance))
             more = {"load.omega": OMEGA, "time.end": END}
             experiments.append(one_test(name, pressure, data, **more))
         (tmp_path / "case.toml").write_text(CASE)
