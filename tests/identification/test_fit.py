@@ -76,17 +76,6 @@ def test_both_methods_find_the_same(tables, comm):
     assert one.chi2 == pytest.approx(other.chi2, rel=1e-6)
 
 
-@pytest.mark.several
-def test_any_number_of_ranks_finds_the_same(tables, comm):
-    from mpi4py import MPI
-
-    found = fit(tables(starts=3), comm)
-    alone = fit(tables(starts=3), MPI.COMM_SELF)
-    for a, b in zip(found.parameters, alone.parameters, strict=True):
-        assert (a.estimate, a.sd) == pytest.approx((b.estimate, b.sd), rel=1e-12)
-    assert found.starts == alone.starts
-
-
 @pytest.mark.serial
 def test_criteria_count_what_priors_object(tables, comm):
     """A prior that is far off costs what it costs the objective."""
