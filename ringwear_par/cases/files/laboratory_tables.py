@@ -186,7 +186,7 @@ class _Reader:
             name for i, name in enumerate(self._table.columns)
             if name and i not in used and name not in placed
         ]  # fmt: skip
-        if unused and not self.faults:
+        if unused and self._worn and not self.faults:
             log.warning("%s: %s", self._table.name, unused_columns(unused))
         return tests
 
