@@ -106,6 +106,6 @@ def _penalised(x: FloatArray, value: FloatArray, count: int) -> tuple[BSpline, f
 
     best = int(np.argmin([cross_validation(float(log)) for log in _PENALTIES]))
     around = _PENALTIES[[max(best - 1, 0), min(best + 1, len(_PENALTIES) - 1)]]
-    found = minimize_scalar(cross_validation, bounds=around, method="bounded")
-    values = middle + vectors @ (damped(float(found.x)) * right)
-    return BSpline(padded, values, 3), float(found.fun)
+    minimum = minimize_scalar(cross_validation, bounds=around, method="bounded")
+    values = middle + vectors @ (damped(float(minimum.x)) * right)
+    return BSpline(padded, values, 3), float(minimum.fun)

@@ -62,13 +62,13 @@ def posterior_in_pieces(misfit: Misfit, material: Material) -> tuple[Piece, ...]
     wanted = pieces.first()
     while wanted and len(done) + len(wanted) <= _MOST:
         done |= pieces.at(wanted)
-        found = {number: place for number, place in done.items() if place is not None}
-        if not found:
+        computed = {number: place for number, place in done.items() if place is not None}
+        if not computed:
             return ()
-        least = max(place.log_mass for place in found.values()) + _PROBABLE
+        least = max(place.log_mass for place in computed.values()) + _PROBABLE
         beyond = {
             (*number[:axis], number[axis] + step, *number[axis + 1 :])
-            for number, place in found.items()
+            for number, place in computed.items()
             if place.log_mass > least
             for axis in range(len(number))
             for step in (-1, 1)
@@ -76,11 +76,11 @@ def posterior_in_pieces(misfit: Misfit, material: Material) -> tuple[Piece, ...]
         wanted = [number for number in sorted(beyond - {*done}) if pieces.may_be(number)]
     if wanted:
         return ()
-    logs = np.array([place.log_mass for place in found.values()])
+    logs = np.array([place.log_mass for place in computed.values()])
     weights = np.exp(logs - logs.max())
     return tuple(
         Piece(place.posterior, weight)
-        for place, weight in zip(found.values(), (weights / weights.sum()).tolist(), strict=True)
+        for place, weight in zip(computed.values(), (weights / weights.sum()).tolist(), strict=True)
     )
 
 
