@@ -256,9 +256,9 @@ class Responses:
     def compute(self, points: Sequence[FloatArray]) -> None:
         """Have the histories at points computed together, and keep them. Not collective."""
         tests = range(len(self._problem.experiments))
-        self._compute([(test, v) for v in map(self._values, points) for test in tests])
+        self.prepare([(test, v) for v in map(self._values, points) for test in tests])
 
-    def _compute(self, wanted: Sequence[tuple[int, FloatArray]]) -> None:
+    def prepare(self, wanted: Sequence[tuple[int, FloatArray]]) -> None:
         """Have the histories of tests at values of the keys computed together, and keep them."""
         new = {(test, v.tobytes()): v for test, v in wanted}
         new = {key: v for key, v in new.items() if key not in self.known}
@@ -279,7 +279,7 @@ class Responses:
         Raises HistoryError where there is no history.
         """
         wanted = list(enumerate(values))
-        self._compute(wanted)
+        self.prepare(wanted)
         responses = []
         for test, of_test in wanted:
             response = self.known[test, of_test.tobytes()]
