@@ -508,7 +508,8 @@ window.addEventListener("load", async () => {
     told.order = head.parentElement.getAttribute("aria-sort");
   }
   const end = document.createElement("script");
-  end.type = "text/plain"; end.id = "told"; end.textContent = JSON.stringify(told);
+  end.type = "text/plain"; end.id = "told"; end.textContent = JSON.stringify(told)
+    .replaceAll("<", "\\\\u003c");  // names of a fit may end a script
   document.body.append(end);
   console.log("the probe is through");
 });
@@ -537,7 +538,7 @@ def test_a_browser_draws_the_page(kind, folder, pages, tmp_path):
         "PanTool", "BoxZoomTool", "ZoomInTool", "ZoomOutTool", "ResetTool", "SaveTool", "HoverTool"
     }  # fmt: skip
     assert all(told["pictures"])
-    assert len(told["pictures"]) == {"run": 0, "sweep": 0, "fit": 1}[kind]
+    assert len(told["pictures"]) == {"run": 1, "sweep": 0, "fit": 1}[kind]  # rigs
     assert told["repeated"] == ["contents"]
     if kind == "sweep":
         check_pointed(told["points"], charts)
