@@ -565,7 +565,7 @@ def check_pointed(words, charts):
         assert cases or any(lines) or chart.columns["bars"]["y"]
         for text in filter(None, [*lines, *cases]):
             assert text.startswith("case ")
-            assert "wear.lower.k (1/MPa) = " in text
+            assert "wear coefficient k, lower (1/MPa) = " in text
 
 
 def check_paper(widths, whole):
