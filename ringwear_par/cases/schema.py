@@ -321,7 +321,7 @@ def key_of(name: str) -> Key | None:
 
 
 def quantity_name(name: str) -> str:
-    """Return what figures and pages call a key, such as "wear coefficient k, lower"."""
+    """Return the name of a key in figures and pages, such as "wear coefficient k, lower"."""
     last, body, key = name.rpartition(".")[2], _OF_BODY.match(name), key_of(name)
     words = last.replace("_", " ") if key is None else re.split("[,;:(]", key.meaning)[0].strip()
     words = QUANTITIES.get(last, words) if ".parameters." not in name else f"parameter {last}"
@@ -331,7 +331,7 @@ def quantity_name(name: str) -> str:
 
 
 def quantity_label(name: str, unit: str) -> str:
-    """Return what figures and pages call a key, with a unit, "" for none."""
+    """Return the name of a key in figures and pages, with a unit, "" for none."""
     return f"{quantity_name(name)} ({in_signs(unit)})" if unit else quantity_name(name)
 
 

@@ -321,7 +321,7 @@ def _short(path: str, keys: Container[str]) -> str:
     """Return a parameter of a law, or the name of a quantity, with its body where both have it."""
     name, _, body = quantity_name(path).partition(", ")
     name = path.rpartition(".")[2] if path.startswith("wear.") else name
-    for this, other in (BODIES, BODIES[::-1]):
-        if this in path.split(".") and path.replace(this, other) in keys:
+    for name_of_body, other in (BODIES, BODIES[::-1]):
+        if name_of_body in path.split(".") and path.replace(name_of_body, other) in keys:
             return f"{name} of {body}"
     return name

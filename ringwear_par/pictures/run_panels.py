@@ -238,11 +238,11 @@ def pressure(result: Result, rows: Sequence[int] | None = None, top: float | Non
     label, values = "contact pressure (MPa)", result.profiles["pressure"]
     peak = pressure_peak(result)
     top = top or peak.top(peak.highest)
-    shown = stages(result.histories["time"]) if rows is None else rows
-    colours = stage_colours(result.histories["time"][shown])
+    drawn = stages(result.histories["time"]) if rows is None else rows
+    colours = stage_colours(result.histories["time"][drawn])
     marks = [
         Points(result.line.r[edge], values[row][edge], "contact edge", colour, 6.0, hollow=True)
-        for row, colour in zip(shown, colours, strict=True)
+        for row, colour in zip(drawn, colours, strict=True)
         if (edge := edge_elements(values[row]) & (values[row] > 0.0)).any()
     ]  # fmt: skip
     return Panel(
