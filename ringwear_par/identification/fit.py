@@ -16,6 +16,7 @@ from ringwear_par.identification.estimation.solution import expected_solution, s
 from ringwear_par.identification.estimation.starts import StoredStarts
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.model.rounds import Rounds, StoppedError
+from ringwear_par.identification.scatter.pieces import posterior_in_pieces
 from ringwear_par.identification.scatter.search import estimate_material
 from ringwear_par.parallel import on_first_rank, together
 from ringwear_par.results.execution.stop_signals import StopSignals
@@ -99,6 +100,8 @@ def _fit_law(
             rounds.tell("specimens" if problem.scatters else "random wear")
             sizes = expected_sizes(problem) if expected else None
             material = estimate_material(misfit, solution.x, sizes)
+            if not expected:
+                material = replace(material, pieces=posterior_in_pieces(misfit, material))
             solution = replace(
                 solution, x=material.x, evaluation=material.evaluation,
                 parameters=tuple(map(material.estimate, range(len(problem.parameters)))),

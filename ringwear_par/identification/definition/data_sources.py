@@ -153,6 +153,8 @@ def _from_file(reader: TableReader, kind: str, files: FileStore) -> Readings | N
         return None
     column_names, units_by_role, factors = {}, {}, {}
     assumed: list[str] = []  # roles
+    if not columns and len(data.columns) == len(roles) and not {*roles} & {*data.columns}:
+        columns = dict(zip(roles, data.columns, strict=True))
     for role in roles:
         column = columns.get(role, role)
         if fault := missing_column(data, column, role):

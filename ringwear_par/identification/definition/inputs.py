@@ -108,9 +108,20 @@ def _input(
     before = len(faults)
     reader = TableReader(said, table, faults, INPUT)
     key, quantity, end = reader.read("key"), reader.read("quantity"), case.time.end
+    reader.place = said if key is None else f"{said} ({key})"
+    excluded, smooth = read_intervals(reader, "exclude", "s"), reader.read("smooth")
+    scale = None
+    if (entry := reader.raw("scale")) is not None:
+        of_scale = TableReader(f"{reader.place}: scale", entry, faults, INPUT_SCALE)
+        scale = of_scale.read("prior")
+        of_scale.finish()
+        if scale is not None and scale.mean <= 0.0:
+            of_scale.wrong("prior", "must have a mean > 0")
     if key is None:
+        for name in ("file", "columns", "units"):  # of which it depends what they must be
+            reader.raw(name)
+        reader.finish()
         return None
-    reader.place = f"{said} ({key})"
     of_torque = key == "contact.friction"
     if of_torque != (quantity == "torque") and "quantity" in reader:
         reader.wrong("quantity", "must be absent: a load or a speed is its own quantity")
@@ -122,14 +133,6 @@ def _input(
         readings = read_readings(reader, kind, None, end, files, plans=False)
     else:
         reader.read("file")  # which says what is missing
-    excluded, smooth = read_intervals(reader, "exclude", "s"), reader.read("smooth")
-    scale = None
-    if (entry := reader.raw("scale")) is not None:
-        of_scale = TableReader(f"{reader.place}: scale", entry, faults, INPUT_SCALE)
-        scale = of_scale.read("prior")
-        of_scale.finish()
-        if scale is not None and scale.mean <= 0.0:
-            of_scale.wrong("prior", "must have a mean > 0")
     reader.finish()
     if readings is None or len(faults) > before:
         return None

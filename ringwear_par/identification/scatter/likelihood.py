@@ -182,17 +182,24 @@ class MixedModel:
             int
         )
         size = int(self.offsets[-1])
-        self._normal, self._right = np.zeros((size, size)), np.zeros(size)
-        for i, test in enumerate(tests):
-            columns = self.columns(i)
-            self._normal += columns.T @ test.information @ columns
-            self._right += columns.T @ test.score
         self.precision = np.concatenate([prior_precision, np.ones(size - self.m)])
+        information = sum(test.information for test in tests) + np.diag(prior_precision)
+        score = sum(test.score for test in tests) + prior_precision * prior_mean
+        #: (m,) which unknowns are counted from: what tests know well is far from 0 in their sd, and
+        #: sums of squares from there would leave no digits
+        self._centre: FloatArray = np.linalg.lstsq(information, score, rcond=None)[0]
+        self._normal, self._right = np.zeros((size, size)), np.zeros(size)
+        self._constant = 0.0
+        for i, test in enumerate(tests):
+            columns, at = self.columns(i), test.information @ self._centre
+            self._normal += columns.T @ test.information @ columns
+            self._right += columns.T @ (test.score - at)
+            self._constant += test.square + test.log_volume
+            self._constant -= float(self._centre @ (2.0 * test.score - at))
+        off = prior_mean - self._centre
         self._prior_right = np.zeros(size)
-        self._prior_right[: self.m] = prior_precision * prior_mean
-        self._constant = sum(test.square + test.log_volume for test in tests) + float(
-            prior_precision @ prior_mean**2
-        )
+        self._prior_right[: self.m] = prior_precision * off
+        self._constant += float(prior_precision @ off**2)
         self._log_nuisances = sum(test.log_nuisances for test in tests)
 
     def columns(self, test: int) -> FloatArray:
@@ -221,8 +228,10 @@ class MixedModel:
         factor = np.linalg.cholesky(hessian)
         inverse = np.linalg.inv(factor)
         covariance = np.swapaxes(inverse, 1, 2) @ inverse
-        effects = np.einsum("gij,gj->gi", covariance, right)
-        square = self._constant - np.einsum("gi,gi->g", right, effects)
+        reduced = np.einsum("gij,gj->gi", inverse, right)
+        square = self._constant - (reduced**2).sum(axis=1)
+        effects = np.einsum("gji,gj->gi", inverse, reduced)
+        effects[:, :m] += self._centre
         log_determinant = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         groups = np.linalg.slogdet(hessian[:, m:, m:])[1]
         restricted = square + log_determinant + self._log_nuisances

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.cases.units import in_signs
+from ringwear_par.cases.schema import quantity_label, quantity_name
 from ringwear_par.errors import InputError, counted
 from ringwear_par.files.text import parse_value, shortened
 from ringwear_par.pictures.style import in_words, number_text
@@ -68,8 +68,8 @@ class Key:
 
     @property
     def label(self) -> str:
-        """Its name with its unit."""
-        return f"{self.name} ({in_signs(self.unit)})" if self.unit else self.name
+        """What it is called, with its unit."""
+        return quantity_label(self.name, self.unit)
 
     @property
     def differs(self) -> bool:
@@ -200,7 +200,9 @@ class Responses:
         source = f"surrogate of {len(part.points)} cases"
         if part.texts:
             texts = zip(self.surrogate.text_keys, part.texts, strict=True)
-            source += " with " + ", ".join(f"{key} = {shortened(text)}" for key, text in texts)
+            source += " with " + ", ".join(
+                f"{quantity_name(key)} = {shortened(text)}" for key, text in texts
+            )
         remarks = [source]
         if self.names:
             remarks = [f"{source}; keys vary evenly over their ranges"]
@@ -211,7 +213,7 @@ class Responses:
                 f"{self._errors(self.coarse)}; more cases, or more values of keys that have few, "
                 "make these smaller"
             )
-        two_values = [part.keys[i] for i in untested(part.points)]
+        two_values = [quantity_name(part.keys[i]) for i in untested(part.points)]
         if two_values and self.names:
             remarks.append(f"no case tests it between the two values of {', '.join(two_values)}")
         return tuple(remarks)

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from ringwear_par.errors import InputError
 from ringwear_par.pictures.matplotlib import (
+    add_letters,
     add_shared_legend,
     draw,
     legend_entries,
@@ -80,6 +81,7 @@ def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figu
                 empty.remove()
         for number, (part, grid) in enumerate(zip(parts[1 + len(below) :], grids, strict=True)):
             _draw_grid(part, grid, "" if number else "\n".join(remarks))
+        add_letters(figure)
     return figure
 
 
@@ -162,8 +164,8 @@ def _draw_grid(part: Any, grid: Sequence[Sequence[Panel]], remarks: str) -> None
                 columns = legend_shape(column, _LEGEND_LETTERS)[0]
                 set_legend(axes, columns, panel.legend, {name: every[name] for name in names})
             axes.set_ylabel(textwrap.fill(axes.get_ylabel(), _LABEL_LETTERS))
-            if number < len(grid) - 1:
-                axes.set_xlabel("")
+            below = textwrap.fill(axes.get_xlabel(), _LABEL_LETTERS)
+            axes.set_xlabel(below if number == len(grid) - 1 else "")
             if not (panel.x.log or panel.x.categories):
                 axes.locator_params(axis="x", nbins=3 if max(axes.get_xlim()) >= 1e4 else 5)
                 axes.xaxis.set_major_formatter(lambda value, _: number_text(value, 6))
