@@ -45,7 +45,7 @@ class Drawing:
     #: with all profiles
     result: Result
     #: that it is compared with, by name: that of the case file, the pinned one
-    others: Mapping[str, Result]
+    references: Mapping[str, Result]
     #: of the result, which tells densities
     case: Case
     #: that is chosen, from 0 to 1 at the end of the history
@@ -87,7 +87,7 @@ class Drawing:
         depths = [run_panels.worn_depth(self.result, body) for body in bodies]
         before = [
             _before(name, Curve(other.line.r, run_panels.worn_depth(other, body)[-1]), "end")
-            for name, other in self.others.items()
+            for name, other in self.references.items()
             for body in run_panels.worn_bodies(other)
         ]
         points = []
@@ -109,7 +109,7 @@ class Drawing:
             panel = run_panels.history([self.result], ["now"], name)
             before = [
                 _before(of, curve, "")
-                for of, other in self.others.items()
+                for of, other in self.references.items()
                 for curve in run_panels.history([other], [""], name, end).curves
             ]
         except InputError as error:  # p V without friction

@@ -94,7 +94,7 @@ class Page:
         #: history, None where they have none
         self._explored: Explored | None = None
         self._drawn: dict[str, Any] | None = None
-        self._others: dict[str, tuple[dict[str, str], Explored | None]] = {}
+        self._references: dict[str, tuple[dict[str, str], Explored | None]] = {}
         #: whether the visitor wants what is computed no more
         self._stopped = False
         #: why the last wish could not be computed
@@ -177,9 +177,9 @@ class Page:
         wanted, started = self._wanted, time.perf_counter()
         self._computing, self._progress_time = wanted, started
         outcome: Explored | tuple[str, ...] | None
-        others = self._others
+        references = self._references
         try:
-            others = self._compared(wanted)
+            references = self._compared(wanted)
             outcome = self._history(wanted["values"])
         except InputError as error:
             outcome = error.faults
@@ -189,12 +189,12 @@ class Page:
             log.exception("a history failed unexpectedly")
             outcome = (f"failed unexpectedly: {reason_of(error)}",)
         seconds = time.perf_counter() - started
-        self._later(lambda: self._computed(wanted, outcome, others, seconds))
+        self._later(lambda: self._computed(wanted, outcome, references, seconds))
 
     def _history(self, values: dict[str, str]) -> Explored | None:
         """Return the history of some numbers, None if it was stopped. In the main thread."""
         known = [(self._drawn["values"], self._explored)] if self._drawn is not None else []
-        for numbers, explored in (*known, *self._others.values()):
+        for numbers, explored in (*known, *self._references.values()):
             if numbers == values and explored is not None:
                 return explored
         return self._exploration.compute(values, self._assembling, stops=self._stops)
@@ -202,20 +202,20 @@ class Page:
     def _compared(
         self, wanted: dict[str, Any]
     ) -> dict[str, tuple[dict[str, str], Explored | None]]:
-        """Return what a wish is compared with. In the main thread."""
+        """Return the histories that a wish is compared with. In the main thread."""
         numbers = {CASE_FILE: {}, PINNED: wanted["pinned"]}
-        others = {}
+        references = {}
         for name, values in numbers.items():
             if values is None or values == wanted["values"]:
                 continue
-            old = self._others.get(name)
+            old = self._references.get(name)
             if old is None or old[0] != values:
                 try:
                     old = values, self._history(values)
                 except RingwearError:  # there is nothing to compare with
                     old = values, None
-            others[name] = old
-        return others
+            references[name] = old
+        return references
 
     def _assembling(self) -> None:
         """Say that the bodies are assembled. In the main thread."""
@@ -225,7 +225,7 @@ class Page:
         self,
         wanted: dict[str, Any],
         outcome: Explored | tuple[str, ...] | None,
-        others: dict[str, tuple[dict[str, str], Explored | None]],
+        references: dict[str, tuple[dict[str, str], Explored | None]],
         seconds: float,
     ) -> None:
         self._busy = False
@@ -237,10 +237,10 @@ class Page:
             return
         if isinstance(outcome, Explored):
             self._explored, self._drawn, self._faults = outcome, wanted, ()
-            self._others = others
+            self._references = references
             self._seconds = seconds
             if not wanted["values"]:  # kept for later
-                self._others = {CASE_FILE: ({}, outcome), **others}
+                self._references = {CASE_FILE: ({}, outcome), **references}
         else:
             self._drawn, self._faults = None, outcome
         self._draw(wanted["n"])
@@ -290,8 +290,8 @@ class Page:
         explored = self._explored
         if explored is None:
             laid = {"laid": [], "laid_fault": fault}
-            told = {"n": n, "faults": self._faults, "wrong": self._wrong()}
-            self._tell({**told, **(laid if fault else {})})
+            answer = {"n": n, "faults": self._faults, "wrong": self._wrong()}
+            self._tell({**answer, **(laid if fault else {})})
             return
         wanted, result, faults = self._wanted, explored.result, [fault] if fault else []
         good, columns = [], []
@@ -305,10 +305,10 @@ class Page:
                 faults += error.faults
             columns.append({"number": number, **_column(one, off)})
         menu = wanted["menu"] if wanted["menu"] in MENU else _START["menu"]
-        others = {
-            name: other.result for name, (_, other) in self._others.items() if other is not None
+        references = {
+            name: other.result for name, (_, other) in self._references.items() if other is not None
         }
-        compared = {name: other for name, other in others.items() if other is not result}
+        compared = {name: other for name, other in references.items() if other is not result}
         drawing = Drawing(result, compared, explored.case, float(wanted["instant"]), menu, good)
         numbers = key_numbers(result)
         worn = worn_table(numbers)
@@ -321,9 +321,9 @@ class Page:
                 "summary": with_signs(result.summary()), "case": explored.text,
                 # sliders that move wait for no drawing
                 "rig": "" if wanted["moving"] else rig_address(explored.case),
-                "wrong": self._wrong(), "compared": list(others),
-                "numbers": _beside(key_rows, numbers, others),
-                "answers": _beside(_answer_rows, numbers, others),
+                "wrong": self._wrong(), "compared": list(references),
+                "numbers": _beside(key_rows, numbers, references),
+                "answers": _beside(_answer_rows, numbers, references),
                 "worn": [] if worn is None else [worn.header, *worn.rows],
                 "chosen": drawing.chosen_time, "charts": drawing.columns(), "laid": columns,
                 "laid_fault": ". ".join(dict.fromkeys(faults)), "seconds": self._seconds,
@@ -353,11 +353,12 @@ def _answer_rows(numbers: list[KeyNumber]) -> list[tuple[str, str, str]]:
 def _beside(
     rows_of: Callable[[list[KeyNumber]], list[tuple[str, str, str]]],
     numbers: list[KeyNumber],
-    others: Mapping[str, Result],
+    references: Mapping[str, Result],
 ) -> list[tuple[str, ...]]:
     """Return rows of name, value, unit, and the values of other histories."""
     beside = [
-        {name: value for name, value, _ in rows_of(key_numbers(other))} for other in others.values()
+        {name: value for name, value, _ in rows_of(key_numbers(other))}
+        for other in references.values()
     ]
     return [(*row, *(values.get(row[0], "") for values in beside)) for row in rows_of(numbers)]
 
