@@ -79,12 +79,7 @@ def plot_parameters(fit: FitResult) -> Figure:
 
 
 def plot_specimens(fit: FitResult) -> Figure:
-    """Return the values of specimens of each key that scatters, and the material's.
-
-    Raises
-    ------
-    InputError : a fit without scatter.
-    """
+    """Return the values of specimens and material of each key that scatters, or InputError."""
     outcome = fit.to_dict()
     scattering = {k: one for k, one in outcome["parameters"].items() if "each" in one}
     if not scattering:

@@ -9,13 +9,13 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.schema import quantity_label, quantity_name
-from ringwear_par.errors import InputError
+from ringwear_par.errors import InputError, counted
 from ringwear_par.files.text import parse_value, shortened
 from ringwear_par.pictures.style import in_words, number_text
-from ringwear_par.studies.analysis.predictions import USELESS, Surrogate, share_words
 from ringwear_par.studies.analysis.regression import Part, untested
 from ringwear_par.studies.analysis.responses import done_cases
 from ringwear_par.studies.analysis.sensitivity import Indices
+from ringwear_par.studies.analysis.surrogate import USELESS, Surrogate, share_words
 from ringwear_par.studies.definition.designs import SAMPLED
 from ringwear_par.studies.storage.end_values import display_of, figure_columns
 from ringwear_par.studies.storage.ensemble import Ensemble
@@ -293,7 +293,7 @@ def most_important(keys: Sequence[str], indices: Sequence[Indices], most: int) -
 def _counts(ensemble: Ensemble) -> str:
     """Return in words how many cases there are, and how many of them are not drawn."""
     status = np.array(ensemble.status)[ensemble.in_study]
-    words = [f"{len(status)} case{'s' if len(status) != 1 else ''}"]
+    words = [counted(len(status), "case")]
     for word in ("failed", "incomplete"):
         count = int((status == word).sum())
         if count:
