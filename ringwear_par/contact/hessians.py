@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner, largest
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner, largest, smallest
 from ringwear_par.batched import keep
 from ringwear_par.contact.basis_stack import BROKEN, BasisStack
 from ringwear_par.contact.row_products import RowProducts
@@ -55,8 +55,8 @@ class Hessians:
         #: whether wear gets through layers: slopes then are of several laws, far apart, and a
         #: factor takes less time than conjugate gradients
         self.through_layers = False
-        # what the inverses are of
-        self._slope, self._free = np.zeros((count, n)), np.zeros((count, n), dtype=bool)
+        #: elements that the inverses are of, and whether they are of the slopes
+        self._free = np.zeros((count, n), dtype=bool)
         self._valid = np.zeros(count, dtype=bool)
         #: packed bits of the elements in contact and of those that wear
         self._sets = np.zeros((count, -(-2 * n // 8)), dtype=np.uint8)
@@ -76,7 +76,7 @@ class Hessians:
         self.coupling = self.coupling[histories] if len(self.coupling) else self.coupling
         keep(
             self,
-            ("_which", "_weights", "_per_speed", "_slope", "_free", "_valid", "_sets", "_number",
+            ("_which", "_weights", "_per_speed", "_free", "_valid", "_sets", "_number",
              "_inverse", "_regular", "_response", "_stiffness"),
             histories,
         )  # fmt: skip
@@ -98,7 +98,7 @@ class Hessians:
     def pose(self, wear: WearIncrement | None) -> None:
         """Make room for what the wear of an implicit step adds; none adds nothing."""
         if wear is None:
-            self.slope = np.zeros_like(self.slope)
+            self.set_slopes(slice(None), np.zeros_like(self.slope), None)
         self.through_layers = wear is not None and wear.layered
         coupled, (count, n) = wear is not None and not wear.local, self.slope.shape
         if coupled != bool(len(self.coupling)):
@@ -108,11 +108,12 @@ class Hessians:
         self, rows: IntArray | slice, slope: FloatArray, coupling: FloatArray | None
     ) -> None:
         """Set what wear adds in some rows, see ``ContactProblem.slopes``."""
+        if slope is not self.slope:
+            self._valid[rows] &= (slope == self.slope[rows]).all(axis=1)
         if isinstance(rows, slice):
             self.slope = slope
         else:
-            if self.slope is self._slope:  # of the inverses
-                self.slope = self.slope.copy()
+            self.slope = self.slope.copy()
             self.slope[rows] = slope
         if coupling is not None:
             self.coupling[rows] = coupling
@@ -144,10 +145,8 @@ class Hessians:
         """
         rows = slice(None) if len(histories) == len(self._valid) else histories
         slope, touching = self.slope[rows], free[rows]
-        new = ~self._valid[rows]
-        if self.slope is not self._slope:
-            new |= (slope != self._slope[rows]).any(axis=1)
-        new |= (touching != self._free[rows]).any(axis=1)
+        new = (touching != self._free[rows]).any(axis=1)
+        new |= ~self._valid[rows]
         coupled = bool(len(self.coupling))
         if coupled:
             new[:] = True
@@ -156,12 +155,6 @@ class Hessians:
                 return
             rows = histories = histories[new]
             slope, touching = slope[new], touching[new]
-        if isinstance(rows, slice):
-            self._slope = self.slope
-        else:
-            if self.slope is self._slope:
-                self._slope = self._slope.copy()
-            self._slope[rows] = slope
         self._free[rows], self._valid[rows] = touching, not coupled
         if coupled or not in_bases or slope.shape[1] > LARGEST_WITH_BASES:
             self._factorise(histories)
@@ -169,7 +162,7 @@ class Hessians:
         rate = slope * self._per_speed[rows]
         rate *= touching
         wearing, most = rate > 0.0, largest(rate)
-        least = -largest(-rate)
+        least = smallest(rate)
         regular = least >= (1.0 - _ROUND_OFF) * most
         if not regular.all():
             regular = ~(wearing & (rate < ((1.0 - _ROUND_OFF) * most)[:, None])).any(axis=1)
@@ -353,7 +346,7 @@ class Hessians:
         Gould, Hribar and Nocedal, SIAM J. Sci. Comput. 23 (2001) 1376-1395.
         """
         numbers, count = self._number[histories], len(histories)
-        slope, inverse = self._slope[histories], self._inverse[histories]
+        slope, inverse = self.slope[histories], self._inverse[histories]
         force, response = self._stack.force[numbers], self._response[histories]
         groups, psi, psi_t = RowProducts(numbers), self._stack.psi, self._stack.psi_t
         solutions, multipliers = np.zeros_like(right), np.zeros(count)
