@@ -16,7 +16,7 @@ from typing import Any
 
 from ringwear_par.commands import COMMANDS, UNWRITTEN, check_command, overview, parsed
 from ringwear_par.errors import LONGEST_SENTENCE, InputError, RingwearError, legible
-from ringwear_par.results.execution.stopping import (
+from ringwear_par.results.execution.stop_signals import (
     StopAtOnce,
     Stopped,
     ignore_at_end,

@@ -35,7 +35,7 @@ from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.monitoring.follow import run_follow
 from ringwear_par.monitoring.histories import SpecimenHistories, planned
 from ringwear_par.prediction.draws import NEXT, log_densities
-from ringwear_par.results.execution.stopping import StopSignals
+from ringwear_par.results.execution.stop_signals import StopSignals
 
 #: draws of keys about a fit's material, in its sd, that histories are interpolated between
 DRAWS, REACH = 2000, 3.5

@@ -37,7 +37,7 @@ from ringwear_par.cases.files.reading import read_case
 from ringwear_par.commands import parser
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.files.writing import check_writable
-from ringwear_par.history.validity.case_limits import check_case
+from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.options import _refuse_words
 from ringwear_par.pictures.figures import plot_files
 from ringwear_par.reports.report import report

@@ -13,7 +13,7 @@ from waiting import Waiting
 
 from ringwear_par import cli
 from ringwear_par.commands import COMMANDS
-from ringwear_par.results.execution import stopping
+from ringwear_par.results.execution import stop_signals
 from ringwear_par.results.storage.result_files import read_status
 
 pytestmark = pytest.mark.serial
@@ -175,7 +175,7 @@ def test_mpi_starts_alone_and_leaves_no_settings(monkeypatch):
     """A program that this one starts may be a launcher of many ranks; one's own settings stay."""
     isolated, transport = "OMPI_MCA_ess_singleton_isolated", "OMPI_MCA_btl"
     monkeypatch.setenv(transport, "self,vader")
-    for name in stopping._LAUNCHED:
+    for name in stop_signals._LAUNCHED:
         monkeypatch.delenv(name, raising=False)
     before = dict(os.environ)
     with cli._without_other_processes():

@@ -165,7 +165,7 @@ sys.exit(main(["info", "--schema"]))
 def test_a_signal_while_an_object_is_taken_down_stops_all_the_same():
     program = """
 import os, signal, sys, time
-from ringwear_par.results.execution.stopping import StopAtOnce, Stopped
+from ringwear_par.results.execution.stop_signals import StopAtOnce, Stopped
 
 class Object:
     def __del__(self):

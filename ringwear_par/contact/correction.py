@@ -111,7 +111,7 @@ class CorrectedContacts:
         *,
         exact: bool = False,
         already_solved: tuple[BoolArray, ContactState] | None = None,
-        along: Tangents | None = None,
+        tangents: Tangents | None = None,
     ) -> ContactState:
         """Return the contacts at given forces or approaches.
 
@@ -121,7 +121,7 @@ class CorrectedContacts:
         pressure_guess : (B, n) float, MPa, pressures near the solution.
         exact : whether to correct until no more than 1e-4 is left.
         already_solved : which histories have their solution already, and it.
-        along : takes every correction.
+        tangents : take every correction.
 
         Raises
         ------
@@ -147,8 +147,8 @@ class CorrectedContacts:
                 wear=wear,
                 histories=not_converged,
             )
-            if along is not None:
-                along.solved(wear, state, at, not_converged)
+            if tangents is not None:
+                tangents.solved(wear, state, at, not_converged)
                 at = state.pressure
             iterations[not_converged] += state.iterations[not_converged]
             residual[not_converged] = state.residual[not_converged]

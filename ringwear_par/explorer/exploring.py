@@ -18,8 +18,8 @@ from ringwear_par.files.text import toml_text
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
+from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.history.validity.case_limits import check_case
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.result import Result
 

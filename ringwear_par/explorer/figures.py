@@ -9,9 +9,9 @@ import numpy as np
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import InputError
 from ringwear_par.explorer.measured import MeasuredColumn
-from ringwear_par.pictures import bokeh, runs
-from ringwear_par.pictures.panels import Axis, Curve, Panel, Points
-from ringwear_par.pictures.runs import HISTORY_PANELS
+from ringwear_par.pictures import bokeh, run_panels
+from ringwear_par.pictures.panel import Axis, Curve, Panel, Points
+from ringwear_par.pictures.run_panels import HISTORY_PANELS
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.key_numbers import time_unit, time_words
 from ringwear_par.results.result import Result
@@ -80,14 +80,14 @@ class Drawing:
         }  # fmt: skip
 
     def _wear(self) -> Panel:
-        bodies = runs.worn_bodies(self.result)
-        panel = runs.worn_faces(self.result, bodies)
-        heights = [runs.height(self.result, body) for body in bodies]
+        bodies = run_panels.worn_bodies(self.result)
+        panel = run_panels.worn_faces(self.result, bodies)
+        heights = [run_panels.height(self.result, body) for body in bodies]
         before = []
         if self.first is not self.result:
             before = [
-                _before(Curve(self.first.line.r, runs.height(self.first, body)[-1]), "end")
-                for body in runs.worn_bodies(self.first)
+                _before(Curve(self.first.line.r, run_panels.height(self.first, body)[-1]), "end")
+                for body in run_panels.worn_bodies(self.first)
             ]
         points = []
         for number, readings in enumerate(self.laid):
@@ -95,23 +95,23 @@ class Drawing:
                 sign = -1e3 if readings.quantity == "profile.lower" else 1e3
                 y = sign * readings.values(self.case, self.result)
                 points.append(_points(readings, readings.x, y, number))
-        chosen = [runs.at_instant(self.result, height[self.row]) for height in heights]
+        chosen = [run_panels.at_instant(self.result, height[self.row]) for height in heights]
         return replace(panel, curves=[*before, *panel.curves, *chosen], points=points)
 
     def _pressure(self) -> Panel:
-        panel = runs.pressure(self.result)
-        chosen = runs.at_instant(self.result, self.result.profiles["pressure"][self.row])
+        panel = run_panels.pressure(self.result)
+        chosen = run_panels.at_instant(self.result, self.result.profiles["pressure"][self.row])
         return replace(panel, curves=[*panel.curves, chosen])
 
     def _history(self, name: str) -> Panel:
         end = float(self.result.histories["time"][-1])
         try:
-            panel = runs.history([self.result], ["now"], name)
+            panel = run_panels.history([self.result], ["now"], name)
             before = []
             if self.first is not self.result:
                 before = [
                     _before(curve, "")
-                    for curve in runs.history([self.first], [""], name, end).curves
+                    for curve in run_panels.history([self.first], [""], name, end).curves
                 ]
         except InputError as error:  # p V without friction
             unit, _ = time_unit(end)

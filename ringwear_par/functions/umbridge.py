@@ -28,7 +28,7 @@ from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError, RingwearError, legible, reason_of
 from ringwear_par.files.text import shortened
 from ringwear_par.functions.function import Function, function
-from ringwear_par.results.execution.stopping import StopAtOnce, Stopped
+from ringwear_par.results.execution.stop_signals import StopAtOnce, Stopped
 
 log = logging.getLogger(__name__)
 

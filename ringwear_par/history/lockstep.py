@@ -7,10 +7,10 @@ from typing import Any
 
 from ringwear_par.cases.case import Case
 from ringwear_par.wear.checked_law import CompletedLaw
-from ringwear_par.wear.checks import serves_many
 from ringwear_par.wear.law import Law, Parameter, parameters_of
 from ringwear_par.wear.laws import LAWS
 from ringwear_par.wear.layered import LayeredLaw, NoWear
+from ringwear_par.wear.trials import serves_many
 
 
 def must_run_alone(case: Case) -> bool:

@@ -10,9 +10,9 @@ from ringwear_par.contact.problem import ContactState
 from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.schemes.tangent import Along
+from ringwear_par.history.refusals.states import check_interpenetration, checked
+from ringwear_par.history.schemes.tangent import StepTangent
 from ringwear_par.history.state import State
-from ringwear_par.history.validity.state_limits import check_interpenetration, checked
 
 
 def first_contact(case: Case, comm: MPI.Comm) -> ContactState:
@@ -32,10 +32,12 @@ def initial_state(physics: Physics, contacts: CorrectedContacts) -> State:
     """
     time, shape = np.zeros(len(physics.inputs.cases)), physics.inputs.shape
     wear = np.zeros((2, *shape))
-    along = None if physics.sensitivity is None else Along(physics, contacts, None, (time, time))
+    step_tangent = (
+        None if physics.sensitivity is None else StepTangent(physics, contacts, None, (time, time))
+    )
     try:
         contact = contacts.solve(
-            physics.contact_inputs(time, wear), np.zeros(shape), exact=True, along=along
+            physics.contact_inputs(time, wear), np.zeros(shape), exact=True, tangents=step_tangent
         )
     except HistoriesError:
         raise
@@ -46,7 +48,7 @@ def initial_state(physics: Physics, contacts: CorrectedContacts) -> State:
     worn = np.zeros(wear.shape[:-1])
     state = State(
         time, wear, worn, np.zeros_like(time), np.zeros_like(time), contact, rates,
-        np.zeros(shape), tangent=None if along is None else along.reached(contact),
+        np.zeros(shape), tangent=None if step_tangent is None else step_tangent.reached(contact),
         through=np.full(worn.shape, np.inf) if physics.inputs.layered else None,
     )  # fmt: skip
     return checked(physics.case, state)

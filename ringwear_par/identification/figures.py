@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.problem import Experiment, Series
 from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.pictures import fits
+from ringwear_par.pictures import fit_panels
 from ringwear_par.pictures.matplotlib import panel_figure, panel_grid
-from ringwear_par.pictures.panels import Panel
+from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.style import STYLE, NotebookFigure
 
 _COLUMNS = 3
@@ -32,18 +32,18 @@ def plot(fit: FitResult) -> Figure:
     across = 2 if len(curves) == 4 else min(_COLUMNS, max(len(curves), 1))
     down = math.ceil(len(curves) / across)
     heights = _LEGEND + _HEIGHT * down, _MARGIN + _ROW * len(single)
-    inputs = [fits.measured_input(*one) for one in fit.input_readings]
+    inputs = [fit_panels.measured_input(*one) for one in fit.input_readings]
     heights = heights[0] + _INPUT * math.ceil(len(inputs) / across), heights[1]
     size = max(_WIDTH * across, _NARROWEST), heights[0] + bool(single) * heights[1]
     rows: list[list[Panel]] = []
     for first in range(0, len(curves), across):
         beside = curves[first : first + across]
-        rows += [[*map(fits.readings, beside)], [*map(fits.residuals, beside)]]
+        rows += [[*map(fit_panels.readings, beside)], [*map(fit_panels.residuals, beside)]]
     rows += [inputs[first : first + across] for first in range(0, len(inputs), across)]
     shares = [5, 2] * down + [4] * (len(rows) - 2 * down)
     if not single:
         return panel_figure(rows, size, shares)
-    strip = [[fits.single_readings(single)]]
+    strip = [[fit_panels.single_readings(single)]]
     if not rows:
         return panel_figure(strip, (size[0], _LEGEND + heights[1]))
     with matplotlib.rc_context(STYLE):
@@ -57,10 +57,10 @@ def plot(fit: FitResult) -> Figure:
 
 def drawn_series(
     fit: FitResult, experiment: Experiment, series: Series, part: slice
-) -> fits.Series:
+) -> fit_panels.Series:
     """Return a series with its model, in the unit of its readings."""
     scale, misfit = 1.0 / series.factor, fit.misfit
-    return fits.Series(
+    return fit_panels.Series(
         experiment.name, series.name, series.quantity, series.unit, series.x, scale * series.value,
         scale * fit.evaluation.model[part], scale * misfit.sd[part], scale * fit.band[part],
         -fit.evaluation.noise[part], misfit.problem.settings.level, experiment.case.contact,
@@ -73,7 +73,7 @@ def plot_parameters(fit: FitResult) -> Figure:
     samples = {} if fit.posterior is None else dict(
         zip((p.key for p in fit.parameters), fit.posterior.samples.T, strict=True)
     )  # fmt: skip
-    rows = fits.fitted_keys(fit.to_dict(), samples)
+    rows = fit_panels.fitted_keys(fit.to_dict(), samples)
     return panel_figure(rows, (1.2 + 2.7 * len(rows), 0.9 + 2.5 * len(rows)))
 
 
@@ -90,5 +90,5 @@ def plot_specimens(fit: FitResult) -> Figure:
         raise InputError("plot_specimens: no key of the fit has scatter; must be a fit with one")
     widest = max(len(one["each"]) for one in scattering.values())
     size = max(_NARROWEST, 0.7 * min(widest, 16)), _LEGEND + _HEIGHT * len(scattering)
-    panels = [[fits.specimens(k, one, outcome["level"])] for k, one in scattering.items()]
+    panels = [[fit_panels.specimens(k, one, outcome["level"])] for k, one in scattering.items()]
     return panel_figure(panels, size)

@@ -18,7 +18,7 @@ from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.model.rounds import Rounds, StoppedError
 from ringwear_par.identification.scatter.search import estimate_material
 from ringwear_par.parallel import on_first_rank, together
-from ringwear_par.results.execution.stopping import StopSignals
+from ringwear_par.results.execution.stop_signals import StopSignals
 from ringwear_par.version import versions
 
 

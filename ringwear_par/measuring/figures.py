@@ -10,7 +10,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.measuring.measure_numbers import entry_text
 from ringwear_par.measuring.measure_result import MeasureResult
 from ringwear_par.pictures.matplotlib import panel_figure
-from ringwear_par.pictures.panels import GREY, Axis, Band, Curve, Panel, Points
+from ringwear_par.pictures.panel import GREY, Axis, Band, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.key_numbers import time_unit
 

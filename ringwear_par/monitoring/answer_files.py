@@ -9,7 +9,7 @@ from ringwear_par.files.folders import FOLLOW, json_bytes, write_outcome
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.monitoring.answer import Answer
 from ringwear_par.monitoring.running_state import RunningTestState
-from ringwear_par.pictures.panels import Panel
+from ringwear_par.pictures.panel import Panel
 from ringwear_par.reports.report import check_page, write_page
 from ringwear_par.version import versions
 

@@ -25,7 +25,7 @@ from ringwear_par.monitoring.running_state import RunningTestState, Targets
 from ringwear_par.monitoring.running_test import RunningTest
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.draws import NEXT
-from ringwear_par.results.execution.stopping import StopSignals
+from ringwear_par.results.execution.stop_signals import StopSignals
 
 log = logging.getLogger(__name__)
 

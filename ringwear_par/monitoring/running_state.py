@@ -12,7 +12,7 @@ from ringwear_par.identification.definition.user_units import in_users_unit
 from ringwear_par.monitoring.answer import Alarm, Answer, Goal, KeyAnswer
 from ringwear_par.monitoring.bank import Bank, are_too_few, effective_count, quantiles
 from ringwear_par.monitoring.outlook import surprise, time_to, times_of, widths
-from ringwear_par.pictures.panels import Axis, Band, Curve, Panel, Points
+from ringwear_par.pictures.panel import Axis, Band, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.prediction.prediction import TimeTo
 from ringwear_par.results.key_numbers import time_unit

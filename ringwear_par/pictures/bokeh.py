@@ -26,7 +26,7 @@ from bokeh.plotting import figure
 from matplotlib.colors import to_hex
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.pictures.panels import Axis, Band, Cells, Curve, Panel, Points
+from ringwear_par.pictures.panel import Axis, Band, Cells, Curve, Panel, Points
 from ringwear_par.pictures.style import CELL_COLOURS
 
 _MARKERS = {"dot": "circle", "level": "dash", "up": "triangle", "down": "inverted_triangle"}

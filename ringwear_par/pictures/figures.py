@@ -20,8 +20,8 @@ from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible
 from ringwear_par.pictures.matplotlib import draw, draw_labels
+from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.panel_kinds import KINDS, Drawing, Item
-from ringwear_par.pictures.panels import Panel
 from ringwear_par.pictures.style import (
     STYLE,
     NotebookFigure,

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from ringwear_par.pictures.panels import Axis, Cells, Curve, Label, Panel
+from ringwear_par.pictures.panel import Axis, Cells, Curve, Label, Panel
 from ringwear_par.pictures.style import (
     CELL_COLOURS,
     DASHES,

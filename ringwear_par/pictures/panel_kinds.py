@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import StressState
 from ringwear_par.errors import InputError
-from ringwear_par.pictures import runs
-from ringwear_par.pictures.panels import Panel
-from ringwear_par.pictures.runs import HISTORY_PANELS
+from ringwear_par.pictures import run_panels
+from ringwear_par.pictures.panel import Panel
+from ringwear_par.pictures.run_panels import HISTORY_PANELS
 from ringwear_par.pictures.sections import draw_section
 from ringwear_par.pictures.stresses import (
     along_height,
@@ -42,7 +42,7 @@ class Item(NamedTuple):
 
 def _worn_faces(items: Sequence[Item]) -> Iterator[Drawing]:
     for result, label, rows, _ in items:
-        yield _titled(runs.worn_faces(result, None, rows), label)
+        yield _titled(run_panels.worn_faces(result, None, rows), label)
 
 
 def _pressures(items: Sequence[Item]) -> Iterator[Drawing]:
@@ -51,7 +51,7 @@ def _pressures(items: Sequence[Item]) -> Iterator[Drawing]:
         for result, _, rows, _ in items
     )
     for result, label, rows, _ in items:
-        yield _titled(runs.pressure(result, rows, top), label)
+        yield _titled(run_panels.pressure(result, rows, top), label)
 
 
 def _titled(panel: Panel, label: str) -> Panel:
@@ -123,11 +123,12 @@ class Kind:
 #: by name
 KINDS = {
     "wear": Kind(
-        _worn_faces, lambda result: [runs.stored_field(result, f"wear_{body}") for body in BODIES],
+        _worn_faces,
+        lambda result: [run_panels.stored_field(result, f"wear_{body}") for body in BODIES],
         apart=True,
     ),
     "pressure": Kind(
-        _pressures, lambda result: runs.stored_field(result, "pressure"), apart=True
+        _pressures, lambda result: run_panels.stored_field(result, "pressure"), apart=True
     ),
     "section": Kind(
         _sections, lambda result: boundary_states(result)[-1], rows=False, apart=True
@@ -138,7 +139,8 @@ KINDS = {
     "mises": Kind(_shared(largest), stresses, rows=False, shared=True),
     **{
         name: Kind(
-            _shared(partial(runs.history, quantity=name)), panel.curves, rows=False, shared=True
+            _shared(partial(run_panels.history, quantity=name)), panel.curves, rows=False,
+            shared=True,
         )
         for name, panel in HISTORY_PANELS.items()
     },

@@ -12,8 +12,8 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.cases.files.key_values import Outline, outlines
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import COMPONENTS, SIDES, StressState, mises
-from ringwear_par.pictures.panels import FEW_POINTS, Axis, Band, Curve, Label, Panel
-from ringwear_par.pictures.runs import RADIUS, stage
+from ringwear_par.pictures.panel import FEW_POINTS, Axis, Band, Curve, Label, Panel
+from ringwear_par.pictures.run_panels import RADIUS, stage
 from ringwear_par.pictures.sections import magnification
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.key_numbers import time_unit, time_words

@@ -4,7 +4,7 @@ from matplotlib.figure import Figure
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.pictures.matplotlib import panel_figure
-from ringwear_par.pictures.panels import Axis, Band, Curve, Panel
+from ringwear_par.pictures.panel import Axis, Band, Curve, Panel
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.prediction.prediction import Prediction
 from ringwear_par.results.key_numbers import time_unit

@@ -4,7 +4,7 @@ import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ringwear_par.pictures.panels import Panel
+from ringwear_par.pictures.panel import Panel
 
 
 @dataclass(frozen=True)

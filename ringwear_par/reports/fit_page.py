@@ -28,8 +28,8 @@ from ringwear_par.identification.fit_rows import (
     scatter_lines,
     series_rows,
 )
-from ringwear_par.pictures import fits
-from ringwear_par.pictures.designs import design_panels
+from ringwear_par.pictures import fit_panels
+from ringwear_par.pictures.design_panels import design_panels
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -103,7 +103,7 @@ def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:
         sections.append(Section("Measured inputs", [words, Charts(inputs)]))
     keys = [
         Chart(f"keys-{i}-{j}", panel, f"{panel.y.label} over {panel.x.label}; numbers above")
-        for i, row in enumerate(fits.fitted_keys(outcome, samples))
+        for i, row in enumerate(fit_panels.fitted_keys(outcome, samples))
         for j, panel in enumerate(row)
     ]
     sections.append(Section("Likelihoods and ellipses", [Charts(keys)]))
@@ -174,7 +174,7 @@ def _scatter(outcome: Mapping[str, Any]) -> list[Block]:
     for number, (key, one) in enumerate(scattering.items(), start=1):
         sentences = "; ".join(scatter_lines(one, level))
         blocks.append(Lines([f"{key} of the material, {with_signs(sentences)}"]))
-        panel = fits.specimens(key, one, level)
+        panel = fit_panels.specimens(key, one, level)
         chart = Chart(f"specimens-{number}", panel, f"Values of {key} in each specimen")
         blocks.append(Charts([chart]))
     return blocks
@@ -206,7 +206,7 @@ def _cells(caption: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -
 
 def _readings(
     path: Path, level: float
-) -> tuple[list[fits.Series], dict[str, FloatArray], str, list[Chart]]:
+) -> tuple[list[fit_panels.Series], dict[str, FloatArray], str, list[Chart]]:
     """Return series, samples of the posterior by key, the fit file's text, charts of inputs."""
     with reading(path, SOFTWARE, "the readings of ringwear fit") as file:
         series = [_series_of(group, level) for group in _groups(file)]
@@ -218,11 +218,13 @@ def _readings(
 
 def _input_chart(number: str, group: h5py.Group) -> Chart:
     name, key, unit = (read_text(group.attrs[n]) for n in ("experiment", "key", "unit"))
-    panel = fits.measured_input(name, key, unit, *(group[n][()] for n in ("time", "data", "curve")))
+    panel = fit_panels.measured_input(
+        name, key, unit, *(group[n][()] for n in ("time", "data", "curve"))
+    )
     return Chart(f"input-{number}", panel, f"Readings of {key} in {name}, and its curve")
 
 
-def _series_of(group: h5py.Group, level: float) -> fits.Series:
+def _series_of(group: h5py.Group, level: float) -> fit_panels.Series:
     """Return a stored series in the unit of its readings."""
     experiment, name, quantity, unit = (
         read_text(group.attrs[n]) for n in ("experiment", "series", "quantity", "data_unit")
@@ -232,23 +234,23 @@ def _series_of(group: h5py.Group, level: float) -> fits.Series:
     x, residuals = group["r" if "r" in group else "time"][()], group["residual"][()]
     edges = tuple(group.attrs["contact"].tolist())
     censored = group["censored"][()] if "censored" in group else np.zeros(len(x), dtype=int)
-    return fits.Series(
+    return fit_panels.Series(
         experiment, name, quantity, unit, x, data, model, sd, band, residuals, level, edges,
         censored.astype(int),
     )  # fmt: skip
 
 
-def _series_charts(every: Sequence[fits.Series]) -> list[Chart]:
+def _series_charts(every: Sequence[fit_panels.Series]) -> list[Chart]:
     charts = []
     for number, series in enumerate(every, start=1):
         if len(series.x) > 1:
             name, title = f"series-{number}", series.title
             charts += [
-                Chart(name, fits.readings(series), f"Data, model and band of {title}"),
-                Chart(f"{name}-residuals", fits.residuals(series), f"Residuals of {title}"),
+                Chart(name, fit_panels.readings(series), f"Data, model and band of {title}"),
+                Chart(f"{name}-residuals", fit_panels.residuals(series), f"Residuals of {title}"),
             ]
     if single := [series for series in every if len(series.x) == 1]:
-        panel, height = fits.single_readings(single), 160 + 60 * len(single)
+        panel, height = fit_panels.single_readings(single), 160 + 60 * len(single)
         charts.append(Chart("single", panel, "Series of one reading", height, wide=True))
     return charts
 

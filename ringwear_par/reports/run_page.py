@@ -9,7 +9,7 @@ import numpy as np
 
 from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.pictures import runs
+from ringwear_par.pictures import run_panels
 from ringwear_par.pictures.figures import plot
 from ringwear_par.pictures.stresses import along_height, along_interfaces, largest
 from ringwear_par.reports.blocks import (
@@ -104,18 +104,18 @@ def histories(result: Result) -> Charts:
     """Return the charts of the quantities over time that the result holds."""
     return Charts([
         Chart(name, panel, f"Line chart: {panel.title} over {panel.x.label}")
-        for name, panel in runs.histories(result).items()
+        for name, panel in run_panels.histories(result).items()
     ])  # fmt: skip
 
 
 def profiles(result: Result) -> Charts | None:
     """Return worn faces and pressure at five instants and at that of a slider; None: not stored."""
     panels = {
-        f"wear-{body}": (runs.worn_faces(result, [body]), runs.height(result, body))
-        for body in runs.worn_bodies(result)
+        f"wear-{body}": (run_panels.worn_faces(result, [body]), run_panels.height(result, body))
+        for body in run_panels.worn_bodies(result)
     }
-    if runs.at_all_states(result, "pressure"):
-        panels["pressure"] = runs.pressure(result), result.profiles["pressure"]
+    if run_panels.at_all_states(result, "pressure"):
+        panels["pressure"] = run_panels.pressure(result), result.profiles["pressure"]
     if not panels:
         return None
     time = result.histories["time"]
@@ -123,9 +123,9 @@ def profiles(result: Result) -> Charts | None:
     charts = []
     for name, (panel, values) in panels.items():
         times = ", ".join(curve.name for curve in panel.curves)
-        label = f"Line chart: {panel.y.label} over the {runs.RADIUS} at {times}"
+        label = f"Line chart: {panel.y.label} over the {run_panels.RADIUS} at {times}"
         frames = [values[row].tolist() for row in instants]
-        chosen = runs.at_instant(result, values[instants[-1]])
+        chosen = run_panels.at_instant(result, values[instants[-1]])
         panel = replace(panel, curves=[*panel.curves, chosen])
         charts.append(Chart(name, panel, label, 400, frames))
     words = [time_words(time[row], float(time[-1])) for row in instants]

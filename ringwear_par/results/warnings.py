@@ -26,8 +26,8 @@ from ringwear_par.history.observers.worst_states import (
     force_on,
     worn_share,
 )
+from ringwear_par.history.refusals.stable_steps import missed_corner, stable_steps
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.history.validity.stable_steps import missed_corner, stable_steps
 from ringwear_par.schedules import largest
 
 #: share of the largest force of a history under which contact need not be resolved

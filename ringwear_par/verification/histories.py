@@ -16,8 +16,8 @@ from ringwear_par.elasticity.sections import Polyline
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import Trace, trace
 from ringwear_par.history.physics import Physics
+from ringwear_par.history.refusals.stable_steps import stable_steps
 from ringwear_par.history.start import first_contact
-from ringwear_par.history.validity.stable_steps import stable_steps
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, bound, checks_of, identity
 from ringwear_par.verification.half_space import pressure_at

@@ -13,7 +13,7 @@ from ringwear_par.cases.schema import KEYS
 from ringwear_par.cases.tables import key_table
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic.bodies import operator_key
-from ringwear_par.history.validity.case_limits import check_memory, check_mesh
+from ringwear_par.history.refusals.cases import check_memory, check_mesh
 from ringwear_par.identification.definition import schema as fits
 from ringwear_par.studies.definition import schema as studies
 from ringwear_par.wear.laws.threshold import ThresholdLaw

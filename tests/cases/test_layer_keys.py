@@ -16,7 +16,7 @@ from ringwear_par.cases.schema import KEYS, unit_of
 from ringwear_par.cases.tables import key_table
 from ringwear_par.elasticity.sections import Material
 from ringwear_par.history.elastic.bodies import bodies, operator_key
-from ringwear_par.history.validity.case_limits import check_mesh
+from ringwear_par.history.refusals.cases import check_mesh
 from ringwear_par.studies.definition.variations import split_key, value_of, varied_keys
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw

@@ -8,7 +8,7 @@ from ringwear_par.cases.files.reading import parse_case
 from ringwear_par.cases.stress import Grid
 from ringwear_par.cases.stress_points import grid_bodies, point_bodies
 from ringwear_par.errors import InputError
-from ringwear_par.history.validity.case_limits import check_memory
+from ringwear_par.history.refusals.cases import check_memory
 
 TEXT = PAPER.read_text()
 

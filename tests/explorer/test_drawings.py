@@ -14,7 +14,7 @@ from ringwear_par.explorer.figures import MENU, Drawing
 from ringwear_par.explorer.measured import read_table
 from ringwear_par.explorer.moved_keys import raw_keys
 from ringwear_par.explorer.page import _variables
-from ringwear_par.pictures.runs import HISTORY_PANELS
+from ringwear_par.pictures.run_panels import HISTORY_PANELS
 
 pytestmark = pytest.mark.serial
 

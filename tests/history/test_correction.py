@@ -161,7 +161,7 @@ def test_last_pressures_of_a_history_are_near_the_collocated_ones(cases, number,
     with physics.contacts() as contacts:
         solve = contacts.solve
 
-        def corrected(inputs, near, already_solved=None, along=None):
+        def corrected(inputs, near, already_solved=None, tangents=None):
             for _ in range(4):
                 solution = solve(inputs, near, already_solved=already_solved, exact=True)
                 near = solution.pressure

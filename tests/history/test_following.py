@@ -14,8 +14,8 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.history.moving_geometry import MovingGeometry
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
+from ringwear_par.history.refusals.cases import check_mesh
 from ringwear_par.history.start import initial_state
-from ringwear_par.history.validity.case_limits import check_mesh
 from ringwear_par.verification.histories import paper_case, round_face
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 

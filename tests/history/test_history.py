@@ -11,7 +11,7 @@ from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.validity.stable_steps import stable_steps
+from ringwear_par.history.refusals.stable_steps import stable_steps
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 pytestmark = pytest.mark.serial

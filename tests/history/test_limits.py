@@ -11,7 +11,7 @@ import ringwear_par as rw
 from ringwear_par.elasticity.bem import solve
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.validity.case_limits import check_memory, memory_needed
+from ringwear_par.history.refusals.cases import check_memory, memory_needed
 from ringwear_par.verification.histories import paper_case
 
 
@@ -48,7 +48,7 @@ def with_memory(monkeypatch):
     def with_memory(size):
         page = float(os.sysconf("SC_PAGE_SIZE"))
         known = {"SC_PAGE_SIZE": page, "SC_PHYS_PAGES": size / page}
-        monkeypatch.setattr("ringwear_par.history.validity.case_limits.os.sysconf", known.get)
+        monkeypatch.setattr("ringwear_par.history.refusals.cases.os.sysconf", known.get)
 
     return with_memory
 

@@ -10,7 +10,7 @@ from ringwear_par.identification.fit import fit
 from ringwear_par.identification.model import operators as operators_room
 from ringwear_par.identification.model.histories import ROUGH_STEPS, Histories
 from ringwear_par.identification.model.rounds import Rounds
-from ringwear_par.results.execution.stopping import StopSignals
+from ringwear_par.results.execution.stop_signals import StopSignals
 
 pytestmark = pytest.mark.serial
 

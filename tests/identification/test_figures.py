@@ -10,7 +10,7 @@ from mpi4py import MPI
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.figures import drawn_series
 from ringwear_par.identification.fit import expected_result
-from ringwear_par.pictures import fits
+from ringwear_par.pictures import fit_panels
 
 pytestmark = pytest.mark.serial
 
@@ -30,7 +30,7 @@ def found(tmp_path_factory):
 def series_at(radii, edges, quantity="profile.lower", unit="um"):
     x = np.array(radii)
     columns = dict.fromkeys(("data", "model", "sd", "band", "residuals"), 0.0 * x)
-    return fits.Series(
+    return fit_panels.Series(
         "test", "profile", quantity, unit, x, **columns, level=0.95, edges=edges,
         censored=np.zeros(len(x), dtype=int),
     )  # fmt: skip
@@ -42,7 +42,7 @@ def test_limits_are_arrows_to_where_the_truth_is():
         ("penetration", ["dot", "up", "down"]), ("profile.lower", ["dot", "down", "up"]),
     ):  # fmt: skip
         series = replace(series_at([1.0, 2, 3, 4], (), quantity), censored=np.array([0, 1, -1, 1]))
-        points = fits.readings(series).points
+        points = fit_panels.readings(series).points
         assert [one.marker for one in points] == markers
         assert [one.name for one in points] == ["data", "2 limits, at least", "1 limit, at most"]
         assert [one.x.tolist() for one in points] == [[1.0], [2.0, 4.0], [3.0]]
@@ -53,7 +53,7 @@ def test_a_profile_is_broken_at_edges_and_gaps():
     for order in (radii, radii[::-1]):
         series = series_at(order, (28.5, 31.5))
         assert series.breaks().tolist() == [2, 6]
-        (model,) = fits.readings(series).curves
+        (model,) = fit_panels.readings(series).curves
         assert np.flatnonzero(np.isnan(model.x)).tolist() == [2, 7]
         assert model.x[np.isfinite(model.x)].tolist() == radii
     assert series_at([31.4, 31.5, 31.6], (28.5, 31.5)).breaks().tolist() == [2]

@@ -28,7 +28,7 @@ from ringwear_par.identification.estimation import starts as starts_room
 from ringwear_par.identification.fit import fit, fit_problem
 from ringwear_par.identification.fit_command import run_fit
 from ringwear_par.identification.model.rounds import StoppedError
-from ringwear_par.results.execution.stopping import StopSignals
+from ringwear_par.results.execution.stop_signals import StopSignals
 
 
 @pytest.mark.serial

@@ -26,7 +26,7 @@ from ringwear_par.monitoring.running_state import RunningTestState, Targets
 from ringwear_par.monitoring.running_test import BLOCKS, RunningTest, averaged
 from ringwear_par.prediction.draws import log_densities
 from ringwear_par.prediction.known import fit_knowledge
-from ringwear_par.results.execution.stopping import StopSignals
+from ringwear_par.results.execution.stop_signals import StopSignals
 
 KEY, P0, TRUE_K = "wear.lower.k", 25.0, 1.3e-7
 #: of the running specimen, over the material's k

@@ -19,7 +19,7 @@ from paths import PAPER
 import ringwear_par as rw
 from ringwear_par.cases.units import factor as unit_factor
 from ringwear_par.cases.units import with_signs
-from ringwear_par.pictures.runs import HISTORY_PANELS
+from ringwear_par.pictures.run_panels import HISTORY_PANELS
 from ringwear_par.results.key_numbers import key_numbers
 
 pytestmark = pytest.mark.serial

@@ -171,7 +171,7 @@ def test_results_and_files_are_drawn_alike(runs, tmp_path):
 
 def test_every_history_has_its_panel(runs):
     """What is drawn follows from what is stored: rates and p V are means between states."""
-    from ringwear_par.pictures.runs import HISTORY_PANELS
+    from ringwear_par.pictures.run_panels import HISTORY_PANELS
 
     result = open_result(runs[0])  # both bodies wear
     time, area = result.histories["time"], result.line.area.sum()

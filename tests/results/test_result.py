@@ -15,7 +15,7 @@ from stored import contents
 
 import ringwear_par as rw
 from ringwear_par.cases.case import Stepping
-from ringwear_par.pictures.runs import HISTORY_PANELS
+from ringwear_par.pictures.run_panels import HISTORY_PANELS
 from ringwear_par.results.execution import run as driver
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.key_numbers import check_numbers, friction_of, key_numbers

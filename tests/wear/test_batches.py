@@ -10,7 +10,6 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.schedules import Stacked, Table
 from ringwear_par.wear import LocalState
 from ringwear_par.wear.checked_law import complete
-from ringwear_par.wear.checks import serves_many
 from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.law import stack_laws
 from ringwear_par.wear.laws.archard import ArchardLaw
@@ -20,6 +19,7 @@ from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.table import TableLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 from ringwear_par.wear.laws.user import UserLaw
+from ringwear_par.wear.trials import serves_many
 
 N = 37
 R = np.linspace(28.5, 31.5, N)

@@ -10,12 +10,6 @@ from ringwear_par.arrays import derivative
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.schedules import Table
 from ringwear_par.wear.checked_law import complete
-from ringwear_par.wear.checks import (
-    check_user_law,
-    taylor_test,
-    taylor_test_parameter,
-    taylor_test_wear,
-)
 from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.law import Law
 from ringwear_par.wear.laws import non_local as averages
@@ -26,6 +20,12 @@ from ringwear_par.wear.laws.running_in import RunningInLaw
 from ringwear_par.wear.laws.table import TableLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 from ringwear_par.wear.laws.user import UserLaw
+from ringwear_par.wear.trials import (
+    check_user_law,
+    taylor_test,
+    taylor_test_parameter,
+    taylor_test_wear,
+)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,11 @@ from ringwear_par.cases.files.reading import read_case
 from ringwear_par.errors import LONGEST_SENTENCE, ComputationError, InputError, legible
 from ringwear_par.schedules import largest
 from ringwear_par.wear.checked_law import CompletedLaw, complete
-from ringwear_par.wear.checks import (
+from ringwear_par.wear.law import Law
+from ringwear_par.wear.laws import LAWS
+from ringwear_par.wear.laws.user import UserLaw
+from ringwear_par.wear.local_state import LocalState
+from ringwear_par.wear.trials import (
     Remainders,
     check_object,
     check_user_law,
@@ -22,10 +26,6 @@ from ringwear_par.wear.checks import (
     taylor_test_parameter,
     taylor_test_wear,
 )
-from ringwear_par.wear.law import Law
-from ringwear_par.wear.laws import LAWS
-from ringwear_par.wear.laws.user import UserLaw
-from ringwear_par.wear.local_state import LocalState
 
 _OURS = set(LAWS.values()) - {UserLaw}
 _ELEMENTS = 60

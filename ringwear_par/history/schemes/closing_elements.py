@@ -115,7 +115,7 @@ def entry_error(
     closing: ClosingElements | None,
     before: State,
     after: State,
-    unhindered: FloatArray,
+    depth_if_always_in_contact: FloatArray,
 ) -> FloatArray | None:
     """Return the estimated errors of pressure of elements that came into contact, (..., n) MPa.
 
@@ -127,7 +127,7 @@ def entry_error(
 
     Parameters
     ----------
-    unhindered : (2, ..., n) float, mm, what the elements would have worn in contact all along.
+    depth_if_always_in_contact : (2, ..., n) float, mm, of the elements.
     """
     p = after.contact.pressure
     if before.contact.pressure.min() > 0.0:
@@ -135,7 +135,7 @@ def entry_error(
     came = (before.contact.pressure <= 0.0) & (p > 0.0)
     if not came.any():
         return None
-    elastic, most = physics.own_displacement(p), unhindered.sum(axis=0)
+    elastic, most = physics.own_displacement(p), depth_if_always_in_contact.sum(axis=0)
     worn = (after.wear - before.wear).sum(axis=0)
     size = np.maximum((elastic + worn) * (elastic + most), np.finfo(float).tiny)
     share: FloatArray | float = _STAGE_ERROR

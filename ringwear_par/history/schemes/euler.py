@@ -13,7 +13,7 @@ from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.interfaces import Passage, end_at_interfaces
 from ringwear_par.history.schemes.step import Step, advanced
-from ringwear_par.history.schemes.tangent import along_step
+from ringwear_par.history.schemes.tangent import tangent_of_step
 from ringwear_par.history.state import State
 from ringwear_par.wear.increment import total_of
 
@@ -27,17 +27,17 @@ def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: Fl
     if not physics.inputs.steady_sliding:
         rates = physics.rates(state.time, sliding, state.wear, p)
     wear, volumes = state.wear + columns(length) * rates, length * physics.integrals(rates)
-    along = along_step(physics, contacts, state, end)
-    if along is not None:
-        along.explicit(physics.increment(state.time, sliding, state.wear, length), p)
-        along.work(length, sliding, p, along.pressure)
-    contact = contacts.solve(physics.contact_inputs(end, wear), p, along=along)
+    step_tangent = tangent_of_step(physics, contacts, state, end)
+    if step_tangent is not None:
+        step_tangent.explicit(physics.increment(state.time, sliding, state.wear, length), p)
+        step_tangent.work(length, sliding, p, step_tangent.pressure)
+    contact = contacts.solve(physics.contact_inputs(end, wear), p, tangents=step_tangent)
     then = physics.rates_at(end, wear, contact.pressure)
     turn, moment = length * sliding.omega, physics.moment(p)
     energy, work = turn * (sliding.friction * moment), turn * moment
-    after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, along)
+    after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, step_tangent)
     passage = Passage.of(physics, state, after, state.time, sliding, p)
-    return end_at_interfaces(contacts, state, _judged(state, after), passage, along)
+    return end_at_interfaces(contacts, state, _judged(state, after), passage, step_tangent)
 
 
 def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
@@ -45,25 +45,27 @@ def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: F
     physics = physics.in_present_layers(state.wear)
     length = end - state.time
     sliding = physics.mean_sliding(state.time, end)
-    during = physics.increment(end, sliding, state.wear, length)
-    along = along_step(physics, contacts, state, end)
+    increment = physics.increment(end, sliding, state.wear, length)
+    step_tangent = tangent_of_step(physics, contacts, state, end)
     contact = contacts.solve(
-        physics.contact_inputs(end, state.wear, during), state.contact.pressure, along=along
+        physics.contact_inputs(end, state.wear, increment),
+        state.contact.pressure,
+        tangents=step_tangent,
     )
     p = contact.pressure
-    depths = during.depths(p)
-    wear, then = state.wear + depths, during.rates(p, depths)
+    depths = increment.depths(p)
+    wear, then = state.wear + depths, increment.rates(p, depths)
     volumes = length * physics.integrals(then)
     if not physics.inputs.rates_last:
         then = physics.rates_at(end, wear, p)
     turn, moment = length * sliding.omega, physics.moment(p)
     energy, work = turn * (sliding.friction * moment), turn * moment
-    if along is not None:
-        along.implicit()
-        along.work(length, sliding, p, along.pressure)
-    after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, along)
+    if step_tangent is not None:
+        step_tangent.implicit()
+        step_tangent.work(length, sliding, p, step_tangent.pressure)
+    after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, step_tangent)
     passage = Passage.of(physics, state, after, end, sliding, p)
-    return end_at_interfaces(contacts, state, _judged(state, after), passage, along)
+    return end_at_interfaces(contacts, state, _judged(state, after), passage, step_tangent)
 
 
 def _judged(state: State, after: State) -> Step:

@@ -20,7 +20,7 @@ from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.history.physics import Physics, Sliding
 from ringwear_par.history.schemes.step import Step
-from ringwear_par.history.schemes.tangent import Along
+from ringwear_par.history.schemes.tangent import StepTangent
 from ringwear_par.history.state import State
 from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.layered import worn_through
@@ -46,7 +46,7 @@ def end_at_interfaces(
     before: State,
     step: Step,
     passage: "Passage | None",
-    along: Along | None,
+    step_tangent: StepTangent | None,
 ) -> Step:
     """Return a step with its elements in the layers that they have come to.
 
@@ -55,7 +55,7 @@ def end_at_interfaces(
     Parameters
     ----------
     passage : of the elements in the step; None without layers.
-    along : derivatives along it.
+    step_tangent : derivatives along it.
     """
     if passage is None:
         return step
@@ -69,12 +69,12 @@ def end_at_interfaces(
     rise = (after.rates - before.rates) / length
     crossing = passage.crossing & ~too_far[:, None]
     left = passage.ends - after.wear
-    if along is not None:
+    if step_tangent is not None:
         laws = passage.following.inputs.laws
-        tangent = along.end_at_interface(after.tangent, laws, passage.time_left)
+        tangent = step_tangent.end_at_interface(after.tangent, laws, passage.time_left)
         after = replace(after, tangent=tangent)
     if crossing.any():
-        after = _in_next_layers(contacts, before, after, passage, crossing, along)
+        after = _in_next_layers(contacts, before, after, passage, crossing, step_tangent)
         left = np.where(crossing, passage.next_ends - after.wear, left)
         rise[crossing], aim[crossing] = 0.0, 0.0
     expected = after.time + _first(_times(left + aim, after.rates, rise))
@@ -190,7 +190,7 @@ class Passage:
         return np.where(self.below > 0.0, self.since, 0.0) * self.below
 
     @cached_property
-    def faster(self) -> FloatArray:
+    def rate_ratio_below(self) -> FloatArray:
         """Rates of the next layers over those of these; infinite where these do not wear."""
         rate = self.rate
         return np.divide(self.below, rate, out=np.full_like(rate, np.inf), where=rate > 0.0)
@@ -213,7 +213,7 @@ class Passage:
         Infinitely far where the next one wears as this one does.
         """
         with np.errstate(divide="ignore"):
-            return _AIM * self.allowed / np.abs(self.faster - 1.0)
+            return _AIM * self.allowed / np.abs(self.rate_ratio_below - 1.0)
 
     @property
     def growth(self) -> FloatArray:
@@ -255,20 +255,24 @@ def _in_next_layers(
     after: State,
     passage: Passage,
     crossing: BoolArray,
-    along: Along | None,
+    step_tangent: StepTangent | None,
 ) -> State:
     """Return the state with what is beyond the ends of layers worn off the next ones."""
     physics, time, contact = passage.physics, after.time, after.contact
     wear = np.where(crossing, passage.ends + passage.depth, after.wear)
     crosses = crossing.any(axis=(0, 2))
     still = ~(crossing & (np.abs(wear - after.wear) > _ROUND_OFF * wear)).any(axis=(0, 2))
-    if along is not None:
-        since, faster = (np.where(crossing, v, 0.0) for v in (passage.since, passage.faster))
-        along.cross(crossing, passage.unit_increments(), passage.pressure, since, faster)
+    if step_tangent is not None:
+        since, rate_ratio_below = (
+            np.where(crossing, v, 0.0) for v in (passage.since, passage.rate_ratio_below)
+        )
+        step_tangent.cross(
+            crossing, passage.unit_increments(), passage.pressure, since, rate_ratio_below
+        )
     if not still.all():
         inputs = physics.contact_inputs(time, wear)
         solved = contacts.solve(
-            inputs, contact.pressure, already_solved=(still, contact), along=along
+            inputs, contact.pressure, already_solved=(still, contact), tangents=step_tangent
         )
         solved = replace(
             solved,
@@ -287,7 +291,7 @@ def _in_next_layers(
         contact=contact,
         rates=present.rates_at(time, wear, contact.pressure),
         error=after.error * np.where(crossing.any(axis=0), passage.growth, 1.0),
-        tangent=None if along is None else along.reached(contact),
+        tangent=None if step_tangent is None else step_tangent.reached(contact),
         through=np.minimum(after.through, np.maximum(time - since, before.time)),
     )
     return batched.where(crosses, new, after)

@@ -28,7 +28,7 @@ from ringwear_par.history.schemes.closing_elements import (
 )
 from ringwear_par.history.schemes.interfaces import Passage, end_at_interfaces
 from ringwear_par.history.schemes.step import Step, advanced
-from ringwear_par.history.schemes.tangent import Along, along_step
+from ringwear_par.history.schemes.tangent import StepTangent, tangent_of_step
 from ringwear_par.history.state import State
 from ringwear_par.wear.increment import WearIncrement, total_of
 
@@ -57,24 +57,26 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         None if closing is None else closing.closing(GAMMA * length, np.ones_like(closing.gap))
     )
     first = physics.increment(middle, sliding[1], state.wear, GAMMA * length, gap_closing)
-    along = along_step(physics, contacts, state, end, middle, closing)
+    step_tangent = tangent_of_step(physics, contacts, state, end, middle, closing)
     stage = contacts.solve(
-        physics.contact_inputs(middle, state.wear, first), state.contact.pressure, along=along
+        physics.contact_inputs(middle, state.wear, first),
+        state.contact.pressure,
+        tangents=step_tangent,
     )
     worn_first = first.depth_if_always_in_contact(stage.pressure)
-    counts = 1.0 if closing is None else closing.stage_weights(stage.pressure, 0.0)
-    carried = state.wear + (_SHARE * counts) * worn_first
-    if along is not None:
-        along.first_stage(stage.pressure, counts, _SHARE)
-    last, contact, counts_last = _last_stage(
-        physics, contacts, closing, end, sliding[2], carried, length, stage.pressure, along
+    weights = 1.0 if closing is None else closing.stage_weights(stage.pressure, 0.0)
+    carried = state.wear + (_SHARE * weights) * worn_first
+    if step_tangent is not None:
+        step_tangent.first_stage(stage.pressure, weights, _SHARE)
+    last, contact, weights_last = _last_stage(
+        physics, contacts, closing, end, sliding[2], carried, length, stage.pressure, step_tangent
     )
     worn_last = last.depth_if_always_in_contact(contact.pressure)
     losses = worn_last if closing is None else last.depths(contact.pressure)
 
     pressures = (
-        state.contact.pressure, _counted(counts, stage.pressure),
-        _counted(counts_last, contact.pressure),
+        state.contact.pressure, _weighted(weights, stage.pressure),
+        _weighted(weights_last, contact.pressure),
     )  # fmt: skip
     moments = [physics.moment(p) for p in pressures]
     torques = [at.friction * moment for at, moment in zip(sliding, moments, strict=True)]
@@ -91,16 +93,16 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     wear = carried + losses
     then = last.rates(contact.pressure, worn_last)
     volumes = length * (
-        _WEIGHTS[1] * physics.integrals(_counted(counts, first.rates(stage.pressure, worn_first)))
-        + _WEIGHTS[2] * physics.integrals(_counted(counts_last, then))
+        _WEIGHTS[1] * physics.integrals(_weighted(weights, first.rates(stage.pressure, worn_first)))
+        + _WEIGHTS[2] * physics.integrals(_weighted(weights_last, then))
     )
     if not physics.inputs.rates_last:
         then = physics.rates(end, sliding[2], wear, contact.pressure)
-    if along is not None:
-        along.last_stage(last, contact.pressure, GAMMA * length)
-        for i, d_p in enumerate(along.counted, start=1):
-            along.work(_WEIGHTS[i] * length, sliding[i], pressures[i], d_p)
-    after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, along)
+    if step_tangent is not None:
+        step_tangent.last_stage(last, contact.pressure, GAMMA * length)
+        for i, d_p in enumerate(step_tangent.weighted, start=1):
+            step_tangent.work(_WEIGHTS[i] * length, sliding[i], pressures[i], d_p)
+    after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, step_tangent)
     # of both bodies: at the rate of the start, in the first stage, in a last one of usual length
     at_start = columns(length) * total_of(state.rates)
     in_first, in_last = (
@@ -108,7 +110,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         for increment, p in ((first, stage.pressure), (last, contact.pressure))
     )
     if closing is not None:
-        in_last = in_last / np.where(closing.mask, 1.0, counts_last)
+        in_last = in_last / np.where(closing.mask, 1.0, weights_last)
     errors = np.empty((3, *at_start.shape))
     np.multiply(_DEFECT[0], at_start, out=errors[0])
     errors[0] += (_DEFECT[1] / GAMMA) * in_first
@@ -137,7 +139,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     errors[0] *= _LACKING / GAMMA
     errors[1] *= (1.0 - GAMMA) / GAMMA
     errors[1] += state.error
-    errors += feedback.after_relief(errors, respond(_counted(feedback.memory, errors)))
+    errors += feedback.after_relief(errors, respond(_weighted(feedback.memory, errors)))
     defect += errors[0]
     carried = errors[1]
     after = replace(after, error=carried + defect)
@@ -154,7 +156,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         _largest(carried),
         _closing(state.contact.pressure, losses),
     )
-    return end_at_interfaces(contacts, state, judged, passage, along)
+    return end_at_interfaces(contacts, state, judged, passage, step_tangent)
 
 
 @dataclass(frozen=True)
@@ -187,9 +189,9 @@ def _closing(p: FloatArray, losses: FloatArray) -> BoolArray:
     return ((p <= 0.0) & (losses > 0.0).any(axis=0)).any(axis=-1)
 
 
-def _counted(counts: FloatArray | float, values: FloatArray) -> FloatArray:
+def _weighted(weights: FloatArray | float, values: FloatArray) -> FloatArray:
     """Return values that count so many times; a number is 1."""
-    return values if isinstance(counts, float) else counts * values
+    return values if isinstance(weights, float) else weights * values
 
 
 def _largest(values: FloatArray) -> FloatArray:
@@ -205,36 +207,40 @@ def _last_stage(
     sliding: Sliding,
     carried: FloatArray,
     length: FloatArray,
-    near: FloatArray,
-    along: Along | None,
+    pressure_guess: FloatArray,
+    step_tangent: StepTangent | None,
 ) -> tuple[WearIncrement, ContactState, FloatArray | float]:
     """Return the last stage, its contact, and how many times its weight it counts, (..., n).
 
-    ``near`` are pressures near those at its end, (..., n) MPa.
+    ``pressure_guess`` are pressures near those at its end, (..., n) MPa.
     """
     step = GAMMA * length
     if closing is None:
         last = physics.increment(end, sliding, carried, step)
-        contact = contacts.solve(physics.contact_inputs(end, carried, last), near, along=along)
+        contact = contacts.solve(
+            physics.contact_inputs(end, carried, last), pressure_guess, tangents=step_tangent
+        )
         return last, contact, 1.0
-    counts = np.where(closing.mask, 1.0 + _SHARE, 1.0)
-    last = physics.increment(end, sliding, carried, step, closing.closing(step, counts))
-    contact = contacts.solve(physics.contact_inputs(end, carried, last), near, along=along)
+    weights = np.where(closing.mask, 1.0 + _SHARE, 1.0)
+    last = physics.increment(end, sliding, carried, step, closing.closing(step, weights))
+    contact = contacts.solve(
+        physics.contact_inputs(end, carried, last), pressure_guess, tangents=step_tangent
+    )
     p = contact.pressure
     inside = last.share(last.depth_if_always_in_contact(p))
     if closing.force_kept:
         # the others' weight depends on what closing elements carry: so little that twice will do
-        if along is not None:
-            along.lengthen(last, p, step)
-        counts = np.where(closing.mask, counts, closing.stage_weights(p, counts * inside))
-        last = physics.increment(end, sliding, carried, step, closing.closing(step, counts))
+        if step_tangent is not None:
+            step_tangent.lengthen(last, p, step)
+        weights = np.where(closing.mask, weights, closing.stage_weights(p, weights * inside))
+        last = physics.increment(end, sliding, carried, step, closing.closing(step, weights))
         solved = np.logical_not(closing.mask.any(axis=-1)), contact
         inputs = physics.contact_inputs(end, carried, last)
-        again = contacts.solve(inputs, near, already_solved=solved, along=along)
+        again = contacts.solve(inputs, pressure_guess, already_solved=solved, tangents=step_tangent)
         more = np.where(solved[0], 0, contact.iterations)
         contact = replace(again, iterations=again.iterations + more)
         inside = last.share(last.depth_if_always_in_contact(contact.pressure))
-    return last, contact, counts * inside
+    return last, contact, weights * inside
 
 
 def _scale(physics: Physics, before: ContactState, after: ContactState) -> FloatArray:

@@ -15,9 +15,9 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.schemes.tangent import Along
+from ringwear_par.history.refusals.states import checked
+from ringwear_par.history.schemes.tangent import StepTangent
 from ringwear_par.history.state import State
-from ringwear_par.history.validity.state_limits import checked
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def advanced(
     normal_work: FloatArray,
     contact: ContactState,
     rates: FloatArray,
-    along: Along | None,
+    step_tangent: StepTangent | None,
 ) -> State:
     """Return the state at the end of a step.
 
@@ -74,7 +74,7 @@ def advanced(
     volumes : (2, ...) float, mm^3, integrals over the step of the rates of the worn volumes.
     energy, normal_work : (B,), N mm, in it, see ``State``.
     rates : (2, ..., n) float, mm/s, of wear at its end.
-    along : derivatives along it, where they are asked for.
+    step_tangent : derivatives along it, where they are asked for.
 
     Raises
     ------
@@ -83,6 +83,7 @@ def advanced(
     after = State(
         end, wear, state.worn + volumes, state.energy + energy,
         state.normal_work + normal_work, contact, rates, state.error, state.meshed_wear,
-        state.gap_offset, None if along is None else along.reached(contact), state.through,
+        state.gap_offset, None if step_tangent is None else step_tangent.reached(contact),
+        state.through,
     )  # fmt: skip
     return checked(physics.case, after)

@@ -32,8 +32,8 @@ from ringwear_par.wear.law import Law, WearLaw
 # -- along one step --------------------------------------------------------------------------------
 
 
-class Along:
-    """Derivatives along one step, stage by stage: told of by the scheme and its contacts.
+class StepTangent:
+    """Derivatives along one step, stage by stage, as the scheme and its contacts report them.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class Along:
         self._near = before.pressure
         #: of the gap at given pressure
         self._gap = zeros(*shape)
-        self._during: WearIncrement | None = None
+        self._increment: WearIncrement | None = None
         self._linearised: LinearisedIncrement | None = None
         self._closes: FloatArray | None = None
         if closing is not None:
@@ -101,13 +101,13 @@ class Along:
     ) -> None:  # fmt: skip
         """Differentiate a contact solution, see ``contact.correction.Tangents``."""
         contacts, p = self._contacts, solution.pressure
-        during = self._during = wear
+        increment = self._increment = wear
         gap = self.wear[0] + self.wear[1]
         gap -= contacts.gap_of_excess(self._near)
         self._numbers.add_gap(gap, p, at)
         slope: FloatArray | None = None
-        if during is not None:
-            linearised = self._linearise(during, p, self._d_step(during), instant=False)
+        if increment is not None:
+            linearised = self._linearise(increment, p, self._d_step(increment), instant=False)
             worn, slope = linearised.in_contact_problem(p, self._closes)
             gap += worn
             self._linearised = linearised
@@ -139,14 +139,14 @@ class Along:
         """Return the linearisation of an increment."""
         return linearise(increment, p, self._numbers, self.wear, d_step, instant)
 
-    def unhindered(self) -> dict[int, FloatArray]:
+    def d_depth_if_always_in_contact(self) -> dict[int, FloatArray]:
         """Return derivatives of what the last stage wears off bodies all along, (P, ..., n) mm."""
         return {} if self._linearised is None else self._linearised.depths(self.pressure)
 
-    def _wear_off(self, lost: dict[int, FloatArray]) -> None:
+    def _wear_off(self, d_depths: dict[int, FloatArray]) -> None:
         """Add to derivatives of the wear."""
         self.wear = self.wear.copy()
-        for i, depths in lost.items():
+        for i, depths in d_depths.items():
             self.wear[i] += depths
 
     # -- what schemes tell -------------------------------------------------------------------------
@@ -160,23 +160,23 @@ class Along:
     def implicit(self) -> None:
         """Wear off what the last stage does."""
         self._last = self.pressure
-        self._wear_off(self.unhindered())
+        self._wear_off(self.d_depth_if_always_in_contact())
 
-    def first_stage(self, p: FloatArray, counts: FloatArray | float, share: float) -> None:
+    def first_stage(self, p: FloatArray, weights: FloatArray | float, share: float) -> None:
         """Go on to the last stage of two.
 
         Parameters
         ----------
         p : (..., n) MPa, at the end of the first.
-        counts : how many times its weight the stage counts, (..., n) or 1.
+        weights : how many times its weight the stage counts, (..., n) or 1.
         share : of what is worn that the last stage starts from.
         """
-        first = self._counted = self.pressure
-        d_counts: FloatArray | float = 0.0
+        first = self._weighted = self.pressure
+        d_weights: FloatArray | float = 0.0
         if self._closing is not None:
-            d_counts = self._closing.d_stage_weights(p, first, 0.0, 0.0)
-            self._counted = counts * first + d_counts * p
-        self._wear_off(self._lost(share * counts, share * d_counts))
+            d_weights = self._closing.d_stage_weights(p, first, 0.0, 0.0)
+            self._weighted = weights * first + d_weights * p
+        self._wear_off(self._d_depths(share * weights, share * d_weights))
         self._near = self._first = first
         self._time = self._end
 
@@ -190,33 +190,33 @@ class Along:
         assert self._closing is not None
         whole = last.step / columns(step)
         inside, d_inside = self._inside(last, p)
-        counts = whole * inside
-        d_counts = self._closing.d_stage_weights(p, self.pressure, counts, whole * d_inside)
-        self._step = np.where(self._closing.mask, 0.0, columns(step) * d_counts)
+        weights = whole * inside
+        d_weights = self._closing.d_stage_weights(p, self.pressure, weights, whole * d_inside)
+        self._step = np.where(self._closing.mask, 0.0, columns(step) * d_weights)
         self._near = self._first
 
     def last_stage(self, last: WearIncrement, p: FloatArray, step: FloatArray) -> None:
         """Wear off what the last stage of two does, see ``first_stage`` and ``lengthen``."""
-        self._last = self._counted_last = self.pressure
+        self._last = self._weighted_last = self.pressure
         inside: FloatArray | float = 1.0
         d_inside: FloatArray | float = 0.0
         if self._closing is not None:
             inside, d_inside = self._inside(last, p)
-            counts = last.step / columns(step)
-            d_counts = counts * d_inside
+            weights = last.step / columns(step)
+            d_weights = weights * d_inside
             if self._step is not None:
-                d_counts = d_counts + inside * self._step / columns(step)
-            self._counted_last = counts * inside * self.pressure + d_counts * p
-        self._wear_off(self._lost(inside, d_inside))
+                d_weights = d_weights + inside * self._step / columns(step)
+            self._weighted_last = weights * inside * self.pressure + d_weights * p
+        self._wear_off(self._d_depths(inside, d_inside))
 
     def _inside(self, last: WearIncrement, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return ``WearIncrement.share`` at a solution, (..., n), and its derivatives."""
         assert self._linearised is not None
         depth = last.depth_if_always_in_contact(p)
-        d_depth = total_of(list(self.unhindered().values()))
+        d_depth = total_of(list(self.d_depth_if_always_in_contact().values()))
         return last.share(depth), last.d_share(depth[0] + depth[1], d_depth, self._closes)
 
-    def _lost(self, share: Any, d_share: Any) -> dict[int, FloatArray]:
+    def _d_depths(self, share: Any, d_share: Any) -> dict[int, FloatArray]:
         """Return derivatives of what the last stage wears off in a share of its step."""
         if self._linearised is None:
             return {}
@@ -250,7 +250,7 @@ class Along:
         second: tuple[WearIncrement, WearIncrement],
         p: FloatArray,
         since: FloatArray,
-        faster: FloatArray,
+        rate_ratio_below: FloatArray,
     ) -> None:
         """Wear what was lost beyond the ends of layers off the next ones.
 
@@ -259,8 +259,8 @@ class Along:
         crossing : (2, ..., n), which elements come to their next layer.
         second : what these lose in a second before it and in it, the end of the step included.
         p : (..., n) MPa, of the last part of the step.
-        since : (2, ..., n) s, for how long they have lost it.
-        faster : (2, ..., n), rates in the next layer over those before it.
+        since : (2, ..., n) s, for how long they have been beyond it.
+        rate_ratio_below : (2, ..., n), rates in the next layer over those before it.
         """
         ends = self._ends(second[1].laws)
         reached = np.where(crossing[:, None], ends, self.wear)
@@ -270,8 +270,8 @@ class Along:
         )
         self.wear = self.wear.copy()
         for i in here:
-            beyond = faster[i] * (self.wear[i] - ends[i])
-            depth = beyond + since[i] * (below[i] - faster[i] * here[i])
+            beyond = rate_ratio_below[i] * (self.wear[i] - ends[i])
+            depth = beyond + since[i] * (below[i] - rate_ratio_below[i] * here[i])
             self.wear[i] = np.where(crossing[i], ends[i] + depth, self.wear[i])
 
     def work(self, lasts: FloatArray, sliding: Sliding, p: FloatArray, d_p: FloatArray) -> None:
@@ -285,9 +285,9 @@ class Along:
         self._energy = self._energy + lasts * power
 
     @property
-    def counted(self) -> tuple[FloatArray, FloatArray]:
+    def weighted(self) -> tuple[FloatArray, FloatArray]:
         """Derivatives of the pressures of both stages, (P, ..., n), times what these count."""
-        return self._counted, self._counted_last
+        return self._weighted, self._weighted_last
 
     def reached(self, contact: ContactState) -> Tangent:
         """Return the derivatives of the state at the end, whose contact is the last one."""
@@ -302,20 +302,20 @@ class Along:
         if not open_.any():
             return np.zeros_like(self._gap)
         gap = self._gap + self._contacts.engine.derivatives.deflections(self.pressure)
-        if self._during is not None and not self._during.local:
+        if self._increment is not None and not self._increment.local:
             assert self._linearised is not None
-            gap += sum(self.unhindered().values()) - self._linearised.depth
+            gap += sum(self.d_depth_if_always_in_contact().values()) - self._linearised.depth
         return np.where(open_, gap - self.approach[..., None], 0.0)
 
 
-def along_step(
+def tangent_of_step(
     physics: Physics,
     contacts: CorrectedContacts,
     state: State,
     end: FloatArray,
     first: FloatArray | None = None,
     closing: ClosingElements | None = None,
-) -> Along | None:
+) -> StepTangent | None:
     """Return the derivatives along a step from a state to a time; None where there are none.
 
     Parameters
@@ -325,7 +325,7 @@ def along_step(
     if physics.sensitivity is None:
         return None
     times = end if first is None else first, end
-    return Along(physics, contacts, state.tangent, times, end - state.time, closing)
+    return StepTangent(physics, contacts, state.tangent, times, end - state.time, closing)
 
 
 def _moved_ends(left: FloatArray, d_left: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.history.validity.case_limits import check_case
+from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.identification.definition.inputs import (
     input_keys,
     read_inputs,

@@ -21,7 +21,7 @@ from ringwear_par.identification.definition.problem import Experiment, Problem
 from ringwear_par.identification.model.histories import STEPS, Histories, HistoryError, Pair
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.execution.progress import FitProgress
-from ringwear_par.results.execution.stopping import StopSignals, name_of, remark
+from ringwear_par.results.execution.stop_signals import StopSignals, name_of, remark
 
 T = TypeVar("T")
 #: pauses a job until the histories at a point are computed

@@ -16,7 +16,7 @@ from ringwear_par.identification.scatter.material import known_sizes
 from ringwear_par.identification.test_design.candidates import Candidate
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.search import Design
-from ringwear_par.pictures.designs import design_panels
+from ringwear_par.pictures.design_panels import design_panels
 from ringwear_par.pictures.matplotlib import panel_figure
 from ringwear_par.results.key_numbers import time_unit, time_words
 

@@ -26,7 +26,7 @@ from ringwear_par.identification.model.noise import NuisanceProjection, informat
 from ringwear_par.identification.model.readings import nuisance_columns
 from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.identification.scatter.likelihood import of_new_specimen
-from ringwear_par.results.execution.stopping import StopSignals
+from ringwear_par.results.execution.stop_signals import StopSignals
 
 #: draws of the keys, and their seed
 _DRAWS, _SEED = 8, 0

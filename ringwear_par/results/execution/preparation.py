@@ -11,18 +11,12 @@ from ringwear_par.cases.files.law_trials import law_files, law_sources
 from ringwear_par.cases.files.reading import parse_case, read_case
 from ringwear_par.errors import InputError
 from ringwear_par.files.writing import check_writable
-from ringwear_par.history.validity.case_limits import check_case
+from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import open_result, read_error, read_status, restored
 
 #: of result files
 _ENDINGS = (".h5", ".hdf5", ".nc")
-
-
-def reached_end(case: Case, result: Result) -> bool:
-    """Tell whether a result has come to the end of a case."""
-    start = restored(result)
-    return case.time.finished(int(start.progress.steps[0]), float(start.state.time[0]))
 
 
 class Figure(Protocol):

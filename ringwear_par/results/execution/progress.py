@@ -14,7 +14,7 @@ from typing import Any
 from tqdm import tqdm
 
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.results.execution.stopping import is_launched
+from ringwear_par.results.execution.stop_signals import is_launched
 from ringwear_par.results.result import Result
 from ringwear_par.results.summary import labelled
 

@@ -18,7 +18,7 @@ from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.numbers import needs_reading
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic.bodies import operator_key, young
-from ringwear_par.history.validity.case_limits import check_memory, check_mesh
+from ringwear_par.history.refusals.cases import check_memory, check_mesh
 from ringwear_par.studies.definition.case_columns import by_kind
 from ringwear_par.studies.definition.designs import Draft
 from ringwear_par.studies.definition.identities import identities_of

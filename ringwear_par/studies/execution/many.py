@@ -15,7 +15,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.history.derivatives.keys import check_derivatives
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.validity.case_limits import check_case
+from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.result import FailedResult, Result
 from ringwear_par.studies.definition.variations import is_whole

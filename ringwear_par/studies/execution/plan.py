@@ -15,7 +15,7 @@ from ringwear_par.arrays import BoolArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.errors import InputError
 from ringwear_par.files.folders import refuse_others
-from ringwear_par.history.validity.case_limits import memory_needed
+from ringwear_par.history.refusals.cases import memory_needed
 from ringwear_par.studies.definition.case_columns import Groups
 from ringwear_par.studies.definition.study import Study
 from ringwear_par.studies.storage.blocks import DONE, FAILED

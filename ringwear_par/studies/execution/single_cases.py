@@ -12,7 +12,7 @@ from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Observer
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.run import CheckpointWatch
-from ringwear_par.results.execution.stopping import StopSignals
+from ringwear_par.results.execution.stop_signals import StopSignals
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.studies.execution.batches import PairResources
 from ringwear_par.studies.execution.team_store import StorageError, TeamStore

@@ -18,7 +18,7 @@ from mpi4py import MPI
 from ringwear_par.errors import RingwearError
 from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads, with_help_of_all
 from ringwear_par.results.execution.progress import SweepProgress
-from ringwear_par.results.execution.stopping import StopSignals
+from ringwear_par.results.execution.stop_signals import StopSignals
 from ringwear_par.studies.definition.study import Study, read_study_together
 from ringwear_par.studies.execution.case_queue import SharedQueue
 from ringwear_par.studies.execution.estimate import estimate

@@ -10,7 +10,7 @@ from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import together
 from ringwear_par.results.execution.progress import SweepProgress
-from ringwear_par.results.execution.stopping import StopSignals
+from ringwear_par.results.execution.stop_signals import StopSignals
 from ringwear_par.results.result import HistoryColumns
 from ringwear_par.studies.execution.batches import PairResources, computed, failed_columns
 from ringwear_par.studies.execution.case_queue import SharedQueue, Stretch

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.pictures.panels import GREY, Axis, Band, Bars, Curve, Panel, Points
+from ringwear_par.pictures.panel import GREY, Axis, Band, Bars, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.studies.analysis.responses import SEED, chosen_cases
 from ringwear_par.studies.analysis.sensitivity import Indices

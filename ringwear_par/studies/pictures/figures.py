@@ -20,7 +20,7 @@ from ringwear_par.pictures.matplotlib import (
     legend_entries,
     legend_shape,
 )
-from ringwear_par.pictures.panels import Panel
+from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.style import STYLE, NotebookFigure, number_text, plain, set_legend
 from ringwear_par.studies.analysis.predictions import Surrogate
 from ringwear_par.studies.analysis.sensitivity import Indices, sensitivity_indices

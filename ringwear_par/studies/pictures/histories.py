@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.pictures.panels import GREY, Axis, Band, Curve, Panel
+from ringwear_par.pictures.panel import GREY, Axis, Band, Curve, Panel
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.key_numbers import time_unit
 from ringwear_par.studies.analysis.responses import chosen_cases

@@ -21,7 +21,7 @@ from ringwear_par.identification.model import histories as histories_room
 from ringwear_par.identification.model import rounds as rounds_room
 from ringwear_par.identification.model.histories import Histories, HistoryError
 from ringwear_par.identification.model.rounds import Rounds, StoppedError, side_by_side
-from ringwear_par.results.execution.stopping import StopSignals
+from ringwear_par.results.execution.stop_signals import StopSignals
 
 
 @pytest.mark.several

@@ -20,7 +20,7 @@ from ringwear_par.identification.fit import expected_result, fit
 from ringwear_par.identification.test_design.candidates import candidates
 from ringwear_par.identification.test_design.design import run_design
 from ringwear_par.identification.test_design.design_folder import FILES, next_tests
-from ringwear_par.results.execution.stopping import Stopped
+from ringwear_par.results.execution.stop_signals import Stopped
 
 pytestmark = pytest.mark.serial
 

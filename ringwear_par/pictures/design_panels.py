@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.units import in_signs
-from ringwear_par.pictures.panels import Axis, Bars, Cells, Panel, Points
+from ringwear_par.pictures.panel import Axis, Bars, Cells, Panel, Points
 from ringwear_par.pictures.style import COLOURS
 
 

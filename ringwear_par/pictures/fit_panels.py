@@ -11,7 +11,7 @@ from scipy.stats import chi2, norm
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import legible
-from ringwear_par.pictures.panels import GREY, Axis, Band, Bars, Curve, Label, Panel, Points
+from ringwear_par.pictures.panel import GREY, Axis, Band, Bars, Curve, Label, Panel, Points
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.key_numbers import time_unit
 

@@ -8,8 +8,8 @@ from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.errors import ComputationError, HistoriesError, UnfitError
 from ringwear_par.history.inputs import of_faces
 from ringwear_par.history.physics import Physics
+from ringwear_par.history.refusals.stable_steps import pressed
 from ringwear_par.history.state import State
-from ringwear_par.history.validity.stable_steps import pressed
 
 
 def check_interpenetration(physics: Physics, contacts: CorrectedContacts) -> None:

@@ -12,7 +12,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
-from ringwear_par.pictures.panels import FEW_POINTS, Axis, Curve, Label, Panel, Points
+from ringwear_par.pictures.panel import FEW_POINTS, Axis, Curve, Label, Panel, Points
 from ringwear_par.pictures.style import COLOURS, stage_colour
 from ringwear_par.results.key_numbers import (
     friction_of,
