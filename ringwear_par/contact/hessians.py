@@ -80,9 +80,10 @@ class Hessians:
              "_inverse", "_regular", "_response", "_stiffness"),
             histories,
         )  # fmt: skip
-        places = {history: place for place, history in enumerate(histories.tolist())}
-        factors = self._factors.items()
-        self._factors = {places[h]: factor for h, factor in factors if h in places}
+        if self._factors:
+            places = {history: place for place, history in enumerate(histories.tolist())}
+            factors = self._factors.items()
+            self._factors = {places[h]: factor for h, factor in factors if h in places}
         self._rows.clear()
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
