@@ -50,6 +50,8 @@ class Hessians:
         self._per_speed = (1.0 / compliances.speed)[which]
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
+        #: (B, n) the diagonal
+        self.diagonal = np.ones((count, n))
         #: (B, n, n) what non-local wear adds, its diagonal included in it; (0, n, n): wear is local
         self.coupling = np.zeros((0, n, n))
         #: whether wear gets through layers: slopes then are of several laws, far apart, and a
@@ -72,7 +74,7 @@ class Hessians:
 
     def keep(self, histories: IntArray) -> None:
         """Go on with some of the histories."""
-        self.slope = self.slope[histories]
+        self.slope, self.diagonal = self.slope[histories], self.diagonal[histories]
         self.coupling = self.coupling[histories] if len(self.coupling) else self.coupling
         keep(
             self,
@@ -111,11 +113,12 @@ class Hessians:
         """Set what wear adds in some rows, see ``ContactProblem.slopes``."""
         if slope is not self.slope:
             self._valid[rows] &= (slope == self.slope[rows]).all(axis=1)
-        if isinstance(rows, slice):
-            self.slope = slope
-        else:
-            self.slope = self.slope.copy()
-            self.slope[rows] = slope
+            if isinstance(rows, slice):
+                self.slope, self.diagonal = slope, 1.0 + slope
+            else:
+                self.slope = self.slope.copy()
+                self.slope[rows] = slope
+                self.diagonal[rows] = 1.0 + slope
         if coupling is not None:
             self.coupling[rows] = coupling
 

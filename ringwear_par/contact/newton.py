@@ -80,7 +80,7 @@ class ActiveSetNewton:
     def _iterate(self, tao: PETSc.TAO, q: FloatArray, g: FloatArray) -> tuple[IntArray, int]:
         """Take plain steps; return the histories that did not end, and the number of steps."""
         problem, hessians = self._problem, self._hessians
-        broken = problem.at_work[:0]
+        broken: list[int] = []
         free = q > 0.0
         self._begin(q, g, free)
         self._evaluate(q, g, recall=True)
@@ -101,12 +101,12 @@ class ActiveSetNewton:
             if self._monitored:
                 self._monitor(tao, iteration)
             lost, cleared = self._settle(q, g, free)
-            broken = np.concatenate([broken, lost])
+            broken += lost
             if cleared and len(problem.at_work):
                 self._evaluate(q, g)
-        return np.concatenate([broken, problem.at_work]), iteration
+        return np.array([*broken, *problem.at_work.tolist()], dtype=np.int64), iteration
 
-    def _settle(self, q: FloatArray, g: FloatArray, free: BoolArray) -> tuple[IntArray, bool]:
+    def _settle(self, q: FloatArray, g: FloatArray, free: BoolArray) -> tuple[list[int], bool]:
         """Let histories that have settled rest, and the others go on with the sets of the signs.
 
         Unknowns that leave their set become 0. Return the histories whose unknowns are no numbers,
@@ -124,14 +124,14 @@ class ActiveSetNewton:
             same = (keep == before).all(axis=1)
         if same.all() and fine.all() and not broken.any():
             problem.at_work = histories[:0]
-            return histories[:0], False
+            return [], False
         leaving = ~same & ~broken
         free[rows] = np.where(leaving[:, None], keep, before)
         cleared = (leaving[:, None] & ~keep & (x != 0.0)) | broken[:, None]
         q[rows] = np.where(cleared, 0.0, x)
         problem.is_known[histories[broken]] = False
         problem.at_work = histories[~((same & fine) | broken)]
-        return histories[broken], bool(cleared[~broken].any())
+        return histories[broken].tolist(), bool(cleared[~broken].any())
 
     def _optimal(self, x: FloatArray, gradient: FloatArray) -> tuple[BoolArray, BoolArray]:
         """Return who of the histories at work is optimal on its sets, (h,), and whose x is broken.
@@ -140,8 +140,9 @@ class ActiveSetNewton:
         round-off of x, and the force is met.
         """
         problem, rows = self._problem, self._problem.rows
-        diagonal = 1.0 + self._hessians.slope[rows]
-        natural = np.minimum(x, gradient / diagonal)
+        diagonal = self._hessians.diagonal[rows]
+        natural = gradient / diagonal
+        np.minimum(x, natural, out=natural)
         worst, most = largest(np.abs(natural)), np.maximum(largest(x), 0.0)
         carried = inner(problem.weights[rows], x)
         # where wear makes the diagonal large, round-off in q is more than the tolerance in g
@@ -230,4 +231,7 @@ class ActiveSetNewton:
     def _evaluate(self, q: FloatArray, g: FloatArray, recall: bool = False) -> None:
         """Compute the gradient at the present unknowns, or ``recall`` what is known of them."""
         rows = self._problem.rows
-        g[rows] = self._problem.gradient(q[rows], recall)
+        if isinstance(rows, slice):
+            self._problem.gradient(q, recall, g)
+        else:
+            g[rows] = self._problem.gradient(q[rows], recall)

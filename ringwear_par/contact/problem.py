@@ -203,13 +203,16 @@ class ContactProblem:
             self._product[rows] = product
         return product
 
-    def gradient(self, q: FloatArray, recall: bool = False) -> FloatArray:
+    def gradient(
+        self, q: FloatArray, recall: bool = False, out: FloatArray | None = None
+    ) -> FloatArray:
         """Return the gradient (h, n): the weighted gap of the deformed, worn profiles.
 
         Parameters
         ----------
         q : (h, n) float, the unknowns.
         recall : whether they are the last ones, as far as those ``is_known``.
+        out : (h, n) float, where it is to be; None: in an array of its own.
         """
         rows, wear, whole = self.rows, self._increment(), isinstance(self.rows, slice)
         recall = recall and bool(self.is_known[rows].all())
@@ -217,7 +220,7 @@ class ContactProblem:
         if p is None:
             p = self.pressures(q, rows)
         self._pressure = p if whole else None
-        gradient = self.gaps[rows] - self.approaches[rows, None]
+        gradient = np.subtract(self.gaps[rows], self.approaches[rows, None], out=out)
         if wear is not None:
             gradient += wear.depth(p)
         gradient *= self.weights[rows]

@@ -206,13 +206,22 @@ class Physics:
 
     def sliding(self, time: FloatArray) -> Sliding:
         """Return how the histories slide at times (B,) s."""
+        return self._at_all_times or self._sliding(time)
+
+    def _sliding(self, time: FloatArray) -> Sliding:
         inputs = self.inputs
         return Sliding(in_time(inputs.omega, time), in_time(inputs.friction, time))
+
+    @cached_property
+    def _at_all_times(self) -> Sliding | None:
+        """How the histories slide, where that never changes."""
+        inputs = self.inputs
+        return self._sliding(np.zeros(len(inputs.cases))) if inputs.steady_sliding else None
 
     def mean_sliding(self, start: FloatArray, end: FloatArray) -> Sliding:
         """Return how the histories slide in the mean over steps."""
         inputs = self.inputs
-        return Sliding(mean(inputs.omega, start, end), mean(inputs.friction, start, end))
+        return self._at_all_times or Sliding(mean(inputs.omega, start, end), mean(inputs.friction, start, end))
 
     def local_state(self, time: FloatArray, sliding: Sliding, wear: FloatArray) -> LocalState:
         """Return the local state of a body whose wear is (B, n) mm.
@@ -232,9 +241,9 @@ class Physics:
     @cached_property
     def _steady(self) -> tuple[FloatArray, FloatArray] | None:
         """(B, n) speeds, mm/s, and friction coefficient times these, where they never change."""
-        if not self.inputs.steady_sliding:
+        sliding = self._at_all_times
+        if sliding is None:
             return None
-        sliding = self.sliding(np.zeros(len(self.inputs.cases)))
         speed = columns(sliding.omega) * self.line.arm
         return speed, columns(sliding.friction) * speed
 
