@@ -356,10 +356,13 @@ class Hessians:
         solutions, multipliers = np.zeros_like(right), np.zeros(count)
         stiffness, multiplier = self._stiffness[histories], np.zeros(count)
 
-        def apply(x: FloatArray) -> FloatArray:
-            bent = groups.of(x, psi_t)
-            bent *= slope
-            product = groups.of(bent, psi)
+        def apply(x: FloatArray, some: IntArray | None = None) -> FloatArray:
+            if some is not None:
+                x = x[some]
+            groups_of = groups if some is None else RowProducts(numbers[some])
+            bent = groups_of.of(x, psi_t)
+            bent *= slope if some is None else slope[some]
+            product = groups_of.of(bent, psi)
             product += x
             return product
 
@@ -373,7 +376,11 @@ class Hessians:
         rows, x, r = np.arange(count), np.zeros_like(right), right.copy()
         if missing is not None and missing.any():
             x = response * _divided(missing, stiffness)[:, None]
-            r -= apply(x)
+            # of so little as is mostly missing, the round-off of the last step, r is that of none
+            size = tolerance * tolerance * inner(inverse * r, r)
+            much = np.flatnonzero(missing * missing > size * stiffness)
+            if len(much):
+                r[much] -= apply(x, much)
         direction = project()
         size = inner(r, direction)
         small, going = tolerance * tolerance * size, np.ones(count, dtype=bool)

@@ -245,9 +245,7 @@ class ContactProblem:
             objectives = objectives + inner(self.area, wear.potential(self.pressures(q, rows)))
         return float(objectives.sum())
 
-    def slopes(
-        self, q: FloatArray, recall: bool = False
-    ) -> tuple[FloatArray, FloatArray | None]:
+    def slopes(self, q: FloatArray, recall: bool = False) -> tuple[FloatArray, FloatArray | None]:
         """Return the slopes that wear adds to the Hessians: on diagonals, (h, n), and off them.
 
         The second part is (h, n, n) of non-local wear, and does not have the first in it; of local

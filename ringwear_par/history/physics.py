@@ -221,7 +221,9 @@ class Physics:
     def mean_sliding(self, start: FloatArray, end: FloatArray) -> Sliding:
         """Return how the histories slide in the mean over steps."""
         inputs = self.inputs
-        return self._at_all_times or Sliding(mean(inputs.omega, start, end), mean(inputs.friction, start, end))
+        return self._at_all_times or Sliding(
+            mean(inputs.omega, start, end), mean(inputs.friction, start, end)
+        )
 
     def local_state(self, time: FloatArray, sliding: Sliding, wear: FloatArray) -> LocalState:
         """Return the local state of a body whose wear is (B, n) mm.
