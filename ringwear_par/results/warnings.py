@@ -1,6 +1,7 @@
 """Warnings about the validity of an answer: printed by ``run``, flagged by ``sweep``."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,6 +9,8 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.unit_suspicions import (
     MOST_PRESSED,
+    Forecast,
+    deep_forecasts,
     deep_wear,
     smallest_modulus,
     too_much_load,
@@ -30,6 +33,8 @@ from ringwear_par.history.refusals.stable_steps import missed_corner, stable_ste
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.schedules import largest
 
+#: the measures of few elements in contact
+_ON_FEW = tuple(map(force_on, range(1, FEW_ELEMENTS)))
 #: share of the largest force of a history under which contact need not be resolved
 _SLIGHT_LOAD = 0.1
 #: largest approach or wear, in heights of a body, that small displacements describe
@@ -50,6 +55,14 @@ _MOST_ASYMMETRY = 0.05
 #: share of a layer, meant by load, that is worn off, and by which its modulus differs from what is
 #: under it, from which on the unworn stack is another
 _MOST_OF_LAYER, _OTHER_MODULUS = 0.25, 0.1
+
+
+class Doubts(NamedTuple):
+    """What is doubtful of a history."""
+
+    #: by name of its measure, ``ENTRIES`` numbers each
+    worst: Mapping[str, Sequence[float]]
+    warnings: tuple[ValidityWarning, ...]
 
 
 class Warnings:
@@ -81,22 +94,24 @@ class Warnings:
         self._begun = True
         return False
 
-    def worst(self, number: int) -> dict[str, Sequence[float]]:
-        """Return the worst of a history by name of its measure, ``ENTRIES`` numbers each."""
-        more = {
-            "reactions": self._balances.reactions(number),
-            "infinite_stress": self._stresses.infinite(number),
-        }
-        return {
-            **self._states.history(number),
-            **{name: (*some, *(ENTRIES - len(some)) * (0.0,)) for name, some in more.items()},
-        }
+    def histories(self, failed: Sequence[bool]) -> list[Doubts]:
+        """Return what is doubtful of each history; no warnings of those that have failed."""
+        reactions, unknown = self._balances.reactions().tolist(), [0.0] * ENTRIES
+        deep, doubts = deep_forecasts(self._cases), []
+        for number, worst in enumerate(self._states.histories()):
+            infinite = self._stresses.infinite(number)
+            worst["reactions"] = [*reactions[number], *unknown[2:]]
+            worst["infinite_stress"] = [*infinite, *unknown[len(infinite) :]]
+            warnings = () if failed[number] else self._warnings(number, worst, deep[number])
+            doubts.append(Doubts(worst, warnings))
+        return doubts
 
-    def history(self, number: int) -> tuple[ValidityWarning, ...]:
-        """Return the warnings of a history."""
-        case, worst = self._cases[number], self.worst(number)
+    def _warnings(
+        self, number: int, worst: Mapping[str, Sequence[float]], deep: Sequence[Forecast]
+    ) -> tuple[ValidityWarning, ...]:
+        case = self._cases[number]
         warnings = [self._long_steps[number]] if number in self._long_steps else []
-        warnings += validity_warnings(case, worst)
+        warnings += validity_warnings(case, worst, deep)
         places = self._stresses.places(number)
         if places is not None:
             history = self._stresses.history(number)
@@ -108,16 +123,17 @@ class Warnings:
 
 
 def validity_warnings(
-    case: Case, worst: Mapping[str, Sequence[float]]
+    case: Case, worst: Mapping[str, Sequence[float]], deep: Sequence[Forecast] | None = None
 ) -> tuple[ValidityWarning, ...]:
     """Return where the states of a case left what the method is made for. Not collective.
 
     Parameters
     ----------
-    worst : the worst of its history, see ``Warnings.worst``.
+    worst : the worst of its history, see ``Doubts``.
+    deep : its ``deep_forecasts``, where they are known.
     """
     return (
-        *_deep_wear(case, worst),
+        *_deep_wear(case, worst, deep),
         *_apart(case),
         *_contact_beyond_mesh(case, worst),
         *_missed_corner(case),
@@ -146,7 +162,9 @@ def _missed_corner(case: Case) -> Iterator[ValidityWarning]:
     )
 
 
-def _deep_wear(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
+def _deep_wear(
+    case: Case, worst: Mapping[str, Sequence[float]], deep: Sequence[Forecast] | None
+) -> Iterator[ValidityWarning]:
     """Yield suspicious units, and whether wear or approach were too large for small displacements.
 
     One warning for one thing: wear that much was forecast for is there.
@@ -154,10 +172,10 @@ def _deep_wear(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[Val
     moved, time, *_ = worst["moved"]
     gap = case.smallest_gaps[0] if _is_apart(case) else 0.0  # of which another warning tells
     if moved - gap <= _MOST_MOVED * _height(case):
-        yield from unit_suspicions(case)
+        yield from unit_suspicions(case, deep)
         return
-    forecast = deep_wear(case)
-    yield from (warning for warning in unit_suspicions(case) if warning not in forecast)
+    forecast = deep_wear(case, deep)
+    yield from (warning for warning in unit_suspicions(case, deep) if warning not in forecast)
     yield ValidityWarning(
         "large_displacement",
         f"approach or wear of {moved:.3g} mm at t = {time:g} s is more than 5 % of a body's "
@@ -250,8 +268,8 @@ def _high_pressure(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator
 def _few_elements(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
     """Yield whether few elements bore a load that counts among those of the history."""
     most = worst["force"][0]
-    for count in range(1, FEW_ELEMENTS):
-        force, time, *_ = worst.get(force_on(count), (0.0, 0.0))
+    for count, name in enumerate(_ON_FEW, start=1):
+        force, time, *_ = worst.get(name, (0.0, 0.0))
         if force > _SLIGHT_LOAD * most:
             yield ValidityWarning(
                 "few_elements_in_contact",

@@ -151,11 +151,12 @@ class WorstBalances:
         """(B,) s, end of the step at which ``step_error`` is the largest."""
         return self._times[_NAMES.index("step_error")]
 
-    def reactions(self, number: int = 0) -> tuple[float, float]:
-        """Return the worse of ``torque`` and ``reaction`` of one history, and its time, s."""
+    def reactions(self) -> FloatArray:
+        """Return (B, 2) the worse of ``torque`` and ``reaction`` of each history, its time, s."""
         rows = [_NAMES.index("torque"), _NAMES.index("reaction")]
-        row = rows[int(self._worst[rows, number].argmax())]
-        return float(self._worst[row, number]), float(self._times[row, number])
+        torque_and_reaction = np.array([self._worst[rows], self._times[rows]])
+        worse = torque_and_reaction[0].argmax(axis=0)
+        return np.take_along_axis(torque_and_reaction, worse[None, None], axis=1)[:, 0].T
 
     @property
     def worst(self) -> Balances:

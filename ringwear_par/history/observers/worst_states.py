@@ -110,10 +110,10 @@ class WorstStates:
                 take(worn_share(i, layer), share)
         return False
 
-    def history(self, number: int = 0) -> dict[str, tuple[float, ...]]:
-        """Return the measures of one of B histories by name, ENTRIES numbers each."""
-        entries = self._table[:, :, number].tolist()
-        return {name: tuple(entries[row]) for name, row in self._rows.items()}
+    def histories(self) -> list[dict[str, list[float]]]:
+        """Return the measures of each of B histories by name, ENTRIES numbers each."""
+        tables = self._table.transpose(2, 0, 1).tolist()
+        return [dict(zip(self._rows, table, strict=True)) for table in tables]
 
     def restore(self, before: Mapping[str, Sequence[float]]) -> None:
         """Take the measures that an interrupted single history had."""

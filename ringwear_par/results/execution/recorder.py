@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
-from ringwear_par.errors import ValidityWarning, reason_of
+from ringwear_par.errors import reason_of
 from ringwear_par.history.observers.balances import Balances, WorstBalances
 from ringwear_par.history.observers.boundaries import BoundaryObserver
 from ringwear_par.history.observers.stresses import CaseStresses, StressObserver
@@ -27,7 +27,7 @@ from ringwear_par.results.execution.attributes import (
 from ringwear_par.results.execution.stored_states import LastStates, StoredRows
 from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
 from ringwear_par.results.storage.result_variables import point_columns, stress_rows
-from ringwear_par.results.warnings import Warnings
+from ringwear_par.results.warnings import Doubts, Warnings
 
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
 
@@ -143,23 +143,23 @@ class Recorder:
 
     def _recorded(
         self, failures: Mapping[int, Exception]
-    ) -> tuple[HistoryColumns, Sequence[Sequence[ValidityWarning]]]:
-        """Return all histories as they are stored, and the warnings of each."""
+    ) -> tuple[HistoryColumns, Sequence[Doubts]]:
+        """Return all histories as they are stored, and what is doubtful of each."""
         failures, count = {**self._stresses.failures, **failures}, len(self._cases)
         failed = [number in failures for number in range(count)]
-        warnings = [() if bad else self.warnings.history(i) for i, bad in enumerate(failed)]
+        doubts = self.warnings.histories(failed)
         rows = self._rows.columns()
         columns = HistoryColumns(
             **rows,
             imbalance=np.where(failed, 0.0, self._balances.imbalance),
-            flags=tuple(tuple(warning.code for warning in texts) for texts in warnings),
+            flags=tuple(tuple(warning.code for warning in d.warnings) for d in doubts),
             seconds=np.full(count, self._stepping / count),
             status=tuple("failed" if bad else "done" for bad in failed),
             reason=tuple(reason_of(failures[i]) if bad else "" for i, bad in enumerate(failed)),
             stress=self._stress_rows(rows["histories"]["time"], rows["offsets"]),
             whole=self._single_values(),
         )
-        return columns, warnings
+        return columns, doubts
 
     def _stress_rows(self, times: FloatArray, offsets: IntArray) -> dict[str, FloatArray]:
         """Return the stored stresses of all rows; cases ask for the same, or for none."""
@@ -187,23 +187,23 @@ class Recorder:
         ----------
         error : why the history cannot go on, "" where it can.
         """
-        columns, (warnings,) = self._recorded(_NO_FAILURES)
-        return self._result(0, columns, warnings, error)
+        columns, (doubts,) = self._recorded(_NO_FAILURES)
+        return self._result(0, columns, doubts, error)
 
     def results(self, failures: Mapping[int, Exception]) -> list[Result | Exception]:
         """Return the results of all histories, or why there is none."""
         failures = {**self._stresses.failures, **failures}
-        columns, warnings = self._recorded(failures)
+        columns, doubts = self._recorded(failures)
         return [
             failures[number] if number in failures else self._result(number, columns, of_history)
-            for number, of_history in enumerate(warnings)
+            for number, of_history in enumerate(doubts)
         ]
 
     def _result(
         self,
         number: int,
         columns: HistoryColumns,
-        warnings: Sequence[ValidityWarning],
+        doubts: Doubts,
         error: str = "",
     ) -> Result:
         case, rows, last = self._cases[number], columns.rows(number), self._last.state(number)
@@ -233,9 +233,9 @@ class Recorder:
                 "symmetry_defect": float(last.symmetry_defect[0]),
                 "step_error_time": float(self._balances.step_error_time[number]),
                 "closing_contact": int(self._balances.closing_contact[number]),
-                "doubts": json.dumps([warning.to_dict() for warning in warnings]),
+                "doubts": json.dumps([warning.to_dict() for warning in doubts.warnings]),
             },
-            Checkpoint(last.start, int(self._rows.pending[number]), self.warnings.worst(number)),
+            Checkpoint(last.start, int(self._rows.pending[number]), doubts.worst),
             parameters=self._rows.parameters,
             derivatives=part(columns.derivatives),
             layers=part(columns.layers),
