@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, inner, largest
+from ringwear_par.arrays import FloatArray, IntArray, inner, largest
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.mesh import case_slopes
 from ringwear_par.elasticity.sections import BODIES
@@ -110,10 +110,15 @@ class WorstStates:
                 take(worn_share(i, layer), share)
         return False
 
-    def histories(self) -> list[dict[str, list[float]]]:
-        """Return the measures of each of B histories by name, ENTRIES numbers each."""
-        tables = self._table.transpose(2, 0, 1).tolist()
-        return [dict(zip(self._rows, table, strict=True)) for table in tables]
+    def worst(self, numbers: IntArray) -> dict[str, list[float]]:
+        """Return the measures of a history by name, ENTRIES numbers each.
+
+        Of several, the largest of each number, and the smallest of their largest forces.
+        """
+        table, force = self._table[..., numbers], self._rows[_FORCE]
+        worst = table.max(axis=2)
+        worst[force] = table[force].min(axis=1)
+        return dict(zip(self._rows, worst.tolist(), strict=True))
 
     def restore(self, before: Mapping[str, Sequence[float]]) -> None:
         """Take the measures that an interrupted single history had."""

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
-from ringwear_par.errors import reason_of
+from ringwear_par.errors import ValidityWarning, reason_of
 from ringwear_par.history.observers.balances import Balances, WorstBalances
 from ringwear_par.history.observers.boundaries import BoundaryObserver
 from ringwear_par.history.observers.stresses import CaseStresses, StressObserver
@@ -27,7 +27,7 @@ from ringwear_par.results.execution.attributes import (
 from ringwear_par.results.execution.stored_states import LastStates, StoredRows
 from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
 from ringwear_par.results.storage.result_variables import point_columns, stress_rows
-from ringwear_par.results.warnings import Doubts, Warnings
+from ringwear_par.results.warnings import Warnings
 
 _NO_FAILURES: Mapping[int, Exception] = MappingProxyType({})
 
@@ -143,23 +143,23 @@ class Recorder:
 
     def _recorded(
         self, failures: Mapping[int, Exception]
-    ) -> tuple[HistoryColumns, Sequence[Doubts]]:
-        """Return all histories as they are stored, and what is doubtful of each."""
+    ) -> tuple[HistoryColumns, Sequence[Sequence[ValidityWarning]]]:
+        """Return all histories as they are stored, and the warnings of each."""
         failures, count = {**self._stresses.failures, **failures}, len(self._cases)
         failed = [number in failures for number in range(count)]
-        doubts = self.warnings.histories(failed)
+        warnings = self.warnings.histories(failed)
         rows = self._rows.columns()
         columns = HistoryColumns(
             **rows,
             imbalance=np.where(failed, 0.0, self._balances.imbalance),
-            flags=tuple(tuple(warning.code for warning in d.warnings) for d in doubts),
+            flags=tuple(tuple(warning.code for warning in texts) for texts in warnings),
             seconds=np.full(count, self._stepping / count),
             status=tuple("failed" if bad else "done" for bad in failed),
             reason=tuple(reason_of(failures[i]) if bad else "" for i, bad in enumerate(failed)),
             stress=self._stress_rows(rows["histories"]["time"], rows["offsets"]),
             whole=self._single_values(),
         )
-        return columns, doubts
+        return columns, warnings
 
     def _stress_rows(self, times: FloatArray, offsets: IntArray) -> dict[str, FloatArray]:
         """Return the stored stresses of all rows; cases ask for the same, or for none."""
@@ -187,28 +187,29 @@ class Recorder:
         ----------
         error : why the history cannot go on, "" where it can.
         """
-        columns, (doubts,) = self._recorded(_NO_FAILURES)
-        return self._result(0, columns, doubts, error)
+        columns, (warnings,) = self._recorded(_NO_FAILURES)
+        return self._result(0, columns, warnings, error)
 
     def results(self, failures: Mapping[int, Exception]) -> list[Result | Exception]:
         """Return the results of all histories, or why there is none."""
         failures = {**self._stresses.failures, **failures}
-        columns, doubts = self._recorded(failures)
+        columns, warnings = self._recorded(failures)
         return [
             failures[number] if number in failures else self._result(number, columns, of_history)
-            for number, of_history in enumerate(doubts)
+            for number, of_history in enumerate(warnings)
         ]
 
     def _result(
         self,
         number: int,
         columns: HistoryColumns,
-        doubts: Doubts,
+        warnings: Sequence[ValidityWarning],
         error: str = "",
     ) -> Result:
         case, rows, last = self._cases[number], columns.rows(number), self._last.state(number)
         steps, time_reached = columns.steps[rows], float(last.start.state.time[0])
         through = times_through(case, self._last.through[:, number])
+        worst = self.warnings.worst(np.array([number]))
         about = case_attributes(case, time_reached)
 
         def part(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -233,9 +234,9 @@ class Recorder:
                 "symmetry_defect": float(last.symmetry_defect[0]),
                 "step_error_time": float(self._balances.step_error_time[number]),
                 "closing_contact": int(self._balances.closing_contact[number]),
-                "doubts": json.dumps([warning.to_dict() for warning in doubts.warnings]),
+                "doubts": json.dumps([warning.to_dict() for warning in warnings]),
             },
-            Checkpoint(last.start, int(self._rows.pending[number]), doubts.worst),
+            Checkpoint(last.start, int(self._rows.pending[number]), worst),
             parameters=self._rows.parameters,
             derivatives=part(columns.derivatives),
             layers=part(columns.layers),
