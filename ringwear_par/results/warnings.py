@@ -334,7 +334,7 @@ def _unlike_slopes(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator
         )
 
 
-def _asymmetric(_: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
+def _asymmetric(_case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
     """Yield whether making the compliance symmetric spoiled pressures."""
     error, time, r, *_ = worst["asymmetry"]
     if error > _MOST_ASYMMETRY:

@@ -20,11 +20,13 @@ from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads, w
 from ringwear_par.results.execution.progress import SweepProgress
 from ringwear_par.results.execution.stop_signals import StopSignals
 from ringwear_par.studies.definition.study import Study, read_study_together
+from ringwear_par.studies.execution.batches import FEW, QUICKER
 from ringwear_par.studies.execution.case_queue import SharedQueue
 from ringwear_par.studies.execution.estimate import estimate
 from ringwear_par.studies.execution.merging import merge_if_well
 from ringwear_par.studies.execution.pairs import load_kernels_of, pair_of
 from ringwear_par.studies.execution.plan import Plan, Request, make_plan
+from ringwear_par.studies.execution.single_cases import is_batchable
 from ringwear_par.studies.execution.summary import Summary, Timings, trouble_of
 from ringwear_par.studies.execution.team_store import TeamStore
 from ringwear_par.studies.execution.teams import Team
@@ -137,7 +139,10 @@ def _compute(
     timings.assembly = time.perf_counter() - begun
     work, todo = plan.study.work, plan.todo
     seconds = [float(work[todo[group][:1]].sum()) for group in range(len(todo))]
-    queue = SharedQueue(todo.sizes, comm, plan.request.teams, seconds)
+    few = 0
+    if plan.left and team.size == 1 and is_batchable(plan.first_case(plan.left[0])):
+        few, seconds = FEW, [s / QUICKER for s in seconds]
+    queue = SharedQueue(todo.sizes, comm, plan.request.teams, seconds, few)
     trouble: RingwearError | None = None
     with StopSignals() as signals, ExitStack() as at_end:
         progress = None
