@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.schema import FIELDS
+from ringwear_par.cases.schema import FIELDS, SCHEMES
 from ringwear_par.cases.stress import Stress
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.sections import BODIES, CLOSE, Grip, Polyline, Section
@@ -97,7 +97,7 @@ class Stepping:
     of pressure over the mean pressure.
     """
 
-    scheme: Literal["implicit", "explicit", "adaptive"]
+    scheme: str
     step: float = 0.0
     steps: int = 0
     until: float = 0.0
@@ -106,8 +106,8 @@ class Stepping:
 
     @property
     def adaptive(self) -> bool:
-        """Whether steps are chosen by the tolerance."""
-        return self.scheme == "adaptive"
+        """Whether steps are chosen by the tolerances."""
+        return SCHEMES[self.scheme]
 
     @property
     def end(self) -> float:

@@ -33,6 +33,9 @@ from ringwear_par.elasticity.sections import SHAPE_UNITS
 from ringwear_par.wear.law import Law, Parameter, parameters_of
 from ringwear_par.wear.laws import LAWS
 
+#: values of ``time.scheme``, and whether steps are chosen by tolerances
+SCHEMES = {"implicit": False, "explicit": False, "adaptive": True}
+
 #: most layers of a body, and most points of a grid along r or z
 MOST_LAYERS, MOST_ON_A_SIDE = 1000, 10_000
 
@@ -165,7 +168,7 @@ KEYS: tuple[Key, ...] = (
         "load.omega", *schedule(0.0, ends=True), "rad/s", "angular speed of the upper body"
     ),
     Key(
-        "time.scheme", *choice("implicit", "explicit", "adaptive"), "-",
+        "time.scheme", *choice(*SCHEMES), "-",
         "implicit: backward Euler inside the contact problem; explicit: forward Euler, equation "
         "(6) of the paper; adaptive: second order, steps chosen by time.tolerance", "implicit",
     ),

@@ -285,7 +285,7 @@ def _stored(
     cases, steps = inputs.cases, progress.steps
     if cases[0].output.times:
         rows = zip(cases, steps.tolist(), state.time.tolist(), strict=True)
-        return accepted & np.array([case.stores(step, time) for case, step, time in rows])
+        return accepted & (finished | [case.stores(step, time) for case, step, time in rows])
     return accepted & (finished | (steps % inputs.every == 0))
 
 

@@ -19,7 +19,7 @@ from ringwear_par.history.schemes.step import Scheme
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.history.start import initial_state
 from ringwear_par.history.state import Progress, Start, State
-from ringwear_par.history.step_control import Control, ErrorControl, FixedSteps
+from ringwear_par.history.step_control import Control, FixedSteps
 from ringwear_par.parallel import together
 
 
@@ -27,7 +27,7 @@ class Method(NamedTuple):
     """A ``time.scheme``: how a step is made, and how its length is controlled."""
 
     scheme: Scheme
-    control: type[FixedSteps] | type[ErrorControl]
+    control: type[Control]
 
 
 @dataclass

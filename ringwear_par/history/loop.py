@@ -4,10 +4,10 @@
 ``time[n]``, for every scheme.
 
 Each round every history of a batch tries a step as long as its control says. One whose try is
-rejected tries again with the others' next step, and one that has ended leaves its place to another
-case. A history ends where its step control says that it is finished; an observer interrupts all of
-them. Digits of a history do not depend on the others. One whose step cannot be made steps alone
-until it has made it, or fails with the reason.
+rejected tries a shorter step in the next round, while the others go on, and one that has ended
+leaves its place to another case. A history ends where its step control says that it is finished; an
+observer interrupts all of them. Digits of a history do not depend on the others. One whose step
+cannot be made steps alone until it has made it, or fails with the reason.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from ringwear_par.history.snapshots import Observer
 from ringwear_par.history.state import Start
 from ringwear_par.history.step_control import ErrorControl, FixedSteps, step_times_of
 
-#: by the name of ``time.scheme``
+#: by the name of ``time.scheme``, see also ``SCHEMES`` of ``cases/schema.py``
 METHODS: dict[str, Method] = {
     "explicit": Method(euler.forward, FixedSteps),
     "implicit": Method(euler.backward, FixedSteps),
@@ -67,7 +67,7 @@ def simulate(
         first.
     start : where an interrupted history continues, of one case.
     observers : called with all new states, in this order.
-    most : histories that step at a time; as they end others take their places. None: all.
+    most : histories that step at a time: where half of them have ended, others begin. None: all.
     derivatives : keys that states have derivatives with respect to; not of one that continues.
     step_times : s, ends of the steps of each history, its last one that of its case; None: each
         steps as its case says.
@@ -128,3 +128,9 @@ def simulate_one(
     )  # fmt: skip
     for error in outcome.failures.values():
         raise error
+
+
+def is_at_end(case: Case, start: Start) -> bool:
+    """Tell whether a history that continues has come to the end of its case."""
+    control = METHODS[case.time.scheme].control.of([case], None)
+    return bool(control.finished(start.state, start.progress)[0])

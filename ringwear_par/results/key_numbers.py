@@ -9,6 +9,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import density_keys
+from ringwear_par.cases.schema import SCHEMES
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
@@ -368,7 +369,7 @@ def check_numbers(result: Result) -> list[KeyNumber]:
         KeyNumber("symmetry_defect", MESH_BALANCES, label, defect, "", ".1e", "corrected for")
     )
     if "step_error" in off:
-        adaptive = about["scheme"] == "adaptive"
+        adaptive = SCHEMES[about["scheme"]]
         label = "of the whole history" if adaptive else "of the worst single step"
         error = 1e3 * off["step_error"]
         when = f"in the step to t = {about['step_error_time']:g} s"

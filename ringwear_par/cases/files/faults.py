@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ringwear_par.cases.case import SAME_TIME, Case, RingLayer
-from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.schema import BY_PATH, SCHEMES
 from ringwear_par.elasticity.mesh import contact_pieces
 from ringwear_par.elasticity.sections import (
     CLOSE,
@@ -98,10 +98,11 @@ def unread_keys(keys: Mapping[str, Any]) -> dict[str, str]:
             "must be absent where output.fields is empty",
         ),
     }
-    if value_of("time.scheme") == "adaptive":
+    adaptive = SCHEMES.get(value_of("time.scheme"))
+    if adaptive:
         for path in ("time.step", "time.steps"):
             unread[path] = "time.end" in keys, "must be absent beside time.end"
-    elif value_of("time.scheme") in ("implicit", "explicit"):
+    elif adaptive is False:
         for path in ("time.end", "time.tolerance", "time.pressure_tolerance"):
             unread[path] = True, 'needs time.scheme = "adaptive"'
     return {path: rule for path, (is_unread, rule) in unread.items() if is_unread and path in keys}
@@ -164,7 +165,7 @@ def _time_faults(origin: Origin, values: Mapping[str, Any]) -> list[str]:
     scheme, end = values["time.scheme"], values["time.end"]
     fixed = {key: values[key] for key in ("time.step", "time.steps")}
     missing = [key for key, value in fixed.items() if value is None]
-    if scheme == "adaptive":
+    if SCHEMES[scheme]:
         if end is None and missing:
             faults.append(f"{origin.name}: time.end is missing: {BY_PATH['time.end'].rule}")
     else:

@@ -5,7 +5,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ringwear_par.cases.case import Case, Load, Output, Overrides, Ring, RingLayer, Stepping
+from ringwear_par.cases.case import (
+    Case,
+    Load,
+    Output,
+    Overrides,
+    Ring,
+    RingLayer,
+    Stepping,
+)
 from ringwear_par.cases.files.faults import (
     Origin,
     check_contact,
@@ -25,6 +33,7 @@ from ringwear_par.cases.files.keys import (
     refuse_study,
 )
 from ringwear_par.cases.layers import LAYERS, expanded, layer_tables
+from ringwear_par.cases.schema import SCHEMES
 from ringwear_par.cases.stress import Grid, Stress
 from ringwear_par.cases.stress_points import check_stress
 from ringwear_par.elasticity.mesh import Mesh
@@ -215,7 +224,7 @@ def _stress(values: Mapping[str, Any]) -> Stress:
 
 def _stepping(values: Mapping[str, Any]) -> Stepping:
     scheme, step, steps = (values[f"time.{key}"] for key in ("scheme", "step", "steps"))
-    if scheme != "adaptive":
+    if not SCHEMES[scheme]:
         return Stepping(scheme, step, steps)
     end = values["time.end"]
     return Stepping(

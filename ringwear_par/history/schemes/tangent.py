@@ -252,14 +252,14 @@ class StepTangent:
         since: FloatArray,
         rate_ratio_below: FloatArray,
     ) -> None:
-        """Wear what was d_depths beyond the ends of layers off the next ones.
+        """Wear what was lost beyond the ends of layers off the next ones.
 
         Parameters
         ----------
         crossing : (2, ..., n), which elements come to their next layer.
         second : what these lose in a second before it and in it, the end of the step included.
         p : (..., n) MPa, of the last part of the step.
-        since : (2, ..., n) s, for how long they have d_depths it.
+        since : (2, ..., n) s, for how long they have been beyond it.
         rate_ratio_below : (2, ..., n), rates in the next layer over those before it.
         """
         ends = self._ends(second[1].laws)

@@ -19,12 +19,6 @@ from ringwear_par.results.storage.result_files import open_result, read_error, r
 _ENDINGS = (".h5", ".hdf5", ".nc")
 
 
-def reached_end(case: Case, result: Result) -> bool:
-    """Tell whether a result has come to the end of a case."""
-    start = restored(result)
-    return case.time.finished(int(start.progress.steps[0]), float(start.state.time[0]))
-
-
 class Figure(Protocol):
     """A picture that is drawn of a result file."""
 

@@ -14,16 +14,16 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.unit_suspicions import unit_suspicions
 from ringwear_par.errors import ComputationError, InputError, RingwearError, UnfitError
 from ringwear_par.files.writing import announce_replacement
-from ringwear_par.history.loop import simulate_one
+from ringwear_par.history.loop import is_at_end, simulate_one
 from ringwear_par.history.snapshots import Observer, Snapshot
 from ringwear_par.options import reject_unused_options
 from ringwear_par.parallel import on_first_rank, warn_of_threads
-from ringwear_par.results.execution.preparation import Figure, prepare, reached_end
+from ringwear_par.results.execution.preparation import Figure, prepare
 from ringwear_par.results.execution.progress import RunProgress, closing_lines, for_terminal
 from ringwear_par.results.execution.recorder import Recorder
 from ringwear_par.results.execution.stop_signals import StopSignals, name_of, remark
 from ringwear_par.results.result import Result
-from ringwear_par.results.storage.result_files import write_result
+from ringwear_par.results.storage.result_files import restored, write_result
 from ringwear_par.version import __version__
 
 log = logging.getLogger(__name__)
@@ -118,7 +118,7 @@ def run_case(
     case, before = on_first_rank(
         comm, lambda: prepare(path, output, overrides, restart, overwrite, figure, comm.size)
     )
-    if before is not None and reached_end(case, before):
+    if before is not None and is_at_end(case, restored(before)):
         if comm.rank == 0:
             log.info("%s is complete: nothing to compute", output)
         return _draw(output, figure, comm)
