@@ -64,8 +64,8 @@ def default_batch(cases: Sequence[Case]) -> int:
     """Return how many of some cases to step together by default.
 
     More histories share the time that Python takes for each operation: 64 elements, one core, 512,
-    1,024 and 2,048 of them: 460, 404 and 374 us a history, in 62 kB each. Where moduli differ each has matrices of
-    its own, which are to stay in the cache.
+    1,024 and 2,048 of them: 460, 404 and 374 us a history, in 60 kB of memory each. Where moduli
+    differ each has matrices of its own, which are to stay in the cache.
     """
     n = cases[0].mesh.contact_elements
     matrices = len({young(case) for case in cases}) > 1
