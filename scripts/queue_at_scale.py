@@ -15,7 +15,6 @@ import time
 
 import numpy as np
 
-from ringwear_par.studies.execution.batches import FEW, QUICKER
 from ringwear_par.studies.execution.case_queue import _NAP_SECONDS, CaseQueue
 
 #: s, of a draw however small, of each of its cases, and of storing it: adaptive histories on 64
@@ -24,12 +23,12 @@ BEGIN, CASE, STORE = 0.05, 1.1e-3, 3e-5
 #: s, between two looks of rank 0 for questions while it works, and of a message there and back
 ROUND, MESSAGE = 0.01, 1e-5
 #: of the time of draws; s, what the study thinks of a case before one is known
-SPREAD, GUESS = 0.05, 0.01 / QUICKER
+SPREAD, GUESS = 0.05, 0.01
 
 
 def answer_seconds(ranks: int) -> float:
     """Return what the queue takes to answer a question of one of so many ranks, measured."""
-    queue, count = CaseQueue([10**9], ranks, [GUESS], FEW), 20_000
+    queue, count = CaseQueue([10**9], ranks, [GUESS], side_by_side=True), 20_000
     begun = time.perf_counter()
     for i in range(count):
         queue.count(0, 1, 0, 1e-3)
@@ -39,7 +38,10 @@ def answer_seconds(ranks: int) -> float:
 
 def simulated(cases: int, ranks: int, rng: np.random.Generator) -> tuple[float, float, int]:
     """Return the seconds of a sweep, the share of work in the ranks' time, and the questions."""
-    queue, answer = CaseQueue([cases], ranks, [GUESS], FEW), answer_seconds(ranks) + MESSAGE
+    queue, answer = (
+        CaseQueue([cases], ranks, [GUESS], side_by_side=True),
+        answer_seconds(ranks) + MESSAGE,
+    )
     #: when a rank has ended so many cases, and how long they took
     ends: list[tuple[float, int, int, float]] = []
     work = end = free = own_end = 0.0  # rank 0 is free to answer; its own cases end

@@ -22,9 +22,6 @@ from ringwear_par.results.variables import HISTORIES
 #: numbers of a batch, of which a history has about so many fields, and most histories of it: see
 #: ``default_batch``
 _NUMBERS, _FIELDS, _MOST = 2**21, 32, 2048
-#: cases side by side, 64 elements: so many of them take as long to start as to step, and one of
-#: many takes so much less time than one alone, at least
-FEW, QUICKER = 128, 8.0
 #: batches of a block whose cases take very different numbers of steps: as histories end others take
 #: their places, until none are left in it. To start them costs more than it gains where all end at
 #: about the same time

@@ -28,6 +28,9 @@ from ringwear_par.arrays import IntArray
 _BUSY_SECONDS, _LONGEST_SECONDS, _LEAST_SECONDS = 0.5, 2.0, 0.1
 #: s that a case takes at least: all that are drawn at once are held in memory
 _QUICKEST = 2.5e-4
+#: cases side by side: so many take as long to start as to step, and one of many at least so many
+#: times less than one alone
+_FEW, _QUICKER = 128, 8.0
 #: part of the cases left that all teams share in a round; the rest evens out what they differ by
 _ROUND = 0.75
 #: how long a rank that waits for an answer sleeps between two looks
@@ -61,18 +64,23 @@ class CaseQueue:
     sizes : number of cases to be computed of each group.
     teams : that draw.
     seconds : estimate for a case of each group, until its time is known.
-    few : how many cases it takes that starting them takes as long as stepping them, if they step
-        side by side; 0: they do not.
+    side_by_side : whether cases step side by side: many take much less time each than one.
     """
 
     def __init__(
-        self, sizes: Sequence[int] | IntArray, teams: int, seconds: Sequence[float], few: int = 0
+        self,
+        sizes: Sequence[int] | IntArray,
+        teams: int,
+        seconds: Sequence[float],
+        *,
+        side_by_side: bool = False,
     ) -> None:
         self._sizes = np.array(sizes, dtype=np.int64)
         self._left = self._sizes.copy()
         self._seconds, self._ended = np.array(seconds, dtype=float), np.zeros_like(self._sizes)
         self._all_left, self._untaken = int(self._sizes.sum()), 0
-        self._teams, self._few = teams, few
+        self._teams, self._few = teams, _FEW if side_by_side else 0
+        self._seconds /= _QUICKER if side_by_side else 1.0
         #: how many teams have yet to draw in this round, and how many cases each
         self._in_round, self._share = 0, 0
         self._groups: dict[int, int] = {}
@@ -129,7 +137,7 @@ class SharedQueue:
     sizes : number of cases to be computed of each group.
     comm : communicator.
     teams : into which it is divided.
-    seconds, few : as of ``CaseQueue``.
+    seconds, side_by_side : as of ``CaseQueue``.
     """
 
     def __init__(
@@ -138,10 +146,11 @@ class SharedQueue:
         comm: MPI.Intracomm,
         teams: int,
         seconds: Sequence[float],
-        few: int = 0,
+        *,
+        side_by_side: bool = False,
     ) -> None:
         self._comm = comm.Dup()  # no message of anybody else
-        queue = CaseQueue(sizes, teams, seconds, few)  # as it begins, every rank knows it
+        queue = CaseQueue(sizes, teams, seconds, side_by_side=side_by_side)  # every rank knows it
         dealt = {leader: queue.draw(leader) for leader in range(0, comm.size, comm.size // teams)}
         self._queue = queue if comm.rank == 0 else None
         self._status = MPI.Status()

@@ -20,7 +20,6 @@ from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads, w
 from ringwear_par.results.execution.progress import SweepProgress
 from ringwear_par.results.execution.stop_signals import StopSignals
 from ringwear_par.studies.definition.study import Study, read_study_together
-from ringwear_par.studies.execution.batches import FEW, QUICKER
 from ringwear_par.studies.execution.case_queue import SharedQueue
 from ringwear_par.studies.execution.estimate import estimate
 from ringwear_par.studies.execution.merging import merge_if_well
@@ -139,10 +138,8 @@ def _compute(
     timings.assembly = time.perf_counter() - begun
     work, todo = plan.study.work, plan.todo
     seconds = [float(work[todo[group][:1]].sum()) for group in range(len(todo))]
-    few = 0
-    if plan.left and team.size == 1 and is_batchable(plan.first_case(plan.left[0])):
-        few, seconds = FEW, [s / QUICKER for s in seconds]
-    queue = SharedQueue(todo.sizes, comm, plan.request.teams, seconds, few)
+    side_by_side = team.size == 1 and all(map(is_batchable, map(plan.first_case, plan.left[:1])))
+    queue = SharedQueue(todo.sizes, comm, plan.request.teams, seconds, side_by_side=side_by_side)
     trouble: RingwearError | None = None
     with StopSignals() as signals, ExitStack() as at_end:
         progress = None
