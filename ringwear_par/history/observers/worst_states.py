@@ -116,8 +116,10 @@ class WorstStates:
         Of several, the largest of each number, and the smallest of their largest forces.
         """
         table, force = self._table[..., numbers], self._rows[_FORCE]
-        worst = table.max(axis=2)
-        worst[force] = table[force].min(axis=1)
+        worst = table[..., 0]
+        if len(numbers) > 1:
+            worst = table.max(axis=2)
+            worst[force] = table[force].min(axis=1)
         return dict(zip(self._rows, worst.tolist(), strict=True))
 
     def restore(self, before: Mapping[str, Sequence[float]]) -> None:
