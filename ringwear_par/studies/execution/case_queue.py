@@ -31,7 +31,8 @@ _QUICKEST = 2.5e-4
 #: cases side by side: so many take as long to start as to step, and one of many at least so many
 #: times less than one alone
 _FEW, _QUICKER = 128, 8.0
-#: part of the cases left that all teams share in a round; the rest evens out what they differ by
+#: part of the cases left that all teams share in a round; the rest evens out what they differ by,
+#: as long as it is more than a few
 _ROUND = 0.75
 #: how long a rank that waits for an answer sleeps between two looks
 _NAP_SECONDS = 0.0005
@@ -100,12 +101,14 @@ class CaseQueue:
         # as long as there are other groups to take, teams need not share this one
         if self._untaken == len(self._sizes) and self._teams > 1:
             if not self._in_round:
-                self._in_round = self._teams
-                self._share = math.ceil(_ROUND * self._all_left / self._teams)
+                self._in_round, of_team = self._teams, math.ceil(self._all_left / self._teams)
+                more = max(math.ceil(_ROUND * of_team), int(_LEAST_SECONDS / seconds), self._few)
+                self._share = min(of_team, more)
             self._in_round -= 1
-            number = min(number, max(self._share, int(_LEAST_SECONDS / seconds), self._few))
-        if left - number < self._few:
+            number = min(number, self._share)
+        elif left - number < self._few:
             number = left
+        number = min(number, left)
         self._left[group] -= number
         self._all_left -= number
         return Stretch(group, int(self._sizes[group]) - left, number)
