@@ -43,7 +43,7 @@ method = "grid"
 
 
 #: what says how many cases are drawn at once
-DRAWS = ("_BUSY_SECONDS", "_LONGEST_SECONDS", "_LEAST_SECONDS", "_FEW")
+DRAWS = ("_BUSY_SECONDS", "_LONGEST_SECONDS", "_LEAST_SECONDS")
 
 
 def draw_one_by_one(patch):

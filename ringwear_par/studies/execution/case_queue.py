@@ -28,11 +28,9 @@ from ringwear_par.arrays import IntArray
 _BUSY_SECONDS, _LONGEST_SECONDS, _LEAST_SECONDS = 0.5, 2.0, 0.1
 #: s that a case takes at least: all that are drawn at once are held in memory
 _QUICKEST = 2.5e-4
-#: cases side by side: so many take as long to start as to step, and one of many at least so many
-#: times less than one alone
-_FEW, _QUICKER = 128, 8.0
-#: part of the cases left that all teams share in a round; the rest evens out what they differ by,
-#: as long as it is more than a few
+#: how much less time one of many cases side by side takes than one alone, at least
+_QUICKER = 8.0
+#: part of the cases left that all teams share in a round; the rest evens out what they differ by
 _ROUND = 0.75
 #: how long a rank that waits for an answer sleeps between two looks
 _NAP_SECONDS = 0.0005
@@ -80,8 +78,7 @@ class CaseQueue:
         self._left = self._sizes.copy()
         self._seconds, self._ended = np.array(seconds, dtype=float), np.zeros_like(self._sizes)
         self._all_left, self._untaken = int(self._sizes.sum()), 0
-        self._teams, self._few = teams, _FEW if side_by_side else 0
-        self._seconds /= _QUICKER if side_by_side else 1.0
+        self._teams, self._quicker = teams, _QUICKER if side_by_side else 1.0
         #: how many teams have yet to draw in this round, and how many cases each
         self._in_round, self._share = 0, 0
         self._groups: dict[int, int] = {}
@@ -95,19 +92,17 @@ class CaseQueue:
         if group is None or not self._left[group]:
             group = self._groups[team] = self._next_group()
         left, seconds = int(self._left[group]), max(float(self._seconds[group]), _QUICKEST)
-        longest = int(_LONGEST_SECONDS / seconds) - self._few
-        busy = int(_BUSY_SECONDS / seconds) - self._few
-        number = max(busy, min(2 * int(self._ended[group]), longest), 1)
+        twice = min(2 * int(self._ended[group]), int(_LONGEST_SECONDS / seconds))
+        busy = _BUSY_SECONDS / seconds * (1.0 if self._ended[group] else self._quicker)
+        number = max(int(busy), twice, 1)
         # as long as there are other groups to take, teams need not share this one
         if self._untaken == len(self._sizes) and self._teams > 1:
             if not self._in_round:
                 self._in_round, of_team = self._teams, math.ceil(self._all_left / self._teams)
-                more = max(math.ceil(_ROUND * of_team), int(_LEAST_SECONDS / seconds), self._few)
+                more = max(math.ceil(_ROUND * of_team), int(_LEAST_SECONDS / seconds))
                 self._share = min(of_team, more)
             self._in_round -= 1
             number = min(number, self._share)
-        elif left - number < self._few:
-            number = left
         number = min(number, left)
         self._left[group] -= number
         self._all_left -= number
@@ -126,7 +121,8 @@ class CaseQueue:
         self.done += done
         self.failed += failed
         if done + failed:
-            self._seconds[group] = seconds / (done + failed + self._few)
+            # of late: cases that step side by side take less than a first one
+            self._seconds[group] = seconds / (done + failed)
             self._ended[group] = done + failed
 
 
