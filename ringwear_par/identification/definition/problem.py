@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.util import find_spec
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -282,6 +282,8 @@ class Experiment:
     groups: tuple[str, str, str] = ("", "", "")
     #: what of the case was measured
     inputs: tuple[MeasuredInput, ...] = ()
+    #: its table in the fit file
+    table: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def torque_input(self) -> MeasuredInput | None:
