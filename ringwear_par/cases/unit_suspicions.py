@@ -49,10 +49,10 @@ def deep_forecasts(cases: Sequence[Case]) -> list[list[Forecast]]:
 
     Parameters
     ----------
-    cases : one, or several of one ``lockstep.batch_key``.
+    cases : of one ``lockstep.batch_key``.
     """
     forecasts: list[list[Forecast]] = [[] for _ in cases]
-    if cases[0].load.force is None:
+    if not cases or cases[0].load.force is None:
         return forecasts
     ends = np.array([case.time.end for case in cases])
     means = [

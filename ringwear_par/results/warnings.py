@@ -99,11 +99,12 @@ class Warnings:
 
     def histories(self, failed: Sequence[bool]) -> list[tuple[ValidityWarning, ...]]:
         """Return the warnings of each history, none of those that have failed."""
-        calm, deep = self._calm(), deep_forecasts(self._cases)
-        return [
-            () if bad else self._of(number, bool(calm[number]), deep[number])
-            for number, bad in enumerate(failed)
-        ]
+        good = [number for number, bad in enumerate(failed) if not bad]
+        warnings: list[tuple[ValidityWarning, ...]] = [()] * len(failed)
+        calm, deep = self._calm(), deep_forecasts([self._cases[number] for number in good])
+        for number, forecasts in zip(good, deep, strict=True):
+            warnings[number] = self._of(number, bool(calm[number]), forecasts)
+        return warnings
 
     def _calm(self) -> BoolArray:
         """Return which histories need not be looked at one by one: the worst of many is well."""

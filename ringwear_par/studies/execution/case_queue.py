@@ -99,7 +99,7 @@ class CaseQueue:
         if self._untaken == len(self._sizes) and self._teams > 1:
             if not self._in_round:
                 self._in_round, of_team = self._teams, math.ceil(self._all_left / self._teams)
-                more = max(math.ceil(_ROUND * of_team), int(_LEAST_SECONDS / seconds))
+                more = max(int(_ROUND * of_team), int(_LEAST_SECONDS / seconds), 1)
                 self._share = min(of_team, more)
             self._in_round -= 1
             number = min(number, self._share)

@@ -84,7 +84,8 @@ class CaseSet(NamedTuple):
 
     def part(self, places: Sequence[int]) -> "CaseSet":
         """Return some of them."""
-        return CaseSet(*([column[i] for i in places] for column in self))
+        cases, ids = [self.cases[i] for i in places], [self.ids[i] for i in places]
+        return CaseSet(cases, ids, [self.kinds[i] for i in places])
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,7 @@ class Chunks:
         bytes_of_numbers = np.frombuffer(data, np.uint8).reshape(-1, np.dtype(self.kind).itemsize)
         planes = np.ascontiguousarray(bytes_of_numbers.T)
         if self.name in LINE:  # which repeats from case to case: that is no run
-            return zlib.compress(planes, 1)
+            return zlib.compress(planes.data, 1)
         repeated = (planes[:, 1:] == planes[:, :-1]).mean(axis=1) > _REPEATED
         stream, first = [_HEADER], 0
         for in_runs, alike in itertools.groupby(repeated.tolist()):
@@ -125,9 +125,9 @@ class Chunks:
             part = zlib.compressobj(
                 int(in_runs), zlib.DEFLATED, -zlib.MAX_WBITS, zlib.DEF_MEM_LEVEL, zlib.Z_RLE
             )
-            stream += part.compress(planes[first:last]), part.flush(ending)
+            stream += part.compress(planes[first:last].data), part.flush(ending)
             first = last
-        return b"".join((*stream, zlib.adler32(planes).to_bytes(4, "big")))
+        return b"".join((*stream, zlib.adler32(planes.data).to_bytes(4, "big")))
 
 
 class CaseVariable:
