@@ -196,5 +196,4 @@ def _integrated(test: ReducedTest, keys: FloatArray, variances: FloatArray) -> F
     gain = np.linalg.solve(system, rest[:, :, None])[:, :, 0] * variances
     square -= (rest * gain).sum(axis=1)
     volume = np.linalg.slogdet(system)[1] + test.log_volume + test.log_nuisances
-    logs: FloatArray = -0.5 * (square + volume)
-    return logs
+    return -0.5 * (square + volume)

@@ -60,13 +60,10 @@ def fit_problem(
         result = _fit_law(problem, "", StoredStarts(folder, problem.key), signals, comm)
         alternatives: dict[str, FitResult] = {}
         failed: dict[str, str] = {}
-        linear = replace(problem.settings, intervals=("linear",))
         for number, (law, other) in enumerate(problem.alternatives.items() if compare else (), 1):
             stored = StoredStarts(folder, f"{other.key} {law}", number)
             try:
-                alternatives[law] = _fit_law(
-                    replace(other, settings=linear), law, stored, signals, comm
-                )
+                alternatives[law] = _fit_law(other, law, stored, signals, comm)
             except StoppedError:
                 raise
             except (ComputationError, InputError) as error:
@@ -96,7 +93,7 @@ def _fit_law(
         with together(comm):
             rounds.operators.interpolate(comm)
 
-    def lead() -> tuple[Any, ...]:
+    def lead() -> FitResult:
         solution = expected_solution(misfit) if expected else solve(misfit, rounds, law, stored)
         material = None
         if problem.mixed:
@@ -112,18 +109,7 @@ def _fit_law(
             )  # fmt: skip
         solution = replace(solution, histories=rounds.count)
         test_unknowns = None if material is None else material.test_unknowns
-        responses.keep_only(misfit.values_of_tests(solution.x, test_unknowns))
-        changed = (
-            misfit.data, misfit.noise_scale, misfit.nuisance_columns, responses.steps,
-            responses.known,
-        )  # fmt: skip
-        return solution, material, misfit.problem.experiments, changed
+        misfit.responses.keep_only(misfit.values_of_tests(solution.x, test_unknowns))
+        return FitResult(**vars(solution), misfit=misfit, material=material, versions=versions())
 
-    responses = misfit.responses
-    solution, material, experiments, changed = rounds.lead(lead)
-    misfit.change_cases(experiments)
-    misfit.data, misfit.noise_scale, misfit.nuisance_columns, responses.steps, responses.known = (
-        changed
-    )
-    responses.part_from_histories()
-    return FitResult(**vars(solution), misfit=misfit, material=material, versions=versions())
+    return rounds.lead(lead)

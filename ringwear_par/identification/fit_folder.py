@@ -2,6 +2,7 @@
 
 import logging
 import re
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -92,19 +93,13 @@ def _write(file: h5py.File, fit: FitResult) -> None:
             variable = Variable(one.key, ("sample",), unit, "sample of the posterior")
             write_variable(group, variable, samples[:, j])
     for number, (experiment, series, part) in enumerate(misfit.records, start=1):
-        group = file.create_group(f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', series.name)}")
-        group.attrs.update(
-            {"experiment": experiment.name, "series": series.name, "quantity": series.quantity,
-             "file": series.file, "data_unit": series.unit, "contact": experiment.case.contact}
+        name = f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', series.name)}"
+        group, put = _group_of_readings(
+            file, name, series.n, experiment=experiment.name, series=series.name,
+            quantity=series.quantity, file=series.file, data_unit=series.unit,
+            contact=experiment.case.contact,
         )  # fmt: skip
         base = _unit(series.quantity)
-
-        def put(name: str, values: Any, unit: str, meaning: str, *more: str) -> None:
-            variable = Variable(name, ("reading", *more), unit, meaning)
-            write_variable(group, variable, values)  # noqa: B023
-
-        readings = Variable("reading", ("reading",), "1", "number of the reading", integer=True)
-        write_variable(group, readings, np.arange(series.n))
         write_variable(group, PARAMETER, keys)
         write_variable(group, PARAMETER_UNIT, list(units.values()))
         if series.profile:
@@ -113,12 +108,8 @@ def _write(file: h5py.File, fit: FitResult) -> None:
             put("time", series.x, "s", "time")
         put("data", series.value, base, "what was read")
         put("sd", sd[part], base, "noise of the data")
-        put(
-            "model",
-            fit.evaluation.model[part],
-            base,
-            "the model's reading, with nuisances and random wear",
-        )
+        meaning = "the model's reading, with nuisances and random wear"
+        put("model", fit.evaluation.model[part], base, meaning)
         put("band", band[part], base, "sd of the model's reading")
         if fit.material is not None:
             for body, key in enumerate(fit.material.process):
@@ -140,16 +131,27 @@ def _write(file: h5py.File, fit: FitResult) -> None:
 def _write_inputs(file: h5py.File, fit: FitResult) -> None:
     """Write the readings of inputs and the curves of cases there."""
     for number, (name, key, unit, time, value, curve) in enumerate(fit.input_readings, start=1):
-        group = file.create_group(f"inputs/{number}")
-        group.attrs.update({"experiment": name, "key": key, "unit": unit})
-        axis = Variable("reading", ("reading",), "1", "number of the reading", integer=True)
-        write_variable(group, axis, np.arange(len(time)))
-        for word, values, unit_of, meaning in (
-            ("time", time, "s", "time"),
-            ("data", value, unit, "reading, in the unit of the key"),
-            ("curve", curve, unit, "the case's value"),
-        ):
-            write_variable(group, Variable(word, ("reading",), unit_of, meaning), values)
+        _, put = _group_of_readings(
+            file, f"inputs/{number}", len(time), experiment=name, key=key, unit=unit
+        )
+        put("time", time, "s", "time")
+        put("data", value, unit, "reading, in the unit of the key")
+        put("curve", curve, unit, "the case's value")
+
+
+def _group_of_readings(
+    file: h5py.File, name: str, count: int, /, **attributes: Any
+) -> tuple[h5py.Group, Callable[..., None]]:
+    """Return a new group of readings, and what puts one more variable of them into it."""
+    group = file.create_group(name)
+    group.attrs.update(attributes)
+    axis = Variable("reading", ("reading",), "1", "number of the reading", integer=True)
+    write_variable(group, axis, np.arange(count))
+
+    def put(word: str, values: Any, unit: str, meaning: str, *more: str) -> None:
+        write_variable(group, Variable(word, ("reading", *more), unit, meaning), values)
+
+    return group, put
 
 
 def _unit(quantity: str) -> str:

@@ -291,13 +291,11 @@ class FitResult(Outcome, Solution):
         ------
         InputError : arviz is not installed; limits, or a loss without a normal distribution.
         """
-        data: InferenceData = self.apply("to_arviz")
-        return data
+        return self.apply("to_arviz")
 
     def plot_parameters(self) -> "Figure":
         """Return the figure of the fitted keys: ellipses, likelihood profiles, samples."""
-        figure: Figure = self.apply("plot_parameters")
-        return figure
+        return self.apply("plot_parameters")
 
     def plot_specimens(self) -> "Figure":
         """Return the figure of the specimens: each one's value, the material's, the next one's.
@@ -306,8 +304,7 @@ class FitResult(Outcome, Solution):
         ------
         InputError : a fit without scatter.
         """
-        figure: Figure = self.apply("plot_specimens")
-        return figure
+        return self.apply("plot_specimens")
 
     def correlations(self) -> list[tuple[str, str, float]]:
         """Return pairs of fitted keys and nuisances and their correlation, the strongest first."""

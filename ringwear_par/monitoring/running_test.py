@@ -126,7 +126,7 @@ class RunningTest:
             raise InputError(f"{self.source}: {NOT_KNOWN}")
         tests = tuple(test for test in whole.experiments if test.name != self.name)
         faults: list[str] = []
-        check_scatter(place, whole.parameters, tests, whole.settings, faults)
+        check_scatter(replace(whole, name=place, experiments=tests), faults)
         if faults:
             raise InputError(*faults)
         settings = replace(whole.settings, intervals=("linear",))

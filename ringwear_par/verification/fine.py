@@ -149,8 +149,7 @@ def ring_means(mesh: Mesh, field: FloatArray, radii: Sequence[float] | FloatArra
 
 @cache
 def _stored() -> dict[str, Any]:
-    solutions: dict[str, Any] = json.loads(files(__package__).joinpath(NAME).read_text("utf-8"))
-    return solutions
+    return json.loads(files(__package__).joinpath(NAME).read_text("utf-8"))
 
 
 def stored(name: str) -> FineSolution:

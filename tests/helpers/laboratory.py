@@ -3,10 +3,13 @@
 import copy
 
 import numpy as np
+import pytest
 from mpi4py import MPI
 from paths import PAPER
 
 import ringwear_par as rw
+from ringwear_par.errors import InputError
+from ringwear_par.identification.definition.fit_file import read_fit
 
 CASE = PAPER.read_text() + ("\n[mesh]\ncontact_elements = 12\n")
 TRUTH = {"wear.lower.k": 1.3e-7, "wear.lower.p0": 25.0}
@@ -57,6 +60,23 @@ def write_table(path, names, *columns):
     path.write_text("\n".join([",".join(names), *rows]) + "\n")
 
 
+def record(path, times, depths, **more):
+    """Write the table of a penetration (mm), and return its entry in a fit file."""
+    write_table(path, ("t_s", "z_um"), times, 1e3 * depths)
+    columns = {"time": "t_s", "value": "z_um"}
+    return {"quantity": "penetration", "file": str(path), "columns": columns, "sd": 0.2, **more}
+
+
+def one_test(name, pressure, *data, **changes):
+    """Return a test at a pressure as a fit file has it."""
+    changes = {"load.pressure": pressure, "load.omega": 3.5, "time.end": END, **changes}
+    return {"name": name, "set": changes, "data": list(data)}
+
+
+#: of a record: nothing is known of its zero, and its drift may be half a micrometre
+ZERO_AND_DRIFT = {"offset": {}, "drift": {"prior": {"normal": [0.0, 0.5]}}}
+
+
 def write_tests(folder, pressures=(40.0, 85.0), seed=1, **changes):
     """Write the tables of some tests and return the experiments of a fit file as dicts."""
     rng = None if seed is None else np.random.default_rng(seed)
@@ -65,31 +85,12 @@ def write_tests(folder, pressures=(40.0, 85.0), seed=1, **changes):
         result = history(pressure, **changes)
         t, z = penetration(result, rng)
         r, d = profile(result, rng)
-        write_table(folder / f"z{number}.csv", ("t_s", "z_um"), t, 1e3 * z)
+        depth = record(folder / f"z{number}.csv", t, z, nuisance=copy.deepcopy(ZERO_AND_DRIFT))
         write_table(folder / f"d{number}.csv", ("r_mm", "d_um"), r, 1e3 * d)
-        experiments.append(
-            {
-                "name": f"test {number}",
-                "set": {"load.pressure": pressure, "load.omega": 3.5, "time.end": END},
-                "data": [
-                    {
-                        "quantity": "penetration",
-                        "file": str(folder / f"z{number}.csv"),
-                        "columns": {"time": "t_s", "value": "z_um"},
-                        "sd": 0.2,
-                        "nuisance": {"offset": {}, "drift": {"prior": {"normal": [0.0, 0.5]}}},
-                    },
-                    {
-                        "quantity": "profile.lower",
-                        "at": END,
-                        "file": str(folder / f"d{number}.csv"),
-                        "columns": {"r": "r_mm", "value": "d_um"},
-                        "sd": 0.08,
-                        "nuisance": {"level": {}, "tilt": {}},
-                    },
-                ],
-            }
-        )
+        face = {"quantity": "profile.lower", "at": END, "file": str(folder / f"d{number}.csv"),
+                "columns": {"r": "r_mm", "value": "d_um"}, "sd": 0.08,
+                "nuisance": {"level": {}, "tilt": {}}}  # fmt: skip
+        experiments.append(one_test(f"test {number}", pressure, depth, face))
     (folder / "case.toml").write_text(CASE)
     return experiments
 
@@ -115,3 +116,10 @@ def changed(tables, path, value):
     else:
         place[last] = value
     return found
+
+
+def refused(tables, **how):
+    """Return the faults for which a fit file is refused."""
+    with pytest.raises(InputError) as caught:
+        read_fit(tables, **how)
+    return caught.value.faults

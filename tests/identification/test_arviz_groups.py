@@ -4,7 +4,7 @@ import sys
 
 import numpy as np
 import pytest
-from laboratory import CASE, END, TRUTH, fit_tables, history, penetration, write_table
+from laboratory import CASE, END, TRUTH, fit_tables, history, one_test, penetration, record
 from mpi4py import MPI
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
@@ -27,14 +27,10 @@ def fit(tmp_path_factory):
     for number, factor in enumerate((0.85, 1.0, 1.2), start=1):
         result = history((45.0, 80.0)[number % 2], {**TRUTH, KEY: TRUTH[KEY] * factor})
         t, z = penetration(result, rng, np.linspace(4.0, END, 25))
-        write_table(folder / f"z{number}.csv", ("t_s", "z_um"), t, 1e3 * z)
-        record = {
-            "quantity": "penetration", "file": str(folder / f"z{number}.csv"), "sd": 0.2,
-            "columns": {"time": "t_s", "value": "z_um"}, "correlation_time": CORRELATION,
-            "nuisance": {"offset": {}, "drift": {"prior": {"normal": [0.1, 0.5]}}},
-        }  # fmt: skip
-        changes = {"load.pressure": (45.0, 80.0)[number % 2], "load.omega": 3.5, "time.end": END}
-        experiments.append({"name": f"test {number}", "set": changes, "data": [record]})
+        nuisance = {"offset": {}, "drift": {"prior": {"normal": [0.1, 0.5]}}}
+        data = record(folder / f"z{number}.csv", t, z, correlation_time=CORRELATION,
+                      nuisance=nuisance)  # fmt: skip
+        experiments.append(one_test(f"test {number}", (45.0, 80.0)[number % 2], data))
     (folder / "case.toml").write_text(CASE)
     tables = fit_tables(folder, experiments, starts=1)
     tables["fit"]["parameters"] = {KEY: {**tables["fit"]["parameters"][KEY], "scatter": "fit"}}

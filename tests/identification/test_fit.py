@@ -14,8 +14,10 @@ from laboratory import (
     TRUTH,
     fit_tables,
     history,
+    one_test,
     penetration,
     profile,
+    record,
     write_table,
     write_tests,
 )
@@ -72,17 +74,6 @@ def test_both_methods_find_the_same(tables, comm):
     for a, b in zip(one.parameters, other.parameters, strict=True):
         assert abs(a.estimate - b.estimate) < 1e-3 * a.sd
     assert one.chi2 == pytest.approx(other.chi2, rel=1e-6)
-
-
-@pytest.mark.several
-def test_any_number_of_ranks_finds_the_same(tables, comm):
-    from mpi4py import MPI
-
-    found = fit(tables(starts=3), comm)
-    alone = fit(tables(starts=3), MPI.COMM_SELF)
-    for a, b in zip(found.parameters, alone.parameters, strict=True):
-        assert (a.estimate, a.sd) == pytest.approx((b.estimate, b.sd), rel=1e-12)
-    assert found.starts == alone.starts
 
 
 @pytest.mark.serial
@@ -243,11 +234,7 @@ def test_both_bodies_wear_with_gaps_in_the_record(comm, tmp_path):
     rng = np.random.default_rng(4)
     t, z = penetration(result, rng)
     keep = (t < 30) | (t > 60)
-    write_table(tmp_path / "z.csv", ("t_s", "z_um"), t[keep], 1e3 * z[keep])
-    data = [
-        {"quantity": "penetration", "file": str(tmp_path / "z.csv"), "sd": 0.2,
-         "columns": {"time": "t_s", "value": "z_um"}, "nuisance": {"offset": {}}},
-    ]  # fmt: skip
+    data = [record(tmp_path / "z.csv", t[keep], z[keep], nuisance={"offset": {}})]
     for body in ("lower", "upper"):
         r, d = profile(result, rng, body=body)
         keep = (r > 28.5) & (r < 31.5) if body == "upper" else r > 0
@@ -257,13 +244,10 @@ def test_both_bodies_wear_with_gaps_in_the_record(comm, tmp_path):
              "columns": {"r": "r_mm", "value": "d_um"}, "nuisance": {"level": {}, "tilt": {}}}
         )  # fmt: skip
     (tmp_path / "case.toml").write_text(CASE)
-    settings = {"load.pressure": 60.0, "load.omega": 3.5, "time.end": END, **law}
     sought = {"start": 1e-7, "bounds": [1e-9, 1e-5], "scale": "log"}
-    given = {
-        "case": str(tmp_path / "case.toml"),
-        "fit": {"parameters": dict.fromkeys(truth, sought), "starts": 2},
-        "experiment": [{"name": "both", "set": settings, "data": data}],
-    }
+    given = fit_tables(
+        tmp_path, [one_test("both", 60.0, *data, **law)], parameters=dict.fromkeys(truth, sought)
+    )
     found = fit(given, comm)
     assert near(found, truth)
     assert not found.flagged
@@ -371,10 +355,8 @@ def test_a_law_of_ones_own_is_found(comm, tmp_path):
         settings = {"load.pressure": pressure, "time.end": END, "mesh.contact_elements": 12}
         result = rw.simulate(rw.read_case(path, {**settings, **truth}), comm)
         t, z = penetration(result, rng, np.linspace(4.0, END, 25), offset=0.0, drift=0.0)
-        write_table(tmp_path / f"{pressure}.csv", ("t_s", "z_um"), t, 1e3 * z)
-        data = {"quantity": "penetration", "file": str(tmp_path / f"{pressure}.csv"), "sd": 0.2}
-        data["columns"] = {"time": "t_s", "value": "z_um"}
-        experiments.append({"name": f"{pressure} MPa", "set": settings, "data": [data]})
+        data = [record(tmp_path / f"{pressure}.csv", t, z)]
+        experiments.append({"name": f"{pressure} MPa", "set": settings, "data": data})
     keys = {
         key: {"start": value, "bounds": [0.01 * value, 100.0 * value], "scale": "log"}
         for key, value in start.items()
@@ -401,9 +383,7 @@ def test_steps_resolve_how_a_layer_is_worn_through(tmp_path, comm):
     t, z = penetration(
         rw.simulate(rw.read_case(case), comm), np.random.default_rng(1), offset=0.0, drift=0.0
     )
-    write_table(tmp_path / "z.csv", ("t_s", "z_um"), t, 1e3 * z)
-    data = {"quantity": "penetration", "file": str(tmp_path / "z.csv"), "sd": 0.2}
-    data["columns"] = {"time": "t_s", "value": "z_um"}
+    data = record(tmp_path / "z.csv", t, z)
     keys = {
         key: {"start": 0.7 * k, "bounds": [0.1 * k, 10.0 * k], "scale": "log"}
         for key, k in truth.items()
@@ -427,20 +407,14 @@ def test_trials_that_a_law_does_not_allow_end_no_fit(tmp_path, comm):
     }  # fmt: skip
     rng = np.random.default_rng(4)
     t, z = penetration(history(60.0, {}, **law), rng, offset=0.0, drift=0.0)
-    write_table(tmp_path / "z.csv", ("t_s", "z_um"), t, 1e3 * z)
     (tmp_path / "case.toml").write_text(CASE)
     keys = [key for key in law if key.endswith(("k", "k_start"))]
     sought = {"start": 1e-7, "bounds": [1e-9, 1e-5], "scale": "log"}
-    data = {"quantity": "penetration", "file": str(tmp_path / "z.csv"), "sd": 0.2}
-    data["columns"] = {"time": "t_s", "value": "z_um"}
-    settings = {"load.pressure": 60.0, "load.omega": 3.5, "time.end": END, **law}
-    for key in keys:
-        del settings[key]
-    given = {
-        "case": str(tmp_path / "case.toml"),
-        "fit": {"parameters": dict.fromkeys(keys, sought), "starts": 2, "intervals": ["profile"]},
-        "experiment": [{"name": "A", "set": settings, "data": [data]}],
-    }
+    known = {key: value for key, value in law.items() if key not in keys}
+    test = one_test("A", 60.0, record(tmp_path / "z.csv", t, z), **known)
+    given = fit_tables(
+        tmp_path, [test], parameters=dict.fromkeys(keys, sought), intervals=["profile"]
+    )
     found = fit(given, comm)
     k, k_start = found.parameters
     assert near(found, dict.fromkeys(keys, 1e-7))

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 from commands import ringwear, sentences
-from laboratory import CASE, END, TRUTH, fit_tables, history, penetration, write_table
+from laboratory import CASE, TRUTH, fit_tables, history, one_test, penetration, record
 from mpi4py import MPI
 
 import ringwear_par as rw
@@ -32,13 +32,8 @@ def found(tmp_path_factory):
         for number, factor in enumerate(FACTORS, start=1):
             pressure = (45.0, 80.0)[number % 2]
             t, z = penetration(history(pressure, {**TRUTH, K: TRUTH[K] * factor}), rng)
-            write_table(folder / f"z{number}.csv", ("t_s", "z_um"), t, 1e3 * z)
-            record = {
-                "quantity": "penetration", "file": str(folder / f"z{number}.csv"), "sd": 0.2,
-                "columns": {"time": "t_s", "value": "z_um"}, "nuisance": {"offset": {}},
-            }  # fmt: skip
-            changes = {"load.pressure": pressure, "load.omega": 3.5, "time.end": END}
-            experiments.append({"name": f"test {number}", "set": changes, "data": [record]})
+            data = record(folder / f"z{number}.csv", t, z, nuisance={"offset": {}})
+            experiments.append(one_test(f"test {number}", pressure, data))
         (folder / "case.toml").write_text(CASE)
         tables = fit_tables(folder, experiments, starts=1)
         tables["fit"]["parameters"] = json.loads(json.dumps(tables["fit"]["parameters"]))

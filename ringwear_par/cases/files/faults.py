@@ -98,7 +98,8 @@ def unread_keys(keys: Mapping[str, Any]) -> dict[str, str]:
             "must be absent where output.fields is empty",
         ),
     }
-    adaptive = SCHEMES.get(value_of("time.scheme"))
+    scheme = value_of("time.scheme")
+    adaptive = SCHEMES.get(scheme) if isinstance(scheme, str) else None
     if adaptive:
         for path in ("time.step", "time.steps"):
             unread[path] = "time.end" in keys, "must be absent beside time.end"

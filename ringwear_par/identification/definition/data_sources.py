@@ -1,7 +1,7 @@
 """``[[experiment.data]]``: where readings come from (file, value, plan), their noise and limits."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +28,7 @@ from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, and_more
 from ringwear_par.files.text import shortened
-from ringwear_par.identification.definition.problem import BASE, Experiment, Settings
+from ringwear_par.identification.definition.problem import BASE, Problem
 from ringwear_par.identification.definition.schema import SD
 
 #: readings of which data are smoothed by their median
@@ -330,11 +330,10 @@ def read_censored(reader: TableReader, readings: Readings) -> IntArray | None:
     return np.array([_SIDES[cell] for cell in cells])
 
 
-def check_censored(
-    name: str, settings: Settings, experiments: Sequence[Experiment], faults: list[str]
-) -> None:
+def check_censored(problem: Problem, faults: list[str]) -> None:
     """Add what does not go together with censored readings to the faults."""
-    for experiment in experiments:
+    name, settings = problem.name, problem.settings
+    for experiment in problem.experiments:
         for series in experiment.series:
             if series.censored is None or not series.censored.any():
                 continue

@@ -26,7 +26,6 @@ from ringwear_par.identification.definition.experiments import ExperimentReader
 from ringwear_par.identification.definition.fitted_parameters import read_parameters, read_units
 from ringwear_par.identification.definition.problem import (
     DesignSpace,
-    Experiment,
     FittedParameter,
     Problem,
     Settings,
@@ -80,32 +79,28 @@ def read_fit(
     laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), case_units, faults)
     if faults:
         raise InputError(*faults)
+    problem = Problem(name, written, settings, parameters, experiments, {}, files.hashes, design)
     if test:
-        return Problem(name, written, settings, parameters, experiments, {}, files.hashes, design)
-    _check_counts(name, parameters, experiments, faults)
-    check_scatter(name, parameters, experiments, settings, faults)
-    check_censored(name, settings, experiments, faults)
+        return problem
+    for check in (_check_counts, check_scatter, check_censored):
+        check(problem, faults)
     before = len(faults)
-    check_process(name, settings.process, experiments, settings.intervals, faults)
+    check_process(problem, faults)
     # what is wrong with it whatever the law is said once
-    process_of_laws = settings.process if len(faults) == before else {}
+    process = settings.process if len(faults) == before else {}
+    settings = replace(settings, intervals=("linear",), process=process)
     alternatives = {}
     for law, (changes, law_parameters) in laws.items():
-        alternatives[law] = Problem(
-            f"{name}: compare.{law}", written, settings, law_parameters,
-            reader.changed(law, experiments, changes, law_parameters, faults), {}, files.hashes,
-            design,
+        changed = reader.changed(law, experiments, changes, law_parameters, faults)
+        alternatives[law] = replace(
+            problem, name=f"{name}: compare.{law}", settings=settings, parameters=law_parameters,
+            experiments=changed,
         )  # fmt: skip
-        _check_counts(f"{name}: compare.{law}", law_parameters, experiments, faults)
-        linear = replace(settings, intervals=("linear",))
-        check_scatter(f"{name}: compare.{law}", law_parameters, experiments, linear, faults)
-        changed = alternatives[law].experiments
-        check_process(alternatives[law].name, process_of_laws, changed, ("linear",), faults)
+        for check in (_check_counts, check_scatter, check_process):
+            check(alternatives[law], faults)
     if faults:
         raise InputError(*faults)
-    return Problem(
-        name, written, settings, parameters, experiments, alternatives, files.hashes, design
-    )
+    return replace(problem, alternatives=alternatives)
 
 
 def experiment_tables(
@@ -214,20 +209,15 @@ def _read_alternatives(
     return laws
 
 
-def _check_counts(
-    name: str,
-    parameters: tuple[FittedParameter, ...],
-    experiments: tuple[Experiment, ...],
-    faults: list[str],
-) -> None:
+def _check_counts(problem: Problem, faults: list[str]) -> None:
     """Refuse what has fewer readings than are sought."""
-    readings = sum(experiment.n for experiment in experiments)
-    series = [one for experiment in experiments for one in experiment.series]
-    free = sum(p.prior is None for p in parameters) + sum(
+    readings = sum(experiment.n for experiment in problem.experiments)
+    series = [one for experiment in problem.experiments for one in experiment.series]
+    free = sum(p.prior is None for p in problem.parameters) + sum(
         n.free for one in series for n in one.nuisances
     )
     if readings < free:
         faults.append(
-            f"{name}: {readings} readings: must be at least as many as are sought, {free} "
+            f"{problem.name}: {readings} readings: must be at least as many as are sought, {free} "
             "parameters and nuisances"
         )

@@ -19,21 +19,10 @@ from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.identification.definition.problem import FittedParameter, Problem
 from ringwear_par.identification.definition.scatter import read_scatter
 from ringwear_par.identification.definition.schema import PARAMETER
-from ringwear_par.studies.definition.variations import split_key
+from ringwear_par.studies.definition.variations import split_key, unnested
 
 #: other units of keys, by the case's
 _EXAMPLES = {"1/MPa": "mm3/(N m)", "MPa": "GPa", "mm": "um", "mm/s": "um/h", "rad/s": "rpm"}
-
-
-def unnested(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return entries by dotted key, whether written quoted or not."""
-    flat: dict[str, Any] = {}
-    for key, entry in table.items():
-        if isinstance(entry, Mapping) and entry and not PARAMETER.keys() & entry.keys():
-            flat.update({f"{key}.{inner}": value for inner, value in unnested(entry).items()})
-        else:
-            flat[key] = entry
-    return flat
 
 
 def read_parameters(
@@ -52,7 +41,7 @@ def read_parameters(
         faults.append(f"{said}: is missing or empty; must name one case key at least")
         return ()
     parameters = []
-    for key, entry in unnested(table).items():
+    for key, entry in unnested(table, PARAMETER.keys()).items():
         parameter = _parameter(f'{said}."{legible(key)}"', key, entry, faults, units.get(key, ""))
         if parameter is not None:
             unit = parameter.unit or case_units.get(key, "")
@@ -73,8 +62,8 @@ def read_units(said: str, table: Any, parameters: Any, faults: list[str]) -> dic
     if not isinstance(table, Mapping):
         faults.append(f"{said} = {shortened(table)}: must be a table of units by fitted key")
         return {}
-    fitted = unnested(parameters) if isinstance(parameters, Mapping) else {}
-    units = flat_texts(table)
+    fitted = unnested(parameters, PARAMETER.keys()) if isinstance(parameters, Mapping) else {}
+    units = unnested(table, set())
     name_unknown_keys(said, units, list(fitted), faults, "is not fitted")
     for key, unit in units.items():
         if key not in fitted:
@@ -87,15 +76,6 @@ def read_units(said: str, table: Any, parameters: Any, faults: list[str]) -> dic
             state = f'{said}."{legible(key)}" = {shortened(unit)}'
             faults.append(f"{state}: must be a unit of {base}{example}")
     return units
-
-
-def flat_texts(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return entries by dotted key, whether written quoted or not."""
-    flat: dict[str, Any] = {}
-    for key, entry in table.items():
-        inner = flat_texts(entry) if isinstance(entry, Mapping) else {"": entry}
-        flat |= {f"{key}.{name}".rstrip("."): value for name, value in inner.items()}
-    return flat
 
 
 def _parameter(

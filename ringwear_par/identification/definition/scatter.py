@@ -16,12 +16,10 @@ from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import (
     GROUPS,
     Experiment,
-    FittedParameter,
     Problem,
     ProcessNoise,
     Scatter,
     Series,
-    Settings,
     body_of_wear,
 )
 from ringwear_par.identification.definition.schema import PROCESS, SCATTER
@@ -101,15 +99,10 @@ def group_numbers(experiments: Sequence[Experiment], group: str) -> IntArray:
     return np.array([order[name] for name in names])
 
 
-def check_scatter(
-    name: str,
-    parameters: Sequence[FittedParameter],
-    experiments: Sequence[Experiment],
-    settings: Settings,
-    faults: list[str],
-) -> None:
+def check_scatter(problem: Problem, faults: list[str]) -> None:
     """Add what readings cannot tell of the scatters to the faults."""
-    scatters = [(p.key, p.scatter) for p in parameters if p.scatter is not None]
+    name, experiments, settings = problem.name, problem.experiments, problem.settings
+    scatters = [(p.key, p.scatter) for p in problem.parameters if p.scatter is not None]
     fitted = [(key, group) for key, s in scatters for group, v in s.sizes.items() if v is None]
     count = len(fitted) + sum(noise.fitted for noise in settings.process.values())
     if count > _MOST_FITTED:
@@ -207,14 +200,10 @@ def _read_noise(said: str, value: Any, faults: list[str]) -> ProcessNoise | None
     return ProcessNoise(known, share, **({} if scale is None else {"scale": scale}))
 
 
-def check_process(
-    name: str,
-    process: Mapping[str, ProcessNoise],
-    experiments: Sequence[Experiment],
-    intervals: Sequence[str],
-    faults: list[str],
-) -> None:
+def check_process(problem: Problem, faults: list[str]) -> None:
     """Add what readings cannot tell of wear's own noise to the faults."""
+    name, experiments, settings = problem.name, problem.experiments, problem.settings
+    process, intervals = settings.process, settings.intervals
     if not process or not experiments:
         return
     for key in process:

@@ -99,8 +99,7 @@ class Spectrum:
         share = self.vectors[unknown] ** 2 / np.maximum(self.values, _UNINFORMED)
         value = max(float(self.values[int(np.argmax(share))]), _UNINFORMED)
         part = self.vectors[:, self.values <= _AS_WEAK * value]
-        projector: FloatArray = part @ part.T
-        return projector
+        return part @ part.T
 
 
 def estimates(

@@ -118,7 +118,10 @@ class Misfit:
         """
         by_torque = any(e.torque_input is not None for e in self.problem.experiments)
         if by_torque:
-            self.change_cases(self.responses.renew_inputs(self.values(x)))
+            tests = self.responses.renew_inputs(self.values(x))
+            by_name = {test.name: test for test in tests}
+            self.problem = self.problem.with_experiments(tests)
+            self.records = [r._replace(experiment=by_name[r.experiment.name]) for r in self.records]
         self.linearise_inputs(x)
         return by_torque or bool(self._scales)
 
@@ -128,12 +131,6 @@ class Misfit:
             by_factors = self._response(x)[:, 1 + self._m :]
             for rows, place, taken in self._scales:
                 self.nuisance_columns[rows, place] = by_factors[rows, : len(taken)] @ taken
-
-    def change_cases(self, experiments: tuple[Experiment, ...]) -> None:
-        """Take the experiments with other cases, of the same series."""
-        numbers = {one.name: one for one in experiments}
-        self.problem = self.problem.with_experiments(experiments)
-        self.records = [r._replace(experiment=numbers[r.experiment.name]) for r in self.records]
 
     def _lay_out_unknowns(self) -> None:
         """Lay the unknowns out."""
@@ -248,8 +245,7 @@ class Misfit:
 
     def nuisance_readings(self, x: FloatArray) -> FloatArray:
         """Return the nuisances of unknowns as they are in the readings, (n,)."""
-        added: FloatArray = self.nuisance_derivatives(x) @ np.where(self._times, 0.0, x[self._m :])
-        return added
+        return self.nuisance_derivatives(x) @ np.where(self._times, 0.0, x[self._m :])
 
     def evaluate(
         self,
@@ -407,8 +403,7 @@ class Misfit:
             lambda nuisances: at(nuisances).jacobian[rows, self._m :], limits, x_scale="jac",
         )  # fmt: skip
         # it stays within the bounds, however close
-        best: FloatArray = np.choose(outcome.active_mask + 1, [limits[0], outcome.x, limits[1]])
-        return best
+        return np.choose(outcome.active_mask + 1, [limits[0], outcome.x, limits[1]])
 
     @property
     def linear(self) -> BoolArray:

@@ -23,7 +23,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.files.writing import atomic_write, open_ordinary
 from ringwear_par.identification.definition.problem import reflected
 from ringwear_par.identification.estimation.misfit import Misfit
-from ringwear_par.identification.model.noise import student_loss, student_weights
+from ringwear_par.identification.model.noise import prior_rows, student_loss, student_weights
 from ringwear_par.identification.model.rounds import Rounds, StoppedError
 
 #: rounds of reweighting where the loss is not Gaussian
@@ -57,15 +57,8 @@ class MarginalLikelihood:
         self._student = problem.settings.loss == "student"
         self._low, self._high = misfit.lower[m:], misfit.upper[m:]
         self._free = not np.isfinite([self._low, self._high]).any()
-        count = len(self._low)
         nuisance_priors = [(j - m, prior) for j, prior in misfit.priors if j >= m]
-        self._prior_rows, self._prior_values = (
-            np.zeros((len(nuisance_priors), count)),
-            np.zeros(len(nuisance_priors)),
-        )
-        for row, (j, prior) in enumerate(nuisance_priors):
-            self._prior_rows[row, j] = 1.0 / prior.sd
-            self._prior_values[row] = prior.mean / prior.sd
+        self._prior_rows, self._prior_values = prior_rows(nuisance_priors, len(self._low))
         self._priors = [(j, prior) for j, prior in misfit.priors if j < m]
         columns = misfit.nuisance_derivatives(x)
         self._data = misfit.data - (misfit.nuisance_readings(x) - columns @ x[m:])
@@ -104,14 +97,12 @@ class MarginalLikelihood:
             return inverse @ right
         columns, size = self._scaled(roots)
         limits = (self._low * size, self._high * size)
-        nuisances: FloatArray = lsq_linear(columns, right, limits).x / size
-        return nuisances
+        return lsq_linear(columns, right, limits).x / size
 
     def _inverse_of(self, roots: FloatArray) -> FloatArray:
         """Return the matrix (nuisances, rows) of the best nuisances; idle ones stay 0."""
         columns, size = self._scaled(roots)
-        inverse: FloatArray = np.linalg.pinv(columns, rcond=1e-12) / size[:, None]
-        return inverse
+        return np.linalg.pinv(columns, rcond=1e-12) / size[:, None]
 
     def _scaled(self, roots: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the columns of nuisances and priors with norm 1, and their norms."""
@@ -139,8 +130,7 @@ class Posterior:
 
     def interval(self, level: float) -> FloatArray:
         """Return (2, m) ends of the central intervals."""
-        ends: FloatArray = np.quantile(self.samples, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
-        return ends
+        return np.quantile(self.samples, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
 
 
 def sample_posterior(

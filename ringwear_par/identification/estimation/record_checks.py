@@ -1,6 +1,6 @@
 """Checks of single records: readings that cannot be what they are called, or oppose the model."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.stats import f as f_distribution
@@ -50,9 +50,8 @@ def record_warnings(
     )
 
 
-def _oppositions(misfit: Misfit, model: FloatArray) -> list[ValidityWarning]:
-    """Return warnings about records that fall where the model's, without nuisances, rise."""
-    warnings = []
+def _oppositions(misfit: Misfit, model: FloatArray) -> Iterator[ValidityWarning]:
+    """Yield warnings about records that fall where the model's, without nuisances, rise."""
     for experiment, series, rows in misfit.records:
         record = _Record(experiment, series, misfit.sd[rows], model[rows])
         if series.quantity == "torque" or series.profile or not record.opposes():
@@ -71,13 +70,11 @@ def _oppositions(misfit: Misfit, model: FloatArray) -> list[ValidityWarning]:
                 f"exclude = [[{first:.10g}, {last:.10g}]]"
             )
         values = {"series": series.name, "exclude": exclude and list(exclude)}
-        warnings.append(ValidityWarning("readings-oppose", said, (), (experiment.name,), values))
-    return warnings
+        yield ValidityWarning("readings-oppose", said, (), (experiment.name,), values)
 
 
-def _trends(misfit: Misfit, evaluation: Evaluation) -> list[ValidityWarning]:
-    """Return warnings about records whose residuals are no noise."""
-    warnings = []
+def _trends(misfit: Misfit, evaluation: Evaluation) -> Iterator[ValidityWarning]:
+    """Yield warnings about records whose residuals are no noise."""
     for experiment, series, rows in misfit.records:
         values = misfit.censored[rows] == 0
         if series.profile:
@@ -97,8 +94,7 @@ def _trends(misfit: Misfit, evaluation: Evaluation) -> list[ValidityWarning]:
             "narrow"
         )
         values = {"series": series.name, "p": probability}
-        warnings.append(ValidityWarning("residuals-trend", said, (), (experiment.name,), values))
-    return warnings
+        yield ValidityWarning("residuals-trend", said, (), (experiment.name,), values)
 
 
 def input_trends(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
@@ -123,9 +119,8 @@ def input_trends(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
     return warnings
 
 
-def _alike(misfit: Misfit, x: FloatArray) -> list[ValidityWarning]:
-    """Return warnings about records that do not tell a drift from thermal growth."""
-    warnings = []
+def _alike(misfit: Misfit, x: FloatArray) -> Iterator[ValidityWarning]:
+    """Yield warnings about records that do not tell a drift from thermal growth."""
     for experiment, series, _ in misfit.records:
         no_prior = {n.kind for n in series.nuisances if n.prior is None}
         if not {"drift", "thermal"} <= no_prior:
@@ -138,10 +133,7 @@ def _alike(misfit: Misfit, x: FloatArray) -> list[ValidityWarning]:
                 f"drift from thermal growth with a time constant of {time:.4g} s; give one a prior"
             )
             values = {"series": series.name, "time": time, "last": last}
-            warnings.append(
-                ValidityWarning("drift-or-growth", said, (), (experiment.name,), values)
-            )
-    return warnings
+            yield ValidityWarning("drift-or-growth", said, (), (experiment.name,), values)
 
 
 def trend(residuals: FloatArray, n_nuisances: int = 0, least: float = 0.0) -> float:
@@ -207,8 +199,7 @@ def _responding(misfit: Misfit, start: FloatArray) -> BoolArray:
         rows = np.concatenate([misfit.whitened(misfit.columns(x)), of_priors])
         columns, nuisances = rows[:, :m], rows[:, m:]
         columns = NuisanceProjection(nuisances).rest(columns)
-        responding: BoolArray = np.linalg.norm(columns[: misfit.n], axis=0) * reach > _NOT_FELT
-        return responding
+        return np.linalg.norm(columns[: misfit.n], axis=0) * reach > _NOT_FELT
 
     responding = at(start)
     if responding.all():

@@ -6,11 +6,13 @@ loss is what a residual adds to twice the negative logarithm of the likelihood, 
 distributions of noise belong here.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.special import gammaln, log_ndtr
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.identification.definition.problem import Loss, Series
+from ringwear_par.identification.definition.problem import Loss, Prior, Series
 
 #: degrees of freedom of the loss "student"
 _NU = 4.0
@@ -49,9 +51,9 @@ def loss_roots(loss: Loss, residuals: FloatArray) -> tuple[FloatArray, FloatArra
     """Return the square roots (n,) of the loss, with the residuals' signs, and their derivative."""
     if loss == "gaussian":
         return residuals, np.ones(len(residuals))
-    square = residuals * residuals
-    roots = np.sign(residuals) * np.sqrt((_NU + 1.0) * np.log1p(square / _NU))
+    roots = np.sign(residuals) * np.sqrt(student_loss(residuals))
     small = np.abs(residuals) < 1e-6
+    square = residuals * residuals
     slope = (_NU + 1.0) * residuals / ((_NU + square) * np.where(small, 1.0, roots))
     return roots, np.where(small, np.sqrt((_NU + 1.0) / _NU), slope)
 
@@ -95,6 +97,14 @@ def information_share(loss: Loss) -> float:
     return (_NU + 1.0) / (_NU + 3.0) if loss == "student" else 1.0
 
 
+def prior_rows(priors: Sequence[tuple[int, Prior]], count: int) -> tuple[FloatArray, FloatArray]:
+    """Return rows (r, count) and values (r,) of priors of some of so many numbers, by their sd."""
+    rows = np.zeros((len(priors), count))
+    for row, (number, prior) in zip(rows, priors, strict=True):
+        row[number] = 1.0 / prior.sd
+    return rows, np.array([prior.mean / prior.sd for _, prior in priors])
+
+
 class NuisanceProjection:
     """Least squares over nuisances, of which those that do the same count once.
 
@@ -121,8 +131,7 @@ class NuisanceProjection:
 
     def rest(self, rows: FloatArray) -> FloatArray:
         """Return the rest of rows (n, ...) that nuisances cannot make."""
-        rest: FloatArray = rows - self._basis @ (self._basis.T @ rows)
-        return rest
+        return rows - self._basis @ (self._basis.T @ rows)
 
     def solution(self, residuals: FloatArray) -> FloatArray:
         """Return the nuisances (k,) that make most of residuals (n,)."""

@@ -138,8 +138,7 @@ class Reader:
     ) -> FloatArray:
         body = ("lower", "upper").index(series.body)
         if series.profile:
-            profile: FloatArray = self._radial[series.name] @ in_steps(trajectory.wear[body])[0]
-            return profile
+            return self._radial[series.name] @ in_steps(trajectory.wear[body])[0]
         if series.quantity.startswith("through"):
             return trajectory.through[[body]]
         if series.quantity in ("penetration", "approach"):

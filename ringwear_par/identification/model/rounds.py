@@ -10,7 +10,6 @@ it until it is done. Responses keep the readings of a search as long as it may a
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -111,13 +110,6 @@ class _Worker(Generic[T]):
             raise StoppedError("stopped")
 
 
-@dataclass(frozen=True)
-class Renewed:
-    """What the first rank tells the others of cases that have changed."""
-
-    experiments: tuple[Experiment, ...]
-
-
 class Rounds(Histories):
     """Histories that all ranks compute together while the first one leads. Collective to make.
 
@@ -158,10 +150,8 @@ class Rounds(Histories):
                     comm.bcast(None)
             else:
                 while (request := comm.bcast(None)) is not None:
-                    if isinstance(request, Renewed):
-                        self.change_cases(request.experiments)
-                    else:
-                        self._share(*request)
+                    method, arguments = request
+                    getattr(self, method)(*arguments)
         answer: T = comm.bcast(result)
         if received := comm.allreduce(self._signals.received, MPI.MAX):
             raise self._stopped(received)
@@ -185,8 +175,8 @@ class Rounds(Histories):
             return super().read(points, pairs, steps, derivatives, exact)
         count = self.count + len(pairs)
         order = sorted(pairs, key=lambda p: (self._order[p[1]], p[1]))
-        request = points, order, steps, derivatives, exact
-        responses = dict(self._share(*self._comm.bcast(request)))
+        _, request = self._comm.bcast(("_share", (points, order, steps, derivatives, exact)))
+        responses = dict(self._share(*request))
         self.count = count
         if self._progress is not None:
             self._progress(count)
@@ -196,16 +186,11 @@ class Rounds(Histories):
         """Return the experiments with other friction, on all ranks where this one leads."""
         experiments = super().renew_inputs(values)
         if self._leads:
-            self._comm.bcast(Renewed(experiments))
+            self._comm.bcast(("change_cases", (experiments,)))
         return experiments
 
     def _share(
-        self,
-        points: FloatArray,
-        pairs: Sequence[Pair],
-        steps: int,
-        derivatives: bool,
-        exact: bool,
+        self, points: FloatArray, pairs: Sequence[Pair], *how: Any
     ) -> list[tuple[Pair, FloatArray | HistoryError]]:
         """Compute this rank's share of what the first one asks, which is told all. Collective."""
         rank, size = self._comm.rank, self._comm.size
@@ -214,7 +199,7 @@ class Rounds(Histories):
         error: Exception | None = None
         try:
             if share and not self._signals.received:
-                responses = super().read(points, share, steps, derivatives, exact)
+                responses = super().read(points, share, *how)
         except Exception as failure:
             error = failure if self._comm.size == 1 else as_ours(failure)
         parts = list(zip(share, responses, strict=False))
@@ -300,8 +285,9 @@ class Responses:
             del self.known[key]
 
     def keep_only(self, values: Sequence[FloatArray]) -> None:
-        """Forget all histories but those at values of each test. Not collective."""
+        """Keep the readings at values of each test, and no engines. Not collective."""
         self.of_tests(values)
+        del self._histories
         remaining = {(test, of_test.tobytes()) for test, of_test in enumerate(values)}
         self.known = {key: response for key, response in self.known.items() if key in remaining}
 
@@ -309,10 +295,6 @@ class Responses:
         """Return the tests, friction as torques tell it at values (m,); histories are theirs."""
         self.known = {}
         return self._histories.renew_inputs(values)
-
-    def part_from_histories(self) -> None:
-        """Let the histories' engines and communicator go: responses computed so far remain."""
-        del self._histories
 
     def refine(self) -> None:
         """Have histories make twice as many steps from now on."""

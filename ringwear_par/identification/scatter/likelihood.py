@@ -248,5 +248,4 @@ def of_new_specimen(information: FloatArray, variances: FloatArray) -> FloatArra
         return information
     columns = information[:, scattering]
     inner = np.diag(1.0 / variances[scattering]) + columns[scattering]
-    reduced: FloatArray = information - columns @ np.linalg.solve(inner, columns.T)
-    return reduced
+    return information - columns @ np.linalg.solve(inner, columns.T)

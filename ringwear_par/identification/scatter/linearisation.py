@@ -16,7 +16,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.identification.definition.problem import Series
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
-from ringwear_par.identification.model.noise import log_volume, weights, whitened
+from ringwear_par.identification.model.noise import log_volume, prior_rows, weights, whitened
 from ringwear_par.identification.scatter.likelihood import (
     LinearisedTest,
     ReducedTest,
@@ -213,8 +213,7 @@ def projected_precision(
     by_keys = projection.rest(padded)
     rest = projection.rest(root)
     keys = root.T @ by_keys
-    precision: FloatArray = rest.T @ rest - keys @ covariance @ keys.T
-    return precision
+    return rest.T @ rest - keys @ covariance @ keys.T
 
 
 class Linearisation:
@@ -278,10 +277,7 @@ class Linearisation:
     def priors_of(self, nuisances: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Return the rows and values of the priors of nuisances, in units of their sd."""
         priors = [(nuisances.index(j), p) for j, p in self.misfit.priors if j in nuisances]
-        rows, values = np.zeros((len(priors), len(nuisances))), np.zeros(len(priors))
-        for row, (place, prior) in enumerate(priors):
-            rows[row, place], values[row] = 1.0 / prior.sd, prior.mean / prior.sd
-        return rows, values
+        return prior_rows(priors, len(nuisances))
 
     def _linearised(self, number: int) -> LinearisedTest:
         misfit, rows, nuisances = self.misfit, self.rows[number], self.nuisances_of(number)

@@ -231,8 +231,7 @@ class ScatterPosterior:
         within = np.einsum("g,gki,gij,glj->kl", w, first, s.covariance, second, optimize=True)
         means = [np.einsum("gki,gi->gk", rows, s.effects) for rows in (first, second)]
         one, other = (values - w @ values for values in means)
-        covariance: FloatArray = within + np.einsum("g,gk,gl->kl", w, one, other)
-        return covariance
+        return within + np.einsum("g,gk,gl->kl", w, one, other)
 
     @property
     def covariance(self) -> FloatArray:

@@ -1,6 +1,6 @@
 """Sizes of the random part of wear: as shares of depths while they are sought, and as reported."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -113,9 +113,8 @@ class RandomWear:
             "verdict": verdict,
         }  # fmt: skip
 
-    def warnings(self, entries: Mapping[str, Mapping[str, Any]]) -> list[ValidityWarning]:
-        """Return warnings about sizes that readings do not tell."""
-        warnings = []
+    def warnings(self, entries: Mapping[str, Mapping[str, Any]]) -> Iterator[ValidityWarning]:
+        """Yield warnings about sizes that readings do not tell."""
         for body, (key, entry) in enumerate(entries.items()):
             if "verdict" not in entry:
                 continue
@@ -127,14 +126,13 @@ class RandomWear:
                     "of this size is not known, those of the keys are"
                 )
                 values = {"size": 1e-3 * size, "step": 1e-3 * step}
-                warnings.append(ValidityWarning("coarse-wear", text, (key,), (), values))
+                yield ValidityWarning("coarse-wear", text, (key,), (), values)
             if entry["verdict"] == "not identified":
                 text = (
                     f"the readings hardly tell the noise of the wear of {body_of_wear(key)}: the "
                     "intervals of the keys hold what was assumed of it (fit.process, prior)"
                 )
-                warnings.append(ValidityWarning("process-from-prior", text, (key,)))
-        return warnings
+                yield ValidityWarning("process-from-prior", text, (key,))
 
 
 def _share(noise: ProcessNoise, depth: float, *, plan: bool) -> Size:

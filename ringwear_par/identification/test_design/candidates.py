@@ -79,7 +79,7 @@ class Candidate:
 def count_of(space: DesignSpace) -> int:
     """Return how many tests a space has."""
     load = next((key for key in LOADS if key in space.ranges), None)
-    count = len(_sequences(space, load, _counts(space, _STEPS, 1)))
+    count = len(_sequences(space, load, _counts(space, _STEPS)))
     count *= len(_instants(space))
     for key, levels in (("time.end", _DURATIONS), ("load.omega", _SPEEDS)):
         count *= max(len(_levels(space, key, levels)), 1)
@@ -89,7 +89,7 @@ def count_of(space: DesignSpace) -> int:
 def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
     """Return the tests of a space, measured as ``template``; InputError for impossible values."""
     load = next((key for key in LOADS if key in space.ranges), None)
-    steps = _counts(space, _STEPS, 1)
+    steps = _counts(space, _STEPS)
     instants: list[tuple[float, ...]] = [()]
     if any(series.profile for series in template.series):
         instants = _instants(space)
@@ -122,7 +122,7 @@ def _instants(space: DesignSpace) -> list[tuple[float, ...]]:
 
     Unless that may vary, at equal intervals, the last one at the end.
     """
-    counts = _counts(space, _PROFILES, 1)
+    counts = _counts(space, _PROFILES)
     if _AT not in space.ranges:
         return [tuple(i / count for i in range(1, count + 1)) for count in counts]
     instants: list[tuple[float, ...]] = []
@@ -139,8 +139,8 @@ def _levels(space: DesignSpace, key: str, count: int) -> list[Any]:
     return [low] if low == high else np.linspace(low, high, count).tolist()
 
 
-def _counts(space: DesignSpace, key: str, usual: int) -> list[int]:
-    low, high = space.ranges.get(key, (usual, usual))
+def _counts(space: DesignSpace, key: str) -> list[int]:
+    low, high = space.ranges.get(key, (1, 1))
     return list(range(int(low), int(high) + 1))
 
 

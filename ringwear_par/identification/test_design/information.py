@@ -204,7 +204,10 @@ def information_of_tests(
     for number, test in enumerate(tests):
         groups.setdefault(id(test.case), []).append(number)
     numbers = list(groups.values())
-    whole = [_with_all_series([tests[number] for number in group]) for group in numbers]
+    whole = []
+    for group in numbers:  # the test that has all series of those of one case
+        series = {id(one): one for number in group for one in tests[number].series}
+        whole.append(replace(tests[group[0]], series=tuple(series.values())))
     settings = replace(problem.settings, process={})  # not counted: series share a clock
     union_problem = replace(problem, experiments=tuple(whole), alternatives={}, settings=settings)
     # signals are not waited for: there is nothing to keep
@@ -228,12 +231,6 @@ def information_of_tests(
         return matrices, failures, rounds.count
 
     return rounds.lead(compute)
-
-
-def _with_all_series(tests: Sequence[Experiment]) -> Experiment:
-    """Return the test that has all series of some tests of one case."""
-    series = {id(one): one for test in tests for one in test.series}
-    return replace(tests[0], series=tuple(series.values()))
 
 
 def _series_information(

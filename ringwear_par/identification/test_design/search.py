@@ -116,8 +116,7 @@ class Search:
             scores = 0.5 * np.linalg.slogdet(after)[1]
             if self._space.criterion == "eig":
                 scores = scores - 0.5 * np.linalg.slogdet(self._before)[1]
-        mean: FloatArray = scores.mean(axis=0)
-        return mean
+        return scores.mean(axis=0)
 
     def _best_designs(self, tests: IntArray) -> list[Design]:
         scores = self._scores(tests)
@@ -126,15 +125,11 @@ class Search:
             # of the same loads the best durations and instants are told
             kind = tuple(sorted(self._kinds[test] for test in tests[i]))
             if kind not in designs:
-                designs[kind] = self._design(tests[i], float(scores[i]))
+                whole = self._information[:, tests[i]].sum(axis=1)
+                designs[kind] = self._design_of(tuple(tests[i].tolist()), whole, float(scores[i]))
             if len(designs) == _LISTED:
                 break
         return list(designs.values())
-
-    def _design(self, tests: IntArray, score: float) -> Design:
-        return self._design_of(
-            tuple(tests.tolist()), self._information[:, tests].sum(axis=1), score
-        )
 
     def design_of_file(self, information: FloatArray) -> Design:
         """Return the design of tests of information (d, tests, m, m) together."""
@@ -154,8 +149,7 @@ class Search:
     def _natural(self, covariance: FloatArray) -> FloatArray:
         """Return standard deviations (..., m) of values; infinite beyond the bounds' widths."""
         share = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-        spread: FloatArray = np.where(share < 1.0, share * self._widths * self._slopes, np.inf)
-        return spread
+        return np.where(share < 1.0, share * self._widths * self._slopes, np.inf)
 
     def singles(self) -> tuple[FloatArray, FloatArray]:
         """Return predicted standard deviations after each candidate alone, (c, m), and scores."""
@@ -181,5 +175,4 @@ def _inverse(information: FloatArray) -> FloatArray:
     """Return the inverse (..., m, m), lost directions as large as round-off has it."""
     values, vectors = np.linalg.eigh(information)
     values = np.maximum(values, np.maximum(_UNINFORMED, _ROUND_OFF * values[..., -1:]))
-    inverse: FloatArray = (vectors / values[..., None, :]) @ np.swapaxes(vectors, -1, -2)
-    return inverse
+    return (vectors / values[..., None, :]) @ np.swapaxes(vectors, -1, -2)

@@ -324,8 +324,7 @@ def _limited(stretches: FloatArray, points: FloatArray) -> FloatArray:
     """Return stretches with which no hole in a key is wider than the range of another one."""
     values = [np.unique(column) for column in points.T]
     holes = [np.diff(v).max() / np.ptp(v) if len(v) > 1 else 1.0 for v in values]
-    limited: FloatArray = np.minimum(stretches, stretches.min() / np.array(holes))
-    return limited
+    return np.minimum(stretches, stretches.min() / np.array(holes))
 
 
 def _evened(table: FloatArray) -> FloatArray:

@@ -165,8 +165,7 @@ def _delta(x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
 def _rounded(y: FloatArray) -> FloatArray:
     """Return an output relative to its largest value, without rounding errors."""
     largest = float(np.abs(y).max())
-    rounded: FloatArray = np.round(y / (largest or 1.0), _DIGITS)
-    return rounded
+    return np.round(y / (largest or 1.0), _DIGITS)
 
 
 def _differing(y: FloatArray) -> int:

@@ -1,7 +1,7 @@
 """Varied keys: what a study calls them, and the values that it gives them."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -79,8 +79,7 @@ class Column:
     @property
     def distinct(self) -> list[Any]:
         """The distinct values."""
-        distinct: list[Any] = self.values.tolist()
-        return distinct
+        return self.values.tolist()
 
     @cached_property
     def numbers(self) -> FloatArray | None:
@@ -234,7 +233,7 @@ def read_variations(
         if vary:
             faults.append(f'{name}: [vary]: must be absent where design.method = "list"')
         return []
-    entries = _unnested(vary)
+    entries = unnested(vary, {"values", "linear", "log", "count"})
     if not entries:
         faults.append(f"{name}: [vary]: is missing or empty; must name one case key at least")
     variations = []
@@ -266,12 +265,12 @@ def _written_unit(entry: Mapping[str, Any], key: str) -> str:
         return ""
 
 
-def _unnested(vary: Mapping[str, Any]) -> dict[str, Any]:
-    """Return entries by dotted key, whether written quoted or not."""
+def unnested(table: Mapping[str, Any], names: Set[str]) -> dict[str, Any]:
+    """Return entries, tables of some names, by dotted key, whether written quoted or not."""
     flat: dict[str, Any] = {}
-    for key, entry in vary.items():
-        if isinstance(entry, dict) and not {"values", "linear", "log", "count"} & entry.keys():
-            flat.update({f"{key}.{k}": v for k, v in _unnested(entry).items()})
+    for key, entry in table.items():
+        if isinstance(entry, Mapping) and entry and not names & entry.keys():
+            flat |= {f"{key}.{inner}": value for inner, value in unnested(entry, names).items()}
         else:
             flat[key] = entry
     return flat

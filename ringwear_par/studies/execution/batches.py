@@ -32,14 +32,9 @@ _BLOCK_BYTES = 64e6
 
 
 class PairResources:
-    """A contact pair and the stresses of unit loads on it, which its cases share.
+    """A contact pair and the stresses of unit loads on it, integrated once for all cases alike.
 
-    Stresses are integrated once for all cases that ask for the same.
-
-    Parameters
-    ----------
-    pair : contact pair of the cases.
-    comm : communicator; ``stresses`` is collective on it.
+    ``stresses`` is collective on the communicator.
     """
 
     def __init__(self, pair: ContactPair, comm: MPI.Comm) -> None:
@@ -116,19 +111,11 @@ def computed(
 ) -> Iterator[Computed]:
     """Yield blocks of cases as they are computed, on this rank alone, until ``stop`` says so.
 
-    Each case gets the same, to the last bit, in whatever company. Failures are among
-    the blocks. Histories under way when all are stopped are thrown away.
-
-    Parameters
-    ----------
-    cases : that share a contact pair, or contact elements.
-    pair : of the cases, or of each.
-    resources : of the pair; None: those of these cases alone.
-    batch : most histories that step at a time; a block has some times as many.
-    stop : called between two steps, and may answer other ranks meanwhile.
-    results : whether there are to be results.
-    derivatives : keys that the histories are to have derivatives with respect to.
-    step_times, paces : of each case, see ``history.loop.simulate``; None: as cases say.
+    Cases share a contact pair, or contact elements where each has a pair. Each gets the same, to
+    the last bit, in whatever company, ``batch`` at a time. Failures are among the blocks. ``stop``
+    is called between two steps, and may answer other ranks meanwhile; histories under way are
+    thrown away then. Results, derivatives by keys, step times and paces only where asked for, see
+    ``history.loop``.
     """
     pairs = [pair] * len(cases) if isinstance(pair, ContactPair) else pair
     resources = resources or PairResources(pairs[0], MPI.COMM_SELF)

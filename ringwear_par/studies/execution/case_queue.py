@@ -56,14 +56,10 @@ _NO_CASES = Stretch(0, 0, 0)
 
 
 class CaseQueue:
-    """Which cases are drawn, and how many have ended.
+    """Which cases of groups of some sizes teams have drawn, and how many have ended.
 
-    Parameters
-    ----------
-    sizes : number of cases to be computed of each group.
-    teams : that draw.
-    seconds : estimate for a case of each group, until its time is known.
-    side_by_side : whether cases step side by side: many take much less time each than one.
+    A case of each group is estimated to take some seconds, until its time is known; where cases
+    step side by side, many take much less time each than one.
     """
 
     def __init__(
@@ -132,13 +128,6 @@ class SharedQueue:
     """The queue as every rank has it: the first rank of each team draws, rank 0 answers.
 
     Making and destroying it is collective. Rank 0 has to ``serve`` as long as others may ask.
-
-    Parameters
-    ----------
-    sizes : number of cases to be computed of each group.
-    comm : communicator.
-    teams : into which it is divided.
-    seconds, side_by_side : as of ``CaseQueue``.
     """
 
     def __init__(
@@ -160,10 +149,7 @@ class SharedQueue:
         self._done, self._failed, self._seconds = 0, 0, 0.0
 
     def draw(self) -> Stretch | None:
-        """Return some cases of a group that nobody else draws. Not collective.
-
-        None if there are none left, or all are to stop.
-        """
+        """Return cases of a group that nobody else draws, or None to end. Not collective."""
         if not self._dealt.number and not self._stopped:
             self._ask(_Question.DRAW)
         drawn, self._dealt = self._dealt, _NO_CASES
@@ -195,12 +181,7 @@ class SharedQueue:
         return False
 
     def wait_for_all(self, meanwhile: Callable[[], None]) -> None:
-        """Wait for the other ranks, asleep, not spinning. Collective.
-
-        Parameters
-        ----------
-        meanwhile : called now and then; may stop all.
-        """
+        """Wait for others, asleep; ``meanwhile``, called now and then, may stop all. Collective."""
         everybody = self._comm.Ibarrier()
         while not everybody.Test():
             self.serve()

@@ -28,11 +28,7 @@ _START_SECONDS, _CASE_SECONDS = 0.7, 1e-4
 def estimate(plan: Plan, comm: MPI.Intracomm) -> str:
     """Return the numbers of cases and operators, and the time they will take by timed ones.
 
-    Collective on comm; the same on all ranks.
-
-    Raises
-    ------
-    RingwearError : all of these fail.
+    Collective on comm; the same on all ranks. RingwearError where all of these fail.
     """
     load_kernels(comm)
     return on_first_rank(comm, lambda: _timed(plan))

@@ -73,10 +73,8 @@ def results_of(
 ) -> list[Result | FailedResult]:
     """Return the histories of cases on all ranks, see ``simulate_all``. Collective on comm.
 
-    Parameters
-    ----------
-    step_times : s, ends of the steps of all cases, which end alike; None: as cases say.
-    paces : (2, steps) factors on the rates of each, see ``history.loop.simulate``.
+    Cases end alike where they share step times (s); paces (2, steps) are factors on the rates of
+    each.
     """
     steps = None if step_times is None else [step_times] * len(cases)
     results: dict[int, Result | FailedResult] = {}

@@ -31,10 +31,6 @@ def merge_if_well(plan: Plan, summary: Summary, well: bool, comm: MPI.Comm) -> t
     """Merge if all is well and this is no slice; return how many cases are stored, done and failed.
 
     On rank 0 of comm, which the others help, see ``parallel.results_of_tasks``.
-
-    Raises
-    ------
-    RingwearError, OSError : the disk.
     """
     if not well:
         with suppress(RingwearError, OSError):  # there is trouble enough to tell
@@ -66,13 +62,7 @@ def _scan(plan: Plan, awaited: int) -> CaseIndex:
 
 
 def _merge(plan: Plan, summary: Summary, index: CaseIndex, comm: MPI.Comm) -> None:
-    """Write results.h5 and cases.csv of all that is stored, then drop the shards. On rank 0.
-
-    Raises
-    ------
-    DamagedError, UnreadableError : one of the files that are read.
-    OSError : the disk.
-    """
+    """Write results.h5 and cases.csv of all that is stored, then drop the shards. On rank 0."""
     study, folder, ranks = plan.study, plan.folder, len(summary.timings)
     if not summary.computed and (folder.path / RESULTS).exists():
         try:

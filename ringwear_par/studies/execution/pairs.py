@@ -37,12 +37,7 @@ def load_kernels_of(plan: Plan, comm: MPI.Intracomm) -> None:
 
 
 def pair_of(case: Case, comm: MPI.Comm) -> ContactPair | ComputationError:
-    """Return the contact pair of a case, or why there is none. Collective on comm.
-
-    Raises
-    ------
-    InputError : an option for PETSc.
-    """
+    """Return the contact pair of a case, or why there is none. Collective on comm."""
     try:
         with together(comm):
             return assemble(case, comm)

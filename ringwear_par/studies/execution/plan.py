@@ -50,12 +50,7 @@ class Request:
         return self.ranks // self.ranks_per_case
 
     def check(self) -> None:
-        """Refuse numbers that do not go together. Not collective.
-
-        Raises
-        ------
-        InputError : with the numbers that are allowed.
-        """
+        """Refuse numbers that do not go together. Not collective."""
         if self.part is not None:
             number, count = self.part
             if not 1 <= number <= count <= _MOST_SLICES:
@@ -141,8 +136,7 @@ class Plan:
     @property
     def left(self) -> list[int]:
         """Numbers of the groups that still have cases."""
-        groups: list[int] = np.flatnonzero(self.todo.sizes).tolist()
-        return groups
+        return np.flatnonzero(self.todo.sizes).tolist()
 
     def first_case(self, group: int) -> Case:
         """Return the first case of a group that is to be computed."""
@@ -172,16 +166,10 @@ class Plan:
 
 
 def make_plan(study: Study, request: Request, locks: ExitStack | None) -> Plan:
-    """Look which cases of a study are stored. On one rank.
+    """Look which cases of a study are stored; locks keep the lock on their folder. On one rank.
 
-    Parameters
-    ----------
-    locks : keeps the lock on the folder; None: for a look only, which changes nothing.
-
-    Raises
-    ------
-    InputError : the folder, or a file in it; or the memory that all teams need together.
-    ComputationError : the folder is in use by a process of a killed sweep.
+    Without them it is a mere look. InputError for the folder, a file in it or memory;
+    ComputationError for a folder that a killed sweep still uses.
     """
     path, part = request.folder, request.part
     folder = SweepFolder(path, f"{part[0]}-{part[1]}" if part else "")
@@ -228,13 +216,7 @@ def make_plan(study: Study, request: Request, locks: ExitStack | None) -> Plan:
 
 
 def _refuse_other_versions(folder: Path, index: CaseIndex, stored: IntArray, more: bool) -> None:
-    """Raise where cases of several versions would come together.
-
-    Parameters
-    ----------
-    stored : entries of the cases that are not computed again.
-    more : whether this version computes others.
-    """
+    """Refuse to bring cases of several versions together: stored ones, and more or none."""
     counts: Counter[str] = Counter()
     for kind, n in Counter(index["kind"][stored].tolist()).items():
         counts[index.kinds[kind].version] += n

@@ -37,20 +37,7 @@ def simulate_alone(
 ) -> HistoryColumns:
     """Return a case's history to its end, or to a checkpoint that a signal made it write.
 
-    Collective on comm: an error of one rank is raised on all.
-
-    Parameters
-    ----------
-    identity : of the case.
-    resources : of its pair.
-    store : of its checkpoints.
-    signals : that ask to stop.
-    observers : called in every step.
-
-    Raises
-    ------
-    StorageError : the disk.
-    InputError : an option for PETSc that nobody used.
+    Collective on comm: an error of one rank is raised on all, StorageError of the disk among them.
     """
     before = store.read_checkpoint(identity)
     recorder = Recorder([case], comm, before, stresses=resources.stresses)

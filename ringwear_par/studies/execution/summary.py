@@ -101,12 +101,7 @@ def trouble_of(
     received: int,
     comm: MPI.Comm,
 ) -> RingwearError | None:
-    """Return the trouble of a sweep in one sentence, if any, the same on all ranks. Collective.
-
-    Parameters
-    ----------
-    counted : cases done and failed, of which ``summary`` says how many are stored.
-    """
+    """Return the trouble of a sweep in one sentence, if any, the same on all ranks. Collective."""
     ended = f"{summary.done + summary.failed} of {summary.total} cases are stored"
     if troubles:
         if isinstance(troubles[0], InputError):

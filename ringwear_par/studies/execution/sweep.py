@@ -78,10 +78,7 @@ def run_sweep(
     retry_failed: bool = False,
     dry_run: bool = False,
 ) -> None:
-    """Sweep and print the summary, or in a dry run an estimate.
-
-    Collective on comm.
-    """
+    """Sweep and print the summary, or in a dry run an estimate. Collective on comm."""
     request = Request(Path(folder), comm.size, ranks_per_case, part, retry_failed)
     if dry_run:
         text = estimate(_plan(study, request, comm, None), comm)

@@ -26,18 +26,7 @@ class StorageError(ComputationError):
 
 
 class TeamStore:
-    """The shard and the checkpoints of a team: a context manager. Collective on comm.
-
-    Parameters
-    ----------
-    plan : of the sweep.
-    number : of the team.
-    comm : communicator of the team.
-
-    Raises
-    ------
-    ComputationError : the shard cannot be written.
-    """
+    """The shard and the checkpoints of a team, by number: a context manager. Collective on comm."""
 
     def __init__(self, plan: Plan, number: int, comm: MPI.Comm) -> None:
         self._plan, self._comm = plan, comm
@@ -58,10 +47,7 @@ class TeamStore:
             self._shard.close()
 
     def add(self, columns: HistoryColumns, cases: CaseSet) -> HistoryColumns:
-        """Store cases for good, and remove the checkpoints of those that have ended.
-
-        Return the columns as they are stored.
-        """
+        """Store cases for good, drop checkpoints of ended ones; return stored columns."""
         case, varied = cases.cases[0], self._plan.study.names
         flags = zip(columns.flags, cases.cases, strict=True)
         columns = replace(
@@ -107,12 +93,7 @@ class TeamStore:
 
 
 def _checkpoint(identity: str, result: Result) -> Result:
-    """Return a result from which a case can continue.
-
-    Raises
-    ------
-    InputError : it is none.
-    """
+    """Return a result from which a case can continue, or InputError."""
     try:
         version = str(result.attributes["version"])
         restored(result)

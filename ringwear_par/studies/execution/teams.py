@@ -24,16 +24,8 @@ from ringwear_par.studies.execution.team_store import TeamStore
 class Team:
     """Computes the cases that it draws; everything is collective on its communicator.
 
-    Parameters
-    ----------
-    plan : of the sweep.
-    comm : communicator of the team.
-    queue : that cases are drawn from.
-    store : where cases are stored.
-    signals : that ask to stop.
-    progress : bar of rank 0 of the sweep, else None.
-    timings : where the time goes.
-    pairs : by group, those that all ranks have assembled; the others are assembled here.
+    ``progress`` is the bar of rank 0 of the sweep, ``pairs`` those of groups that all ranks have
+    assembled; others are assembled here.
     """
 
     def __init__(
@@ -55,13 +47,7 @@ class Team:
         self._resources: PairResources | None = None
 
     def work(self) -> None:
-        """Draw and compute cases until none is left or somebody asks to stop.
-
-        Raises
-        ------
-        ComputationError : a case could not be stored.
-        InputError : an option for PETSc that nobody used.
-        """
+        """Draw and compute cases until none is left or somebody asks to stop."""
         comm, queue = self._comm, self._queue
         while True:
             drawn = None
@@ -79,10 +65,7 @@ class Team:
                 return
 
     def _compute(self, stretch: Stretch) -> bool:
-        """Compute some cases and store them, in blocks; tell whether all of them have ended.
-
-        All ranks of the team go the same way.
-        """
+        """Compute some cases, store them in blocks; tell whether all have ended, to all ranks."""
         with together(self._comm):
             drawn = self._plan.cases(*stretch)
         try:
@@ -166,13 +149,7 @@ class Team:
             self._queue.count(len(cases.ids) - failed, failed, seconds)
 
     def _resources_of(self, stretch: Stretch, case: Case) -> PairResources:
-        """Return the pair of a group, with its stresses.
-
-        Raises
-        ------
-        ComputationError : there is no such pair.
-        InputError : an option for PETSc.
-        """
+        """Return the pair of a group, with its stresses, or ComputationError for no such pair."""
         group = stretch.group
         if self._resources is None or group != self._group:
             pair = self._pairs.get(group)

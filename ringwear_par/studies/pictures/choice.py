@@ -58,12 +58,7 @@ class Key:
     def of(
         cls, name: str, column: Any, by_log: bool | None = None, unit: tuple[str, float] = ("", 1.0)
     ) -> "Key":
-        """Return a varied key, the column of whose values is of numbers or of texts.
-
-        Parameters
-        ----------
-        unit : of its values, and how much it is in that of the column.
-        """
+        """Return a varied key of numbers or texts, its unit with the factor to the column's."""
         if column.dtype.kind == "f":
             return cls(name, column / unit[1], (), by_log, *unit)
         texts = list(dict.fromkeys(column))
@@ -249,12 +244,7 @@ class Choice:
 
 
 def choose(ensemble: Ensemble, surrogate: Surrogate | None, indices: Sequence[Indices]) -> Choice:
-    """Return the choice of what is drawn of a sweep. Not collective.
-
-    Raises
-    ------
-    InputError : no case is done.
-    """
+    """Return the choice of what is drawn of a sweep; refuse one without a case. Not collective."""
     cases, counts = np.flatnonzero(done_cases(ensemble)), _counts(ensemble)
     if not len(cases):
         raise InputError(

@@ -43,10 +43,7 @@ def pointed_cases(choice: Choice) -> IntArray:
 
 
 def effects(ensemble: Ensemble, choice: Choice) -> dict[tuple[str, str], Panel]:
-    """Return the panels of final values against keys, by output and key.
-
-    Their points are numbered as ``pointed_cases``.
-    """
+    """Return the panels of final values by output and key; points go as ``pointed_cases``."""
     rows = np.searchsorted(choice.cases, pointed_cases(choice))
     return {
         (output, arrangement.key.name): _effect(ensemble, choice, arrangement, output, rows)

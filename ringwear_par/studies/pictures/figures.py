@@ -43,13 +43,9 @@ _TITLE_LETTERS, _LEGEND_LETTERS, _LABEL_LETTERS = 100, 34, 26
 
 
 def draw_sweep_and_surrogate(ensemble: Ensemble) -> Figure:
-    """Return the figure of a sweep's results, with their surrogate if one can be made.
+    """Return the figure of a sweep's results, with a surrogate if one can be made.
 
     Not collective.
-
-    Raises
-    ------
-    InputError : no case is done.
     """
     try:
         return draw_sweep(ensemble, surrogate(ensemble))
@@ -59,12 +55,7 @@ def draw_sweep_and_surrogate(ensemble: Ensemble) -> Figure:
 
 
 def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figure:
-    """Return the figure of a sweep's results, with that of their surrogate. Not collective.
-
-    Raises
-    ------
-    InputError : no case is done.
-    """
+    """Return the figure of a sweep's results, with that of their surrogate. Not collective."""
     indices = sensitivity_indices(ensemble, regressions)
     choice = choose(ensemble, regressions, indices)
     grids, remarks = _grids(ensemble, choice), _remarks(choice)

@@ -103,10 +103,7 @@ class _Table:
         return cls(grid, table, bool(ends.min() >= ends.max() * (1.0 - 1e-9)))
 
     def quantiles(self) -> FloatArray:
-        """Return the quantiles, NaN where less than half of the cases last so long.
-
-        For they would jump about.
-        """
+        """Return quantiles, NaN where less than half of the cases last so long: they would jump."""
         quantiles: FloatArray = np.nanquantile(self.depth, _QUANTILES, axis=0)
         quantiles[:, np.isfinite(self.depth).sum(axis=0) < 0.5 * len(self.depth)] = np.nan
         return quantiles

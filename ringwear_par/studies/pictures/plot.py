@@ -81,14 +81,7 @@ def plot_stored(
 ) -> None:
     """Write the picture of runs, of a sweep or of the rig of a case; see ``plot``. On one rank.
 
-    Parameters
-    ----------
-    output : its ending chooses the format.
-    dpi : points of an inch, of formats that have such.
-
-    Raises
-    ------
-    InputError : what cannot be drawn or written.
+    The ending of the output chooses the format; dpi are the points of an inch, where it has such.
     """
     check_format(output)
     figure = plot(results, panels, steps or "", profiles_of or (), times or "", width)

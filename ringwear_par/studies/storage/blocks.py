@@ -57,12 +57,7 @@ DAMAGE = (
 
 
 class DamagedError(ComputationError):
-    """A file whose contents cannot be read.
-
-    Parameters
-    ----------
-    path : of the file.
-    """
+    """A file whose contents cannot be read."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"{path}: is damaged")
@@ -74,13 +69,7 @@ class DamagedError(ComputationError):
 
 @contextmanager
 def reporting_damage(path: Path) -> Iterator[None]:
-    """Name the file that turns out to be damaged while it is read.
-
-    Raises
-    ------
-    DamagedError : it is.
-    ComputationError, UnreadableError : it cannot be read now.
-    """
+    """Name the file that turns out to be damaged (DamagedError), or cannot be read now."""
     try:
         yield
     except UnreadableError:
@@ -131,13 +120,7 @@ class CaseBlock(ABC):
 
     @abstractmethod
     def read(self, names: Iterable[str]) -> dict[str, Any]:
-        """Return the stored ones of some columns.
-
-        Raises
-        ------
-        DamagedError : the file is damaged.
-        ComputationError : it cannot be read now.
-        """
+        """Return the stored ones of some columns, or DamagedError."""
 
     @abstractmethod
     def texts(self, places: Sequence[int]) -> list[str]:
@@ -168,14 +151,9 @@ class Block:
         *,
         deep: bool,
     ) -> "Block":
-        """Return histories as they were computed as a block.
+        """Return histories as they were computed as a block, of the contact elements of a line.
 
-        Parameters
-        ----------
-        line : the contact elements.
-        ids, texts : of the cases.
-        version : of ringwear-par that computed them.
-        deep : whether fields are stored at every stored state, or at the last one only.
+        Fields are ``deep`` where they are stored at every stored state, not at the last one only.
         """
         columns = {
             **histories.histories,
@@ -275,13 +253,7 @@ class PackedBlock(CaseBlock):
 
 
 def unpack_header(content: Any, at: int, path: Path) -> PackedBlock | None:
-    """Return the block that begins at a place of a file; None if its header is damaged.
-
-    Parameters
-    ----------
-    content : bytes of the file, of which no more than the header are looked at.
-    path : of the file.
-    """
+    """Return the block that begins at a place of a file's content; None for a damaged header."""
     end = at + _HEAD.size
     if end > len(content):
         return None

@@ -108,12 +108,7 @@ class CaseTable:
         )
 
     def meanings(self, file: h5py.File) -> str:
-        """Return units and meanings of the columns (W3C, Metadata for Tabular Data).
-
-        Parameters
-        ----------
-        file : the results, with places of points.
-        """
+        """Return units and meanings of the columns of a file (W3C, Metadata for Tabular Data)."""
         columns = [{"titles": "case", "dc:description": "id of the case, of its content"}]
         for name in self.varied:
             columns.append(_column(name, own_key(name).meaning, unit_of(name)))
@@ -180,10 +175,7 @@ def _store_texts(file: h5py.File, variable: Variable, column: Column) -> None:
 
 
 def extended(varied: Mapping[str, Column], texts: Iterable[str]) -> dict[str, Column]:
-    """Return columns of varied keys with further cases, whose values are looked up in their texts.
-
-    None where such a case has no such key.
-    """
+    """Return columns of varied keys with more cases, by their texts; None where one has none."""
     rows = [_values_in(text, tuple(varied)) for text in texts]
     if not rows:
         return dict(varied)

@@ -35,12 +35,7 @@ def text_dtype(size: int) -> Any:
 def make_scales(
     file: h5py.File, ids: Any, steps: int, elements: int, axes: Mapping[str, int]
 ) -> None:
-    """Make the dimensions.
-
-    Parameters
-    ----------
-    axes : sizes of those beside cases, steps and elements.
-    """
+    """Make the dimensions: cases, steps, elements, and the axes with their sizes."""
     kind = text_dtype(ids.dtype.itemsize)
     file.create_dataset("case", data=ids.astype(kind), dtype=kind)
     meaning = "case, by its content"
@@ -77,12 +72,7 @@ class Chunks:
 
     @classmethod
     def of(cls, name: str, shape: tuple[int, ...], kind: Any, window: int) -> "Chunks":
-        """Return the chunks of a variable.
-
-        Parameters
-        ----------
-        window : cases that are written at once; a chunk has no more.
-        """
+        """Return the chunks of a variable, none of more cases than are written at once."""
         size, chunks = np.dtype(kind).itemsize, list(shape)
         for axis in range(len(shape)):
             rest = size * math.prod(chunks[axis + 1 :])
@@ -131,15 +121,7 @@ class Chunks:
 
 
 class CaseVariable:
-    """A variable over all cases in their file.
-
-    Parameters
-    ----------
-    file : with the dimensions.
-    variable : which.
-    kind : type of the values.
-    window : cases that are written at once.
-    """
+    """A variable over all cases in their file, written window by window."""
 
     def __init__(self, file: h5py.File, variable: Variable, kind: Any, window: int) -> None:
         self._window = window
@@ -164,12 +146,7 @@ class CaseVariable:
             self._dataset.id.write_direct_chunk((start + number * rows, *rest), chunk)
 
     def write_all(self, values: Callable[[slice], Any]) -> None:
-        """Write the values of all cases, window by window.
-
-        Parameters
-        ----------
-        values : returns those of a stretch of the cases.
-        """
+        """Write the values of all cases, which are returned for stretches of them."""
         count = self.chunks.shape[0]
         for start in range(0, count, self._window):
             part = values(slice(start, min(start + self._window, count)))

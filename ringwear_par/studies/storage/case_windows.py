@@ -40,12 +40,7 @@ class CaseWindow:
     of_texts: Chunks
 
     def fill(self) -> FilledWindow:
-        """Return the chunks and end values of the cases. Not collective.
-
-        Raises
-        ------
-        DamagedError : one of the blocks.
-        """
+        """Return the chunks and end values of the cases, or DamagedError. Not collective."""
         count = len(self.cases)
         tables: dict[str, Any] = {
             name: np.full((count, *chunks.shape[1:]), np.nan)
@@ -104,15 +99,9 @@ def texts_of(cases: Any, blocks: Mapping[int, CaseBlock], missing: Sequence[str]
 def fill(
     table: Any, at: IntArray, values: Any, block: CaseBlock, name: str, places: IntArray
 ) -> None:
-    """Put a column of a block into a table of some of its cases that is padded with NaN.
+    """Put a column of a block into a table (cases, ...) of some of its cases, padded with NaN.
 
-    Parameters
-    ----------
-    table : (cases, ...), changed.
-    at : rows of the table, those of the cases.
-    values : the column.
-    block, name : that it is of.
-    places : of the cases in the block.
+    Rows ``at`` of the table are of the cases at ``places`` of the block.
     """
     lengths = block.offsets[places + 1] - block.offsets[places]
     cells = tuple(map(slice, np.minimum(table.shape[2:], values.shape[1:]).tolist()))

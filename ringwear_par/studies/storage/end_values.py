@@ -50,10 +50,8 @@ class EndValue:
     def of(self, table: FloatArray, last: IntArray) -> FloatArray:
         """Return it of cases, (cases,) or (cases, layers or points), NaN where there is none.
 
-        Parameters
-        ----------
-        table : (cases, ...) of its source, padded with NaN.
-        last : (cases,) row of each case that is taken, -1 for none.
+        By the row ``last`` (cases,), -1 for none, of a table (cases, ...) of its source, padded
+        with NaN.
         """
         some = np.flatnonzero(last >= 0)
         if self.source in OF_A_CASE or (self.source in FIELDS and table.ndim == 2):
@@ -123,12 +121,7 @@ def entries(end_value: EndValue, values: FloatArray) -> dict[str, FloatArray]:
 
 
 def last_with_stress(table: FloatArray) -> IntArray:
-    """Return the last row of each case that has stress, -1 for none.
-
-    Parameters
-    ----------
-    table : (cases, rows) of ``STRESS_STATES``.
-    """
+    """Return the last row of each case that has stress in a table (cases, rows), -1 for none."""
     finite = np.isfinite(table)
     last: IntArray = table.shape[1] - 1 - finite[:, ::-1].argmax(axis=1)
     return np.where(finite.any(axis=1), last, -1)

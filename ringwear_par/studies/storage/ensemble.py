@@ -91,23 +91,13 @@ class Ensemble:
         return read_variations("study", vary, str(design.get("method", "grid")), [])
 
     def histories(self, name: str, cases: IntArray) -> FloatArray:
-        """Read the histories of some cases (increasing numbers), (len(cases), steps, ...).
-
-        Raises
-        ------
-        InputError : the file is damaged.
-        """
+        """Read the histories of some cases (increasing numbers), (len(cases), steps, ...)."""
         with reading(self.path, SOFTWARE, FILE_KIND) as file:
             sizes = {"case": len(self.ids)}
             return find_array(file, over_cases(AT_STATES[name]), sizes)[cases]
 
     def text(self, case: int) -> str:
-        """Read a case as a case file.
-
-        Raises
-        ------
-        InputError : the file is damaged.
-        """
+        """Read a case as a case file."""
         with reading(self.path, SOFTWARE, FILE_KIND) as file:
             return read_text(find_texts(file, "case_toml", {"case": len(self.ids)})[case])
 
@@ -116,10 +106,6 @@ class Ensemble:
 
         They are (len(cases), steps, elements), or (len(cases), elements) of "r" and where those of
         the last step alone are stored, NaN where a case has none; None where no case has.
-
-        Raises
-        ------
-        InputError : the file is damaged.
         """
         variable = {**LINE, **FIELDS}[name]
         with reading(self.path, SOFTWARE, FILE_KIND) as file:
@@ -131,16 +117,7 @@ class Ensemble:
 
 
 def read_ensemble(folder: Path) -> Ensemble:
-    """Read a sweep's results. Not collective.
-
-    Parameters
-    ----------
-    folder : of the sweep, or its results.h5.
-
-    Raises
-    ------
-    InputError : the folder holds none.
-    """
+    """Read a sweep's results, by its folder or results.h5; InputError for none. Not collective."""
     path = folder if folder.name == RESULTS and folder.is_file() else folder / RESULTS
     if not path.exists():
         raise InputError(

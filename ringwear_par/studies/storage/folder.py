@@ -66,13 +66,7 @@ class SweepFolder:
         return self.path / f"STOPPED{'.' if self.part else ''}{self.part}"
 
     def open(self) -> None:
-        """Make the folders, and see that they can be written.
-
-        Raises
-        ------
-        InputError : the folder cannot be written.
-        ComputationError : its disk is full.
-        """
+        """Make the folders, and see that they can be written (InputError) to a disk with room."""
         try:
             for name in _FOLDERS:
                 (self.path / name).mkdir(parents=True, exist_ok=True)
@@ -93,15 +87,10 @@ class SweepFolder:
 
     @reporting_unreadable()
     def scan(self, mend: bool) -> tuple[CaseIndex, list[str]]:
-        """Return the stored cases, and sentences on damage. Needs the lock.
+        """Return the stored cases, and sentences on damage, which it may mend. Needs the lock.
 
-        Parameters
-        ----------
-        mend : set damaged files and blocks aside, cut off the half block of a killed process.
-
-        Raises
-        ------
-        ComputationError : a file is in use by a process of a killed sweep, or cannot be read.
+        Damaged files and blocks are set aside, the half block of a killed process is cut off.
+        ComputationError where a file is in use by such a process, or cannot be read.
         """
         blocks: list[CaseBlock] = []
         notes = []
@@ -136,12 +125,7 @@ class SweepFolder:
                 self.checkpoint(name).unlink(missing_ok=True)
 
     def mend(self, path: Path, mend: bool = True) -> str:
-        """Drop the damaged blocks of a shard, or set another file aside; return a sentence on it.
-
-        Parameters
-        ----------
-        mend : False: return the sentence only.
-        """
+        """Drop damaged blocks of a shard, or set a file aside, if at all; return a sentence."""
         if path.suffix != SHARD:
             return self.set_aside(path, mend)
         copy = _free_name(path)
@@ -150,12 +134,7 @@ class SweepFolder:
         return f"{path}: some of it is damaged (kept in {copy.name}); its cases run again"
 
     def set_aside(self, path: Path, mend: bool = True) -> str:
-        """Give a damaged file another name, which no file has, and return a sentence on it.
-
-        Parameters
-        ----------
-        mend : False: return the sentence only.
-        """
+        """Give a damaged file a name that no file has, if at all; return a sentence on it."""
         aside = _free_name(path)
         if mend:
             with suppress(FileNotFoundError):  # another slice was first
@@ -187,14 +166,7 @@ def _free_name(path: Path) -> Path:
 def locked(folder: Path, part: str) -> Iterator[None]:
     """Lock a sweep's folder, or one slice of it, for this process. Call on one rank.
 
-    Parameters
-    ----------
-    folder : of the sweep.
-    part : name of the slice, "" for the whole, which excludes every slice.
-
-    Raises
-    ------
-    InputError : another sweep is at work there.
+    The whole, "", excludes every slice. InputError where another sweep is at work.
     """
     with ExitStack() as locks:
         whole = locks.enter_context(_opened(folder / "lock"))
@@ -212,12 +184,7 @@ def forget_slices(folder: Path) -> None:
 
 
 def _opened(path: Path) -> BinaryIO:
-    """Open a lock, or make it.
-
-    Raises
-    ------
-    InputError : it cannot be opened, or something else is there.
-    """
+    """Open a lock, or make it; InputError where something else is there."""
     try:
         return open_ordinary(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW)
     except OSError as error:

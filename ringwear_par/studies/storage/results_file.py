@@ -114,11 +114,7 @@ class ResultsBlock(CaseBlock):
 def read_results_blocks(path: Path) -> list[CaseBlock] | None:
     """Return the cases of a results file; None if it is damaged. Not collective.
 
-    Cases that were not begun have NaN for seconds.
-
-    Raises
-    ------
-    UnreadableError : it cannot be read now.
+    Cases that were not begun have NaN for seconds. UnreadableError where it cannot be read now.
     """
     try:
         with reading(path, SOFTWARE, FILE_KIND) as file:

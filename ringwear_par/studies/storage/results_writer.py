@@ -85,20 +85,9 @@ class CaseList:
 def write_results(
     folder: Path, cases: CaseList, attributes: Mapping[str, Any], comm: MPI.Comm
 ) -> None:
-    """Write the files by rename, the units of the table beside it. Call on rank 0 of comm only.
+    """Write results of cases by rename, the units of the table beside it. On rank 0 of comm only.
 
     Within ``parallel.with_help_of_all``.
-
-    Parameters
-    ----------
-    folder : of the sweep.
-    cases : to be listed.
-    attributes : of the HDF5 file.
-
-    Raises
-    ------
-    DamagedError : one of the files that are read.
-    OSError : the disk or the folder.
     """
     with (
         atomic_write(folder / TABLE) as rows,  # all are whole before one is replaced
@@ -115,13 +104,9 @@ def write_results(
 
 
 class _Writer:
-    """Fills a results file, window by window of cases.
+    """Fills an empty results file, window by window of cases.
 
-    Parameters
-    ----------
-    file : empty.
-    cases : to be listed.
-    check_disk : raises the error that the disk has failed with.
+    ``check_disk`` raises the error that the disk has failed with.
     """
 
     def __init__(self, file: h5py.File, cases: CaseList, check_disk: Callable[[], None]) -> None:

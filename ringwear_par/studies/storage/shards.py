@@ -32,12 +32,7 @@ _BUSY_SECONDS, _NAP_SECONDS = 5.0, 0.05
 
 
 def _lock(file: BinaryIO, path: Path, kind: int) -> None:
-    """Lock a shard for as long as it is open.
-
-    Raises
-    ------
-    ComputationError : another process has it.
-    """
+    """Lock a shard for as long as it is open; ComputationError where another process has it."""
     limit = time.monotonic() + _BUSY_SECONDS
     while True:
         try:
@@ -53,12 +48,7 @@ def _lock(file: BinaryIO, path: Path, kind: int) -> None:
 
 @contextmanager
 def _reporting_unwritable(path: Path) -> Iterator[None]:
-    """Say why a shard cannot be written.
-
-    Raises
-    ------
-    ComputationError : it cannot be.
-    """
+    """Say why a shard cannot be written (ComputationError)."""
     try:
         yield
     except OSError as error:
@@ -66,16 +56,7 @@ def _reporting_unwritable(path: Path) -> Iterator[None]:
 
 
 class Shard:
-    """The file that a team adds its cases to; a context manager.
-
-    Parameters
-    ----------
-    path : made if it is not there.
-
-    Raises
-    ------
-    ComputationError : the file cannot be written.
-    """
+    """The file that a team adds its cases to, made if it is not there; a context manager."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -88,12 +69,7 @@ class Shard:
         self._synced = time.monotonic()
 
     def add(self, block: Block) -> None:
-        """Store cases for good: all of them, or none if the process is killed meanwhile.
-
-        Raises
-        ------
-        ComputationError : the disk, or somebody has removed the file.
-        """
+        """Store cases for good: all of them, or none if the process is killed meanwhile."""
         with _reporting_unwritable(self.path):
             packed, at, handle = memoryview(block.packed()), self._end, self._file.fileno()
             try:
@@ -138,10 +114,6 @@ def read_shard(path: Path) -> ShardContents | None:
     """Return the cases of a shard, by the headers of its blocks; None if there is none in it.
 
     Not collective. An empty file holds no case: its sweep was killed before the first.
-
-    Raises
-    ------
-    ComputationError : it cannot be read.
     """
     if not path.is_file():  # a pipe may keep its reader waiting
         return None
@@ -177,29 +149,13 @@ def _mapped(file: BinaryIO, path: Path) -> Iterator[Any]:
 
 
 def cut(path: Path, end: int) -> None:
-    """Cut off a block without end, which a killed process was writing.
-
-    Raises
-    ------
-    ComputationError : the file cannot be written.
-    """
+    """Cut off a block without end, which a killed process was writing."""
     with _reporting_unwritable(path):
         os.truncate(path, end)
 
 
 def drop_damaged_blocks(path: Path, copy: Path) -> bool:
-    """Leave of a shard its good blocks alone; return whether there was anything else.
-
-    Not collective.
-
-    Parameters
-    ----------
-    copy : name of a copy of the damaged file.
-
-    Raises
-    ------
-    ComputationError : the file cannot be read or written.
-    """
+    """Leave of a shard its good blocks, and a copy; tell whether there was more. Not collective."""
     contents, good = read_shard(path), list[PackedBlock]()
     for block in contents.blocks if contents is not None else ():
         with suppress(DamagedError):  # of its data

@@ -4,7 +4,7 @@ import copy
 
 import numpy as np
 import pytest
-from laboratory import CASE, FITTED, PEN, PROF, K, changed
+from laboratory import CASE, FITTED, PEN, PROF, K, changed, refused
 
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
@@ -187,10 +187,9 @@ def test_a_key_without_derivatives_is_refused_once(good):
     ],
 )  # fmt: skip
 def test_faults(path, value, said, good):
-    with pytest.raises(InputError) as caught:
-        read_fit(changed(good, path, value))
-    assert said in str(caught.value)
-    assert str(caught.value).startswith("fit: ") or "nowhere.toml" in str(caught.value)
+    faults = refused(changed(good, path, value))
+    assert said in "\n".join(faults)
+    assert "\n".join(faults).startswith("fit: ") or "nowhere.toml" in "\n".join(faults)
 
 
 @pytest.mark.parametrize(
@@ -207,19 +206,16 @@ def test_faults(path, value, said, good):
 )
 def test_what_is_no_toml_is_shown(line, said, tmp_path):
     (tmp_path / "fit.toml").write_text(f'case = "a"\n{line}\n')
-    with pytest.raises(InputError) as caught:
-        read_fit(tmp_path / "fit.toml")
-    assert said in str(caught.value)
-    assert ("point" in str(caught.value)) == ("point" in said)
+    faults = refused(tmp_path / "fit.toml")
+    assert said in "\n".join(faults)
+    assert ("point" in "\n".join(faults)) == ("point" in said)
 
 
 def test_all_faults_are_told_together(good):
     tables = changed(good, (*PEN, "sd"), 0)
     tables["fit"]["starts"] = -1
     tables["experiment"][1]["data"][1]["at"] = 1e9
-    with pytest.raises(InputError) as caught:
-        read_fit(tables)
-    assert len(caught.value.faults) == 3
+    assert len(refused(tables)) == 3
 
 
 def test_values_stay_within_bounds_without_overflow():
@@ -255,7 +251,6 @@ def test_what_is_planned_and_left_out_may_have_units(good):
     assert problem.design.seconds == 300.0
     profile["exclude"] = [["2.84 s", 28.6]]
     given["design"]["vary"]["time.end"] = [10, "2 mm"]
-    with pytest.raises(InputError) as error:
-        read_fit(given, plans=True)
-    assert "exclude" in str(error.value)
-    assert "time.end" in str(error.value)
+    faults = refused(given, plans=True)
+    assert "exclude" in "\n".join(faults)
+    assert "time.end" in "\n".join(faults)

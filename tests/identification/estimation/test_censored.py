@@ -4,7 +4,17 @@ import copy
 
 import numpy as np
 import pytest
-from laboratory import CASE, END, TRUTH, fit_tables, history, penetration, write_table
+from laboratory import (
+    CASE,
+    END,
+    TRUTH,
+    fit_tables,
+    history,
+    one_test,
+    penetration,
+    refused,
+    write_table,
+)
 from mpi4py import MPI
 from scipy.stats import norm
 
@@ -50,8 +60,8 @@ def tables(tmp_path_factory):
         "quantity": "penetration", "file": str(folder / "z.csv"), "sd": 0.2, "censored": "limit",
         "columns": {"time": "t_s", "value": "z_um"},
     }  # fmt: skip
-    changes = {"load.pressure": 80.0, "load.omega": 3.5, "time.end": END, "wear.lower.p0": 25.0}
-    found = fit_tables(folder, [{"name": "a", "set": changes, "data": [record]}])
+    known = {"wear.lower.p0": 25.0}
+    found = fit_tables(folder, [one_test("a", 80.0, record, **known)])
     del found["fit"]["parameters"]["wear.lower.p0"]
     return found
 
@@ -186,9 +196,7 @@ def test_a_layer_that_is_not_through(tables):
 def test_what_is_refused(tables, change, sentence):
     wrong = copy.deepcopy(tables)
     wrong["experiment"][0]["data"][0] |= change
-    with pytest.raises(InputError) as caught:
-        read_fit(wrong)
-    assert [fault for fault in caught.value.faults if sentence in fault]
+    assert [fault for fault in refused(wrong) if sentence in fault]
     wrong = copy.deepcopy(tables)
     wrong["fit"]["loss"] = "student"
     with pytest.raises(InputError, match='censored: must be absent with loss = "student"'):

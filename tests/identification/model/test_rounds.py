@@ -85,11 +85,15 @@ def test_a_signal_to_any_rank_stops_all(tables, comm):
 
 
 @pytest.mark.several
-def test_profiles_and_samples_are_alike_on_all_ranks(tables, comm):
+def test_any_number_of_ranks_finds_the_same(tables, comm):
+    """Starts, estimates, profiles and samples."""
     from mpi4py import MPI
 
-    given = tables(starts=1, intervals=["profile", "posterior"], samples=32)
+    given = tables(starts=3, intervals=["profile", "posterior"], samples=32)
     found, alone = fit(given, comm), fit(given, MPI.COMM_SELF)
+    assert found.starts == alone.starts
+    for a, b in zip(found.parameters, alone.parameters, strict=True):
+        assert (a.estimate, a.sd) == pytest.approx((b.estimate, b.sd), rel=1e-12)
     for key, table in alone.profiles.items():
         assert found.profiles[key].tobytes() == table.tobytes()
     assert found.posterior.samples.tobytes() == alone.posterior.samples.tobytes()

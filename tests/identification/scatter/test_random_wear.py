@@ -6,7 +6,17 @@ import json
 import h5py
 import numpy as np
 import pytest
-from laboratory import CASE, END, TRUTH, fit_tables, history, write_table
+from laboratory import (
+    CASE,
+    END,
+    TRUTH,
+    ZERO_AND_DRIFT,
+    fit_tables,
+    history,
+    one_test,
+    record,
+    refused,
+)
 from mpi4py import MPI
 
 import ringwear_par as rw
@@ -41,21 +51,16 @@ def write_experiments(folder):
         size, times = SHARE**2 * depth, np.linspace(2.0, END, 80)
         clock = np.cumsum(rng.gamma(depth / 80 / size, size, 80))  # at each reading
         ran = np.interp(clock, worn / area, there)
-        z = 1e3 * np.interp(ran, there, result.histories["penetration"])
-        z += 0.3 * number + 0.2 * rng.standard_normal(80)
-        write_table(folder / f"z{number}.csv", ("t_s", "z_um"), times, z)
+        z = np.interp(ran, there, result.histories["penetration"])
+        z += 1e-3 * (0.3 * number + 0.2 * rng.standard_normal(80))
         mass = 7.8e-3 * float(np.interp(ran[-1], there, worn))
-        record = {
-            "quantity": "penetration", "file": str(folder / f"z{number}.csv"), "sd": 0.2,
-            "columns": {"time": "t_s", "value": "z_um"},
-            "nuisance": {"offset": {}, "drift": {"prior": {"normal": [0.0, 0.5]}}},
-        }  # fmt: skip
+        data = record(folder / f"z{number}.csv", times, z, nuisance=copy.deepcopy(ZERO_AND_DRIFT))
         weighing = {
             "quantity": "mass.lower", "value": 1e3 * mass, "unit": "mg", "density": 7.8e-3,
             "sd": 0.1,
         }  # fmt: skip
-        changes = {"load.pressure": 80.0, "load.omega": 3.5, "time.end": END, "wear.lower.p0": 25.0}
-        experiments.append({"name": f"test {number}", "set": changes, "data": [record, weighing]})
+        known = {"wear.lower.p0": 25.0}
+        experiments.append(one_test(f"test {number}", 80.0, data, weighing, **known))
     return experiments
 
 
@@ -205,9 +210,7 @@ def test_answers_to_a_factor_on_all_rates(tables, law):
 def test_what_is_refused(tables, change, sentence):
     wrong = of_k(tables)
     wrong["fit"] |= change
-    with pytest.raises(InputError) as caught:
-        read_fit(wrong)
-    assert [fault for fault in caught.value.faults if sentence in fault]
+    assert [fault for fault in refused(wrong) if sentence in fault]
 
 
 @pytest.mark.serial

@@ -55,9 +55,15 @@ def spreads(found):
     return np.array([p.sd for p in found.parameters])
 
 
-def test_information_is_that_of_a_fit(tables, comm):
-    """With all nuisances eliminated from each test by itself, as the fit has them together."""
+@pytest.mark.ranks
+@pytest.mark.parametrize("elements", [12, 16])
+def test_information_is_that_of_a_fit(tables, comm, elements):
+    """With all nuisances eliminated from each test by itself, as the fit has them together.
+
+    Of tests that share an operator, or have their own, which ranks assemble in the same order.
+    """
     source = tables()
+    source["experiment"][1]["set"]["mesh.contact_elements"] = elements
     found = rw.design(source, comm)
     assert found.planned.sd == pytest.approx(
         spreads(expected_result(read_fit(source), comm)), rel=1e-6
@@ -128,17 +134,6 @@ def test_results_do_not_depend_on_ranks(tables, comm):
     one, other = found.to_dict(), rw.design(tables(), MPI.COMM_SELF).to_dict()
     assert pickle.loads(pickle.dumps(found)).to_dict() == one  # no communicator in it
     assert one["designs"] == other["designs"]
-
-
-@pytest.mark.ranks
-def test_experiments_may_have_operators_of_their_own(tables, comm):
-    """Ranks share the tests, and assemble all operators in the same order."""
-    source = tables()
-    source["experiment"][1]["set"]["mesh.contact_elements"] = 16
-    found = rw.design(source, comm)
-    assert found.planned.sd == pytest.approx(
-        spreads(expected_result(read_fit(source), comm)), rel=1e-6
-    )
 
 
 @pytest.mark.ranks
