@@ -240,6 +240,17 @@ def users_unit(entry: Mapping[str, Any]) -> tuple[str, float]:
     return "" if entry["unit"] in ("1", "-") else str(entry["unit"]), 1.0
 
 
+def _power(largest: float) -> int:
+    """Return the power of ten that numbers beside an axis leave out."""
+    power = math.floor(math.log10(largest)) if largest else 0
+    return 0 if -3 <= power < 4 else power
+
+
+def _unit_with_power(unit: str, power: int) -> str:
+    times = f"10{str(power).translate(_DIGITS)}" if power else ""
+    return " ".join(filter(None, (times, in_signs(unit))))
+
+
 @dataclass(frozen=True)
 class FittedKey:
     """A fitted key on an axis."""
@@ -289,9 +300,7 @@ class FittedKey:
     def power(self) -> int:
         """The power of ten that numbers beside its axis leave out."""
         largest = max(map(abs, self.ends or (float(self.entry["estimate"]),)))
-        largest /= users_unit(self.entry)[1]
-        power = math.floor(math.log10(largest)) if largest else 0
-        return 0 if -3 <= power < 4 else power
+        return _power(largest / users_unit(self.entry)[1])
 
     def scaled(self, values: Any) -> FloatArray:
         """Return values in the unit of the axis, without that power of ten."""
@@ -300,9 +309,7 @@ class FittedKey:
     @property
     def axis(self) -> Axis:
         """The axis of its values."""
-        power = f"10{str(self.power).translate(_DIGITS)}" if self.power else ""
-        unit = in_signs(users_unit(self.entry)[0])
-        unit = " ".join(filter(None, (power, unit)))
+        unit = _unit_with_power(users_unit(self.entry)[0], self.power)
         ends = None if self.ends is None else tuple(self.scaled(self.ends).tolist())
         return Axis(quantity_label(self.name, unit), ends=ends)
 
@@ -417,6 +424,9 @@ def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
     level : of its intervals.
     """
     entries, (unit, scale) = estimate["each"], users_unit(estimate)
+    known = [end for name in ("next", "interval") for end in estimate[name] if end is not None]
+    power = _power(max(map(abs, (estimate["estimate"], *known))) / scale)
+    unit, scale = _unit_with_power(unit, power), scale * 10.0**power
     quantile = float(norm.ppf(0.5 + 0.5 * level))
     places = np.arange(len(entries), dtype=float)
     ends = np.array([-0.6, len(entries) - 0.4])

@@ -105,7 +105,7 @@ def test_single_readings_share_a_strip(found):
 
 def test_what_is_not_identified_has_neither_curve_nor_ellipse(found):
     def labels(chart):
-        chart.draw_without_rendering()
+        check_texts(chart)
         return [[*filter(None, axes.get_legend_handles_labels()[1])] for axes in chart.axes]
 
     first, pair, second = labels(found.plot_parameters())

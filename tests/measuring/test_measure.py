@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from figure_texts import check_texts
 from paths import ROOT
 from rig_records import (
     AREA,
@@ -266,7 +267,9 @@ def test_a_test_with_one_channel(laboratory, tmp_path):
     assert test.friction is not None
     assert "friction 0.2" in result.summary()
     assert result.to_dict()["tests"]["torque"]["specific_wear_rate"] is None
-    assert len(result.plot().axes) == 1
+    figure = result.plot()
+    check_texts(figure)
+    assert len(figure.axes) == 1
 
 
 def test_loads_in_steps_are_averaged_over_the_part(laboratory):
