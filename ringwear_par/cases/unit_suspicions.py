@@ -51,9 +51,19 @@ def deep_forecasts(cases: Sequence[Case]) -> list[list[Forecast]]:
     ----------
     cases : of one ``lockstep.batch_key``.
     """
-    forecasts: list[list[Forecast]] = [[] for _ in cases]
     if not cases or cases[0].load.force is None:
-        return forecasts
+        return [[] for _ in cases]
+    try:
+        return _forecast(cases)
+    except Exception:  # a law that does not serve many at once, as those of histories are tried
+        if len(cases) == 1:
+            raise
+        return [_forecast([case])[0] for case in cases]
+
+
+def _forecast(cases: Sequence[Case]) -> list[list[Forecast]]:
+    """Return the forecasts of cases under a force, at once."""
+    forecasts: list[list[Forecast]] = [[] for _ in cases]
     ends = np.array([case.time.end for case in cases])
     means = [
         (mean(case.load.force or 0.0, 0.0, end), mean(case.load.omega, 0.0, end), _friction(case))
