@@ -18,7 +18,8 @@ from ringwear_par.cases.case import Stepping
 from ringwear_par.pictures.run_panels import HISTORY_PANELS
 from ringwear_par.results.execution import run as driver
 from ringwear_par.results.execution.run import run_case
-from ringwear_par.results.key_numbers import check_numbers, friction_of, key_numbers
+from ringwear_par.results.key_numbers import check_numbers, key_numbers
+from ringwear_par.results.laboratory_numbers import schedule_of
 from ringwear_par.results.storage.boundaries import BOUNDARY_FIELDS
 from ringwear_par.results.storage.result_files import open_result
 from ringwear_par.results.variables import (
@@ -287,7 +288,7 @@ def test_tables_of_many_points_are_stored(tmp_path):
     result = rw.simulate(case)
     result.save(tmp_path / "run.h5")
     stored = open_result(tmp_path / "run.h5")
-    assert friction_of(stored) == case.friction
+    assert schedule_of(stored.attributes, "friction") == case.friction
     assert stored.case == result.case
     with pytest.raises(rw.InputError, match=r"pv needs .* which is a table"):
         HISTORY_PANELS["pv"].curves(stored)
