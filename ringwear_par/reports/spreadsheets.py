@@ -71,8 +71,8 @@ def sweep_sheets(ensemble: Ensemble) -> list[Sheet]:
     columns: dict[str, tuple[str, str, Any]] = {"case": ("", "id of the case", ensemble.ids)}
     for name, values in ensemble.varied.items():
         unit, scale = ensemble.unit(name)
-        told = values / scale if values.dtype.kind == "f" else [_text(v) for v in values]
-        columns[name] = unit, own_key(name).meaning, told
+        numbers = values / scale if values.dtype.kind == "f" else [_text(v) for v in values]
+        columns[name] = unit, own_key(name).meaning, numbers
     columns["status"] = "", "done, failed or incomplete", ensemble.status
     columns["error"] = "", "why the case failed", ensemble.error
     for name, values in ensemble.final.items():

@@ -15,7 +15,7 @@ from ringwear_par.elasticity.stress.fields import (
     mises,
     principal,
 )
-from ringwear_par.errors import InputError
+from ringwear_par.errors import InputError, legible
 from ringwear_par.files.spreadsheets import Sheet, check_xlsx, write_csv, write_xlsx
 from ringwear_par.files.text import shortened
 from ringwear_par.files.writing import check_writable
@@ -154,7 +154,8 @@ def check_tables(output: Path, decimal: str) -> None:
     """
     if decimal not in DECIMALS or (decimal != "point" and output.suffix != ".csv"):
         raise InputError(
-            f"--decimal {shortened(decimal)}: must be {' or '.join(DECIMALS)}, and for .csv only"
+            f"--decimal {legible(decimal)}: {output}: must be {' or '.join(DECIMALS)}, and for .csv "
+            "only"
         )
     if output.suffix == ".xlsx":
         check_xlsx(output)
