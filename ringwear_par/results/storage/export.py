@@ -154,8 +154,8 @@ def check_tables(output: Path, decimal: str) -> None:
     """
     if decimal not in DECIMALS or (decimal != "point" and output.suffix != ".csv"):
         raise InputError(
-            f"--decimal {legible(decimal)}: {output}: must be {' or '.join(DECIMALS)}, and for .csv "
-            "only"
+            f"--decimal {legible(decimal)}: {output}: must be {' or '.join(DECIMALS)}, and for "
+            ".csv only"
         )
     if output.suffix == ".xlsx":
         check_xlsx(output)
