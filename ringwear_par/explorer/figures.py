@@ -82,20 +82,21 @@ class Drawing:
     def _wear(self) -> Panel:
         bodies = run_panels.worn_bodies(self.result)
         panel = run_panels.worn_faces(self.result, bodies)
-        heights = [run_panels.height(self.result, body) for body in bodies]
+        depths = [run_panels.worn_depth(self.result, body) for body in bodies]
         before = []
         if self.first is not self.result:
             before = [
-                _before(Curve(self.first.line.r, run_panels.height(self.first, body)[-1]), "end")
+                _before(
+                    Curve(self.first.line.r, run_panels.worn_depth(self.first, body)[-1]), "end"
+                )
                 for body in run_panels.worn_bodies(self.first)
             ]
         points = []
         for number, readings in enumerate(self.laid):
             if readings.along:
-                sign = -1e3 if readings.quantity == "profile.lower" else 1e3
-                y = sign * readings.values(self.case, self.result)
+                y = 1e3 * readings.values(self.case, self.result)
                 points.append(_points(readings, readings.x, y, number))
-        chosen = [run_panels.at_instant(self.result, height[self.row]) for height in heights]
+        chosen = [run_panels.at_instant(self.result, depth[self.row]) for depth in depths]
         return replace(panel, curves=[*before, *panel.curves, *chosen], points=points)
 
     def _pressure(self) -> Panel:

@@ -6,7 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError, InputError, counted
 from ringwear_par.files import folders
 from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.reports.blocks import Chart, Page
@@ -60,7 +60,7 @@ def write_page(page: Page, output: Path) -> str:
     except OSError as error:
         raise ComputationError(f"{output}: {error.strerror or error}") from error
     figures = len(page.charts) + page.pictures
-    return f"{output}: {page.kind}, {figures} figure{'' if figures == 1 else 's'}"
+    return f"{output}: {page.kind}, {counted(figures, 'figure')}"
 
 
 def check_page(output: Path) -> None:

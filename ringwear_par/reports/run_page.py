@@ -31,8 +31,8 @@ from ringwear_par.results.key_numbers import (
     KeyNumber,
     check_numbers,
     in_groups,
+    instants,
     key_numbers,
-    time_words,
 )
 from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import nearest_states
@@ -111,7 +111,7 @@ def histories(result: Result) -> Charts:
 def profiles(result: Result) -> Charts | None:
     """Return worn faces and pressure at five instants and at that of a slider; None: not stored."""
     panels = {
-        f"wear-{body}": (run_panels.worn_faces(result, [body]), run_panels.height(result, body))
+        f"wear-{body}": (run_panels.worn_faces(result, [body]), run_panels.worn_depth(result, body))
         for body in run_panels.worn_bodies(result)
     }
     if run_panels.at_all_states(result, "pressure"):
@@ -119,17 +119,16 @@ def profiles(result: Result) -> Charts | None:
     if not panels:
         return None
     time = result.histories["time"]
-    instants = np.unique(np.linspace(0, len(time) - 1, _SLIDER).round().astype(int)).tolist()
+    rows = np.unique(np.linspace(0, len(time) - 1, _SLIDER).round().astype(int)).tolist()
     charts = []
     for name, (panel, values) in panels.items():
         times = ", ".join(curve.name for curve in panel.curves)
         label = f"Line chart: {panel.y.label} over the {run_panels.RADIUS} at {times}"
-        frames = [values[row].tolist() for row in instants]
-        chosen = run_panels.at_instant(result, values[instants[-1]])
+        frames = [values[row].tolist() for row in rows]
+        chosen = run_panels.at_instant(result, values[rows[-1]])
         panel = replace(panel, curves=[*panel.curves, chosen])
         charts.append(Chart(name, panel, label, 400, frames))
-    words = [time_words(time[row], float(time[-1])) for row in instants]
-    return Charts(charts, words, len(instants) - 1)
+    return Charts(charts, instants(time[rows].tolist(), float(time[-1])), len(rows) - 1)
 
 
 def key_rows(numbers: Iterable[KeyNumber]) -> list[tuple[str, str, str]]:

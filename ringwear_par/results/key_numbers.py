@@ -1,7 +1,7 @@
 """The key numbers of a run, one table; what summaries and pictures call numbers and instants."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,6 +52,20 @@ def time_words(time: float, end: float) -> str:
     """
     unit, seconds = time_unit(end)
     return f"{number_words(time / seconds)} {unit}"
+
+
+def instants(times: Sequence[float], end: float) -> list[str]:
+    """Return times of a history, s, as round as a hundredth of its end tells them apart.
+
+    Where that is too round, as ``time_words``.
+    """
+    unit, seconds = time_unit(end)
+    of_end = 2 - math.floor(math.log10(end / seconds)) if end > 0.0 else 0
+    words = []
+    for time in times:
+        digits = max(of_end, 1 - math.floor(math.log10(time / seconds)), 0) if time > 0.0 else 0
+        words.append(f"{number_words(round(time / seconds, digits))} {unit}")
+    return words if len(set(words)) == len(words) else [time_words(time, end) for time in times]
 
 
 def stages(time: FloatArray) -> list[int]:

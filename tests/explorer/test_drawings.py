@@ -39,12 +39,12 @@ def test_figures_hold_the_history(drawn):
             assert np.array_equal(np.unique(y), np.unique(values))
     lines = told["wear"]["sources"]["lines"]
     assert lines["label"][-2:] == ["time chosen"] * 2
-    assert np.array_equal(lines["y"][-2], -1e3 * now.result.profiles["wear_lower"][
+    assert np.array_equal(lines["y"][-2], 1e3 * now.result.profiles["wear_lower"][
         np.abs(now.result.histories["time"] - 100.0).argmin()])  # fmt: skip
     ends = [lines["y"][lines["label"].index(label)] for label in ("case file, end", "200 s")]
-    wear = (-1e3 * one.result.profiles["wear_lower"][-1] for one in drawn)
+    wear = (1e3 * one.result.profiles["wear_lower"][-1] for one in drawn)
     assert all(np.array_equal(*both) for both in zip(ends, wear, strict=True))
-    assert told["wear"]["note"] == "lower below 0, upper above"
+    assert told["wear"]["note"] == "lower solid, upper dashed"
     top = told["pressure"]["ranges"][1][1]
     assert 80.0 < top < max(map(max, told["pressure"]["sources"]["lines"]["y"]))
     assert "peak of" in told["pressure"]["note"]

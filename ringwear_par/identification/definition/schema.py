@@ -272,7 +272,7 @@ KEYS: tuple[Key, ...] = (
     Key("experiment.input.exclude", *anything("a list of increasing pairs"), "s",
         "pairs of times between which readings are left out", None),
     Key("experiment.input.smooth", *_smoothing(), "s",
-        "auto: a smoothing spline of few knots, denser early in the test, its penalty by "
+        "auto: a smoothing spline, denser early in the test, its knots and penalty by "
         "generalised cross-validation; a time: a smoothing spline that halves waves of this "
         f"period; none: linear between the readings, {MOST_POINTS} at most", "auto"),
     Key("experiment.input.scale", *anything("a table of prior"), "-",

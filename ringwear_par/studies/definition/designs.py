@@ -59,12 +59,7 @@ class Draft:
 
 
 def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
-    """Read a study: its name or its tables. Not collective.
-
-    Raises
-    ------
-    InputError : its faults, those of single cases excepted.
-    """
+    """Read a study: its name or its tables; refuse faults but for single cases. Not collective."""
     if isinstance(source, Mapping) and isinstance(source.get("case"), Case):
         raise InputError(
             "study: case is a Case; must be the name of a case file, or its tables as a dict"
@@ -121,12 +116,7 @@ def _in_full(name: str, folder: Path, value: Any) -> Any:
 
 
 def read_design(name: str, table: Mapping[str, Any], faults: list[str]) -> dict[str, Any]:
-    """Return the values of the table [design], and add its faults.
-
-    Raises
-    ------
-    InputError : the method is wrong; with all faults.
-    """
+    """Return the values of the table [design], and add its faults; refuse a wrong method."""
     before, reader = len(faults), TableReader(f"{name}: [design]", table, faults, DESIGN)
     method = reader.read("method")
     if len(faults) > before:
@@ -145,12 +135,7 @@ def read_design(name: str, table: Mapping[str, Any], faults: list[str]) -> dict[
 def drawn(
     name: str, variations: Sequence[Variation], method: str, design: Mapping[str, Any]
 ) -> list[Column]:
-    """Return the columns of a grid or of a sampled design; the design must have no faults.
-
-    Raises
-    ------
-    InputError : it has too many cases or keys.
-    """
+    """Return the columns of a grid or sampled design without faults; refuse too many cases."""
     if method == "grid":
         sizes = [v.count or len(v.values) for v in variations]
         count = math.prod(sizes)
@@ -180,9 +165,7 @@ def drawn(
 def listed(table: Path) -> tuple[tuple[str, ...], list[Column]]:
     """Return the varied keys and columns of a CSV file: a line of keys, and one line a case.
 
-    Raises
-    ------
-    InputError : its first faults, one sentence each.
+    InputError has its first faults, one sentence each.
     """
     try:
         lines = [line for line in csv.reader(read_text(table).splitlines()) if line]

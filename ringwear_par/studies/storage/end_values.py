@@ -47,7 +47,8 @@ class EndValue:
     source: str
     #: the variable of the results file
     stored: Variable
-    #: whether surrogates answer for it: places of the largest stress jump
+    #: whether surrogates answer for it: places of the largest stress jump, numbers of laboratories
+    #: follow from others
     smooth: bool = True
 
     def of(self, table: FloatArray, last: IntArray) -> FloatArray:
@@ -89,7 +90,7 @@ def _stress(source: Variable) -> EndValue:
 def _of_laboratory(number: LaboratoryNumber) -> EndValue:
     stored, meaning = number.at_end(), number.variable.meaning
     stored = replace(stored, dimensions=("case",), meaning=f"{meaning}, at the last stored step")
-    return EndValue(stored.name, stored.name, stored)
+    return EndValue(stored.name, stored.name, stored, smooth=False)
 
 
 def _of_layers() -> Iterable[EndValue]:
