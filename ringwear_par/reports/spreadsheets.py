@@ -10,7 +10,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.files.folders import FIT, READINGS
 from ringwear_par.files.spreadsheets import Sheet, write_csv, write_xlsx
 from ringwear_par.files.writing import check_writable
-from ringwear_par.identification.fit_rows import key_rows
+from ringwear_par.identification.summary import key_rows
 from ringwear_par.reports.fit_page import stored_outcome, stored_readings
 from ringwear_par.results.storage.export import check_tables, titled
 from ringwear_par.results.storage.export import export as export_run
