@@ -56,7 +56,7 @@ def write_page(page: Page, output: Path) -> str:
     """
     try:
         with atomic_write(output) as temporary:
-            temporary.write_text(_html(page), encoding="utf-8")
+            temporary.write_text(html_text(page), encoding="utf-8")
     except OSError as error:
         raise ComputationError(f"{output}: {error.strerror or error}") from error
     figures = len(page.charts) + page.pictures
@@ -127,7 +127,7 @@ def _other_file(path: Path) -> str:
     return ""
 
 
-def _html(page: Page) -> str:
+def html_text(page: Page) -> str:
     """Return the text of a page; everything that is not of the template is escaped."""
     import jinja2
     from markupsafe import Markup

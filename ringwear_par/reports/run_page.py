@@ -80,8 +80,8 @@ def run_page(result: Result) -> Page:
     return Page("Wear history of a test", title or "Run without a title", sections)
 
 
-def _tiles(numbers: Iterable[KeyNumber], doubts: int, wrong: list[KeyNumber], errors: str) -> Tiles:
-    """Return the answers of a run."""
+def answers(numbers: Iterable[KeyNumber]) -> list[Tile]:
+    """Return the key numbers that a page of a run begins with."""
     known, tiles = {number.name: number for number in numbers}, []
     bodies = [body for body in BODIES if f"{body}_worn_volume" in known]
     labels = [("penetration", "penetration")]
@@ -96,8 +96,13 @@ def _tiles(numbers: Iterable[KeyNumber], doubts: int, wrong: list[KeyNumber], er
         number = known.get(name)
         if number is not None and not math.isnan(number.value):
             tiles.append(Tile(label, number.short, in_signs(number.unit)))
+    return tiles
+
+
+def _tiles(numbers: Iterable[KeyNumber], doubts: int, wrong: list[KeyNumber], errors: str) -> Tiles:
+    """Return the answers of a run, and whether its checks are good."""
     note = with_signs("; ".join([*map(str, wrong), errors]))
-    return Tiles([*tiles, checks_tile(doubts, note, len(wrong))])
+    return Tiles([*answers(numbers), checks_tile(doubts, note, len(wrong))])
 
 
 def histories(result: Result) -> Charts:

@@ -10,7 +10,7 @@ from paths import CASES, FIT
 
 import ringwear_par as rw
 from ringwear_par.explorer.exploring import Exploration
-from ringwear_par.explorer.figures import MENU, Drawing
+from ringwear_par.explorer.figures import CASE_FILE, MENU, Drawing
 from ringwear_par.explorer.measured import read_table
 from ringwear_par.explorer.moved_keys import raw_keys
 from ringwear_par.explorer.page import _variables
@@ -31,7 +31,7 @@ def drawn():
 def test_figures_hold_the_history(drawn):
     first, now = drawn
     for menu in MENU.keys() - {"through"}:  # of layers
-        told = Drawing(now.result, first.result, now.case, 0.5, menu, []).columns()
+        told = Drawing(now.result, {CASE_FILE: first.result}, now.case, 0.5, menu, []).columns()
         curves = HISTORY_PANELS[menu].curves(now.result)
         lines = told["other"]["sources"]["lines"]
         assert len(lines["x"]) == 2 * len(curves)  # and those of the case file
@@ -60,7 +60,7 @@ def test_the_share_worn_through_is_drawn_of_layers(comm):
         assert len(menu) == len(MENU) - (not layered)
         if layered:
             found = exploration.compute({})
-            told = Drawing(found.result, found.result, found.case, 1.0, "through", []).columns()
+            told = Drawing(found.result, {}, found.case, 1.0, "through", []).columns()
             (y,) = told["other"]["sources"]["lines"]["y"]
             assert y == (100.0 * found.result.layers["share_through_lower"]).tolist()
             assert y[-1] > 0.0

@@ -310,7 +310,7 @@ def test_the_peak_of_pressure_is_the_same_everywhere(tmp_path, comm):
         assert axes.get_legend().get_title().get_text().endswith(f"\n{note}")
     chart = profiles(result).charts[-1]
     assert chart.caption == f"contact pressure (MPa), {note}"
-    told = Drawing(result, result, None, 1.0, "volume", []).columns()["pressure"]
+    told = Drawing(result, {}, None, 1.0, "volume", []).columns()["pressure"]
     assert told["note"] == note
     assert told["ranges"][1] == [*chart.panel.y.ends]
     assert told["ranges"][1][1] == pytest.approx(pressure_peak(result).limit)

@@ -24,6 +24,7 @@ from ringwear_par.files.text import (
     shortened,
 )
 from ringwear_par.studies.definition.case_columns import CaseColumns
+from ringwear_par.studies.definition.samples import MOST_AXES, latin_hypercube, sobol
 from ringwear_par.studies.definition.schema import DESIGN, MOST_CASES
 from ringwear_par.studies.definition.variations import (
     Column,
@@ -147,16 +148,13 @@ def drawn(
             codes = numbers // math.prod(sizes[i + 1 :]) % sizes[i]
             columns.append(Column.chosen(variation.grid(), codes))
         return columns
-    from scipy.stats import qmc  # slow to import, and not needed to draw a figure
-
     count, seed, d = design["count"], design["seed"], len(variations)
-    if method == "sobol":  # whole powers of 2, cut: a longer design begins with a shorter one
-        if d > qmc.Sobol.MAXDIM:
-            raise InputError(f"{name}: [vary] has {d} keys; must be at most {qmc.Sobol.MAXDIM}")
-        points = qmc.Sobol(d, scramble=True, seed=seed).random_base2((count - 1).bit_length())
-        points = points[:count]
+    if method == "sobol":
+        if d > MOST_AXES:
+            raise InputError(f"{name}: [vary] has {d} keys; must be at most {MOST_AXES}")
+        points = sobol(count, d, seed)
     elif method == "latin-hypercube":
-        points = qmc.LatinHypercube(d, seed=seed).random(count)
+        points = latin_hypercube(count, d, seed)
     else:
         points = np.random.default_rng(seed).random((count, d))
     return [v.at(u) for v, u in zip(variations, points.T, strict=True)]
