@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -226,7 +227,8 @@ def _cases(ensemble: Ensemble) -> list[Block]:
         f"The {_WORST} worst of {len(cases)} cases: those that failed or are incomplete, then "
         "those with most warnings, then those that penetrate most"
     )
-    return [_case_table(ensemble, worst_cases(ensemble, cases)[:_WORST], caption), every]
+    worst = _case_table(ensemble, worst_cases(ensemble, cases)[:_WORST], caption)
+    return [replace(worst, sortable=False), every]
 
 
 def worst_cases(ensemble: Ensemble, cases: IntArray) -> IntArray:
