@@ -267,9 +267,12 @@ COMMANDS = {
         example="ringwear plot run.h5 soft.h5 -o runs.png --panels wear,penetration,pressure\n"
           "ringwear plot out/study -o study.png"),
     "export": Command(
-        "write a result file for ParaView or a spreadsheet", "results.storage.export:export", (
-        _argument("run", type=_path, metavar="RUN.h5"),
-        _output("OUT", ".vtkhdf: contours of both bodies at all stored times; .csv: histories"),
+        "write stored results for ParaView or a spreadsheet", "reports.spreadsheets:export", (
+        _argument("run", type=_path, metavar="RUN.h5 or DIR"),
+        _output("OUT", ".vtkhdf: contours of both bodies at all stored times; .csv: histories of a "
+                "run, cases of a sweep, tests of a fit; .xlsx: all their tables (openpyxl)"),
+        _argument("--decimal", choices=("point", "comma"), default="point",
+                  help="decimal mark in .csv; with commas, semicolons are between the columns"),
         _argument("--revolve", type=int, dest="segments", metavar="N",
                   help="write the surfaces, revolved in N segments, instead of the contours"),
         _argument("--scale", type=float, metavar="S",

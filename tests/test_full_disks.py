@@ -118,7 +118,7 @@ def test_run(full, runs, there):
     for left in check(full, results, "run.h5", old):
         found = contents(left / "run.h5")
         assert found.keys() == reference.keys()
-        assert all(np.array_equal(value, found[key]) for key, value in reference.items())
+        np.testing.assert_equal(found, reference)
     assert all("nothing of this run is stored" in said[-1] for _, status, said in results if status)
 
 

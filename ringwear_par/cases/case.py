@@ -285,6 +285,11 @@ class Case:
         return math.pi * (b * b - a * a)
 
     @property
+    def mean_radius(self) -> float:
+        """Middle of the overlap, mm."""
+        return 0.5 * sum(self.overlap)
+
+    @property
     def follows_wear(self) -> bool:
         """Whether elements follow the worn profile."""
         return self.mesh.geometry == "updated" and any(law is not None for law in self.laws)

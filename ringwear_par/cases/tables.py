@@ -4,16 +4,22 @@ Each kind of file has a list of its keys, in a file ``schema.py``.
 """
 
 import difflib
+import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
 from ringwear_par.cases.units import in_unit
-from ringwear_par.cases.values import Interval, Kind, Reader, RejectedError
+from ringwear_par.cases.values import Interval, Kind, Reader, RejectedError, texts, whole
 from ringwear_par.elasticity.sections import SHAPE_UNITS
 from ringwear_par.errors import MOST_FAULTS, legible
 from ringwear_par.files.text import shortened, toml_value
+
+#: of a file that are left out
+_MOST_LINES = 1_000_000
+#: a number as it may not be written, perhaps with a unit
+_COMMA = re.compile(r"[-+]?\d+,\d+(?!,)", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -82,7 +88,14 @@ class Key:
         RejectedError : it is not allowed, perhaps with the reason.
         """
         value = self.without_units(raw, unit=unit)
-        return self.read(list(value) if isinstance(value, tuple) else value)
+        try:
+            return self.read(list(value) if isinstance(value, tuple) else value)
+        except RejectedError as reason:
+            comma = _COMMA.match(raw) if isinstance(raw, str) and not str(reason) else None
+            if comma is None:
+                raise
+            point = comma[0].replace(",", ".")
+            raise RejectedError(f"decimals have a point, as {point}") from reason
 
 
 def _shape(name: str, size: Any) -> Any:
@@ -108,6 +121,17 @@ def _pairs(value: Any, first: str, second: str | None) -> Any:
         else entry
         for entry in value
     ]
+
+
+def file_keys(table: str) -> tuple[Key, Key]:
+    """Return the keys of a table about lines and cells of a file that are left out."""
+    return (
+        Key(f"{table}.skip", *whole(0, _MOST_LINES), "-",
+            "number of lines at the beginning of file that are left out", 0),
+        Key(f"{table}.drop", *texts("a list of texts, such as [\"OVL\", \"9999\"]"), "-",
+            "cells of file that are no readings, as they are written there, beside those that are "
+            "always skipped", ()),
+    )  # fmt: skip
 
 
 def keys_of_table(keys: Iterable[Key], table: str) -> dict[str, Key]:

@@ -376,6 +376,17 @@ def some_of(*names: str) -> Values:
     return Values("names", read, "a list of " + ", ".join(f'"{name}"' for name in names))
 
 
+def texts(allowed: str) -> Values:
+    """Return lists of texts."""
+
+    def read(value: Any) -> tuple[str, ...]:
+        if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+            raise RejectedError
+        return tuple(value)
+
+    return Values("names", read, allowed)
+
+
 def text(allowed: str = "a text") -> Values:
     """Return texts that can be written to a file."""
 

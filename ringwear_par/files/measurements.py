@@ -67,6 +67,13 @@ class Measurements:
         units = self.units[place : place + 1]
         return Measurements(self.name, (self.columns[place],), rows, self.lines, self.sha256, units)
 
+    def without(self, texts: Sequence[str]) -> "Measurements":
+        """Return the table with nothing in cells that are one of some texts."""
+        if not texts:
+            return self
+        rows = (tuple("" if cell in texts else cell for cell in row) for row in self.rows)
+        return replace(self, rows=tuple(rows))
+
     def filled(self, *names: str) -> BoolArray:
         """(rows,) bool, where none of some columns is empty."""
         places = [self.columns.index(name) for name in names]
@@ -232,7 +239,7 @@ def and_more(count: int, noun: str) -> str:
     return "" if count == 1 else f" (and {count - 1} more {noun}{'s' if count > 2 else ''})"
 
 
-def read_measurements(path: Path, *, labelled: bool = False) -> Measurements:
+def read_measurements(path: Path, *, labelled: bool = False, skip: int = 0) -> Measurements:
     """Read a table from a file, see ``measurements_in``. Not collective.
 
     Raises
@@ -244,10 +251,12 @@ def read_measurements(path: Path, *, labelled: bool = False) -> Measurements:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from error
-    return measurements_in(content, str(path), labelled=labelled)
+    return measurements_in(content, str(path), labelled=labelled, skip=skip)
 
 
-def measurements_in(content: bytes, path: str, *, labelled: bool = False) -> Measurements:
+def measurements_in(
+    content: bytes, path: str, *, labelled: bool = False, skip: int = 0
+) -> Measurements:
     """Return a table: a line of names, then numbers; between them commas, semicolons or tabs.
 
     Above it there may be anything, and a row of units below the names. Decimal commas are read
@@ -259,12 +268,13 @@ def measurements_in(content: bytes, path: str, *, labelled: bool = False) -> Mea
     path : what messages call it.
     labelled : whether the first column has names of what the numbers behind them are of; several
         columns may have one name then.
+    skip : lines at the beginning that are left out.
 
     Raises
     ------
     InputError : it is no such table.
     """
-    table = table_in(decode(path, content), path, labelled=labelled)
+    table = table_in(decode(path, content), path, labelled=labelled, skip=skip)
     columns, first = tuple(table.names), table.first
     if len(columns) > MOST_COLUMNS:
         raise InputError(
@@ -273,7 +283,7 @@ def measurements_in(content: bytes, path: str, *, labelled: bool = False) -> Mea
     if any(NUMBER.fullmatch(name.replace(",", ".")) for name in columns):
         raise InputError(
             f"{path}: line {first}: {legible(', '.join(columns))}: must be the names of the "
-            "columns, not numbers"
+            "columns, not numbers; skip = 3 leaves out three lines above them"
         )
     if len(columns) == 1:
         raise InputError(

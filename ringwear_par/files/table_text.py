@@ -208,10 +208,12 @@ def decode(path: str, content: bytes) -> str:
             continue
         if "\0" not in text:
             return text
-    raise InputError(f"{path}: is not a text file")
+    excel = content.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0"))
+    hint = "; is it a workbook? its sheet must be saved as CSV" if excel else ""
+    raise InputError(f"{path}: is not a text file{hint}")
 
 
-def table_in(text: str, path: str, *, labelled: bool = False) -> TableText:
+def table_in(text: str, path: str, *, labelled: bool = False, skip: int = 0) -> TableText:
     """Return the table of a text.
 
     It begins at the line of names above the first lines that have equally many cells and begin
@@ -222,6 +224,7 @@ def table_in(text: str, path: str, *, labelled: bool = False) -> TableText:
     ----------
     path : what messages call the file.
     labelled : whether lines begin with a name, and numbers are among what follows it.
+    skip : lines at the beginning that are left out.
 
     Raises
     ------
@@ -230,7 +233,7 @@ def table_in(text: str, path: str, *, labelled: bool = False) -> TableText:
     numbered = [
         (number, line)
         for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip(" \t,;") and not line.lstrip().startswith("#")
+        if number > skip and line.strip(" \t,;") and not line.lstrip().startswith("#")
     ]
     separator = _SEPARATOR.fullmatch(numbered[0][1].strip(" ")) if numbered else None
     if separator is not None:

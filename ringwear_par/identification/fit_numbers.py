@@ -6,6 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray
@@ -18,6 +19,9 @@ from ringwear_par.identification.definition.problem import SCALE, FittedParamete
 from ringwear_par.identification.estimation.intervals import ParameterEstimate
 from ringwear_par.identification.estimation.starts import StartOutcome
 from ringwear_par.identification.fit_result import FitResult
+from ringwear_par.results.laboratory_numbers import LABORATORY, course_of, laboratory_numbers
+from ringwear_par.results.result import Result
+from ringwear_par.studies.execution.many import simulate_all
 from ringwear_par.wear.laws.threshold import AboveThreshold
 
 _FRICTION = "contact.friction"
@@ -131,6 +135,7 @@ def to_dict(fit: FitResult) -> dict[str, Any]:
         "specimens": len({e.groups[0] for e in problem.experiments}),
         "process": {} if fit.material is None else fit.material.process,
         "experiments": fit.experiments,
+        "tests": _tests(fit),
         "nuisance": fit.nuisances,
         "inputs": _inputs(fit),
         "histories": fit.histories,
@@ -195,6 +200,27 @@ def _parameters(fit: FitResult) -> dict[str, Any]:
         if rate is not None:
             entry["specific_wear_rate"] = rate
     return entries
+
+
+def _tests(fit: FitResult) -> dict[str, dict[str, Any]]:
+    """Return the numbers of laboratories at the end of each test's history, at its estimates."""
+    misfit, material = fit.misfit, fit.material
+    problem = misfit.problem
+    tests = misfit.values_of_tests(fit.x, None if material is None else material.test_unknowns)
+    cases = [
+        experiment.case.replace(dict(zip(problem.keys, values.tolist(), strict=True)))
+        for experiment, values in zip(problem.experiments, tests, strict=True)
+    ]
+    results = simulate_all(cases, MPI.COMM_SELF)
+    return {
+        experiment.name: {
+            name: {"value": float(values[-1]), "unit": LABORATORY[name].variable.unit}
+            for name, values in laboratory_numbers(course_of(result)).items()
+            if np.isfinite(values[-1])
+        }
+        for experiment, result in zip(problem.experiments, results, strict=True)
+        if isinstance(result, Result)
+    }
 
 
 def _inputs(fit: FitResult) -> dict[str, dict[str, Any]]:

@@ -1,6 +1,6 @@
 """A test that runs: one experiment of a fit file, whose files grow while it is followed."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,12 +36,14 @@ class GrowingFiles(FileStore):
         super().__init__(folder)
         self._growing = growing
 
-    def __call__(self, name: str) -> Measurements:
+    def __call__(self, name: str, skip: int = 0, drop: Sequence[str] = ()) -> Measurements:
         """Return a file's table, without a last line that has no end."""
-        return self.read(name, _whole_lines) if name in self._growing else super().__call__(name)
+        if name not in self._growing:
+            return super().__call__(name, skip, drop)
+        return self.read(name, _whole_lines, skip=skip).without(drop)
 
 
-def _whole_lines(path: Path) -> Measurements:
+def _whole_lines(path: Path, skip: int) -> Measurements:
     try:
         content = read_bytes(path)
     except (OSError, ValueError) as error:
@@ -52,7 +54,7 @@ def _whole_lines(path: Path) -> Measurements:
         if not whole:
             decode(str(path), content)  # refused if it is no text
         content = whole
-    return measurements_in(content, str(path))
+    return measurements_in(content, str(path), skip=skip)
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ from ringwear_par.errors import InputError
 from ringwear_par.pictures.panel import FEW_POINTS, Axis, Curve, Label, Panel, Points, Stages
 from ringwear_par.pictures.style import COLOURS, stage_colour
 from ringwear_par.results.key_numbers import (
-    friction_of,
     instants,
     nominal_area,
     pressure_peak,
     stages,
     time_unit,
 )
+from ringwear_par.results.laboratory_numbers import schedule_of
 from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import layer_ends_near_wear
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, edge_elements
@@ -85,7 +85,7 @@ def _p_v(result: Result) -> dict[str, FloatArray]:
 
 def _friction(result: Result) -> dict[str, FloatArray]:
     """Return the friction coefficient at stored states."""
-    return {"": in_time(friction_of(result), result.histories["time"])}
+    return {"": in_time(schedule_of(result.attributes, "friction"), result.histories["time"])}
 
 
 def _through(result: Result) -> dict[str, FloatArray]:

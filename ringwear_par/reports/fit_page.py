@@ -90,7 +90,7 @@ def stored_outcome(path: Path, kind: str) -> Iterator[dict[str, Any]]:
 def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:
     sections = [Section("Summary", _summary(outcome))]
     level = float(outcome["level"])
-    series, samples, text, inputs = _readings(folder / folders.READINGS, level)
+    series, samples, text, inputs = stored_readings(folder / folders.READINGS, level)
     blocks = (
         Lines(_bands(level)),
         Charts(_series_charts(series)),
@@ -203,7 +203,7 @@ def _cells(caption: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -
     return Table(caption, header, cells)
 
 
-def _readings(
+def stored_readings(
     path: Path, level: float
 ) -> tuple[list[fit_panels.Series], dict[str, FloatArray], str, list[Chart]]:
     """Return series, samples of the posterior by key, the fit file's text, charts of inputs."""

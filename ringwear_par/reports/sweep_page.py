@@ -2,12 +2,13 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import legible
 from ringwear_par.reports.blocks import (
@@ -43,6 +44,8 @@ from ringwear_par.studies.storage.stored_variables import entry_label
 
 #: cases of the table
 _MOST = 1000
+#: and of the one of the worst
+_WORST = 10
 #: digits of a number in a table
 _DIGITS = 4
 
@@ -64,7 +67,7 @@ def sweep_page(folder: Path) -> Page:
         absence = "No indices: they need two varied numbers, and a design of enough cases."
         blocks: list[Block] = [_index_charts(indices) if indices else Lines([absence])]
         sections.append(Section("Sensitivity", [*blocks, *map(_index_table, indices)]))
-    sections.append(Section("Cases", [_cases(ensemble)]))
+    sections.append(Section("Cases", _cases(ensemble)))
     sections.append(_reproduced(ensemble))
     return Page("Sweep of a study", f"Sweep: {legible(folder.resolve().name)}", sections)
 
@@ -210,13 +213,39 @@ def _index_table(indices: Indices) -> Table:
     return Table(f"Sensitivity of {final_name(indices.output)}: {source}{noise}", header, rows)
 
 
-def _cases(ensemble: Ensemble) -> Table:
-    """Return the first cases of the study, failed ones with why."""
+def _cases(ensemble: Ensemble) -> list[Block]:
+    """Return the worst cases of the study and the first ones, failed ones with why."""
     cases = np.flatnonzero(ensemble.in_study)
-    tabulated = cases[:_MOST]
+    first = cases[:_MOST]
     caption = f"{len(cases)} cases"
-    if len(tabulated) < len(cases):
-        caption = f"The first {len(tabulated)} of {len(cases)} cases; cases.csv has all"
+    if len(first) < len(cases):
+        caption = f"The first {len(first)} of {len(cases)} cases; cases.csv has all"
+    every = _case_table(ensemble, first, f"{caption}; headers sort")
+    if len(cases) <= _WORST:
+        return [every]
+    caption = (
+        f"The {_WORST} worst of {len(cases)} cases: those that failed or are incomplete, then "
+        "those with most warnings, then those that penetrate most"
+    )
+    worst = _case_table(ensemble, worst_cases(ensemble, cases)[:_WORST], caption)
+    return [replace(worst, sortable=False), every]
+
+
+def worst_cases(ensemble: Ensemble, cases: IntArray) -> IntArray:
+    """Return cases, (n,) numbers, the worst first: see the caption of their table."""
+    order = [
+        (ensemble.status[i] == "done", -len(ensemble.flags[i]), -penetration)
+        for i, penetration in zip(
+            cases.tolist(),
+            np.nan_to_num(ensemble.final["penetration"][cases]).tolist(),
+            strict=True,
+        )
+    ]
+    return cases[sorted(range(len(cases)), key=order.__getitem__)]
+
+
+def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> Table:
+    """Return a table of some cases."""
     keys = [Key.of(name, column, unit=ensemble.unit(name))
             for name, column in ensemble.varied.items()]  # fmt: skip
     displays = {name: display_of(name) for name in ensemble.final}
@@ -237,7 +266,7 @@ def _cases(ensemble: Ensemble) -> Table:
         ends = [_number(d.factor * ensemble.final[name][i]) for name, d in displays.items()]
         words = [texts[i] for texts in remarks.values()]
         rows.append((ensemble.ids[i], ensemble.status[i], *values, *ends, *words))
-    return Table(f"{caption}; headers sort", header, rows, sortable=True)
+    return Table(caption, header, rows, sortable=True)
 
 
 def _reproduced(ensemble: Ensemble) -> Section:

@@ -1,9 +1,8 @@
 """The key numbers of a run, one table; what summaries and pictures call numbers and instants."""
 
-import json
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,10 +13,16 @@ from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
 from ringwear_par.history.state import State
+from ringwear_par.results.laboratory_numbers import (
+    LABORATORY,
+    SLIDING,
+    course_of,
+    densities_of,
+    laboratory_numbers,
+)
 from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import worn_layers
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
-from ringwear_par.schedules import Quantity, Table
 
 #: s, up to which times are told in a unit, and its seconds
 _UNITS_OF_TIME = ((7200.0, "s", 1.0), (7 * 86400.0, "h", 3600.0), (np.inf, "days", 86400.0))
@@ -155,6 +160,11 @@ class KeyNumber:
     note: str = ""
 
     @property
+    def known(self) -> bool:
+        """Whether there is one."""
+        return not math.isnan(self.value)
+
+    @property
     def text(self) -> str:
         """The number as it is printed, without its unit."""
         return "none" if math.isnan(self.value) else format(self.value, self.spec)
@@ -188,28 +198,30 @@ def key_numbers(result: Result) -> list[KeyNumber]:
     if result.checkpoint is None:
         raise InputError(f"{result.name}: holds no last state; must be one of a run")
     state = result.checkpoint.state
+    laboratory = _laboratory(result)
     return [
         *_penetration(result, state),
-        *(number for i in (0, 1) for number in _worn(result, state, i)),
+        *(number for i in (0, 1) for number in _worn(result, state, i, laboratory)),
         *(number for body in BODIES for number in _layers(result, body)),
         *_pressures(result, state.contact),
-        *_loads(result, state.contact),
+        *_loads(result, state.contact, laboratory),
         *_stresses(result),
     ]
+
+
+def _laboratory(result: Result) -> dict[str, KeyNumber]:
+    """Return the numbers of laboratories at the last state, by their names as key numbers."""
+    numbers = laboratory_numbers(course_of(result))
+    entries = [(LABORATORY[name], float(values[-1])) for name, values in numbers.items()]
+    return {
+        of.key: KeyNumber(of.key, of.group, of.label, value, of.variable.unit, ".4g")
+        for of, value in entries
+    }
 
 
 def nominal_area(result: Result) -> float:
     """Return the area (mm2) where the bodies face each other."""
     return float(result.attributes["nominal_area"])
-
-
-def friction_of(result: Result) -> Quantity:
-    """Return the friction coefficient, a number or a table in time."""
-    about = result.attributes
-    if "friction_table" in about:
-        times, values = zip(*json.loads(about["friction_table"]), strict=True)
-        return Table(times, values)
-    return float(about["friction"])
 
 
 def _penetration(result: Result, state: State) -> Iterator[KeyNumber]:
@@ -227,7 +239,9 @@ def _penetration(result: Result, state: State) -> Iterator[KeyNumber]:
         yield KeyNumber("elastic", group, "elastic", total - worn, "um", ".3g")
 
 
-def _worn(result: Result, state: State, i: int) -> Iterator[KeyNumber]:
+def _worn(
+    result: Result, state: State, i: int, laboratory: Mapping[str, KeyNumber]
+) -> Iterator[KeyNumber]:
     """Give the wear of a body, nothing of one that does not wear."""
     body, about, line = BODIES[i], result.attributes, result.line
     if not about[f"law_{body}"]:
@@ -237,41 +251,29 @@ def _worn(result: Result, state: State, i: int) -> Iterator[KeyNumber]:
         return KeyNumber(f"{body}_{name}", body, label, value, unit, spec)
 
     volume = float(result.histories[f"worn_volume_{body}"][-1])
-    hours = float(result.histories["time"][-1]) / 3600.0
-    energy, area = float(result.histories["dissipated_energy"][-1]), nominal_area(result)
     yield number("deepest_wear", "deepest wear", 1e3 * state.wear[i].max(), "um")
     yield number("worn_volume", "worn volume", volume, "mm3")
-    yield from _mass(result, body, volume)
-    if hours > 0:
-        yield number("mean_rate", "mean rate", 1e3 * volume / area / hours, "um/h", ".4g")
-        now = 3.6e6 * float(state.rates[i] @ line.area) / area
+    yield replace(
+        laboratory.get(f"{body}_mass", number("mass", "mass lost", np.nan, "mg")),
+        spec=".6g", note=_unknown_densities(result, body, volume),
+    )  # fmt: skip
+    if (mean_rate := laboratory[f"{body}_mean_rate"]).known:
+        yield mean_rate
+        now = 3.6e6 * float(state.rates[i] @ line.area) / nominal_area(result)
         yield number("last_rate", "rate at the end", now, "um/h", ".4g")
-    over, work = about["friction"], energy
-    if "friction_table" in about:
-        over, work = 1.0, float(state.normal_work)
-    if over and work > 0:
-        specific = 1e3 * volume * over / work
-        yield number("specific_rate", "specific wear rate", specific, "mm3/(N m)", ".4g")
+    if (specific := laboratory[f"{body}_specific_rate"]).known:
+        yield specific
 
 
-def _mass(result: Result, body: BodyName, volume: float) -> Iterator[KeyNumber]:
-    """Give the mass that a body has lost, nothing where no density is known."""
-    about, volumes = result.attributes, [volume]
+def _unknown_densities(result: Result, body: BodyName, volume: float) -> str:
+    """Return which densities the mass that a body has lost needs, "" for none."""
+    volumes = [volume]
     if f"worn_volume_{body}_layers" in result.layers:
         volumes = result.layers[f"worn_volume_{body}_layers"][-1].tolist()
-    unknown = (np.nan,) * (len(volumes) - 1)
-    densities: Sequence[float] = (
-        *about.get(f"density_{body}_layers", unknown),
-        about.get(f"density_{body}", np.nan),
-    )
-    if np.isnan(densities).all():
-        return
-    keys = density_keys(body, len(unknown))
-    lost = [part for part in zip(keys, densities, volumes, strict=True) if part[2] > 0.0]
-    missing = ", ".join(key for key, density, _ in lost if np.isnan(density))
-    mass = 1e3 * float(sum(density * volume for _, density, volume in lost))
-    note = f"{missing} not given" if missing else ""
-    yield KeyNumber(f"{body}_mass", body, "mass lost", mass, "mg", note=note)
+    keys = density_keys(body, len(volumes) - 1)
+    parts = zip(keys, densities_of(result, body).tolist(), volumes, strict=True)
+    missing = ", ".join(key for key, density, lost in parts if lost > 0.0 and np.isnan(density))
+    return f"{missing} not given" if missing else ""
 
 
 def _layers(result: Result, body: BodyName) -> Iterator[KeyNumber]:
@@ -324,7 +326,9 @@ def _pressures(result: Result, contact: ContactState) -> Iterator[KeyNumber]:
     yield KeyNumber("touching", group, "elements in contact", int(touching), spec="d", note=note)
 
 
-def _loads(result: Result, contact: ContactState) -> Iterator[KeyNumber]:
+def _loads(
+    result: Result, contact: ContactState, laboratory: Mapping[str, KeyNumber]
+) -> Iterator[KeyNumber]:
     """Give approach, force, torque and energy, and the sliding at the mean radius."""
     about = result.attributes
     last = {name: float(values[-1]) for name, values in result.histories.items()}
@@ -333,11 +337,9 @@ def _loads(result: Result, contact: ContactState) -> Iterator[KeyNumber]:
     energy = 1e-3 * last["dissipated_energy"]
     yield KeyNumber("dissipated_energy", "load", "dissipated energy", energy, "J")
     yield KeyNumber("approach", "load", "approach", contact.approach, "mm", ".7g")
-    group, radius = "sliding at the mean radius", about["mean_radius"]
-    speed, mean = about["omega"] * radius, contact.force / nominal_area(result)
-    yield KeyNumber("speed", group, "speed", speed, "mm/s", ".4g")
-    yield KeyNumber("p_v", group, "p V", mean * speed, "MPa mm/s", ".4g")
-    yield KeyNumber("distance", group, "distance", 1e-3 * about["angle"] * radius, "m", ".4g")
+    speed = about["omega"] * about["mean_radius"]
+    yield KeyNumber("speed", SLIDING, "speed", speed, "mm/s", ".4g")
+    yield from (laboratory[name] for name in ("p_v", "distance"))
 
 
 def _stresses(result: Result) -> Iterator[KeyNumber]:

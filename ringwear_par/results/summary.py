@@ -22,6 +22,7 @@ from ringwear_par.results.key_numbers import (
     key_numbers,
     number_words,
 )
+from ringwear_par.results.laboratory_numbers import densities_of
 from ringwear_par.results.result import Checkpoint, Result
 
 #: errors of balances from which on a computation is not what its equations say
@@ -78,8 +79,8 @@ def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple
     bodies = [body for body in BODIES if f"{body}_worn_volume" in numbers]
     worn, rates = [], []
     for body in bodies:
-        names = (f"{body}_{name}" for name in ("worn_volume", "mass"))
-        amounts = ", ".join(text(name) for name in names if name in numbers)
+        weighed = [f"{body}_mass"] if np.isfinite(densities_of(result, body)).any() else []
+        amounts = ", ".join(map(text, [f"{body}_worn_volume", *weighed]))
         worn.append(f"{body} {amounts}, {text(f'{body}_deepest_wear')} at most")
         if f"{body}_share_through" in numbers:
             worn[-1] += f", {text(f'{body}_share_through')} of its area without layers"

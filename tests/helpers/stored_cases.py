@@ -28,7 +28,7 @@ def block_of(cases, version="1", texts=None):
     """Return a block of cases, the first of which has all columns that others have."""
     first = next((case.columns for case in cases if case.columns), {})
     full = [case.columns for case in cases if case.columns]
-    names = first.keys() - {"r", "width"} - OF_A_CASE.keys()
+    names = [name for name in first if name not in ("r", "width", *OF_A_CASE)]
     states = {name: np.concatenate([columns[name] for columns in full]) for name in names}
     rows = [len(case.columns.get("time", ())) for case in cases]
     histories = HistoryColumns(

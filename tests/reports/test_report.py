@@ -181,7 +181,7 @@ def test_a_run_is_told_in_the_numbers_of_its_summary(folder, pages):
             assert rows[name][0] == number.short
     lower, upper = page.rows("body")["lower"], page.rows("body")["upper"]
     assert lower == [number.short for number in numbers if number.group == "lower"]
-    assert upper[2] == "\N{EN DASH}"  # its density is not given
+    assert upper[2] == "upper.density not given"
     errors = page.rows("check")
     held = errors["largest relative errors of all steps, contact force against the applied force"]
     assert held[0] == f"{result.balances['force']:.1e}"
@@ -235,9 +235,14 @@ def test_a_sweep_is_told_with_its_failures(folder, pages):
     failed = int((status == "failed").sum())
     assert 0 < failed < len(ids)
     assert f"{failed} of {len(ids)} cases failed" in page.text
-    rows = page.rows("status")
+    worst, table = (table for table in page.tables if "status" in table[0])
+    rows = {row[0]: row[1:] for row in table[1:]}
     assert list(rows) == list(ids)
-    (table,) = (table for table in page.tables if "status" in table[0])
+    states, depths = ([row[1] for row in worst[1:]], [row[5] for row in worst[1:]])
+    assert len(states) == 10
+    assert states == [*["failed"] * failed, *["done"] * 10][:10]
+    sizes = [float(depth) for depth in depths[failed:]]
+    assert sizes == sorted(sizes, reverse=True)
     assert table[0][3:6] == ["mean pressure (kPa)", "grip, upper", "penetration (\N{MICRO SIGN}m)"]
     assert {row[2] for row in rows.values()} == {"5e+04", "1e+05", "1e+12"}
     for case, state, depth in zip(ids, status, final, strict=True):

@@ -1,6 +1,7 @@
 """Exported files, read back: ParaView's by hand, tables by csv."""
 
 import csv
+import sys
 
 import h5py
 import numpy as np
@@ -10,6 +11,7 @@ from paths import CASES
 from vtkhdf import last_state
 
 from ringwear_par.cli import main
+from ringwear_par.files.spreadsheets import MOST_ROWS, Sheet, write_xlsx
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage import export as module
 from ringwear_par.results.storage.export import export
@@ -103,7 +105,7 @@ def test_tables(runs, tmp_path):
     export(runs / "run.h5", tmp_path / "a.csv")
     header, *rows = table(tmp_path / "a.csv")
     assert header[:4] == ["step", "time (s)", "approach (mm)", "penetration (mm)"]
-    assert header[-1] == "contact_iterations"
+    assert header[-1] == "pressure_velocity (MPa m/s)"
     approach = [float(row[2]) for row in rows]
     assert approach == result.histories["approach"].tolist()  # to the last digit
     export(runs / "run.h5", tmp_path / "a.csv", fields=True)
@@ -121,6 +123,44 @@ def test_tables(runs, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]
 
 
+def test_decimal_commas_have_semicolons(runs, tmp_path):
+    export(runs / "run.h5", tmp_path / "a.csv", decimal="comma")
+    (header, *rows) = csv.reader((tmp_path / "a.csv").read_text().splitlines(), delimiter=";")
+    result = open_result(runs / "run.h5")
+    assert header[2] == "approach (mm)"
+    assert [float(row[2].replace(",", ".")) for row in rows] == result.histories[
+        "approach"
+    ].tolist()
+    assert not any("." in cell for row in rows for cell in row)
+    assert rows[0][header.index("mean_wear_rate_lower (um/h)")] == ""  # no time has passed
+
+
+def test_a_workbook_has_all_tables(runs, tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    said = export(runs / "run.h5", tmp_path / "a.xlsx")
+    assert said.endswith("a.xlsx: sheets numbers, histories, contact line")
+    book = openpyxl.load_workbook(tmp_path / "a.xlsx")
+    result = open_result(runs / "run.h5")
+    group, label, value, unit, _ = next(book["numbers"].iter_rows(min_row=2, values_only=True))
+    assert (group, label, unit) == ("penetration", "total", "um")
+    assert value == pytest.approx(1e3 * result.histories["penetration"][-1], rel=1e-14)
+    assert book["contact line"].max_row == 1 + result.profiles["pressure"].size
+    sheet = Sheet("texts", ["=1+1"], [["=1+1", float("nan"), 2]], 1)
+    long = Sheet("long", ["a"], [], MOST_ROWS)
+    assert "without long (1048576 rows)" in write_xlsx(tmp_path / "b.xlsx", [sheet, long])
+    cells = [*openpyxl.load_workbook(tmp_path / "b.xlsx")["texts"].iter_rows()]
+    assert [(cell.value, cell.data_type) for cell in cells[1]] == [
+        ("=1+1", "s"), (None, "n"), (2, "n"),
+    ]  # fmt: skip
+
+
+def test_without_openpyxl_a_sentence_says_so(runs, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    assert main(["export", str(runs / "run.h5"), "-o", str(tmp_path / "a.xlsx")]) == 2
+    assert ".xlsx needs the Python package openpyxl; pip install" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_no_half_files(runs, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
@@ -128,7 +168,7 @@ def test_no_half_files(runs, tmp_path, monkeypatch):
     monkeypatch.setattr(h5py.Group, "__setitem__", full)
     with pytest.raises(OSError, match="No space"):
         export(runs / "run.h5", tmp_path / "a.vtkhdf")
-    monkeypatch.setattr(module, "_history_table", lambda _: (["a"], map(full, [0])))
+    monkeypatch.setattr(module, "_history_table", lambda _: Sheet("", ["a"], map(full, [0]), 1))
     with pytest.raises(OSError, match="No space"):
         export(runs / "run.h5", tmp_path / "a.csv")
     assert not list(tmp_path.iterdir())
@@ -146,6 +186,11 @@ def test_no_half_files(runs, tmp_path, monkeypatch):
         (["run.h5", "-o", "{}/a.csv", "--revolve", "10"], "for .vtkhdf only"),
         (["run.h5", "-o", "{}/a.vtkhdf", "--revolve", "2"], "must be from 3 to 3600"),
         (["run.h5", "-o", "{}/a.vtkhdf", "--fields"], "--fields"),
+        (["run.h5", "-o", "{}/a.vtkhdf", "--decimal", "comma"], "a.vtkhdf: must be point or comma"),
+        (["run.h5", "-o", "{}/a.xlsx", "--fields"], "holds all tables; must be without"),
+        ([".", "-o", "{}/a.csv"], "holds neither fit.json nor results.h5"),
+        ([".", "-o", "{}/a.vtkhdf"], "its ending must be .csv or .xlsx of a folder"),
+        ([".", "-o", "{}/a.csv", "--stress"], "is a folder; must be without the options of runs"),
         (["plain.h5", "-o", "{}/a.vtkhdf"], "output.boundary"),
         (["plain.h5", "-o", "{}/a.vtkhdf", "--interfaces"], "plain.h5: holds no stress"),
     ],

@@ -118,7 +118,9 @@ def test_the_mass_lost_is_that_of_each_layer(result):
     assert upper == (pytest.approx(4.0 * volumes["upper"][0], rel=1e-13), "")
     # what is not worn needs no density
     assert told_mass(result, density_upper=None)[1] == upper
-    assert told_mass(result, density_upper=None, density_upper_layers=None)[1] is None
+    assert told_mass(result, density_upper=None, density_upper_layers=None)[1][1] == (
+        "upper.layers[0].density not given"
+    )
 
 
 def test_no_mass_is_told_where_a_density_is_missing(result):

@@ -38,25 +38,36 @@ class FileStore:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._read: dict[tuple[str, Any], Any] = {}
+        self._read: dict[tuple[str, Any, Any], Any] = {}
 
-    def __call__(self, name: str) -> Measurements:
-        """Return a file's table, see ``read``."""
-        return self.read(name, read_measurements)
+    def __call__(self, name: str, skip: int = 0, drop: Sequence[str] = ()) -> Measurements:
+        """Return a file's table, see ``read``.
 
-    def read(self, name: str, function: Callable[[Path], T]) -> T:
+        Parameters
+        ----------
+        skip : lines at its beginning that are left out.
+        drop : cells that are empty ones.
+        """
+        return self.read(name, read_measurements, skip=skip).without(drop)
+
+    def read(self, name: str, function: Callable[..., T], **options: Any) -> T:
         """Return the content of a file, which has its ``sha256``.
+
+        Parameters
+        ----------
+        function : is called with the file's path and the options.
 
         Raises
         ------
         InputError : it cannot be read; every time it is asked for.
         """
-        if (name, function) not in self._read:
+        key = name, function, tuple(options.items())
+        if key not in self._read:
             try:
-                self._read[name, function] = function(self.folder / name)
+                self._read[key] = function(self.folder / name, **options)
             except InputError as error:
-                self._read[name, function] = error
-        content: T = self._read[name, function]
+                self._read[key] = error
+        content: T = self._read[key]
         if isinstance(content, InputError):
             raise content
         return content
@@ -65,7 +76,7 @@ class FileStore:
     def hashes(self) -> dict[str, str]:
         """SHA-256 of what has been read."""
         read = self._read.items()
-        return {k: v.sha256 for (k, _), v in read if not isinstance(v, InputError)}
+        return {k: v.sha256 for (k, *_), v in read if not isinstance(v, InputError)}
 
 
 def read_texts(reader: TableReader, key: str, roles: Sequence[str]) -> Mapping[str, str] | None:

@@ -4,7 +4,6 @@ import logging
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from ringwear_par.files.text import parse_value, shortened
 
 log = logging.getLogger(__name__)
 
-_READ = partial(read_measurements, labelled=True)
 #: words in names of columns, by what these are of; letters alone are names as they are
 _WORDS: dict[str, set[str]] = {
     "name": {"name", "test", "versuch"},
@@ -94,13 +92,14 @@ def laboratory_tests(
         return {}
     worn = [body for body in BODIES if any(key.startswith(f"wear.{body}.") for key in base or ())]
     try:
-        rows = _Reader(files.read(file, _READ), names, units, worn, sd, templates)
+        rows = files.read(file, read_measurements, labelled=True)
     except InputError as error:
         for fault in error.faults:
             reader.fault(fault)
         return {}
-    tests = rows.tests()
-    for fault in rows.faults:
+    laboratory = _Reader(rows, names, units, worn, sd, templates)
+    tests = laboratory.tests()
+    for fault in laboratory.faults:
         reader.fault(fault)
     return tests
 

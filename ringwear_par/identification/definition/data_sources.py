@@ -27,6 +27,7 @@ from ringwear_par.cases.units import (
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, and_more
+from ringwear_par.files.table_text import has_hours
 from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import BASE, Problem
 from ringwear_par.identification.definition.schema import SD
@@ -76,7 +77,7 @@ def read_readings(
             where, f"must be absent beside {single_key}; it is for readings that are planned"
         )
     if "file" in reader and kind != "through":
-        return _from_file(reader, kind, files)
+        return _from_file(reader, kind, end, files)
     if "value" in reader and kind != "profile":
         return _single(reader, kind, end if at is None else at)
     return _planned(reader, kind, at, end, plans)
@@ -91,6 +92,9 @@ def _single(reader: TableReader, kind: str, at: float) -> Readings | None:
         except RejectedError:
             reader.wrong("value", f"must be in the unit of {UNITS[base]}")
             return None
+    elif isinstance(written, str) and "unit" not in reader:  # no number, with a unit or without
+        reader.read("value")
+        return None
     else:
         unit, scale = _unit(reader, kind)
     single = None if scale is None else reader.read("value", unit=unit)
@@ -104,7 +108,7 @@ def _planned(
 ) -> Readings | None:
     """Return readings that are to be taken, or why there are none in words."""
     where = "r" if kind == "profile" else "times"
-    file_keys = {"columns", "units"} & reader.keys()
+    file_keys = {"columns", "units", "skip", "drop"} & reader.keys()
     once = kind in ("mass", "volume", "through") or (at is not None and kind != "profile")
     usual = "value" if once else "file"
     must = {
@@ -135,8 +139,8 @@ def _unit(reader: TableReader, kind: str) -> tuple[str, float | None]:
     return unit, _unit_factor(reader, "unit", unit, BASE[kind])
 
 
-def _from_file(reader: TableReader, kind: str, files: FileStore) -> Readings | None:
-    name = reader.read("file")
+def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> Readings | None:
+    name, skip, drop = (reader.read(key) for key in ("file", "skip", "drop"))
     for key in ("value", "unit"):
         if key in reader:
             reader.raw(key)
@@ -146,7 +150,7 @@ def _from_file(reader: TableReader, kind: str, files: FileStore) -> Readings | N
     if columns is None or units is None or name is None:
         return None
     try:
-        data = files(name)
+        data = files(name, skip, drop)
     except InputError as error:
         for fault in error.faults:
             reader.fault(fault)
@@ -187,6 +191,13 @@ def _from_file(reader: TableReader, kind: str, files: FileStore) -> Readings | N
         rows = data.first_stamps(column_names["time"], rows)
     hour = factor("h", "s") / factors["time"] if "time" in roles else None
     x = factors[roles[0]] * _column(reader, data, column_names[roles[0]], rows, hour)
+    if (
+        hour is not None
+        and len(x)
+        and x[0] > end
+        and has_hours(data.first_cell(column_names["time"]))
+    ):
+        x = x - x[0]  # times of day
     value = factors["value"] * _column(reader, data, column_names["value"], rows)
     if "time" in assumed and data.names_seconds(column_names["time"], rows):
         assumed.remove("time")

@@ -8,7 +8,7 @@ from typing import Any, get_args
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.tables import Key, keys_of_table
+from ringwear_par.cases.tables import Key, file_keys, keys_of_table
 from ringwear_par.cases.values import (
     RejectedError,
     Values,
@@ -268,6 +268,7 @@ KEYS: tuple[Key, ...] = (
         "names of the columns of file; default: time and value", None),
     Key("experiment.input.units", *anything('texts for "time" and "value"'), "-",
         "units of the columns of file, as for experiment.data.units", None),
+    *file_keys("experiment.input"),
     Key("experiment.input.exclude", *anything("a list of increasing pairs"), "s",
         "pairs of times between which readings are left out", None),
     Key("experiment.input.smooth", *_smoothing(), "s",
@@ -294,6 +295,7 @@ KEYS: tuple[Key, ...] = (
     Key("experiment.data.units", *_COLUMNS, "-",
         "units of the columns of file, as pint writes them; default: the units in the columns' "
         "names (z_um, z / um), which must agree; without any, s, mm, N mm, g, mm^3", None),
+    *file_keys("experiment.data"),
     Key("experiment.data.value", *number(-math.inf), "data's",
         "a single reading, instead of file; perhaps with its unit (\"6.1 mg\")", None),
     Key("experiment.data.unit", *anything("a unit that pint knows, of the quantity"), "-",

@@ -246,14 +246,18 @@ class _Tests:
             return None
 
     def _record(self, reader: TableReader) -> Record | None:
-        file, sense = reader.read("file"), reader.read("sense")
+        file, sense, skip, drop = (reader.read(k) for k in ("file", "sense", "skip", "drop"))
         exclude = read_intervals(reader, "exclude", "s")
         texts = [read_texts(reader, key, [*CHANNELS]) or {} for key in ("columns", "units")]
         if file is None:
             return None
         try:
             return read_record(
-                self._files(file), columns=texts[0], units=texts[1], exclude=exclude, sense=sense
+                self._files(file, skip, drop),
+                columns=texts[0],
+                units=texts[1],
+                exclude=exclude,
+                sense=sense,
             )
         except InputError as error:
             faults = error.faults

@@ -1,6 +1,6 @@
 """The keys of a measure file: reading, messages and ``info --schema measure`` follow them."""
 
-from ringwear_par.cases.tables import Key, keys_of_table
+from ringwear_par.cases.tables import Key, file_keys, keys_of_table
 from ringwear_par.cases.values import anything, number, one_of, text
 from ringwear_par.measuring.definition.problem import Limits
 
@@ -54,6 +54,7 @@ KEYS: tuple[Key, ...] = (
     Key("test.units", *_CHANNELS, "-",
         "units of the columns of file, as pint writes them; default: the units in the columns' "
         "names or in the row below them. A column without a unit is refused", None),
+    *file_keys("test"),
     Key("test.exclude", *anything("a list of increasing pairs"), "s",
         "pairs of times between which readings are left out; they do not shorten the test", None),
     Key("test.sense", *one_of("rising", "falling"), "-",

@@ -28,14 +28,14 @@ def case_attributes(case: Case, time: float) -> dict[str, Any]:
         "time_steps": case.time.steps,
         "time_end": case.time.end,
         "friction": mean(case.friction, 0.0, time or case.time.end),  # so far
-        # as a text: other attributes of HDF5 have room for 64 kB
-        **(
-            {"friction_table": json.dumps(points_of(case.friction))}
-            if isinstance(case.friction, Table)
-            else {}
-        ),
+        # as texts: other attributes of HDF5 have room for 64 kB
+        **{
+            f"{name}_table": json.dumps(points_of(table))
+            for name, table in (("friction", case.friction), ("omega", case.load.omega))
+            if isinstance(table, Table)
+        },
         "nominal_area": case.area,  # mm2
-        "mean_radius": 0.5 * sum(case.overlap),  # mm
+        "mean_radius": case.mean_radius,  # mm
         "omega": in_time(case.load.omega, time),  # rad/s
         "angle": integral(case.load.omega, 0.0, time),  # rad
         **{name: value for name, value in density.items() if value is not None},

@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -25,6 +26,7 @@ from ringwear_par.results.execution.attributes import (
     wall_times,
 )
 from ringwear_par.results.execution.stored_states import LastStates, StoredRows
+from ringwear_par.results.laboratory_numbers import end_numbers
 from ringwear_par.results.result import Checkpoint, HistoryColumns, Result, balance_attributes
 from ringwear_par.results.storage.result_variables import point_columns, stress_rows
 from ringwear_par.results.warnings import Warnings
@@ -159,7 +161,8 @@ class Recorder:
             stress=self._stress_rows(rows["histories"]["time"], rows["offsets"]),
             whole=self._single_values(),
         )
-        return columns, warnings
+        numbers = end_numbers(self._cases, columns, self._last.normal_work)
+        return replace(columns, whole={**columns.whole, **numbers}), warnings
 
     def _stress_rows(self, times: FloatArray, offsets: IntArray) -> dict[str, FloatArray]:
         """Return the stored stresses of all rows; cases ask for the same, or for none."""

@@ -226,6 +226,8 @@ class LastStates:
         self.snapshot: Snapshot | None = None
         #: (2, B) s, when wear got through all layers of lower and upper, by the end of a history
         self.through = np.full((2, count), np.inf)
+        #: (B,) N mm, see ``State``, by the end of a history; NaN before
+        self.normal_work = np.full(count, np.nan)
         self._ended: dict[int, tuple[LastState, int]] = {}
 
     def __call__(self, snapshot: Snapshot) -> bool:
@@ -237,6 +239,7 @@ class LastStates:
         if not len(places):
             return False
         numbers = snapshot.numbers[places]
+        self.normal_work[numbers] = snapshot.state.normal_work[places]
         if snapshot.state.through is not None:
             self.through[:, numbers] = snapshot.state.through[:, places]
         if self._results:

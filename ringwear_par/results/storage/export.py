@@ -1,9 +1,7 @@
-"""``ringwear export``: stored results for ParaView (.vtkhdf) and for spreadsheets (.csv)."""
+"""``ringwear export`` of runs: for ParaView (.vtkhdf) and for spreadsheets (.csv, .xlsx)."""
 
-import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,9 +15,12 @@ from ringwear_par.elasticity.stress.fields import (
     mises,
     principal,
 )
-from ringwear_par.errors import InputError
+from ringwear_par.errors import InputError, legible
+from ringwear_par.files.spreadsheets import Sheet, check_xlsx, write_csv, write_xlsx
 from ringwear_par.files.text import shortened
-from ringwear_par.files.writing import atomic_write, check_writable
+from ringwear_par.files.writing import check_writable
+from ringwear_par.results.key_numbers import check_numbers, key_numbers
+from ringwear_par.results.laboratory_numbers import LABORATORY, course_of, laboratory_numbers
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import result_of
 from ringwear_par.results.storage.vtkhdf import (
@@ -40,7 +41,8 @@ from ringwear_par.results.variables import (
 )
 
 _MOST_SEGMENTS = 3600
-_ENDINGS = (".vtkhdf", ".csv")
+_ENDINGS = (".vtkhdf", ".csv", ".xlsx")
+DECIMALS = ("point", "comma")
 
 
 def export(
@@ -51,6 +53,7 @@ def export(
     fields: bool = False,
     stress: bool = False,
     interfaces: bool = False,
+    decimal: str = "point",
 ) -> str:
     """Write a result, or that of a file, in another format; return a sentence on the file.
 
@@ -58,28 +61,37 @@ def export(
 
     Parameters
     ----------
-    output : its ending chooses: .vtkhdf both bodies at all stored times, .csv a table.
+    output : its ending chooses: .vtkhdf both bodies at all stored times, .csv a table, .xlsx all
+        tables as sheets.
     segments : of the revolved surfaces; None: contours.
     scale : factor of the displacements that are added to the points; None: 0.
     fields : whether the table is that of the contact line rather than of the histories.
     stress : whether the stresses are written: of the grid for ParaView, as quadrangles, or of the
         points in a table.
     interfaces : whether the stresses along interfaces are written, as lines or in a table.
+    decimal : "point" or "comma", of numbers in a .csv.
 
     Raises
     ------
     InputError : a file or a choice that cannot be, fields that the run has not stored.
     """
-    check_export(output, segments, scale, fields, stress, interfaces)
+    check_export(output, segments, scale, fields, stress, interfaces, decimal)
     result = result_of(run)
+    if output.suffix == ".xlsx":
+        return f"{output}: {write_xlsx(output, run_sheets(result))}"
+    if output.suffix == ".csv":
+        if interfaces:
+            sheet = _interface_table(interfaces_of(result), stresses(result).states)
+        elif stress:
+            sheet = _stress_table(result)
+        else:
+            sheet = _contact_table(result) if fields else _history_table(result)
+        write_csv(output, sheet, decimal)
+        return f"{output}: {sheet.name}"
     if interfaces:
         return _export_interfaces(result, output)
     if stress:
         return _export_stress(result, output)
-    if output.suffix == ".csv":
-        header, rows = _contact_table(result) if fields else _history_table(result)
-        _write_csv(output, header, rows)
-        return f"{output}: {'contact line' if fields else 'histories'}"
     states, warp = boundary_states(result), scale or 0.0
     times = [state.time for state in states]
     contents = [surfaces(s, warp, segments) if segments else contours(s, warp) for s in states]
@@ -99,6 +111,7 @@ def check_export(
     fields: bool,
     stress: bool = False,
     interfaces: bool = False,
+    decimal: str = "point",
 ) -> None:
     """Refuse what cannot be exported, before anything is read. Not collective.
 
@@ -110,6 +123,10 @@ def check_export(
     if output.suffix not in _ENDINGS:
         raise InputError(f"{output}: its ending must be one of {', '.join(_ENDINGS)}")
     check_writable(output)
+    check_tables(output, decimal)
+    chosen = segments is not None or scale is not None or fields or stress or interfaces
+    if output.suffix == ".xlsx" and chosen:
+        raise InputError(f"{output}: holds all tables; must be without other options")
     changed = segments is not None or scale is not None or fields
     if interfaces and (changed or stress):
         raise InputError(
@@ -128,11 +145,24 @@ def check_export(
         raise InputError(f"--scale {scale:g}: must be a number, and for .vtkhdf only")
 
 
+def check_tables(output: Path, decimal: str) -> None:
+    """Refuse tables that cannot be written. Not collective.
+
+    Raises
+    ------
+    InputError : decimal commas of something else than a .csv; openpyxl is missing.
+    """
+    if decimal not in DECIMALS or (decimal != "point" and output.suffix != ".csv"):
+        raise InputError(
+            f"--decimal {legible(decimal)}: {output}: must be {' or '.join(DECIMALS)}, and for "
+            ".csv only"
+        )
+    if output.suffix == ".xlsx":
+        check_xlsx(output)
+
+
 def _export_stress(result: Result, output: Path) -> str:
     history = stresses(result)
-    if output.suffix == ".csv":
-        _write_csv(output, *_stress_table(result))
-        return f"{output}: stress at {len(history.points)} points, {len(history.states)} states"
     if not len(history.grid[0]):
         raise InputError(f"{result.name}: holds no grid of stresses; must have stress.grid")
     content = stress_cells(history)
@@ -149,16 +179,28 @@ def _export_stress(result: Result, output: Path) -> str:
 def _export_interfaces(result: Result, output: Path) -> str:
     interfaces, states = interfaces_of(result), stresses(result).states
     times = [state.time for state in states]
-    if output.suffix == ".csv":
-        _write_csv(output, *_interface_table(interfaces, states))
-    else:
-        write_vtkhdf(output, times, [interface_cells(interfaces, state) for state in states])
+    write_vtkhdf(output, times, [interface_cells(interfaces, state) for state in states])
     return f"{output}: stress along the interfaces, {_states_from(times)}"
 
 
-def _interface_table(
-    interfaces: Sequence[Interface], states: Sequence[StressState]
-) -> tuple[list[str], Iterable[Sequence[Any]]]:
+def run_sheets(result: Result) -> list[Sheet]:
+    """Return the tables of a run: key numbers, histories, and what else it has stored."""
+    sheets = [_number_table(result), _history_table(result)]
+    if result.profiles or result.layers:
+        sheets.append(_contact_table(result))
+    if result.stress is not None and result.stress.states and len(result.stress.points):
+        sheets.append(_stress_table(result))
+    return sheets
+
+
+def _number_table(result: Result) -> Sheet:
+    """Return the key numbers at the end, and the checks."""
+    numbers = [*key_numbers(result), *check_numbers(result)]
+    rows = [(n.group, n.label, float(n.value), n.unit, n.note) for n in numbers]
+    return Sheet("numbers", ("group", "quantity", "value", "unit", "note"), rows, len(rows))
+
+
+def _interface_table(interfaces: Sequence[Interface], states: Sequence[StressState]) -> Sheet:
     """Return the stresses along interfaces, a row for each state, interface, side and element."""
     header = [
         "step", "time (s)", "body", "layer", "side", "r (mm)", "z (mm)",
@@ -173,10 +215,11 @@ def _interface_table(
             line.r.tolist(), np.column_stack([stress, mises(stress)]).tolist(), strict=True
         )
     )
-    return header, rows
+    count = len(states) * len(SIDES) * sum(len(line.r) for line in interfaces)
+    return Sheet("stress along the interfaces", header, rows, count)
 
 
-def _stress_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
+def _stress_table(result: Result) -> Sheet:
     """Return the stresses at points, a row for each stored state and point."""
     history = stresses(result)
     if not len(history.points):
@@ -198,7 +241,7 @@ def _stress_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
             strict=True,
         )
     )  # fmt: skip
-    return header, rows
+    return Sheet("stress", header, rows, len(history.states) * len(places))
 
 
 def boundary_states(result: Result) -> Sequence[BoundaryState]:
@@ -216,22 +259,26 @@ def boundary_states(result: Result) -> Sequence[BoundaryState]:
     return result.boundary
 
 
-def _history_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
+def _history_table(result: Result) -> Sheet:
     """Return the histories, a row for each stored state."""
-    header = ["step", *map(_titled, HISTORIES.values())]
+    header = ["step", *map(titled, HISTORIES.values())]
     columns = [result.step, *(result.histories[name] for name in HISTORIES)]
     for name, values in result.layers.items():
         if name in LAYER_HISTORIES:
-            header.append(_titled(LAYER_HISTORIES[name]))
+            header.append(titled(LAYER_HISTORIES[name]))
             columns.append(values)
         elif name in LAYER_VOLUMES:
             volume = LAYER_VOLUMES[name]
-            header += [_titled(volume.named(f"{name}[{i}]")) for i in range(values.shape[1])]
+            header += [titled(volume.named(f"{name}[{i}]")) for i in range(values.shape[1])]
             columns += list(values.T)
-    return header, zip(*(column.tolist() for column in columns), strict=True)
+    for name, values in laboratory_numbers(course_of(result)).items():
+        header.append(titled(LABORATORY[name].variable))
+        columns.append(values)
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return Sheet("histories", header, rows, len(result.step))
 
 
-def _contact_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
+def _contact_table(result: Result) -> Sheet:
     """Return the contact line, a row for each stored state and element."""
     variables, fields = {**PROFILES, **LAYER_PROFILES}, {**result.profiles, **result.layers}
     names = [name for name in variables if name in fields]
@@ -245,20 +292,11 @@ def _contact_table(result: Result) -> tuple[list[str], Iterable[Sequence[Any]]]:
         np.repeat(steps, n), np.repeat(times, n), np.tile(np.arange(n), stored),
         np.tile(result.line.r, stored), *(table.ravel() for table in tables),
     ]  # fmt: skip
-    header += [_titled(variables[name]) for name in names]
-    return header, zip(*(column.tolist() for column in columns), strict=True)
+    header += [titled(variables[name]) for name in names]
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return Sheet("contact line", header, rows, stored * n)
 
 
-def _titled(variable: Variable) -> str:
+def titled(variable: Variable) -> str:
+    """Return the name of a variable with its unit, as headers have it."""
     return variable.name if variable.unit == "1" else f"{variable.name} ({variable.unit})"
-
-
-def _write_csv(output: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a table by rename; numbers keep all their digits."""
-    with (
-        atomic_write(output) as temporary,
-        temporary.open("w", newline="", encoding="utf-8") as file,
-    ):
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)

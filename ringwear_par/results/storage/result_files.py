@@ -51,7 +51,8 @@ _NUMBERS = {
     "balance_force", "balance_torque", "balance_reaction", "balance_volume", "balance_energy",
     "balance_residual",
 }  # fmt: skip
-_OPTIONAL_TEXTS = {"face_lower", "face_upper", "layers_lower", "layers_upper", "friction_table"}
+_TABLES = ("friction_table", "omega_table")
+_OPTIONAL_TEXTS = {"face_lower", "face_upper", "layers_lower", "layers_upper", *_TABLES}
 _OPTIONAL_NUMBERS = {"density_lower", "density_upper", "time_through_lower", "time_through_upper"}
 _OPTIONAL_PREFIXES = ("balance_", "seconds_")
 #: densities of the layers of lower and upper
@@ -185,8 +186,9 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
             attributes[name] = read_numbers(attributes[name])
     if attributes["status"] not in ("complete", "incomplete"):
         raise ValueError("status")
-    if any(len(point) != 2 for point in json.loads(attributes.get("friction_table", "[]"))):
-        raise ValueError("friction_table")
+    for name in _TABLES:
+        if any(len(point) != 2 for point in json.loads(attributes.get(name, "[]"))):
+            raise ValueError(name)
     doubts, laws = json.loads(attributes["doubts"]), json.loads(attributes["user_laws"])
     texts = [ValidityWarning.of(doubt).text for doubt in doubts]
     for text in (*texts, *laws, *laws.values()):

@@ -8,6 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.units import in_signs
+from ringwear_par.elasticity.sections import BODIES
+from ringwear_par.results.laboratory_numbers import LABORATORY, LaboratoryNumber
 from ringwear_par.results.variables import (
     HISTORIES,
     LAYER_HISTORIES,
@@ -44,7 +47,8 @@ class EndValue:
     source: str
     #: the variable of the results file
     stored: Variable
-    #: whether surrogates answer for it: places of the largest stress jump
+    #: whether surrogates answer for it: places of the largest stress jump, numbers of laboratories
+    #: follow from others
     smooth: bool = True
 
     def of(self, table: FloatArray, last: IntArray) -> FloatArray:
@@ -81,6 +85,12 @@ def _stress(source: Variable) -> EndValue:
     return replace(end_value, smooth=source.unit == "MPa")
 
 
+def _of_laboratory(number: LaboratoryNumber) -> EndValue:
+    stored, meaning = number.at_end(), number.variable.meaning
+    stored = replace(stored, dimensions=("case",), meaning=f"{meaning}, at the last stored step")
+    return EndValue(stored.name, stored.name, stored, smooth=False)
+
+
 def _of_layers() -> Iterable[EndValue]:
     bodies = (LAYER_VOLUMES, LAYER_HISTORIES, TIMES_THROUGH, LAYER_PROFILES)
     for volumes, share, time, left in zip(*(table.values() for table in bodies), strict=True):
@@ -96,6 +106,7 @@ END_VALUES = {
     end_value.name: end_value
     for end_value in (
         *(_end_value(name, HISTORIES[name]) for name in MAIN_END_VALUES),
+        *map(_of_laboratory, LABORATORY.values()),
         *_of_layers(),
         *map(_stress, STRESS.values()),
     )
@@ -147,6 +158,14 @@ _BODY = {
     "least_layer_left": Display(1e3, "least left of layers", _UM),
 }
 _DISPLAYS = {
+    **{
+        name: Display(
+            1.0,
+            f"{number.label}, {number.group}" if number.group in BODIES else number.label,
+            in_signs(number.variable.unit),
+        )
+        for name, number in LABORATORY.items()
+    },
     "penetration": Display(1e3, "penetration", _UM),
     "max_mises": Display(1.0, "largest von Mises stress", "MPa"),
     "max_mises_r": Display(1.0, "its radius", "mm"),

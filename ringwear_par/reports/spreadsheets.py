@@ -1,0 +1,146 @@
+"""``ringwear export``: the numbers of a run, a sweep or a fit for spreadsheets."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.errors import InputError
+from ringwear_par.files.folders import FIT, READINGS
+from ringwear_par.files.spreadsheets import Sheet, write_csv, write_xlsx
+from ringwear_par.files.writing import check_writable
+from ringwear_par.identification.summary import key_rows
+from ringwear_par.reports.fit_page import stored_outcome, stored_readings
+from ringwear_par.results.storage.export import check_tables, titled
+from ringwear_par.results.storage.export import export as export_run
+from ringwear_par.results.variables import HISTORIES
+from ringwear_par.studies.definition.variations import own_key
+from ringwear_par.studies.storage.end_values import end_value_of
+from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
+from ringwear_par.studies.storage.results_file import RESULTS, join_flags
+from ringwear_par.studies.storage.stored_variables import entry_label
+
+_TABLES = (".csv", ".xlsx")
+
+
+def export(run: Path, output: Path, decimal: str = "point", **choices: Any) -> str:
+    """Write a run, or the folder of a sweep or a fit, in another format; return what was written.
+
+    On one rank. A .csv has the histories of a run, the cases of a sweep or the tests of a fit; an
+    .xlsx has all tables.
+
+    Parameters
+    ----------
+    decimal : "point" or "comma", of numbers in a .csv.
+    choices : of a run, see ``results.storage.export.export``.
+
+    Raises
+    ------
+    InputError : what cannot be read or written, or a package that is missing.
+    """
+    if not run.is_dir():
+        return export_run(run, output, decimal=decimal, **choices)
+    if output.suffix not in _TABLES:
+        raise InputError(f"{output}: its ending must be {' or '.join(_TABLES)} of a folder")
+    if any(choices.values()):
+        raise InputError(f"{run}: is a folder; must be without the options of runs")
+    check_writable(output)
+    check_tables(output, decimal)
+    sheets = _sheets(run)
+    if output.suffix == ".xlsx":
+        return f"{output}: {write_xlsx(output, sheets)}"
+    write_csv(output, sheets[0], decimal)
+    return f"{output}: {sheets[0].name}"
+
+
+def _sheets(folder: Path) -> list[Sheet]:
+    """Return the tables of a folder, the one for a .csv first."""
+    if (folder / FIT).exists():
+        return fit_sheets(folder)
+    if (folder / RESULTS).exists():
+        return sweep_sheets(read_ensemble(folder))
+    raise InputError(
+        f"{folder}: holds neither {FIT} nor {RESULTS}; must be a result file, or a folder that "
+        "ringwear sweep (without --slice) or fit has completed"
+    )
+
+
+def sweep_sheets(ensemble: Ensemble) -> list[Sheet]:
+    """Return the cases of a sweep, the meanings of their columns, and all histories."""
+    columns: dict[str, tuple[str, str, Any]] = {"case": ("", "id of the case", ensemble.ids)}
+    for name, values in ensemble.varied.items():
+        unit, scale = ensemble.unit(name)
+        numbers = values / scale if values.dtype.kind == "f" else [_text(v) for v in values]
+        columns[name] = unit, own_key(name).meaning, numbers
+    columns["status"] = "", "done, failed or incomplete", ensemble.status
+    columns["error"] = "", "why the case failed", ensemble.error
+    for name, values in ensemble.final.items():
+        final, entry = end_value_of(name)
+        which = f"; {entry_label(final.stored, entry)}" if entry else ""
+        columns[name] = final.stored.unit, f"{final.stored.meaning}{which}", values
+    columns["seconds"] = "s", "wall time of the case", ensemble.seconds
+    flags = [join_flags(flags) for flags in ensemble.flags]
+    columns["flags"] = "", "what makes the answer doubtful", flags
+    header = [f"{name} ({unit})" if unit not in ("", "1") else name
+              for name, (unit, _, _) in columns.items()]  # fmt: skip
+    rows = zip(*(_plain(values) for _, _, values in columns.values()), strict=True)
+    count = len(ensemble.ids)
+    meanings = [(name, unit, meaning) for name, (unit, meaning, _) in columns.items()]
+    states = int(ensemble.steps_stored.sum())
+    histories = ("case", "state", *map(titled, HISTORIES.values()))
+    return [
+        Sheet("cases", header, rows, count),
+        Sheet("columns", ("column", "unit", "meaning"), meanings, len(meanings)),
+        Sheet("histories", histories, _states(ensemble), states),
+    ]
+
+
+def _states(ensemble: Ensemble) -> Iterator[Sequence[Any]]:
+    """Give the histories of all cases, a row a stored state."""
+    every = np.arange(len(ensemble.ids))
+    tables = [ensemble.histories(name, every) for name in HISTORIES]
+    for case, (identity, count) in enumerate(zip(ensemble.ids, ensemble.steps_stored, strict=True)):
+        for state in range(int(count)):
+            yield (identity, state, *(float(table[case, state]) for table in tables))
+
+
+def _text(value: Any) -> str:
+    return value.decode() if isinstance(value, bytes) else str(value)
+
+
+def _plain(values: Any) -> Sequence[Any]:
+    plain: Sequence[Any] = values.tolist() if isinstance(values, np.ndarray) else values
+    return plain
+
+
+def fit_sheets(folder: Path) -> list[Sheet]:
+    """Return the tests of a fit's folder with their numbers, the fitted keys, all readings.
+
+    Raises
+    ------
+    InputError : it is damaged.
+    """
+    with stored_outcome(folder / FIT, "the outcome of ringwear fit") as outcome:
+        keys = [row for key, entry in outcome["parameters"].items() for row in key_rows(key, entry)]
+        rows = [(row.label, row.estimate, row.sd, *row.interval, row.unit, row.verdict, row.note)
+                for row in keys]  # fmt: skip
+        tests = outcome["tests"]
+        names = {name: entry["unit"] for test in tests.values() for name, entry in test.items()}
+        numbers = [(test, *(entries.get(name, {}).get("value") for name in names))
+                   for test, entries in tests.items()]  # fmt: skip
+        series = stored_readings(folder / READINGS, float(outcome["level"]))[0]
+    header = ("key", "estimate", "sd", "from", "to", "unit", "verdict", "note")
+    readings = [
+        (one.experiment, one.name, *map(float, values), one.unit)
+        for one in series
+        for values in zip(one.x, one.data, one.sd, one.model, one.band, one.residuals, strict=True)
+    ]
+    columns = ("test", "series", "time (s) or r (mm)", "data", "sd", "model", "sd of model",
+               "residual over noise", "unit")  # fmt: skip
+    of_tests = ("test", *(f"{name} ({unit})" for name, unit in names.items()))
+    return [
+        Sheet("tests", of_tests, numbers, len(numbers)),
+        Sheet("parameters", header, rows, len(rows)),
+        Sheet("readings", columns, readings, len(readings)),
+    ]  # fmt: skip

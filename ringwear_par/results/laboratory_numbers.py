@@ -1,0 +1,236 @@
+"""The numbers of laboratories, one table: mass lost, rates of wear, sliding distance, p V.
+
+They follow from what is stored of a history, so that files do not store them at every state.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.case import Case
+from ringwear_par.elasticity.sections import BODIES, BodyName
+from ringwear_par.results.result import HistoryColumns, Result
+from ringwear_par.results.variables import Variable
+from ringwear_par.schedules import Quantity, Table, in_time, integral, mean, stack
+
+_HOUR = 3600.0
+
+
+@dataclass(frozen=True)
+class Course:
+    """What laboratory numbers are computed of: states of one history, or the ends of several."""
+
+    #: (s,) s
+    time: FloatArray
+    #: (s,) N
+    force: FloatArray
+    #: (s,) N mm, pressure times sliding distance, over all places; NaN where it is not known
+    normal_work: FloatArray
+    #: (s,) rad, slid so far, and rad/s
+    angle: FloatArray
+    omega: FloatArray
+    #: mm2, and mm
+    area: float
+    mean_radius: float
+    #: (s, layers + 1) mm3 of lower and upper, the body itself last; None of what does not wear
+    volumes: tuple[FloatArray | None, FloatArray | None]
+    #: (layers + 1,) or (s, layers + 1) g/mm3, NaN where unknown
+    densities: tuple[FloatArray, FloatArray]
+
+
+def _worn(body: int, course: Course) -> FloatArray | None:
+    volumes = course.volumes[body]
+    return None if volumes is None else volumes.sum(axis=1)
+
+
+def _mass(body: int, course: Course) -> FloatArray | None:
+    volumes, densities = course.volumes[body], course.densities[body]
+    if volumes is None or np.isnan(densities).all():
+        return None
+    lost = np.where(volumes > 0.0, volumes * densities, 0.0)  # of what is not lost none is needed
+    return 1e3 * lost.sum(axis=1)
+
+
+def _mean_rate(body: int, course: Course) -> FloatArray | None:
+    volume = _worn(body, course)
+    return None if volume is None else _ratio(1e3 * volume, course.area * course.time / _HOUR)
+
+
+def _specific_rate(body: int, course: Course) -> FloatArray | None:
+    volume = _worn(body, course)
+    return None if volume is None else _ratio(1e3 * volume, course.normal_work)
+
+
+def _ratio(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Return a quotient, NaN where it is none."""
+    return np.divide(one, other, out=np.full(one.shape, np.nan), where=other > 0.0)
+
+
+def _distance(course: Course) -> FloatArray | None:
+    return 1e-3 * course.angle * course.mean_radius
+
+
+def _p_v(course: Course) -> FloatArray | None:
+    return 1e-3 * course.force / course.area * course.omega * course.mean_radius
+
+
+@dataclass(frozen=True)
+class LaboratoryNumber:
+    """A number of laboratories: as a variable of states, and as key numbers call it."""
+
+    variable: Variable
+    #: name and group of the key number, and its own name within the group
+    key: str
+    group: str
+    label: str
+    #: computes it; None where there is none
+    values: Callable[[Course], FloatArray | None]
+
+    def at_end(self) -> Variable:
+        """Return the variable of the end of a history."""
+        return replace(self.variable, dimensions=())
+
+
+def _of_bodies(
+    name: str, key: str, label: str, unit: str, meaning: str,
+    values: Callable[[int, Course], FloatArray | None],
+) -> list[LaboratoryNumber]:  # fmt: skip
+    return [
+        LaboratoryNumber(
+            Variable(f"{name}_{body}", ("step",), unit, meaning.format(body)),
+            f"{body}_{key}", body, label, partial(values, i),
+        )
+        for i, body in enumerate(BODIES)
+    ]  # fmt: skip
+
+
+SLIDING = "sliding at the mean radius"
+#: by name
+LABORATORY = {
+    number.variable.name: number
+    for number in (
+        *_of_bodies(
+            "mass_lost", "mass", "mass lost", "mg",
+            "mass lost by the {} ring, by its density; nothing where that is not given", _mass,
+        ),
+        *_of_bodies(
+            "mean_wear_rate", "mean_rate", "mean rate", "um/h",
+            "mean rate of wear of the {} ring since the start: volume over contact area and time",
+            _mean_rate,
+        ),
+        *_of_bodies(
+            "specific_wear_rate", "specific_rate", "specific wear rate", "mm3/(N m)",
+            "specific wear rate of the {} ring since the start: volume over force and distance",
+            _specific_rate,
+        ),
+        LaboratoryNumber(
+            Variable("sliding_distance", ("step",), "m", "sliding distance at the mean radius"),
+            "distance", SLIDING, "distance", _distance,
+        ),
+        LaboratoryNumber(
+            Variable(
+                "pressure_velocity", ("step",), "MPa m/s",
+                "p V: mean pressure on the nominal area times speed at the mean radius",
+            ),
+            "p_v", SLIDING, "p V", _p_v,
+        ),
+    )
+}  # fmt: skip
+
+
+def laboratory_numbers(course: Course) -> dict[str, FloatArray]:
+    """Return the numbers of states (s,) by name; those that there are."""
+    numbers = {name: number.values(course) for name, number in LABORATORY.items()}
+    return {name: values for name, values in numbers.items() if values is not None}
+
+
+def course_of(result: Result) -> Course:
+    """Return the course of a result, (stored states,) each."""
+    about, histories = result.attributes, result.histories
+    time, omega = histories["time"], schedule_of(about, "omega")
+    volumes, densities = [], []
+    for body in BODIES:
+        layers = result.layers.get(f"worn_volume_{body}_layers")
+        one = histories[f"worn_volume_{body}"][:, None] if layers is None else layers
+        volumes.append(one if about[f"law_{body}"] else None)
+        densities.append(densities_of(result, body))
+    return Course(
+        time, histories["force"], _normal_work(result), integral(omega, 0.0, time),
+        in_time(omega, time), float(about["nominal_area"]), float(about["mean_radius"]),
+        (volumes[0], volumes[1]), (densities[0], densities[1]),
+    )  # fmt: skip
+
+
+def densities_of(result: Result, body: BodyName) -> FloatArray:
+    """Return the densities of the layers and of a body itself (layers + 1,) g/mm3, or NaN."""
+    about, layers = result.attributes, result.layers.get(f"worn_volume_{body}_layers")
+    unknown = (np.nan,) * (0 if layers is None else layers.shape[1] - 1)
+    of_layers = about.get(f"density_{body}_layers", unknown)
+    return np.array([*of_layers, about.get(f"density_{body}", np.nan)])
+
+
+def schedule_of(about: Mapping[str, Any], name: str) -> Quantity:
+    """Return friction or omega of a result's attributes, a number or a table in time."""
+    if f"{name}_table" in about:
+        times, values = zip(*json.loads(about[f"{name}_table"]), strict=True)
+        return Table(times, values)
+    return float(about[name])
+
+
+def _normal_work(result: Result) -> FloatArray:
+    """Return the work of the pressures over the sliding distance (s,), N mm.
+
+    It is that of the friction energy; where friction is a table, with its mean between states, such
+    that the end is what the history knows.
+    """
+    energy, time = result.histories["dissipated_energy"], result.histories["time"]
+    friction, last = schedule_of(result.attributes, "friction"), result.checkpoint
+    means = mean(friction, time[:-1], time[1:])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        work = np.concatenate([[0.0], np.cumsum(np.diff(energy) / means)])
+        if last is not None and last.state.time == time[-1]:
+            end = float(last.state.normal_work)
+            work *= end / work[-1] if isinstance(friction, Table) else 1.0
+            work[-1] = end
+    return work
+
+
+def end_numbers(
+    cases: Sequence[Case], columns: HistoryColumns, normal_work: FloatArray
+) -> dict[str, FloatArray]:
+    """Return the numbers at the last stored states of B histories on one contact pair, (B,).
+
+    Parameters
+    ----------
+    cases : theirs.
+    columns : theirs, as stored.
+    normal_work : (B,) N mm, see ``Course``.
+    """
+    stored = np.diff(columns.offsets) > 0
+    last = columns.offsets[1:][stored] - 1
+    known = [case for case, some in zip(cases, stored.tolist(), strict=True) if some]
+    if not known:
+        return {}
+    time, omega = columns.histories["time"][last], stack([c.load.omega for c in known])
+    volumes, densities = [], []
+    for i, body in enumerate(BODIES):
+        layers = columns.layers.get(f"worn_volume_{body}_layers")
+        one = columns.histories[f"worn_volume_{body}"][:, None] if layers is None else layers
+        volumes.append(one[last] if any(case.laws[i] is not None for case in known) else None)
+        of_cases = [[np.nan if d is None else d for d in c.rings[i].densities] for c in known]
+        densities.append(np.array(of_cases))
+    course = Course(
+        time, columns.histories["force"][last], normal_work[stored], integral(omega, 0.0, time),
+        in_time(omega, time), known[0].area, known[0].mean_radius, (volumes[0], volumes[1]),
+        (densities[0], densities[1]),
+    )  # fmt: skip
+    numbers = {}
+    for name, values in laboratory_numbers(course).items():
+        numbers[name] = np.full(len(cases), np.nan)
+        numbers[name][stored] = values
+    return numbers
