@@ -4,6 +4,8 @@
 """
 
 import ast
+import doctest
+import inspect
 import re
 import shlex
 import shutil
@@ -213,6 +215,26 @@ def test_the_first_case_is_explained_line_by_line():
     page = (ROOT / "docs" / "first_case.md").read_text("utf-8")
     told = page.partition("Line by line:")[2].partition("\n## ")[0]
     assert len(re.findall(r"^\d+\. ", told, re.M)) == len(measured.first_summary(page).splitlines())
+
+
+FUNCTIONS = [name for name in rw.__all__ if inspect.isfunction(getattr(rw, name))]
+
+
+def test_docstrings_of_public_functions_say_what_they_return():
+    docs = {name: inspect.getdoc(getattr(rw, name)) for name in FUNCTIONS}
+    assert [name for name in docs if "\nReturns\n-------\n" not in docs[name]] == ["save"]
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in FUNCTIONS if ">>>" in (getattr(rw, name).__doc__ or "")]
+)
+def test_examples_of_docstrings_run(name, tmp_path, monkeypatch):
+    (tmp_path / "scripts").symlink_to(ROOT / "scripts")
+    monkeypatch.chdir(tmp_path)
+    (example,) = doctest.DocTestFinder(recurse=False).find(getattr(rw, name), name, globs={})
+    said = []
+    doctest.DocTestRunner().run(example, out=said.append)
+    assert not said, "".join(said)
 
 
 def texts_of_the_program():
