@@ -165,14 +165,10 @@ def main() -> None:
 
     def given_fit(points: FloatArray) -> FloatArray:
         inside = ((points >= low) & (points <= high)).all(axis=1)
-        every = [np.tile(points[:, None], (1, len(some), 1)) for some in by_size]
-        logs = []
-        for at, some in zip(every, by_size, strict=True):
-            prior = log_densities(
-                values, of, at.reshape(-1, m), np.tile(some, len(points))
-            ).reshape(len(points), -1)
+        prior, logs = log_densities(values, of, points), []
+        for some in by_size:
             size = np.full(len(points), wearing[some[0]])
-            logs.append(logsumexp(prior, axis=1) + dense[-1](points, size))
+            logs.append(logsumexp(prior[:, some], axis=1) + dense[-1](points, size))
         total = logsumexp(np.array(logs), axis=0)
         return np.where(inside & np.isfinite(total), total, -np.inf)
 

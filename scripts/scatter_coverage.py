@@ -4,20 +4,22 @@
     python scripts/scatter_coverage.py specimens [--trials 1000]    # some 3 minutes
     python scripts/scatter_coverage.py wear [--trials 400]          # some 10 minutes
     python scripts/scatter_coverage.py predict [--trials 200]       # some 10 minutes
+    python scripts/scatter_coverage.py chain [--trials 200]         # some MINUTES minutes
 
 ``specimens``: repeats whose k scatter (normal in its logarithm), each known to 2 % from its own
 readings. ``wear``: records of 150 readings of 15 um of wear, which grows at random (a gamma
 process), by a sensor of 0.2 um whose zero is not known. Intervals are those of the program, at
 95 %; beside them those of one k for all, as of a fit without scatter. ``predict``: fits of k and p0
 to records of specimens at 40 and 60 MPa, and how often the band of the next specimen's penetration
-at 80 MPa and another speed holds that of a new one. Seeds are fixed; under mpirun ranks share the
-rows out.
+at 80 MPa and another speed holds that of a new one. ``chain``: nine specimens in three conditions,
+of each a record that drifts and three weighings, from simulated histories to the printed intervals
+of a fit. Seeds are fixed; under mpirun ranks share the rows out.
 """
 
 import argparse
 import logging
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +29,15 @@ from mpi4py import MPI
 import ringwear_par as rw
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.problem import Series
-from ringwear_par.identification.scatter.clocks import TestClocks
-from ringwear_par.identification.scatter.likelihood import Level, MixedModel
+from ringwear_par.identification.scatter.likelihood import (
+    Level,
+    LinearisedTest,
+    MixedModel,
+    ReducedTest,
+    reduce_test,
+)
+from ringwear_par.identification.scatter.linearisation import TestClocks
 from ringwear_par.identification.scatter.posterior import Size, integrate
-from ringwear_par.identification.scatter.reduction import LinearisedTest, ReducedTest, reduce_test
 
 LEVEL = 0.95
 #: two-sided 95 % of a normal distribution
@@ -46,6 +53,10 @@ LOADS, K, P0 = (40.0, 60.0), 1e-7, 25.0
 ELSEWHERE = {"load.pressure": 80.0, "load.omega": 5.0}
 #: of a prediction
 DRAWS = 300
+#: of nine tests: loads (MPa), p0 (MPa), sd of the drift (um), times (s) and sd (mg) of weighings,
+#: density (g/mm3)
+CONDITIONS, THRESHOLD, DRIFT = (50.0, 80.0, 110.0), 15.0, 0.5
+WEIGHED, BALANCE, DENSITY = (50.0, 100.0, 150.0), 0.1, 1.9e-3
 PAPER = Path(__file__).parent / "cases" / "paper.toml"
 TIMED = {
     "mesh.contact_elements": 12, "time.scheme": "adaptive", "time.step": None, "time.steps": None,
@@ -142,7 +153,7 @@ def predict_row(tau: float, count: int, trials: int, rng: np.random.Generator) -
         new = elsewhere.replace({"wear.lower.k": float(following)})
         *results, truth = rw.simulate_all([*tests, new], MPI.COMM_SELF)
         with tempfile.TemporaryDirectory() as folder:
-            found = rw.fit(_fit_of(results, Path(folder), rng), MPI.COMM_SELF)
+            found = rw.fit(_fit_of(results, LOADS, Path(folder), rng), MPI.COMM_SELF)
         predicted = rw.predict(found, elsewhere, draws=DRAWS, comm=MPI.COMM_SELF)
         low, lower, median, upper, high = predicted.quantiles()[:, -1]
         depth = truth.histories["penetration"][-1]
@@ -154,23 +165,88 @@ def predict_row(tau: float, count: int, trials: int, rng: np.random.Generator) -
     )
 
 
-def _fit_of(results: list[rw.Result], folder: Path, rng: np.random.Generator) -> dict[str, Any]:
-    """Return the fit of records of tests, written to a folder."""
+def chain_row(tau: float, count: int, trials: int, rng: np.random.Generator) -> str:
+    """Return the row of fits to tests of specimens that scatter by tau (relative)."""
+    case = rw.read_case(PAPER, {**TIMED, "wear.lower.p0": THRESHOLD})
+    hits, widths = np.zeros(6), []
+    for _ in range(trials):
+        values = K * np.exp(tau * rng.standard_normal(count))
+        loads = [CONDITIONS[i % len(CONDITIONS)] for i in range(count)]
+        tests = [
+            case.replace({"load.pressure": load, "wear.lower.k": float(k)})
+            for load, k in zip(loads, values, strict=True)
+        ]
+        results = rw.simulate_all(tests, MPI.COMM_SELF)
+        with tempfile.TemporaryDirectory() as folder:
+            fit = _fit_of(results, loads, Path(folder), rng, weighed=WEIGHED)
+            found = rw.fit(fit, MPI.COMM_SELF)
+            del fit["fit"]["parameters"]["wear.lower.k"]["scatter"]
+            one = rw.fit(fit, MPI.COMM_SELF)
+        entries = found.to_dict()["parameters"]
+        k, p0 = entries["wear.lower.k"], entries["wear.lower.p0"]
+        size = k["scatter"]["specimen"]["interval"]
+        truths = (K, THRESHOLD, tau, K * np.exp(tau * rng.standard_normal()), K, THRESHOLD)
+        intervals = [k["interval"], p0["interval"], size, k["next"]]
+        intervals += [p["interval"] for p in one.to_dict()["parameters"].values()]
+        hits += [
+            low <= truth <= high
+            for truth, (low, high) in zip(truths, map(_ends, intervals), strict=True)
+        ]
+        widths.append(0.5 * np.log(k["interval"][1] / k["interval"][0]))
+    k, p0, size, following, *one = (f"{share:.2f}" for share in hits / trials)
+    return (
+        f"| {100 * tau:g} % | {count} | {one[0]}, {one[1]} | {k} ({100 * np.median(widths):.2g}) | "
+        f"{p0} | {size} | {following} |"
+    )
+
+
+def _ends(interval: list[float | None]) -> tuple[float, float]:
+    """Return the ends of an interval, of which one may be open."""
+    low, high = interval
+    return -np.inf if low is None else low, np.inf if high is None else high
+
+
+def _fit_of(
+    results: list[rw.Result],
+    loads: Sequence[float],
+    folder: Path,
+    rng: np.random.Generator,
+    *,
+    weighed: Sequence[float] = (),
+) -> dict[str, Any]:
+    """Return the fit of records of tests, which drift where they are weighed, in a folder."""
     time = np.linspace(3.0, 150.0, 50)
+    nuisance: dict[str, Any] = {"offset": {}}
+    if weighed:
+        nuisance["drift"] = {"prior": {"normal": [0.0, DRIFT]}}
     experiments = []
     for i, result in enumerate(results):
-        depth = np.interp(time, result.histories["time"], result.histories["penetration"])
-        read = 1e3 * depth + SENSOR * rng.standard_normal(len(time)) + rng.normal(0.0, 1.0)
+        depth, volume = (
+            np.interp([*time, *weighed], result.histories["time"], result.histories[name])
+            for name in ("penetration", "worn_volume_lower")
+        )
+        read = 1e3 * depth[: len(time)] + SENSOR * rng.standard_normal(len(time)) + rng.normal()
+        if weighed:
+            read += DRIFT * rng.standard_normal() * time / time[-1]
+        masses = 1e3 * DENSITY * volume[len(time) :] + BALANCE * rng.standard_normal(len(weighed))
         file = folder / f"{i}.csv"
         np.savetxt(file, np.column_stack([time, read]), "%.6g", ",", header="t_s,z_um", comments="")
-        data = {
-            "quantity": "penetration",
-            "file": str(file),
-            "sd": SENSOR,
-            "nuisance": {"offset": {}},
-            "columns": {"time": "t_s", "value": "z_um"},
-        }
-        experiments.append({"name": f"{i}", "set": {"load.pressure": LOADS[i % 2]}, "data": [data]})
+        data = [
+            {
+                "quantity": "penetration",
+                "file": str(file),
+                "sd": SENSOR,
+                "nuisance": nuisance,
+                "columns": {"time": "t_s", "value": "z_um"},
+            }
+        ]
+        data += [
+            {"quantity": "mass.lower", "value": float(mass), "at": at, "unit": "mg",
+             "density": DENSITY, "sd": BALANCE}
+            for at, mass in zip(weighed, masses, strict=True)
+        ]  # fmt: skip
+        set_of_test = {"load.pressure": loads[i % len(loads)]}
+        experiments.append({"name": f"{i}", "set": set_of_test, "data": data})
     parameters = {
         "wear.lower.k": {"start": K, "bounds": [1e-9, 1e-5], "scale": "log", "scatter": "fit"},
         "wear.lower.p0": {"start": P0, "bounds": [0.0, 200.0]},
@@ -198,6 +274,11 @@ TABLES: dict[str, tuple[str, tuple[float, ...], tuple[int, ...], Callable[..., s
         "| scatter | specimens | in the band of 95 % | of 50 % | half width of 95 % |\n"
         "|---|---|---|---|---|",
         (0.12,), (5, 10), predict_row, 200,
+    ),
+    "chain": (
+        "| scatter | specimens | one for all: k, p0 | k | p0 | scatter | next specimen |\n"
+        "|---|---|---|---|---|---|---|",
+        SCATTERS, (9,), chain_row, 200,
     ),
 }  # fmt: skip
 

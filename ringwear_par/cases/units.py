@@ -135,6 +135,12 @@ def unit_of_anything(name: str) -> str | None:
     return ending if _is_unit(ending) else None
 
 
+def bare_name(name: str) -> str:
+    """Return a column's name without the unit that it ends with."""
+    unit = unit_of_anything(name)
+    return name.strip() if unit is None else name[: name.rindex(unit)].rstrip(" _/[(")
+
+
 def _ending(name: str) -> tuple[str, bool]:
     """Return the ending of a name that may be a unit, "" for none; whether in brackets."""
     tail = name.strip()[-_TAIL:]

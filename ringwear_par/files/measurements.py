@@ -232,7 +232,7 @@ def and_more(count: int, noun: str) -> str:
     return "" if count == 1 else f" (and {count - 1} more {noun}{'s' if count > 2 else ''})"
 
 
-def read_measurements(path: Path) -> Measurements:
+def read_measurements(path: Path, *, labelled: bool = False) -> Measurements:
     """Read a table from a file, see ``measurements_in``. Not collective.
 
     Raises
@@ -244,7 +244,7 @@ def read_measurements(path: Path) -> Measurements:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from error
-    return measurements_in(content, str(path))
+    return measurements_in(content, str(path), labelled=labelled)
 
 
 def measurements_in(content: bytes, path: str, *, labelled: bool = False) -> Measurements:

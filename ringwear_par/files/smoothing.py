@@ -16,7 +16,9 @@ Smoothing = Literal["auto", "none"] | float
 #: most readings that lines go between
 MOST_POINTS = 2000
 #: knots of a curve, and how many times earlier than the end logarithms of time turn to equal times
-_KNOTS, _EARLY = 12, 36.0
+_KNOTS, _EARLY = (12, 24, 48, 96), 36.0
+#: of the cross-validated square, that more knots must leave at most: else fewer do
+_WORTH = 0.95
 #: of a curve as a table: points in all, and of a period
 _POINTS, _OF_PERIOD = 200, 60.0
 #: logarithms of penalties that are tried
@@ -36,7 +38,7 @@ def curve(time: FloatArray, value: FloatArray, smooth: Smoothing, end: float) ->
     if smooth == "auto":
         start, last = np.log1p(_EARLY * time[[0, -1]] / end)
         at = np.linspace(start, last, _POINTS)
-        values = penalised(np.log1p(_EARLY * time / end), value)(at)
+        values = cross_validated(np.log1p(_EARLY * time / end), value)(at)
         at = np.expm1(at) * end / _EARLY
         at[[0, -1]] = time[[0, -1]]  # to the last bit
     else:
@@ -51,17 +53,27 @@ def curve(time: FloatArray, value: FloatArray, smooth: Smoothing, end: float) ->
     return Table(tuple(at.tolist()), tuple(values.tolist()))
 
 
-def penalised(x: FloatArray, value: FloatArray, penalty: float | None = None) -> BSpline:
-    """Return the cubic spline with few equal knots that fits readings, of little curvature.
+def cross_validated(x: FloatArray, value: FloatArray) -> BSpline:
+    """Return the cubic spline with equal knots that fits readings, of little curvature.
 
-    Its sum of squares and ``penalty`` times the integral of its squared second derivative are the
-    least (P. H. C. Eilers and B. D. Marx, Statistical Science 11 (1996) 89-121).
-
-    Parameters
-    ----------
-    penalty : None: that of the least generalised cross-validation.
+    Knots are few, unless the readings follow more of them.
     """
-    count = _KNOTS if penalty is not None else max(2, min(_KNOTS, len(x) // 2))
+    best, least = _penalised(x, value, max(2, min(_KNOTS[0], len(x) // 2)))
+    for count in _KNOTS[1:]:
+        if count > len(x) // 2:
+            break
+        spline, square = _penalised(x, value, count)
+        if square < _WORTH * least:
+            best, least = spline, square
+    return best
+
+
+def _penalised(x: FloatArray, value: FloatArray, count: int) -> tuple[BSpline, float]:
+    """Return the spline with a number of knots, and its square by generalised cross-validation.
+
+    The penalty on the integral of its squared second derivative is that of the least such square
+    (P. H. C. Eilers and B. D. Marx, Statistical Science 11 (1996) 89-121).
+    """
     knots = np.linspace(x[0], x[-1], count)
     padded = np.concatenate([[x[0]] * 3, knots, [x[-1]] * 3])
     basis = BSpline.design_matrix(x, padded, 3).toarray()
@@ -92,10 +104,8 @@ def penalised(x: FloatArray, value: FloatArray, penalty: float | None = None) ->
         freedom = len(x) - float((shares * damping).sum())
         return len(x) * rest / freedom**2
 
-    if penalty is None:
-        best = int(np.argmin([cross_validation(float(log)) for log in _PENALTIES]))
-        around = _PENALTIES[[max(best - 1, 0), min(best + 1, len(_PENALTIES) - 1)]]
-        chosen = float(minimize_scalar(cross_validation, bounds=around, method="bounded").x)
-    else:
-        chosen = math.log(penalty / scale)
-    return BSpline(padded, middle + vectors @ (damped(chosen) * right), 3)
+    best = int(np.argmin([cross_validation(float(log)) for log in _PENALTIES]))
+    around = _PENALTIES[[max(best - 1, 0), min(best + 1, len(_PENALTIES) - 1)]]
+    minimum = minimize_scalar(cross_validation, bounds=around, method="bounded")
+    values = middle + vectors @ (damped(float(minimum.x)) * right)
+    return BSpline(padded, values, 3), float(minimum.fun)

@@ -221,7 +221,7 @@ def table_in(text: str, path: str, *, labelled: bool = False) -> TableText:
     Parameters
     ----------
     path : what messages call the file.
-    labelled : whether lines begin with a name, and numbers follow it.
+    labelled : whether lines begin with a name, and numbers are among what follows it.
 
     Raises
     ------
@@ -307,9 +307,7 @@ def _above(lines: Sequence[str], row: int, delimiter: str, labelled: bool) -> in
 def _is_row(cells: Sequence[str], labelled: bool) -> bool:
     """Tell whether cells are those of a row: a number or a stamp is the first, or none is."""
     if labelled:
-        return any(map(_is_value, cells[1:])) and all(
-            _is_value(cell) or cell.lower() in EMPTY for cell in cells[1:]
-        )
+        return any(map(_is_value, cells[1:]))
     if cells[0].lower() in EMPTY:
         return any(map(_is_value, cells)) or all(cell.lower() in EMPTY for cell in cells)
     return _is_value(cells[0]) or is_date(cells[0])

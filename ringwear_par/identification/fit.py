@@ -16,6 +16,7 @@ from ringwear_par.identification.estimation.solution import expected_solution, s
 from ringwear_par.identification.estimation.starts import StoredStarts
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.model.rounds import Rounds, StoppedError
+from ringwear_par.identification.scatter.pieces import posterior_in_pieces
 from ringwear_par.identification.scatter.search import estimate_material
 from ringwear_par.parallel import on_first_rank, together
 from ringwear_par.results.execution.stop_signals import StopSignals
@@ -57,10 +58,7 @@ def fit_problem(
     """Return the fit of a problem that was read. Collective on comm.
 
     Other laws follow the first one, with linear intervals; one that fails does not end the fit.
-
-    Parameters
-    ----------
-    folder : where optima of starts are stored until the fit is done; None: nowhere.
+    Optima of starts are stored in the folder until the fit is done.
     """
     with StopSignals() as signals:
         result = _fit_law(problem, "", StoredStarts(folder, problem.key), signals, comm)
@@ -95,13 +93,7 @@ def _fit_law(
     *,
     expected: bool = False,
 ) -> FitResult:
-    """Return the result under one law, on all ranks. Collective on comm.
-
-    Parameters
-    ----------
-    law : its name in progress messages; "" of the first.
-    expected : whether the optimum is the start.
-    """
+    """Return the result under one law, its start where only ``expected``. Collective on comm."""
     rounds = Rounds(problem, comm, signals, lambda: stored.hint)
     misfit = Misfit(problem, rounds)
     if not expected:
@@ -115,6 +107,8 @@ def _fit_law(
             rounds.tell("specimens" if problem.scatters else "random wear")
             sizes = expected_sizes(problem) if expected else None
             material = estimate_material(misfit, solution.x, sizes)
+            if not expected:
+                material = replace(material, pieces=posterior_in_pieces(misfit, material))
             solution = replace(
                 solution, x=material.x, evaluation=material.evaluation,
                 parameters=tuple(map(material.estimate, range(len(problem.parameters)))),

@@ -12,6 +12,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import body_of_wear
 from ringwear_par.identification.fit_result import FitResult
+from ringwear_par.identification.scatter.material import Piece
 from ringwear_par.results.storage.hdf5 import write_variable
 from ringwear_par.results.variables import PARAMETER, Variable
 from ringwear_par.schedules import mean, mean_of_product
@@ -25,8 +26,8 @@ _SET_BY = {
     "p": ("load.force", "load.pressure"), "V": ("load.omega",), "mu": ("contact.friction",),
     "pV": ("load.force", "load.pressure", "load.omega"), "distance": ("load.omega", "time.end"),
 }  # fmt: skip
-#: probability of all parts of a mixture that are left out together
-_IMPROBABLE = 1e-9
+#: probability of all parts of a mixture that are left out together, and of one in pieces
+_IMPROBABLE, _OF_PIECES = 1e-9, 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,24 +106,28 @@ def fitted_values(fit: FitResult) -> FittedValues:
         scatters, scattering = np.zeros((1, 0)), np.zeros(0, dtype=np.int64)
         sizes = np.zeros((1, len(BODIES)))
     else:
-        posterior, free = material.posterior, np.array(material.free, dtype=np.int64)
-        order = np.argsort(-posterior.weights)
-        likely = np.cumsum(posterior.weights[order]) < 1.0 - _IMPROBABLE
+        free = np.array(material.free, dtype=np.int64)
+        pieces = material.pieces or (Piece(material.posterior, 1.0),)
+        weights = np.concatenate([piece.weight * piece.posterior.weights for piece in pieces])
+        order = np.argsort(-weights)
+        likely = np.cumsum(weights[order]) < 1.0 - (_OF_PIECES if material.pieces else _IMPROBABLE)
         parts = order[: int(likely.sum()) + 1]
-        weights = posterior.weights[parts] / posterior.weights[parts].sum()
+        weights = weights[parts] / weights[parts].sum()
         rows = np.vstack([fit.x[:m], material.test_unknowns])  # those at bounds stay there
         means = np.tile(rows, (len(parts), 1, 1))
         covariances = np.zeros((len(parts), 1 + tests, m, m))
         for place, test in enumerate([None, *range(tests)]):
-            of_free, between = posterior.unknowns_of(test)
+            of_pieces = [piece.posterior.unknowns_of(test) for piece in pieces]
+            of_free, between = map(np.concatenate, zip(*of_pieces, strict=True))
             means[:, place, free] = of_free[parts]
             covariances[:, place, free[:, None], free] = between[parts]
-        scatters = posterior.solutions.tau[parts]
-        levels = np.array([level.key for level in posterior.model.levels], dtype=np.int64)
-        scattering = free[levels]
+        scatters = np.concatenate([piece.posterior.solutions.tau for piece in pieces])[parts]
+        levels = [level.key for level in material.posterior.model.levels]
+        scattering = free[np.array(levels, dtype=np.int64)]
         sizes = np.zeros((len(parts), len(BODIES)))
         wearing = [BODIES.index(body_of_wear(key)) for key in material.wear.process]
-        sizes[:, wearing] = material.wear.sizes(posterior.shares[parts])
+        shares = np.concatenate([piece.posterior.shares for piece in pieces])[parts]
+        sizes[:, wearing] = material.wear.sizes(shares)
     return FittedValues(
         problem.keys, np.array([p.log for p in problem.parameters]),
         np.array([p.bounds for p in problem.parameters]), weights, means, covariances, scatters,
@@ -175,12 +180,7 @@ def write_values(file: h5py.File, values: FittedValues) -> None:
 
 
 def read_values(file: h5py.File) -> FittedValues:
-    """Return the group of a file.
-
-    Raises
-    ------
-    KeyError, ValueError : there is none, or it is damaged.
-    """
+    """Return the group of a file; KeyError or ValueError where there is none, or it is damaged."""
     group = file[GROUP]
     keys, specimens, laws, tables = (
         tuple(map(str, group.attrs[name])) for name in ("keys", "specimens", "laws", "tables")

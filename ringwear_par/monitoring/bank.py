@@ -20,8 +20,8 @@ from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.fitted_values import FittedValues
 from ringwear_par.identification.model.readings import Reader
 from ringwear_par.identification.model.rounds import Rounds
+from ringwear_par.identification.scatter.likelihood import LinearisedTest, reduce_test
 from ringwear_par.identification.scatter.linearisation import Linearisation
-from ringwear_par.identification.scatter.reduction import LinearisedTest, reduce_test
 from ringwear_par.monitoring.histories import SpecimenHistories
 from ringwear_par.prediction.draws import draw_parts, log_densities
 
@@ -33,8 +33,11 @@ _TEMPERED_EFFECTIVE = 0.2
 _ROUNDS, _HALVINGS = 12, 40
 #: sd, by which the mean may be off where readings are linearised
 _MOST_OFF_SD = 0.3
-#: of the distribution of new draws: degrees of freedom, factor of covariances, share of all parts
+#: of the distribution of new draws: degrees of freedom, factor of covariances, share of all sizes
+#: of random wear
 _DEGREES, _WIDER, _PRIOR_SHARE = 8.0, 1.3, 0.1
+#: numbers that are made at once
+_CHUNK = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,12 +220,9 @@ class Bank:
 
     def _draw_anew(self, weights: FloatArray) -> None:
         """Replace all draws, by some from about those that have weight."""
-        known, count, random = self._known, len(weights), self._random
+        count, random = len(weights), self._random
         mean, covariance = _moments(self.draws.unknowns, weights)
         factor = np.linalg.cholesky(_WIDER * covariance)
-        of_parts = np.bincount(self.draws.part, weights, len(known.weights))
-        of_parts = (1.0 - _PRIOR_SHARE) * of_parts + _PRIOR_SHARE * known.weights
-        part = random.choice(len(of_parts), size=count, p=of_parts / of_parts.sum())
         scale = np.sqrt(_DEGREES / random.chisquare(_DEGREES, count))
         normal = random.standard_normal((count, len(mean)))
         unknowns = mean + scale[:, None] * (normal @ factor.T)
@@ -230,8 +230,8 @@ class Bank:
         inside = ((unknowns >= low) & (unknowns <= high)).all(axis=1)
         square = (np.linalg.solve(factor, (unknowns - mean).T) ** 2).sum(axis=0)
         density = -0.5 * (_DEGREES + len(mean)) * np.log1p(square / _DEGREES)
-        ratio = log_densities(known, self._specimen, unknowns, part) - density
-        ratio -= np.log(of_parts[part])
+        part, ratio = self._parts_at(unknowns, weights)
+        ratio -= density
         unknowns = np.clip(unknowns, low, high)
         if self.histories.error is None:  # polynomials may do where draws are nearer
             self.histories.prepare(unknowns)
@@ -239,6 +239,33 @@ class Bank:
         ratio = np.where(inside, ratio, -np.inf)
         self.draws = BankDraws(unknowns, part, ratio, coordinates)
         self._linearised = None  # histories may have other modes
+
+    def _parts_at(self, unknowns: FloatArray, weights: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Draw a part of the mixture for each of some unknowns (draws, m).
+
+        Parts are as probable as they are there before the test, but for sizes of random wear:
+        these by the weights of the draws so far.
+
+        Returns
+        -------
+        The parts, and the logarithms of their density over the probability of the draw, (draws,).
+        """
+        known, group = self._known, self._of_part.ravel()
+        of_sizes = np.bincount(group[self.draws.part], weights, len(self._sizes))
+        before = np.bincount(group, known.weights)
+        of_sizes = (1.0 - _PRIOR_SHARE) * of_sizes + _PRIOR_SHARE * before
+        preferred = np.log(of_sizes / before)[group]
+        parts, ratios = [], []
+        for some in np.array_split(unknowns, 1 + unknowns.size * len(group) // _CHUNK):
+            logs = log_densities(known, self._specimen, some)
+            proposed = logs + preferred
+            proposed -= logsumexp(proposed, axis=1, keepdims=True)
+            bound = self._random.random((len(some), 1))
+            part = (np.cumsum(np.exp(proposed), axis=1) < bound).sum(axis=1)
+            part = np.minimum(part, len(group) - 1)[:, None]
+            ratios.append(np.take_along_axis(logs - proposed, part, axis=1)[:, 0])
+            parts.append(part[:, 0])
+        return np.concatenate(parts), np.concatenate(ratios)
 
     def _linearise_at(self, weights: FloatArray) -> None:
         """Linearise readings at the mean of the draws from now on."""

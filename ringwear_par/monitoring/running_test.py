@@ -14,7 +14,7 @@ from ringwear_par.files.measurements import Measurements, measurements_in
 from ringwear_par.files.table_text import decode
 from ringwear_par.files.text import parse_toml, read_text
 from ringwear_par.files.writing import read_bytes
-from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.definition.fit_file import experiment_tables, read_fit
 from ringwear_par.identification.definition.problem import Problem, Series
 from ringwear_par.identification.definition.scatter import check_scatter
 
@@ -76,9 +76,9 @@ class RunningTest:
         ------
         InputError : there is none of this name.
         """
-        experiments = parse_toml(read_text(source), str(source)).get("experiment")
+        tables, store = parse_toml(read_text(source), str(source)), FileStore(source.parent)
         named: dict[str, Any] = {}
-        for table in experiments if isinstance(experiments, list) else ():
+        for _, table in experiment_tables(str(source), tables, None, store, []):
             if isinstance(table, Mapping) and isinstance(table.get("name"), str):
                 named[table["name"]] = table.get("data")
         if not named:  # the fit file's own sentences tell

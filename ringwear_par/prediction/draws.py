@@ -78,26 +78,26 @@ def _place(values: FittedValues, of: str) -> int:
     return 0 if of in (NEXT, MATERIAL) else 1 + values.specimens.index(of)
 
 
-def log_densities(
-    values: FittedValues, of: str, unknowns: FloatArray, part: IntArray
-) -> FloatArray:
-    """Return logarithms (draws,) of the density of ``draw_parts``, but for the bounds' share.
+def log_densities(values: FittedValues, of: str, unknowns: FloatArray) -> FloatArray:
+    """Return logarithms (draws, g) of the density of ``draw_parts``, but for the bounds' share.
+
+    Of each part of the mixture, its probability included.
 
     Parameters
     ----------
     unknowns : (draws, m) of the fitted keys.
-    part : (draws,) of the mixture.
     """
-    covariances = values.covariances[:, _place(values, of)].copy()
+    place = _place(values, of)
+    covariances = values.covariances[:, place].copy()
     if of == NEXT:
         for level, key in enumerate(values.scattering):
             covariances[:, key, key] += values.scatters[:, level] ** 2
-    rest = unknowns - values.means[part, _place(values, of)]
     inverse = np.linalg.inv(np.linalg.cholesky(covariances))
-    squares = (np.einsum("dij,dj->di", inverse[part], rest) ** 2).sum(axis=1)
+    means = np.einsum("gij,gj->gi", inverse, values.means[:, place])
+    squares = ((np.einsum("gij,dj->dgi", inverse, unknowns) - means) ** 2).sum(axis=2)
     volumes = np.log(np.diagonal(inverse, axis1=1, axis2=2)).sum(axis=1)
     constant = 0.5 * unknowns.shape[1] * np.log(2.0 * np.pi)
-    logs: FloatArray = np.log(values.weights[part]) + volumes[part] - 0.5 * squares - constant
+    logs: FloatArray = np.log(values.weights) + volumes - 0.5 * squares - constant
     return logs
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ringwear_par.cases.files.weighings import read_weighings
 from ringwear_par.errors import InputError
 from ringwear_par.files.measurements import read_measurements
 from ringwear_par.measuring.definition.records import read_record
-from ringwear_par.measuring.definition.weighings import read_weighings
 
 pytestmark = pytest.mark.serial
 

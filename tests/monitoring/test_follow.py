@@ -89,10 +89,7 @@ def exact_quantiles(laboratory, problem, unknowns):
     covariance += drift**2 * np.outer(column, column)
     rest = record.value - model
     logs = -0.5 * np.einsum("ki,ij,kj->k", rest, np.linalg.inv(covariance), rest)
-    parts = np.arange(len(known.weights))
-    for i, unknown in enumerate(unknowns):
-        at = np.full((len(parts), 1), unknown)
-        logs[i] += logsumexp(log_densities(known, "next specimen", at, parts))
+    logs += logsumexp(log_densities(known, "next specimen", unknowns[:, None]), axis=1)
     share = np.exp(logs - logsumexp(logs))
     return np.exp(quantiles(unknowns, share, [0.025, 0.5, 0.975]))
 

@@ -1,7 +1,7 @@
 """``[[experiment]]``: tests of a fit file, each with its case and its measurements."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,6 @@ from ringwear_par.cases.files.keys import changes_of, in_full, override
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import MOST_FAULTS, InputError, legible
-from ringwear_par.files.text import shortened
 from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.identification.definition.inputs import (
     input_keys,
@@ -61,21 +60,22 @@ class ExperimentReader:
 
     def all(
         self,
-        tables: Any,
+        tables: Sequence[tuple[str, Any]],
         parameters: tuple[FittedParameter, ...],
         faults: list[str],
         test: str = "",
     ) -> tuple[Experiment, ...]:
-        """Return all experiments, or one test, and add what is wrong with them to the faults."""
-        if not isinstance(tables, list) or not tables:
-            state = "is missing" if tables is None else f"= {shortened(tables)}"
-            faults.append(f"{self._name}: experiment {state}: must be tables, [[experiment]]")
-            return ()
+        """Return all experiments, or one test, and add what is wrong with them to the faults.
+
+        Parameters
+        ----------
+        tables : of the fit file, each with where it stands.
+        """
         experiments: list[Experiment] = []
-        for i, table in enumerate(tables, start=1):
+        for place, table in tables:
             if test and isinstance(table, Mapping) and table.get("name", test) != test:
                 continue
-            experiment = self._experiment(i, table, parameters, faults)
+            experiment = self._experiment(place, table, parameters, faults)
             if experiment is None:
                 continue
             for other in experiments:
@@ -84,13 +84,14 @@ class ExperimentReader:
         return tuple(experiments)
 
     def _experiment(
-        self, i: int, table: Any, parameters: tuple[FittedParameter, ...], faults: list[str]
+        self, place: str, table: Any, parameters: tuple[FittedParameter, ...], faults: list[str]
     ) -> Experiment | None:
-        reader = TableReader(f"{self._name}: experiment {i}", table, faults, EXPERIMENT)
+        reader = TableReader(f"{self._name}: {place}", table, faults, EXPERIMENT)
         name = reader.read("name")
         if name is None:
             return None
-        said = reader.place = f'{self._name}: experiment "{legible(name)}"'
+        row = "" if place.startswith("experiment ") else f"{place}: "
+        said = reader.place = f'{self._name}: {row}experiment "{legible(name)}"'
         changes = changes_of(reader, self._folder)
         refuse_both(f"{said}: set", parameters, changes, faults)
         tables = reader.raw("input", [])
@@ -128,7 +129,9 @@ class ExperimentReader:
             series.append(readings)
         if "contact.friction" in measured and any(s.quantity == "torque" for s in series):
             reader.fault("torque: is an input; cannot be fitted too")
-        return None if case is None else Experiment(name, case, _named(series), groups, inputs)
+        if case is None:
+            return None
+        return Experiment(name, case, _named(series), groups, inputs, table)
 
     def _case(
         self,

@@ -15,6 +15,7 @@ from ringwear_par.cases.files.keys import (
     source_tables,
     written_units,
 )
+from ringwear_par.cases.files.laboratory_tables import laboratory_tests
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import has_unit, number_and_unit
 from ringwear_par.errors import InputError, legible
@@ -36,17 +37,12 @@ from ringwear_par.identification.definition.scatter import (
     read_process,
 )
 
-_TABLES = ("case", "fit", "experiment", "compare", "design")
+_TABLES = ("case", "fit", "experiment", "tests", "compare", "design")
 _LOADS = ("load.pressure", "load.force")
 
 
 def read_complete(source: Path | str | Mapping[str, Any]) -> Problem:
-    """Read a fit file, if the packages for its intervals are there. Not collective.
-
-    Raises
-    ------
-    InputError : its faults; a package that is missing.
-    """
+    """Read a fit file; InputError too for missing packages of its intervals. Not collective."""
     problem = read_fit(source)
     if missing := problem.settings.missing_package:
         raise InputError(f"{problem.name}: {missing}")
@@ -60,23 +56,15 @@ def read_fit(
     test: str = "",
     files: FileStore | None = None,
 ) -> Problem:
-    """Read a fit file with its case and all its measurements, or the same as a dict.
+    """Read a fit file with its case and all its measurements, or a dict of them. Not collective.
 
-    Not collective.
-
-    Parameters
-    ----------
-    plans : whether readings may be planned ones.
-    test : name of the one experiment that is read, and not compared with others; "": all are.
-    files : of measurements; None: those beside the fit file, as they are.
-
-    Raises
-    ------
-    InputError : all faults, one sentence each.
+    Planned readings only where ``plans``. With ``test``, one experiment, which is not compared with
+    others. Measurements are of ``files``, else beside the fit file. Raises InputError with all
+    faults.
     """
     tables_or_file = _with_keys(source) if isinstance(source, Mapping) else source
     name, folder, tables, written = source_tables(tables_or_file, "fit")
-    if "experiment" not in tables and (kind := kinds(tables)) & {"case", "study"}:
+    if not {"experiment", "tests"} & tables.keys() and (kind := kinds(tables)) & {"case", "study"}:
         kind_of_file = "a case" if "case" in kind and "case" not in tables else "a study"
         raise InputError(f"{name}: is {kind_of_file}, not a fit file; [[experiment]] is missing")
     faults: list[str] = []
@@ -86,7 +74,8 @@ def read_fit(
     settings, parameters = _read_settings(f"{name}: fit", tables.get("fit", {}), case_units, faults)
     files = FileStore(folder) if files is None else files
     reader = ExperimentReader(name, folder, base, files, plans)
-    experiments = reader.all(tables.get("experiment"), parameters, faults, test)
+    tests = experiment_tables(name, tables, base, files, faults)
+    experiments = reader.all(tests, parameters, faults, test)
     design = _read_design_space(f"{name}: design", tables.get("design", {}), case_units, faults)
     laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), case_units, faults)
     if faults:
@@ -117,6 +106,35 @@ def read_fit(
     return Problem(
         name, written, settings, parameters, experiments, alternatives, files.hashes, design
     )
+
+
+def experiment_tables(
+    name: str,
+    file: Mapping[str, Any],
+    base: Mapping[str, Any] | None,
+    files: FileStore,
+    faults: list[str],
+) -> list[tuple[str, Any]]:
+    """Return the tables of a fit file's tests, each with where it stands. Not collective.
+
+    Those that are written out, then those of the table that ``[tests]`` names.
+
+    Parameters
+    ----------
+    name : of the fit file in messages.
+    file : its tables.
+    base : dotted keys of its case; None where that has faults.
+    """
+    written = file.get("experiment", [] if "tests" in file else None)
+    if not isinstance(written, list) or not (written or "tests" in file):
+        state = "is missing" if written is None else f"= {shortened(written)}"
+        faults.append(f"{name}: experiment {state}: must be tables, [[experiment]]")
+        return []
+    tables = [(f"experiment {i}", table) for i, table in enumerate(written, start=1)]
+    if "tests" not in file:
+        return tables
+    tests = laboratory_tests(f"{name}: tests", file["tests"], schema.TESTS, base, files, faults)
+    return [*tables, *tests.items()]
 
 
 def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:

@@ -54,13 +54,7 @@ def refuse_known(
     changes: Mapping[str, Any],
     faults: list[str],
 ) -> None:
-    """Add a fault for each input that is set or fitted too.
-
-    Parameters
-    ----------
-    said : how sentences about the experiment begin.
-    changes : dotted keys that are set.
-    """
+    """Add a fault for each input that is set or fitted too."""
     for key in dict.fromkeys(measured):
         same = set(_LOADS if key in _LOADS else (key,))
         fitted = {split_key(parameter.key)[0] for parameter in parameters}
@@ -84,12 +78,7 @@ def read_inputs(
 ) -> tuple[tuple[MeasuredInput, ...], dict[str, Any]]:
     """Return the inputs of an experiment, and the keys of its case that they are.
 
-    None, and faults, where one is wrong.
-
-    Parameters
-    ----------
-    said : how sentences about the experiment begin.
-    case : with numbers in the places of what was measured.
+    None, and faults, where one is wrong. The case has numbers in the places of what was measured.
     """
     if not isinstance(tables, list):
         faults.append(f"{said}: input: must be tables, [[experiment.input]]")
@@ -119,9 +108,20 @@ def _input(
     before = len(faults)
     reader = TableReader(said, table, faults, INPUT)
     key, quantity, end = reader.read("key"), reader.read("quantity"), case.time.end
+    reader.place = said if key is None else f"{said} ({key})"
+    excluded, smooth = read_intervals(reader, "exclude", "s"), reader.read("smooth")
+    scale = None
+    if (entry := reader.raw("scale")) is not None:
+        of_scale = TableReader(f"{reader.place}: scale", entry, faults, INPUT_SCALE)
+        scale = of_scale.read("prior")
+        of_scale.finish()
+        if scale is not None and scale.mean <= 0.0:
+            of_scale.wrong("prior", "must have a mean > 0")
     if key is None:
+        for name in ("file", "columns", "units"):  # of which it depends what they must be
+            reader.raw(name)
+        reader.finish()
         return None
-    reader.place = f"{said} ({key})"
     of_torque = key == "contact.friction"
     if of_torque != (quantity == "torque") and "quantity" in reader:
         reader.wrong("quantity", "must be absent: a load or a speed is its own quantity")
@@ -133,14 +133,6 @@ def _input(
         readings = read_readings(reader, kind, None, end, files, plans=False)
     else:
         reader.read("file")  # which says what is missing
-    excluded, smooth = read_intervals(reader, "exclude", "s"), reader.read("smooth")
-    scale = None
-    if (entry := reader.raw("scale")) is not None:
-        of_scale = TableReader(f"{reader.place}: scale", entry, faults, INPUT_SCALE)
-        scale = of_scale.read("prior")
-        of_scale.finish()
-        if scale is not None and scale.mean <= 0.0:
-            of_scale.wrong("prior", "must have a mean > 0")
     reader.finish()
     if readings is None or len(faults) > before:
         return None

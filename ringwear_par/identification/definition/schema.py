@@ -271,7 +271,7 @@ KEYS: tuple[Key, ...] = (
     Key("experiment.input.exclude", *anything("a list of increasing pairs"), "s",
         "pairs of times between which readings are left out", None),
     Key("experiment.input.smooth", *_smoothing(), "s",
-        "auto: a smoothing spline of few knots, denser early in the test, its penalty by "
+        "auto: a smoothing spline, denser early in the test, its knots and penalty by "
         "generalised cross-validation; a time: a smoothing spline that halves waves of this "
         f"period; none: linear between the readings, {MOST_POINTS} at most", "auto"),
     Key("experiment.input.scale", *anything("a table of prior"), "-",
@@ -352,6 +352,27 @@ KEYS: tuple[Key, ...] = (
     Key("experiment.data.nuisance.thermal.time.bounds", *pair(0.0), "s",
         "smallest and largest time constant, > 0; default: four sd of the prior from its mean, and "
         "at least a hundredth of that", None),
+    Key("tests.file", *text("the name of a table: a text file with commas, semicolons or tabs"),
+        "-", "table of the laboratory, relative to this file, instead of [[experiment]]s or beside "
+        "them: a row a test, whose first column is its name; columns of conditions, texts and "
+        "masses, with their units in their names (F / N) or in a row below. Several rows of one "
+        "name are weighings of one test, each with its time (at)"),
+    Key("tests.columns", *anything("texts for name, specimen, batch, lab, at, before, after, loss, "
+        "sd (of a body: loss.lower) and case keys"), "-",
+        "names of the columns of file; default: usual names, such as force, load, F, Last; "
+        "pressure, p; speed, n, Drehzahl; duration, Dauer; specimen, batch, lab; before, after, "
+        "loss and sd (of the loss) of masses; and the names of case keys", None),
+    Key("tests.units", *anything("as tests.columns"), "-",
+        "units of the columns of file, as pint writes them; default: those in the columns' names. "
+        "A column named as a case key may have none: its cells are as in a case file", None),
+    Key("tests.sd", *number(0.0), "g",
+        "standard deviation of one weighing, with its unit (\"0.1 mg\"), where no column sd has "
+        "that of the loss; a loss is of two weighings", None),
+    Key("tests.data", *anything("tables, as experiment.data"), "-",
+        "further readings of all tests; {COLUMN} in a text is the cell of that column, and a test "
+        "where it is empty has no such readings: file = \"{record}\"", None),
+    Key("tests.input", *anything("tables, as experiment.input"), "-",
+        "measured inputs of all tests, as tests.data", None),
     Key("compare.NAME.set", *_CASE_KEYS, "-",
         "case keys of another law for the same readings, fitted with --compare", None),
     Key("compare.NAME.parameters", *anything("as fit.parameters"), "-",
@@ -367,14 +388,14 @@ KEYS: tuple[Key, ...] = (
         _SPACE.experiments),
 )  # fmt: skip
 (
-    FIT, PARAMETER, SCATTER, PROCESS, EXPERIMENT, INPUT, INPUT_SCALE, DATA, SD,
+    FIT, PARAMETER, SCATTER, PROCESS, EXPERIMENT, INPUT, INPUT_SCALE, DATA, SD, TESTS,
     NUISANCE, THERMAL, THERMAL_TIME, DESIGN, VARY, BUDGET,
 ) = (
     keys_of_table(KEYS, table)
     for table in (
         "fit", "fit.parameters.KEY", "fit.parameters.KEY.scatter", "fit.process.KEY",
         "experiment", "experiment.input", "experiment.input.scale", "experiment.data",
-        "experiment.data.sd",
+        "experiment.data.sd", "tests",
         "experiment.data.nuisance.KIND", "experiment.data.nuisance.thermal",
         "experiment.data.nuisance.thermal.time", "design", "design.vary", "design.budget",
     )

@@ -1,6 +1,6 @@
 """The material behind specimens that differ: its values, how they scatter, and each specimen's."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,14 +18,20 @@ from ringwear_par.identification.estimation.intervals import (
     is_vague,
 )
 from ringwear_par.identification.estimation.misfit import Evaluation
-from ringwear_par.identification.scatter.mixture import Mixture
-from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size, SizePosterior
+from ringwear_par.identification.scatter.posterior import (
+    Mixture,
+    ScatterPosterior,
+    Size,
+    SizePosterior,
+)
 from ringwear_par.identification.scatter.random_wear import RandomWear
 
 #: ISO 5725: limit of the difference of two results that is exceeded once in twenty times
 _LIMIT = 2.8
 #: sd from its bound at which an unknown is at it
 _NEAR = 1e-3
+#: sd, from which on the end of a linear interval is doubted
+_MOST_BENT = 0.2
 #: groups of which the prior says more than they do
 _FEW = 2
 #: relative half width of the material's interval for which specimens are counted
@@ -33,12 +39,7 @@ _WANTED, _MOST_SPECIMENS = 0.10, 10_000
 
 
 def known_sizes(problem: Problem, specimens: int) -> list[str]:
-    """Return the sentence on scatters that a plan takes as known and a fit does not; or none.
-
-    Parameters
-    ----------
-    specimens : of the planned tests.
-    """
+    """Return the sentence on scatters that a plan takes as known and a fit does not; or none."""
     scatters = [(p.key, p.scatter.sizes) for p in problem.parameters if p.scatter is not None]
     fitted = [key for key, sizes in scatters if sizes.get("specimen", 0.0) is None]
     if not fitted:
@@ -51,6 +52,15 @@ def known_sizes(problem: Problem, specimens: int) -> list[str]:
         f"{sentence}; of {specimens} specimens a fit knows it so little that intervals of 95 % are "
         f"some {wider:.2g} times as wide (Student's t)"
     ]
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A part of a posterior, linearised about a place of its own."""
+
+    posterior: ScatterPosterior
+    #: its probability
+    weight: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +104,8 @@ class Material:
     excess_sd: FloatArray
     #: keys that readings do not tell from drifts, and which these are
     confounded_with_drift: Mapping[str, str]
+    #: of the posterior without linearising about the estimate; none where that does
+    pieces: tuple[Piece, ...] = ()
 
     @property
     def n_fitted_sizes(self) -> int:
@@ -111,10 +123,7 @@ class Material:
         return self.wear.sizes(self.wear.estimated_shares(self.posterior))
 
     def material(self, key: int) -> Mixture:
-        """Return the distribution of the material's unknown of a key.
-
-        Of one that is at its bound: as if that were none.
-        """
+        """Return the distribution of a key's unknown; at its bound, as if that were none."""
         if key in self.free:
             return self.posterior.material(self.free.index(key))
         return self.unbounded.material(key)
@@ -250,7 +259,33 @@ class Material:
                     warnings.append(
                         ValidityWarning("few-specimens", text, (parameter.key,), (), values)
                     )
-        return (*warnings, *self.wear.warnings(self.process))
+        return (*warnings, *self._bent(), *self.wear.warnings(self.process))
+
+    def _bent(self) -> Iterator[ValidityWarning]:
+        """Yield a doubt for each key whose linear interval is off, by what is known in pieces."""
+        weights = [piece.weight * piece.posterior.weights for piece in self.pieces]
+        for place, key in enumerate(self.free if self.pieces else ()):
+            parts = [piece.posterior.material(place) for piece in self.pieces]
+            means, variances = (
+                np.concatenate([getattr(part, name) for part in parts])
+                for name in ("means", "variances")
+            )
+            mixture, linear = Mixture(np.concatenate(weights), means, variances), self.material(key)
+            ends = zip(mixture.interval(self.level), linear.interval(self.level), strict=True)
+            off = np.array([(end - other) / linear.sd for end, other in ends])
+            estimate = self.estimate(key)
+            known = [limit is not None for limit in estimate.interval]
+            if not (np.abs(off[known]) > _MOST_BENT).any():
+                continue
+            low, high = self.interval(key, mixture)
+            text = (
+                f"{estimate.key}: from {low:.5g} to {high:.5g} where histories are computed over "
+                "all that is known, as predictions and running tests draw it; the interval, which "
+                f"is linear about the estimate, is off by {-off[0]:+.2g} and {-off[1]:+.2g} sd at "
+                "its ends"
+            )
+            values = {"low": low, "high": high, "off_sd": [-float(end) for end in off]}
+            yield ValidityWarning("nonlinear-interval", text, (estimate.key,), (), values)
 
     def _size_entry(self, level: int) -> dict[str, Any]:
         groups = len(self.names[level])

@@ -22,13 +22,17 @@ from ringwear_par.identification.estimation.intervals import is_vague
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.model.histories import HistoryError
 from ringwear_par.identification.model.noise import log_constant, weights
-from ringwear_par.identification.scatter.clocks import projected_precision
-from ringwear_par.identification.scatter.likelihood import Level, MixedModel
-from ringwear_par.identification.scatter.linearisation import Linearisation
+from ringwear_par.identification.scatter.likelihood import (
+    Level,
+    MixedModel,
+    ReducedTest,
+    uncorrelated,
+    with_fixed,
+)
+from ringwear_par.identification.scatter.linearisation import Linearisation, projected_precision
 from ringwear_par.identification.scatter.material import Material
 from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size, integrate
 from ringwear_par.identification.scatter.random_wear import RandomWear, confounded_with_drift
-from ringwear_par.identification.scatter.reduction import ReducedTest, uncorrelated, with_fixed
 
 #: sd by which no test's unknowns move any more, and most rounds until then
 _STILL, _MOST_ROUNDS = 1e-3, 60
@@ -43,22 +47,14 @@ _HALVINGS = 6
 def estimate_material(
     misfit: Misfit, x: FloatArray, sizes: Mapping[tuple[str, str], float] | None = None
 ) -> Material:
-    """Return the material behind the specimens of a fit. Not collective.
+    """Return the material behind the specimens of a fit, from unknowns x (u,) on. Not collective.
 
-    Noise that is fitted is estimated along; ``misfit`` has it afterwards.
-
-    Parameters
-    ----------
-    x : (u,) unknowns of the fit with one value for all tests, where the search begins.
-    sizes : of scatters, by key and group, that are taken as known, for a plan: readings then are
-        those of x; None: as the fit file says, from the readings.
-
-    Raises
-    ------
-    ComputationError : readings do not determine the material, or no history could be computed.
+    Noise that is fitted is estimated along; ``misfit`` has it afterwards. In a plan, sizes of
+    scatters are known, by key and group, and readings are those of x. ComputationError where
+    readings do not determine the material, or no history could be computed.
     """
     problem, m = misfit.problem, len(misfit.problem.parameters)
-    levels, scatters, names = _levels(problem, sizes)
+    levels, scatters, names = levels_of(problem, sizes)
     low, high = misfit.lower[:m], misfit.upper[:m]
     longest = np.array([_LOG_MOVE if p.log else np.inf for p in problem.parameters])
     longest = np.minimum(longest, _MOVE * (high - low))
@@ -70,7 +66,7 @@ def estimate_material(
         x, evaluation, test_unknowns = _evaluated(misfit, x, before, test_unknowns)
         if number < _SETTLING:  # without the noise of wear, x may have been far off
             wear = RandomWear.of(misfit, x, test_unknowns, plan=sizes is not None)
-        prior = _prior_of_keys(problem.parameters, x)
+        prior = prior_of_keys(problem.parameters, x)
         if sizes is not None:
             x[m:] = misfit.expected_nuisances
             evaluation = replace(evaluation, noise=np.zeros(misfit.n))
@@ -97,7 +93,7 @@ def estimate_material(
         if distance > _STILL:
             test_unknowns = test_unknowns + np.clip(share * move, -longest, longest)
     alone, alone_sd = _alone(problem.parameters, mixed)
-    constant = _loss_beyond_squares(misfit, smoothed.evaluation)
+    constant = loss_beyond_squares(misfit, smoothed.evaluation)
     return Material(
         problem.parameters, mixed.free, mixed.posterior, mixed.unbounded, tuple(scatters),
         tuple(names), alone, alone_sd, problem.settings.level,
@@ -132,11 +128,8 @@ def _evaluated(
 ) -> tuple[FloatArray, Evaluation, FloatArray]:
     """Return unknowns with the best nuisances, residuals there, and the unknowns of tests.
 
-    Where there is no history, tests go half as far from where they were before.
-
-    Raises
-    ------
-    HistoryError : there is none near that either.
+    Where there is no history, tests go half as far from where they were before; HistoryError in the
+    end.
     """
     # with the noise of wear, time constants are those of its last round
     times_of = x if misfit.problem.settings.process else None
@@ -170,9 +163,9 @@ def _solve(
         free = [j for j in range(len(low)) if j not in at_bounds]
         present = [replace(level, key=free.index(level.key)) for level in levels]
         models_at = partial(
-            _models, linear, wear, at_bounds.copy(), present, (precision[free], mean[free])
+            models_at_shares, linear, wear, at_bounds.copy(), present, (precision[free], mean[free])
         )
-        posterior = _integrated(problem.name, models_at, sizes, wear.shares)
+        posterior = integrated(problem.name, models_at, sizes, wear.shares)
         unbounded = posterior if unbounded is None else unbounded
         material = {j: posterior.material(place).mean for place, j in enumerate(free)}
         beyond = {
@@ -198,7 +191,7 @@ def _solve(
     )
 
 
-def _models(
+def models_at_shares(
     linear: Linearisation,
     wear: RandomWear,
     at_bounds: Mapping[int, float],
@@ -213,7 +206,7 @@ def _models(
     ]
 
 
-def _loss_beyond_squares(misfit: Misfit, evaluation: Evaluation) -> float:
+def loss_beyond_squares(misfit: Misfit, evaluation: Evaluation) -> float:
     """Return -2 log likelihood of readings, less the weighed squares that stand for it."""
     loss, noise = misfit.problem.settings.loss, evaluation.noise
     beyond = evaluation.residuals[: misfit.n] ** 2 - weights(loss, noise) * noise**2
@@ -221,7 +214,7 @@ def _loss_beyond_squares(misfit: Misfit, evaluation: Evaluation) -> float:
     return float(beyond.sum()) + 2.0 * values * log_constant(loss)
 
 
-def _prior_of_keys(
+def prior_of_keys(
     parameters: Sequence[FittedParameter], x: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return precision and mean (m,) of each key's unknown by its prior, which is of its value."""
@@ -236,12 +229,18 @@ def _prior_of_keys(
     return precision, mean
 
 
-def _integrated(
+def integrated(
     name: str,
     models_at: Callable[[FloatArray], list[MixedModel]],
     sizes: Sequence[Size],
     shares: Sequence[Size],
 ) -> ScatterPosterior:
+    """Return the posterior over sizes, see ``integrate``, of a problem by its name.
+
+    Raises
+    ------
+    ComputationError : tests and priors together do not determine the material.
+    """
     try:
         return integrate(models_at, sizes, shares)
     except np.linalg.LinAlgError as error:
@@ -356,7 +355,7 @@ def _covariance(linear: Linearisation, mixed: MixedRound, x: FloatArray) -> Floa
     return covariance
 
 
-def _levels(
+def levels_of(
     problem: Problem, sizes: Mapping[tuple[str, str], float] | None
 ) -> tuple[list[Level], list[Size], list[tuple[str, ...]]]:
     """Return the levels of all keys that scatter, their sizes, and the names of their groups."""

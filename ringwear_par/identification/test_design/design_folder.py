@@ -16,7 +16,7 @@ from ringwear_par.cases.units import has_unit, in_unit
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import legible
 from ringwear_par.files.folders import DESIGN, MAP, NEXT, json_bytes, write_outcome
-from ringwear_par.files.text import parse_toml, toml_value
+from ringwear_par.files.text import toml_value
 from ringwear_par.identification.definition.problem import Series
 from ringwear_par.identification.test_design.candidates import LOADS, Candidate, last_profiles
 from ringwear_par.identification.test_design.design import DesignResult
@@ -42,7 +42,7 @@ def save(design: DesignResult, folder: Path) -> None:
 def next_tests(design: DesignResult) -> str:
     """Return the best design as tables that may follow those of its fit file."""
     problem, best = design.problem, design.designs[0]
-    measured = _measured_as(design)
+    measured = problem.experiments[0].table
     tables = _tables(problem.experiments[0].series, measured["data"])
     taken = {experiment.name for experiment in problem.experiments}
     names = (name for i in itertools.count(1) if (name := f"next {i}") not in taken)
@@ -68,14 +68,9 @@ def next_tests(design: DesignResult) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _measured_as(design: DesignResult) -> dict[str, Any]:
-    """Return the table of the experiment as which tests are measured."""
-    problem = design.problem
-    first: dict[str, Any] = parse_toml(problem.text, problem.name)["experiment"][0]
-    return first
-
-
-def _tables(every: Sequence[Series], data: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+def _tables(
+    every: Sequence[Series], data: Sequence[Mapping[str, Any]]
+) -> dict[str, Mapping[str, Any]]:
     """Return the tables of the fit file as which readings of candidates are measured."""
     last = last_profiles(every)
     return {

@@ -1,1 +1,1 @@
-"""What is measured: measure files, records, weighings."""
+"""What is measured: measure files and records."""

@@ -16,6 +16,7 @@ from ringwear_par.cases.files.keys import (
     source_tables,
 )
 from ringwear_par.cases.files.reading import make_case
+from ringwear_par.cases.files.weighings import Weighing, Weighings, read_weighings
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
 from ringwear_par.cases.units import has_unit, in_unit
 from ringwear_par.cases.values import RejectedError, is_number
@@ -24,7 +25,6 @@ from ringwear_par.files.text import shortened
 from ringwear_par.measuring.definition import schema
 from ringwear_par.measuring.definition.problem import Limits, Problem, Test, Uncertainty
 from ringwear_par.measuring.definition.records import CHANNELS, Record, read_record
-from ringwear_par.measuring.definition.weighings import Weighing, Weighings, read_weighings
 
 _TABLES = ("case", "measure", "test")
 #: of a test: a record may end so much before it, and be so much longer

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.files.weighings import Weighing
 from ringwear_par.measuring.definition.records import Record
-from ringwear_par.measuring.definition.weighings import Weighing
 from ringwear_par.schedules import Quantity, mean, mean_of_product, smallest
 
 Body = Literal["lower", "upper"]

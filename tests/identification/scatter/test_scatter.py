@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 
-from ringwear_par.identification.scatter.likelihood import Level, MixedModel, of_new_specimen
-from ringwear_par.identification.scatter.mixture import Mixture
-from ringwear_par.identification.scatter.posterior import Size, integrate
-from ringwear_par.identification.scatter.reduction import LinearisedTest, ReducedTest, reduce_test
+from ringwear_par.identification.scatter.likelihood import (
+    Level,
+    LinearisedTest,
+    MixedModel,
+    ReducedTest,
+    of_new_specimen,
+    reduce_test,
+)
+from ringwear_par.identification.scatter.posterior import Mixture, Size, integrate
 
 pytestmark = pytest.mark.serial
 
@@ -161,3 +166,17 @@ def test_intervals_hold_the_material_the_size_and_the_next_specimen(tau, count, 
     tolerance = 4.0 * np.sqrt(0.05 * 0.95 / sets)
     assert hits / sets == pytest.approx(0.96, abs=tolerance)
     assert np.median(widths) == pytest.approx(half_width, rel=0.1)
+
+
+def test_unknowns_that_tests_know_well_and_far_from_zero():
+    """Logarithms near -20 to 1e-4, as where a test tells k to 0.01 %: nothing depends on that."""
+    values = np.array([-0.3, 0.1, 0.25])
+    tau, solved = np.array([[0.3], [4.0]]), []
+    for zero in (0.0, -20.0):
+        information, x = np.array([[1e8]]), zero + values
+        tests = [ReducedTest(information, 1e8 * x[[i]], 1e8 * x[i] ** 2, 0.0) for i in range(3)]
+        level = Level(0, "specimen", np.arange(3))
+        solved.append(MixedModel(tests, [level], np.zeros(1), np.zeros(1)).solve(tau))
+    at_zero, far = solved
+    assert far.restricted == pytest.approx(at_zero.restricted, abs=1e-3)
+    assert far.effects[:, 0] + 20.0 == pytest.approx(at_zero.effects[:, 0], abs=1e-6)

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from laboratory import CASE, END, FITTED, TRUTH, fit_tables, history, penetration, write_table
 from mpi4py import MPI
+from scipy.stats import norm
 
 import ringwear_par as rw
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
 
 SPECIMENS, SCATTER = 5, 0.2
-K = "wear.lower.k"
+K, P0 = "wear.lower.k", "wear.lower.p0"
 
 
 def write_specimens(folder, factors, seed=4):
@@ -93,6 +94,31 @@ def test_the_material_and_its_specimens(tables, factors, tmp_path, comm):
     rw.report(tmp_path / "fit", tmp_path / "fit.html")
     page = (tmp_path / "fit.html").read_text()
     assert "wear.lower.k of specimens" in page
+
+
+@pytest.mark.serial
+def test_a_posterior_that_bends_is_followed(tables):
+    """Its density along p0 is the likelihood of fits to which p0 is known; the doubt is told."""
+    found = rw.fit(with_scatter(tables), MPI.COMM_SELF)
+    (place,) = [j for j, p in enumerate(found.parameters) if p.key == P0]
+    at, known = np.array([14.0, 33.0]), []
+    for value in at.tolist():
+        one = with_scatter(tables)
+        one["fit"]["starts"] = 1
+        del one["fit"]["parameters"][P0]
+        for test in one["experiment"]:
+            test["set"] = {**test["set"], P0: value}
+        known.append(rw.fit(one, MPI.COMM_SELF).material.posterior.log_mass)
+    density = np.zeros(len(at))
+    for piece in found.material.pieces:
+        p0 = piece.posterior.material(place)
+        each = norm.pdf(at[:, None], p0.means, np.sqrt(p0.variances))
+        density += piece.weight * each @ p0.weights
+    assert np.diff(np.log(density)) == pytest.approx(np.diff(known), abs=0.1)
+    (doubt,) = [one for one in found.doubts if one.code == "nonlinear-interval" and P0 in one.keys]
+    low, high = found.to_dict()["parameters"][P0]["interval"]
+    assert doubt.values["low"] < low
+    assert doubt.values["high"] < high  # histories bend most near the lower load
 
 
 @pytest.mark.serial

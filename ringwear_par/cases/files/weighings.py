@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
@@ -13,13 +13,15 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.columns import unit_by_name
 from ringwear_par.cases.units import factor
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.measurements import Measurements, measurements_in, unused_columns
+from ringwear_par.files.measurements import Measurements, read_measurements, unused_columns
 from ringwear_par.files.table_text import EMPTY
-from ringwear_par.files.writing import read_bytes
 
-_BEFORE = {"before", "vor", "vorher", "initial"}
-_AFTER = {"after", "nach", "nachher", "final"}
-_LOSS = {"loss", "verlust", "massenverlust"}
+#: what a column of masses is of, and the words of its name that tell it
+KINDS = {
+    "before": {"before", "vor", "vorher", "initial"},
+    "after": {"after", "nach", "nachher", "final"},
+    "loss": {"loss", "verlust", "massenverlust"},
+}
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,22 @@ class Weighing:
     #: how many readings each is the mean of; a loss that was read is of one before and one after
     before: int
     after: int
+
+    @classmethod
+    def of(cls, masses: Mapping[str, Sequence[float]]) -> "Weighing":
+        """Return the weighing of masses (g) by what they are of, see ``KINDS``.
+
+        Raises
+        ------
+        InputError : some are missing.
+        """
+        before, after, loss = (masses.get(kind, ()) for kind in KINDS)
+        if loss:
+            return cls(float(np.mean(loss)), len(loss), len(loss))
+        if before and after:
+            return cls(float(np.mean(before) - np.mean(after)), len(before), len(after))
+        missing = "after" if before else "before"
+        raise InputError(f"has no mass {missing}; must have one at least")
 
     def u(self, sd: float) -> float:
         """Return the standard uncertainty, g, where one reading's is ``sd``."""
@@ -78,12 +96,7 @@ def read_weighings(path: Path) -> Weighings:
     ------
     InputError : all faults, each with the file, the line and the column.
     """
-    try:
-        content = read_bytes(path)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot be read: {reason}") from error
-    table = measurements_in(content, str(path), labelled=True)
+    table = read_measurements(path, labelled=True)
     faults: list[str] = []
     columns = _columns(table, faults)
     if faults:
@@ -98,29 +111,22 @@ def read_weighings(path: Path) -> Weighings:
             state = "names no specimen" if not name else f"{legible(name)}: has two rows"
             faults.append(f"{place_words}: {state}; must be one row a specimen")
             continue
-        before, after, loss = (
-            [
+        masses = {
+            wanted: [
                 float(readings[place][number])
                 for place, (kind, _) in columns.items()
                 if kind == wanted and np.isfinite(readings[place][number])
             ]
-            for wanted in ("before", "after", "loss")
-        )
-        for masses, weighings in ((before, 1), (after, 1), (loss, 2)):
-            if len(masses) > 1:
-                squares += float(np.var(masses)) * len(masses) / weighings
-                freedom += len(masses) - 1
-        if loss:
-            specimens[name] = Weighing(float(np.mean(loss)), len(loss), len(loss))
-        elif before and after:
-            specimens[name] = Weighing(
-                float(np.mean(before) - np.mean(after)), len(before), len(after)
-            )
-        else:
-            missing = "before" if not before else "after"
-            faults.append(
-                f"{place_words}: {legible(name)}: has no mass {missing}; must have one at least"
-            )
+            for wanted in KINDS
+        }
+        for kind, values in masses.items():
+            if len(values) > 1:
+                squares += float(np.var(values)) * len(values) / (2 if kind == "loss" else 1)
+                freedom += len(values) - 1
+        try:
+            specimens[name] = Weighing.of(masses)
+        except InputError as error:
+            faults.append(f"{place_words}: {legible(name)}: {error}")
     if faults:
         raise InputError(*faults)
     scatter = math.sqrt(squares / freedom) if freedom else None
@@ -163,11 +169,7 @@ def _columns(table: Measurements, faults: list[str]) -> dict[int, tuple[str, flo
         one = table.column(place)
         name = one.columns[0]
         words = {word.lower() for word in re.findall(r"[^\W\d_]+", name)}
-        kinds = [
-            kind
-            for kind, known in (("before", _BEFORE), ("after", _AFTER), ("loss", _LOSS))
-            if words & known
-        ]
+        kinds = [kind for kind, known in KINDS.items() if words & known]
         if len(kinds) != 1:
             continue
         try:

@@ -1,0 +1,196 @@
+"""The posterior of a material in pieces, where histories are not linear over all that is known.
+
+A fit is linear about its estimate. What scatters, each test tells well for itself; but a key that
+all tests share, as p0, may be known so little that others bend along it. The posterior is therefore
+also made of pieces: each is multiplied by a normal density about another value of the shared keys,
+and tests are linearised there anew. The densities are so near to each other that their sum is the
+same everywhere, so that the sum of the pieces is the posterior itself.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from ringwear_par.arrays import FloatArray
+from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
+from ringwear_par.identification.model.histories import HistoryError
+from ringwear_par.identification.scatter.linearisation import Linearisation
+from ringwear_par.identification.scatter.material import Material, Piece
+from ringwear_par.identification.scatter.posterior import ScatterPosterior
+from ringwear_par.identification.scatter.search import (
+    integrated,
+    levels_of,
+    loss_beyond_squares,
+    models_at_shares,
+    prior_of_keys,
+)
+
+#: of the posterior, in its sd: sd of a piece; between pieces, whose sum then is even to 3e-4
+_WIDTH, _APART = 0.45, 0.675
+#: logarithm of the probability over the largest: pieces beyond such ones are looked at
+_PROBABLE = -7.0
+#: most pieces; most rounds until tests stay, and sd that they may still move
+_MOST, _ROUNDS, _STILL = 80, 5, 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Where tests are linearised for a piece, and the piece."""
+
+    #: (shared,) of the keys that do not scatter
+    centre: FloatArray
+    #: (tests, m) unknowns of the keys, their farthest last move in sd
+    test_unknowns: FloatArray
+    moved: float
+    posterior: ScatterPosterior
+    #: of the piece, but for a constant
+    log_mass: float
+
+
+def posterior_in_pieces(misfit: Misfit, material: Material) -> tuple[Piece, ...]:
+    """Return the pieces of a material's posterior. Not collective.
+
+    None where all keys scatter, wear is random, or there would be too many of them.
+    """
+    pieces = _Pieces(misfit, material)
+    if not pieces.shared or material.wear.shares or not material.converged:
+        return ()
+    done: dict[tuple[int, ...], _Place | None] = {}
+    wanted = pieces.first()
+    while wanted and len(done) + len(wanted) <= _MOST:
+        done |= pieces.at(wanted)
+        computed = {number: place for number, place in done.items() if place is not None}
+        if not computed:
+            return ()
+        least = max(place.log_mass for place in computed.values()) + _PROBABLE
+        beyond = {
+            (*number[:axis], number[axis] + step, *number[axis + 1 :])
+            for number, place in computed.items()
+            if place.log_mass > least
+            for axis in range(len(number))
+            for step in (-1, 1)
+        }
+        wanted = [number for number in sorted(beyond - {*done}) if pieces.may_be(number)]
+    if wanted:
+        return ()
+    logs = np.array([place.log_mass for place in computed.values()])
+    weights = np.exp(logs - logs.max())
+    return tuple(
+        Piece(place.posterior, weight)
+        for place, weight in zip(computed.values(), (weights / weights.sum()).tolist(), strict=True)
+    )
+
+
+class _Pieces:
+    """Makes pieces about points of a lattice over the keys that do not scatter.
+
+    Attributes
+    ----------
+    shared : their places among the free keys.
+    """
+
+    def __init__(self, misfit: Misfit, material: Material) -> None:
+        problem = misfit.problem
+        self._misfit, self._material, self._m = misfit, material, len(problem.parameters)
+        self._free = [*material.free]
+        self._low, self._high = misfit.lower[: self._m], misfit.upper[: self._m]
+        levels, self._scatters, _ = levels_of(problem, None)
+        self._levels = material.posterior.model.levels
+        scattering = {level.key for level in self._levels}
+        self.shared = [p for p in range(len(self._free) * bool(levels)) if p not in scattering]
+        mixtures = [material.posterior.material(place) for place in self.shared]
+        self._mean = np.array([mixture.mean for mixture in mixtures])
+        self._sd = np.array([mixture.sd for mixture in mixtures])
+
+    def first(self) -> list[tuple[int, ...]]:
+        """Return the points at which the linear posterior is probable."""
+        covariance = self._material.posterior.covariance[np.ix_(self.shared, self.shared)]
+        scaled = covariance / np.outer(self._sd, self._sd)
+        inverse = np.linalg.inv(scaled + _WIDTH**2 * np.eye(len(self.shared)))
+        reach = range(-7, 8)
+        numbers = itertools.product(reach, repeat=len(self.shared))
+        near = ((number, _APART * np.array(number, dtype=float)) for number in numbers)
+        return [
+            number for number, at in near
+            if -0.5 * at @ inverse @ at > _PROBABLE and self.may_be(number)
+        ]  # fmt: skip
+
+    def may_be(self, number: tuple[int, ...]) -> bool:
+        """Tell whether a piece reaches into the bounds of its keys."""
+        keys, margin = np.array(self._free)[self.shared], 3.0 * _WIDTH * self._sd
+        centre = self._centre(number)
+        return bool(
+            ((centre > self._low[keys] - margin) & (centre < self._high[keys] + margin)).all()
+        )
+
+    def at(self, numbers: Sequence[tuple[int, ...]]) -> dict[tuple[int, ...], _Place | None]:
+        """Return the pieces about points; None without histories there."""
+        material, misfit = self._material, self._misfit
+        linear = Linearisation(misfit, material.evaluation, material.x, material.test_unknowns)
+        places: dict[tuple[int, ...], _Place | None] = {
+            number: self._solved(
+                self._centre(number), linear, material.evaluation, material.x,
+                material.test_unknowns,
+            )
+            for number in numbers
+        }  # fmt: skip
+        for _ in range(_ROUNDS):
+            moving = {n: p for n, p in places.items() if p is not None and p.moved > _STILL}
+            tests = [misfit.values_of_tests(material.x, p.test_unknowns) for p in moving.values()]
+            misfit.responses.prepare([pair for values in tests for pair in enumerate(values)])
+            for number, place in moving.items():
+                places[number] = self._relinearised(place)
+        return places
+
+    def _centre(self, number: tuple[int, ...]) -> FloatArray:
+        centre: FloatArray = self._mean + _APART * self._sd * np.array(number)
+        return centre
+
+    def _relinearised(self, place: _Place) -> _Place | None:
+        misfit, x = self._misfit, self._material.x.copy()
+        keys = np.array(self._free)[self.shared]
+        x[keys] = np.clip(place.centre, self._low[keys], self._high[keys])
+        try:
+            x = misfit.with_best_nuisances(misfit.values(x), place.test_unknowns)
+            evaluation = misfit.evaluate(x, place.test_unknowns)
+        except HistoryError:
+            return None
+        linear = Linearisation(misfit, evaluation, x, place.test_unknowns)
+        return self._solved(place.centre, linear, evaluation, x, place.test_unknowns)
+
+    def _solved(
+        self,
+        centre: FloatArray,
+        linear: Linearisation,
+        evaluation: Evaluation,
+        x: FloatArray,
+        test_unknowns: FloatArray,
+    ) -> _Place:
+        """Return the piece of tests as they are linearised."""
+        problem, material, free = self._misfit.problem, self._material, self._free
+        precision, mean = (part[free] for part in prior_of_keys(problem.parameters, x))
+        more, shared = (_WIDTH * self._sd) ** -2, self.shared
+        both = precision[shared] + more
+        # of the product of the prior and the normal density of the piece
+        apart = precision[shared] * more / both * (mean[shared] - centre) ** 2
+        mean[shared] = (precision[shared] * mean[shared] + more * centre) / both
+        precision[shared] = both
+        at_bounds = {j: float(material.x[j]) for j in range(self._m) if j not in free}
+        models = partial(
+            models_at_shares, linear, material.wear, at_bounds, self._levels, (precision, mean)
+        )
+        posterior = integrated(problem.name, models, self._scatters, ())
+        of_tests, moved = test_unknowns.copy(), 0.0
+        for test in range(len(of_tests)):
+            unknowns = posterior.unknowns(test)
+            new = np.clip(unknowns, self._low[free], self._high[free])
+            sds = [posterior.of_test(test, place).sd for place in range(len(free))]
+            moved = max(moved, float(np.abs((new - of_tests[test, free]) / sds).max()))
+            of_tests[test, free] = new
+        log_mass = posterior.log_mass - 0.5 * (
+            float(apart.sum()) + loss_beyond_squares(self._misfit, evaluation)
+        )
+        return _Place(centre, of_tests, moved, posterior, log_mass)

@@ -1,0 +1,139 @@
+"""``[tests]``: a table of tests and masses is the experiments written out."""
+
+import numpy as np
+import pytest
+from laboratory import fit_tables
+
+import ringwear_par as rw
+from ringwear_par.errors import InputError
+from ringwear_par.identification.definition.fit_file import read_fit
+
+#: with a preamble, a row of units, an interrupted test, decimal commas, a column of no use
+TABLE = """Labor 3; Serie 7
+Versuch;Probe;p;n;Dauer;at;vor;nach;sd Verlust;lower.density;Schrieb;Bemerkung
+-;-;MPa;rad/s;min;s;g;mg;mg;g/cm3;-;-
+A;S1;40;3,5;1,5;50;12,3500;12349,2;0,1;1,9;z1.csv;ok
+A;;;;;90;;12348,5;0,1;;;
+B;S2;85;3,5;1,5;;11,0000;10992,1;0,2;1,9;z2.csv;laut
+"""
+RECORD = {
+    "quantity": "penetration", "columns": {"time": "t_s", "value": "z_um"}, "sd": 0.2,
+    "exclude": [[90.0, 200.0]], "nuisance": {"offset": {}},
+}  # fmt: skip
+
+
+@pytest.fixture
+def folder(laboratory):
+    return laboratory[0]
+
+
+def in_table(folder, text=TABLE, **keys):
+    """Return a fit file as a dict whose tests are in a table."""
+    (folder / "tests.csv").write_text(text, encoding="utf-8")
+    tables = fit_tables(folder, [], starts=1)
+    del tables["experiment"]
+    data = [{**RECORD, "file": f"{folder}/{{Schrieb}}"}]
+    return tables | {"tests": {"file": str(folder / "tests.csv"), "data": data, **keys}}
+
+
+def written_out(folder):
+    """Return the same with each test in a table of its own."""
+
+    def experiment(name, specimen, pressure, file, *masses):
+        weighings = [{"quantity": "mass.lower", **mass} for mass in masses]
+        conditions = {"load.pressure": pressure, "load.omega": 3.5, "time.end": "1.5 min",
+                      "lower.density": "1.9 g/cm3"}  # fmt: skip
+        data = [{**RECORD, "file": str(folder / file)}, *weighings]
+        return {"name": name, "specimen": specimen, "set": conditions, "data": data}
+
+    return fit_tables(
+        folder,
+        [
+            experiment(
+                "A", "S1", 40.0, "z1.csv",
+                {"value": "0.8 mg", "sd": "0.1 mg", "at": 50.0},
+                {"value": "1.5 mg", "sd": "0.1 mg", "at": "90 s"},
+            ),
+            experiment("B", "S2", 85.0, "z2.csv", {"value": "7.9 mg", "sd": "0.2 mg"}),
+        ],
+        starts=1,
+    )  # fmt: skip
+
+
+def test_a_table_is_the_experiments_written_out(folder):
+    """Bit for bit: the numbers of the fit, and what it was read as."""
+    one, other = (rw.fit(tables(folder)).to_dict() for tables in (in_table, written_out))
+    for name in ("parameters", "covariance", "chi2", "n_data", "experiments", "nuisance"):
+        assert one[name] == other[name]
+    read = read_fit(in_table(folder))
+    for test, twin in zip(read.experiments, read_fit(written_out(folder)).experiments, strict=True):
+        assert (test.name, test.groups, test.case.text) == (twin.name, twin.groups, twin.case.text)
+        for series, same in zip(test.series, twin.series, strict=True):
+            assert (series.name, series.unit) == (same.name, same.unit)
+            assert all(np.array_equal(getattr(series, v), getattr(same, v)) for v in ("x", "sd"))
+            assert np.array_equal(series.value, same.value)
+    assert len(read.hashes) == 3
+
+
+def test_columns_and_units_may_be_named(folder):
+    """Both bodies weighed: of one, no column says which; sd of one weighing, a loss is of two."""
+    text = "who,kN,dm,upper loss / mg\nA,1,3.2,0.1\nB,2,4.1,-\n"
+    columns = {"name": "who", "load.force": "kN", "loss.lower": "dm"}
+    tables = in_table(
+        folder, text, columns=columns, units={"load.force": "kN", "loss.lower": "mg"},
+        sd="0.1 mg", data=[],
+    )  # fmt: skip
+    tables["case"] = rw.read_case(
+        str(folder / "case.toml"),
+        {"lower.density": 0.002, "upper.density": 0.008, "wear.upper.law": "archard",
+         "wear.upper.k": 1e-9},
+    )  # fmt: skip
+    first, second = read_fit(tables).experiments
+    assert [series.name for series in first.series] == ["mass.lower", "mass.upper"]
+    assert [series.name for series in second.series] == ["mass.lower"]
+    assert first.series[0].sd == pytest.approx(1e-4 * np.sqrt(2.0))
+    assert second.case.load.force == pytest.approx(2000.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("A;S1;40;", "A;S1;-40;", "tests.csv: line 4: experiment \"A\": set load.pressure = -40"),
+        ("A;S1;40;", "A;S1;4O;", "line 4: p = 4O: must be a number, or empty"),
+        ("B;S2;85;", "B;S2;1.085,5;", "line 6: p = 1.085,5: must be a number, or empty; thousands"),
+        ("B;S2;", ";S2;", "line 6: names no test; must begin with a name"),
+        ("A;;;", "A;;45;", 'line 5: p = "45.0 MPa": must be that of the first row of A, or empty'),
+        ("90;;12", "90;12,34;12", "line 5: vor: must be the mass before the test, as in its first"),
+        ("12,3500", "", "line 4: has no mass before; must have one at least"),
+        ("10992,1;0,2", "10992,1;-", "line 6: the sd of its mass is unknown; must be in a column"),
+        ("10992,1;0,2", "10992,1;0", 'sd = "0.0 mg": must be a finite number > 0'),
+        ("MPa;rad/s", "MPa;-", "tests.csv: n: no unit; name it n / rad/s, or tests.units"),
+        ("MPa;rad/s", "MPa;m/s", "the column n is in m/s by its name; must be in the unit of an"),
+        ("lower.density", "lower.densty", "set lower.densty: unknown key (did you mean lower.dens"),
+        ("Probe", "load.pressure", "the columns load.pressure and p may both be of load.pressure"),
+        ("Schrieb", "Datei", 'has no column Schrieb for file = "'),
+        (";at;", ";when;", "line 5: has no time; several weighings of A must have a column at"),
+    ],
+)  # fmt: skip
+def test_rows_that_are_refused(old, new, said, folder):
+    with pytest.raises(InputError) as caught:
+        read_fit(in_table(folder, TABLE.replace(old, new)))
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"file": "no.csv"}, "tests: no.csv: cannot be read: No such file"),
+        ({"sd": 0.1}, 'tests: sd = 0.1: must be a number > 0 with its unit, such as "0.1 mg"'),
+        ({"columns": {"mas": "vor"}}, "tests: columns.mas: must be name, specimen, batch, lab, at"),
+        ({"columns": {"loss": "x"}}, "tests.csv: has no column x for loss; must be one of Versuch"),
+        ({"units": {"load.omega": "m"}}, 'units.load.omega = "m": must be a unit of rad/s'),
+        ({"data": 1}, "tests: data = 1: must be tables, [[tests.data]]"),
+        ({"fil": 1}, "tests: fil: unknown key (did you mean file?)"),
+    ],
+)
+def test_keys_that_are_refused(keys, said, folder):
+    with pytest.raises(InputError) as caught:
+        read_fit(in_table(folder, **keys))
+    assert said in str(caught.value)
