@@ -113,6 +113,11 @@ def examples(tmp_path, monkeypatch):
     (tmp_path / "fit" / "rig.toml").write_text(measured.first_case_of(first).text, "utf-8")
     torque = "".join(f"{time},470\n" for time in range(0, 151, 10))
     (tmp_path / "fit" / "test1_torque.csv").write_text(f"time_s,torque_Nm\n{torque}", "utf-8")
+    rows = ["test,pressure / MPa,duration / s,record"]
+    for name, depth in (("A", 0.1), ("B", 0.2)):
+        rows.append(f"{name},80,2,{name}.csv")
+        (tmp_path / "fit" / f"{name}.csv").write_text(f"t / s,z / um\n1,{depth}\n2,{depth}\n")
+    (tmp_path / "fit" / "tests.csv").write_text("\n".join(rows) + "\n")
     monkeypatch.chdir(tmp_path / "cases")
     return tmp_path
 
@@ -122,7 +127,13 @@ def test_toml_is_read_as_the_program_reads_it(page, examples):
     whole_fit = ""
     for number, block in enumerate(blocks(page, "toml")):
         tables = parse_toml(block, page.name)
-        if {"fit", "experiment"} & tables.keys():
+        if "tests" in tables:
+            (examples / "fit" / "list.toml").write_text(
+                f'case = "../cases/paper.toml"\n{block}\n[fit.parameters]\n'
+                '"wear.lower.k" = { start = 1e-7, bounds = [1e-9, 1e-5] }', "utf-8"
+            )  # fmt: skip
+            assert len(read_fit(examples / "fit" / "list.toml").experiments) == 2
+        elif {"fit", "experiment"} & tables.keys():
             file = examples / "fit" / f"block_{number}.toml"
             # a table of an experiment is of the last one of the fit before it
             whole_fit = block if "fit" in tables else f"{whole_fit}\n{block}"
