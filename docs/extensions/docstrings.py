@@ -14,7 +14,7 @@ from sphinx.environment import BuildEnvironment
 import ringwear_par as rw
 
 _ARRAY = re.compile(r"~?numpy\.ndarray\[~?typing\.Any, ~?numpy\.dtype\[~?numpy\.\w+\]\]")
-_ENTRY = re.compile(r"^([\w*]+(?:, [\w*]+)*) : (.*)$")
+_ENTRY = re.compile(r"^([\w.*]+(?:, [\w*]+)*) : (.*)$")
 
 
 def _reread(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
@@ -23,7 +23,7 @@ def _reread(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: 
     section = False
     for number, line in enumerate(lines):
         if number + 1 < len(lines) and lines[number + 1].startswith("---"):
-            section = line.strip() in ("Parameters", "Raises")
+            section = line.strip() in ("Parameters", "Returns", "Raises")
         entry = _ENTRY.match(line) if section else None
         told += [entry[1], f"    {entry[2]}"] if entry else [line]
     lines[:] = told

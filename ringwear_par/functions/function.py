@@ -150,10 +150,21 @@ def function(
         its unit), ``NAME@all`` at all stored states, times of other outputs among them.
     derivatives : whether calls return derivatives of the outputs with respect to the inputs, too.
 
+    Returns
+    -------
+    Function : of a dict of numbers or arrays, to a dict of them.
+
     Raises
     ------
     InputError : all faults of the case, the inputs or the outputs; inputs or outputs without
         derivatives where these are wanted.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> f = rw.function("scripts/cases/paper.toml", ["load.pressure"], ["penetration"])
+    >>> f({"load.pressure": [60, 80]})["penetration"].round(5)
+    array([0.00517, 0.00973])
     """
     base = case if isinstance(case, Case) else read_case(case)
     read = read_outputs(base, outputs, derivatives)

@@ -38,6 +38,10 @@ def fit(
     source : the name of a fit file, or the same as a dict.
     compare : whether the laws of ``[compare]`` are fitted as well.
 
+    Returns
+    -------
+    FitResult : ``.parameters`` with intervals, ``.doubts``, ``.summary()``, ``.save(folder)``.
+
     Raises
     ------
     InputError : all faults of the file and its data.

@@ -47,6 +47,12 @@ def measure(
     Raises
     ------
     InputError : all faults of the files, each with its file and its line or key.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> print(rw.measure("scripts/measure/measure.toml").summary().partition(" from")[0])
+    specific wear rate 1.39e-06 mm3/(N m)
     """
     return measure_problem(_problem(source, case, masses))
 

@@ -75,6 +75,10 @@ def predict(
     draws : how many histories.
     seed : of the draws.
 
+    Returns
+    -------
+    Prediction : bands of the histories, ``.summary()``, ``.save(folder)``.
+
     Raises
     ------
     InputError : the folder, the case, keys of the fit that it does not have, or a fit that does not

@@ -14,6 +14,8 @@ from ringwear_par.studies.definition.study import Study
 from ringwear_par.studies.definition.variations import path_of
 
 _KEY = re.compile(r"\b[a-z]+(?:\[\d\])?(?:\.[a-z_0-9]+(?:\[\d\])?)+")
+#: of texts, whose lines may be longer than a cell is wide
+_PRE = '<pre style="white-space: pre-wrap">'
 #: values of a varied key that are listed
 _LISTED = 8
 
@@ -27,7 +29,7 @@ def outcome_html(outcome: Outcome) -> str:
         text = outcome.summary()
     except RingwearError:
         text = repr(outcome)
-    return f"<div><pre>{_with_meanings(text)}</pre>{_picture(outcome)}</div>"
+    return f"<div>{_PRE}{_with_meanings(text)}</pre>{_picture(outcome)}</div>"
 
 
 def _picture(outcome: Outcome) -> str:
@@ -52,7 +54,7 @@ def study_html(study: Study) -> str:
         cells = (_with_meanings(name), escape(words), unit_of(name))
         rows.append(f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>")
     table = "<table><tr><th>key</th><th>values</th><th>unit</th></tr>" + "".join(rows) + "</table>"
-    return f"<div><pre>{escape(repr(study))}</pre>{table}{rig_svg(study.case(0))}</div>"
+    return f"<div>{_PRE}{escape(repr(study))}</pre>{table}{rig_svg(study.case(0))}</div>"
 
 
 def _with_meanings(text: str) -> str:

@@ -32,10 +32,20 @@ def report(source: Outcome | str | Path, output: str | Path) -> str:
         design, a prediction or a measurement.
     output : the page's file, .html.
 
+    Returns
+    -------
+    str : the page's name and what it holds.
+
     Raises
     ------
     InputError : what cannot be read or written, or a package that is missing.
     ComputationError : the disk.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> rw.report(rw.simulate(rw.read_case("scripts/cases/paper.toml")), "run.html")
+    'run.html: Wear history of a test, 12 figures'
     """
     output = Path(output)
     check_page(output)

@@ -92,12 +92,22 @@ class Outcome:
 
 
 def summary(outcome: Outcome) -> str:
-    """Return an outcome in a few lines, see ``Outcome.summary``."""
+    """Return an outcome in a few lines, see ``Outcome.summary``.
+
+    Returns
+    -------
+    str : its lines; of a result penetration, worn volume, wear rate, pressure, torque, checks.
+    """
     return _checked(outcome, "summary").summary()
 
 
 def to_dict(outcome: Outcome) -> dict[str, Any]:
-    """Return an outcome as JSON can hold it, see ``Outcome.to_dict``."""
+    """Return an outcome as JSON can hold it, see ``Outcome.to_dict``.
+
+    Returns
+    -------
+    dict : the contents of the outcome's JSON file.
+    """
     return _checked(outcome, "to_dict").to_dict()
 
 

@@ -4,6 +4,8 @@
 """
 
 import ast
+import doctest
+import inspect
 import re
 import shlex
 import shutil
@@ -111,6 +113,11 @@ def examples(tmp_path, monkeypatch):
     (tmp_path / "fit" / "rig.toml").write_text(measured.first_case_of(first).text, "utf-8")
     torque = "".join(f"{time},470\n" for time in range(0, 151, 10))
     (tmp_path / "fit" / "test1_torque.csv").write_text(f"time_s,torque_Nm\n{torque}", "utf-8")
+    rows = ["test,pressure / MPa,duration / s,record"]
+    for name, depth in (("A", 0.1), ("B", 0.2)):
+        rows.append(f"{name},80,2,{name}.csv")
+        (tmp_path / "fit" / f"{name}.csv").write_text(f"t / s,z / um\n1,{depth}\n2,{depth}\n")
+    (tmp_path / "fit" / "tests.csv").write_text("\n".join(rows) + "\n")
     monkeypatch.chdir(tmp_path / "cases")
     return tmp_path
 
@@ -120,7 +127,13 @@ def test_toml_is_read_as_the_program_reads_it(page, examples):
     whole_fit = ""
     for number, block in enumerate(blocks(page, "toml")):
         tables = parse_toml(block, page.name)
-        if {"fit", "experiment"} & tables.keys():
+        if "tests" in tables:
+            (examples / "fit" / "list.toml").write_text(
+                f'case = "../cases/paper.toml"\n{block}\n[fit.parameters]\n'
+                '"wear.lower.k" = { start = 1e-7, bounds = [1e-9, 1e-5] }', "utf-8"
+            )  # fmt: skip
+            assert len(read_fit(examples / "fit" / "list.toml").experiments) == 2
+        elif {"fit", "experiment"} & tables.keys():
             file = examples / "fit" / f"block_{number}.toml"
             # a table of an experiment is of the last one of the fit before it
             whole_fit = block if "fit" in tables else f"{whole_fit}\n{block}"
@@ -213,6 +226,26 @@ def test_the_first_case_is_explained_line_by_line():
     page = (ROOT / "docs" / "first_case.md").read_text("utf-8")
     told = page.partition("Line by line:")[2].partition("\n## ")[0]
     assert len(re.findall(r"^\d+\. ", told, re.M)) == len(measured.first_summary(page).splitlines())
+
+
+FUNCTIONS = [name for name in rw.__all__ if inspect.isfunction(getattr(rw, name))]
+
+
+def test_docstrings_of_public_functions_say_what_they_return():
+    docs = {name: inspect.getdoc(getattr(rw, name)) for name in FUNCTIONS}
+    assert [name for name in docs if "\nReturns\n-------\n" not in docs[name]] == ["save"]
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in FUNCTIONS if ">>>" in (getattr(rw, name).__doc__ or "")]
+)
+def test_examples_of_docstrings_run(name, tmp_path, monkeypatch):
+    (tmp_path / "scripts").symlink_to(ROOT / "scripts")
+    monkeypatch.chdir(tmp_path)
+    (example,) = doctest.DocTestFinder(recurse=False).find(getattr(rw, name), name, globs={})
+    said = []
+    doctest.DocTestRunner().run(example, out=said.append)
+    assert not said, "".join(said)
 
 
 def texts_of_the_program():

@@ -57,9 +57,20 @@ def read_case(source: str | Path | Mapping[str, Any], overrides: Overrides = ())
         looked for in the current folder. None takes a key or a table away. See ``override`` for
         their rules.
 
+    Returns
+    -------
+    Case : immutable; ``replace`` returns a changed one.
+
     Raises
     ------
     InputError : all faults, one sentence each.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> case = rw.read_case("scripts/cases/paper.toml", {"wear.lower.k": "1e-5 mm3/(N m)"})
+    >>> case.laws[0]
+    ThresholdLaw(k=1e-08, p0=40.0)
     """
     if not isinstance(source, Mapping):
         path = Path(source)

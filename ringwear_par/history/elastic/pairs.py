@@ -35,10 +35,23 @@ def assemble(case: Case, comm: MPI.Comm | None = None, *, use_kept: bool = True)
     ----------
     use_kept : whether the pair may be one that was kept, and is kept; False: it is assembled.
 
+    Returns
+    -------
+    ContactPair : for ``simulate(case, pair=...)``.
+
     Raises
     ------
     InputError : no case.
     ComputationError : a factorisation failed.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> case = rw.read_case("scripts/cases/paper.toml")
+    >>> pair = rw.assemble(case)
+    >>> pair
+    <ContactPair: 64 contact elements, r = 28.5 to 31.5 mm>
+    >>> soft = rw.simulate(case.replace({"lower.young": "5 GPa"}), pair=pair)
     """
     need_case(case, "assemble")
     comm = MPI.COMM_WORLD if comm is None else comm

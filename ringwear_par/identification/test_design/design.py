@@ -114,10 +114,21 @@ def design(
     after : folder of an earlier fit of the same keys, whose information counts.
     criterion : instead of the file's.
 
+    Returns
+    -------
+    DesignResult : ``.designs``, the best first, ``.summary()``, ``.save(folder)``.
+
     Raises
     ------
     InputError : all faults of the file and its data, or of the earlier fit.
     ComputationError : a history of a candidate.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> best = rw.design("scripts/fit/plan.toml").designs[0]
+    >>> len(best.tests)
+    2
     """
     comm = MPI.COMM_WORLD if comm is None else comm
 

@@ -36,11 +36,22 @@ def simulate(
     derivatives : keys of plain numbers of the case; of everything that is stored, the result then
         has derivatives with respect to them too: ``d_pressure``, ``d_approach``, ...
 
+    Returns
+    -------
+    Result : ``.histories`` over time, ``.profiles`` over time and radius, ``.doubts``.
+
     Raises
     ------
     InputError : no case, a law that is none, a mesh or a memory that cannot be, bodies that
         interpenetrate, a pair of another shape, derivatives that there are not.
     ComputationError : a step failed; it is named with its time.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> result = rw.simulate(rw.read_case("scripts/cases/paper.toml"))
+    >>> print(f"{1e3 * result.histories['penetration'][-1]:.2f} um")
+    9.73 um
     """
     need_case(case, "simulate")
     comm = MPI.COMM_WORLD if comm is None else comm

@@ -96,9 +96,20 @@ def read_error(path: Path) -> str:
 def open_result(path: str | Path) -> Result:
     """Read a result file. Not collective.
 
+    Returns
+    -------
+    Result : as ``simulate`` returned it.
+
     Raises
     ------
     InputError : it is not one.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> rw.simulate(rw.read_case("scripts/cases/paper.toml", {"title": "mine"})).save("run.h5")
+    >>> rw.open_result("run.h5")
+    <Result: mine (run.h5): 64 contact elements, 201 states of 200 steps until 200 s, complete>
     """
     path = Path(path)
     with reading(path, table.SOFTWARE, _KIND) as file:

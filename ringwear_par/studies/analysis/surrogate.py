@@ -256,6 +256,10 @@ def surrogate(
     times : s, of the responses; None for the last step. Between stored states they are on a
         straight line: ``output.times`` in the base case is better.
 
+    Returns
+    -------
+    Surrogate : ``.predict(keys)``, and its measured ``.error`` by name of the response.
+
     Raises
     ------
     InputError : too few cases are done, their keys vary together, a time that not all cases have;

@@ -159,9 +159,20 @@ def read_study(source: Path | str | Mapping[str, Any], ranks_per_case: int = 1) 
         the present folder. In tables, ``case`` may be the tables of the base case itself.
     ranks_per_case : ranks that are to share a case.
 
+    Returns
+    -------
+    Study : with ``.keys`` that vary and ``.cases``, for ``sweep``.
+
     Raises
     ------
     InputError : all faults of the study together, or those of its first bad cases.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> study = rw.read_study("scripts/cases/study.toml")
+    >>> len(study.cases)
+    45
     """
     draft = read_draft(source)
     return _complete(

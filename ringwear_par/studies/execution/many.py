@@ -44,9 +44,21 @@ def simulate_all(
         do not depend on it.
     derivatives : keys that all results are to have derivatives with respect to, as of ``simulate``.
 
+    Returns
+    -------
+    list : a Result or a FailedResult for each case.
+
     Raises
     ------
     InputError : ``batch`` is no whole number >= 1, or there is something else than cases.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> case = rw.read_case("scripts/cases/paper.toml")
+    >>> cases = [case.replace({"load.pressure": pressure}) for pressure in (60, 80)]
+    >>> [f"{1e3 * one.histories['penetration'][-1]:.2f} um" for one in rw.simulate_all(cases)]
+    ['5.17 um', '9.73 um']
     """
     if batch is not None and not (is_whole(batch) and batch >= 1):
         raise InputError(f"batch = {batch!r}: must be a whole number >= 1")

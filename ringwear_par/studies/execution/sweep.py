@@ -55,10 +55,21 @@ def sweep(
     part : which slice, and of how many; None for the whole, which merges.
     retry_failed : compute failed cases again.
 
+    Returns
+    -------
+    Summary : how many cases are ``total``, ``done`` and ``failed``; the rest is in the folder.
+
     Raises
     ------
     InputError : the study, the folder or the numbers, before any work.
     ComputationError : cases failed, the sweep was stopped, or the disk.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> vary = {"load.pressure": {"values": [60, 80]}}
+    >>> rw.sweep({"case": "scripts/cases/paper.toml", "vary": vary}, "out").done
+    2
     """
     comm = MPI.COMM_WORLD if comm is None else comm
     request = Request(Path(folder), comm.size, ranks_per_case, part, retry_failed)

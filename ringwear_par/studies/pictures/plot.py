@@ -42,10 +42,20 @@ def plot(
 
     width : mm, of the figure; None: what suits it.
 
+    Returns
+    -------
+    matplotlib.figure.Figure : it belongs to no window; ``.savefig`` writes it.
+
     Raises
     ------
     InputError : something that is not a result, an unknown panel, a step not stored; more than its
         folder where a sweep is drawn; the folder of a fit or a design, which has its pictures.
+
+    Examples
+    --------
+    >>> import ringwear_par as rw
+    >>> result = rw.simulate(rw.read_case("scripts/cases/paper.toml"))
+    >>> rw.plot(result, "wear,pressure", times="1 s, 200 s").savefig("run.png")
     """
     if isinstance(results, Case):
         return of_width(draw_rig(results), width)

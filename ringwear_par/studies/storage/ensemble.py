@@ -182,6 +182,10 @@ def open_ensemble(folder: Path | str) -> "xarray.Dataset":
     ----------
     folder : of the sweep, or its results.h5.
 
+    Returns
+    -------
+    xarray.Dataset : variables as of results, with the units in their attributes.
+
     Raises
     ------
     InputError : the folder holds none, or xarray and h5netcdf are not installed.
