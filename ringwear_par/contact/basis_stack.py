@@ -1,8 +1,10 @@
 """The bases of many histories in arrays, for products of all of them at once."""
 
+from typing import Any
+
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import BoolArray, IntArray
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 
 #: instead of the number of a basis: what it would be of is not positive definite
@@ -25,11 +27,14 @@ class BasisStack:
         self._count = 0
         #: (m, n, n) and (m, n) each, room for more included; see ``Basis``
         self.psi, self.mu, self.force = np.empty((0, n, n)), np.empty((0, n)), np.empty((0, n))
+        #: (m, n, n) float32, for estimates, with its transpose
+        self.rough, self.rough_t = (np.empty((0, n, n), dtype=np.float32) for _ in "pt")
 
-    @property
-    def psi_t(self) -> FloatArray:
-        """(m, n, n), transposed."""
-        return self.psi.transpose(0, 2, 1)
+    def matrices(self, precision: Any) -> tuple[Any, Any]:
+        """Return bases and their transposes, (m, n, n), in double or in single precision."""
+        if precision == np.float32:
+            return self.rough, self.rough_t
+        return self.psi, self.psi.transpose(0, 2, 1)
 
     @property
     def is_full(self) -> bool:
@@ -54,6 +59,7 @@ class BasisStack:
                 number = self._numbers[name] = self._count
                 self._count += 1
                 self.psi[number], self.mu[number], self.force[number] = basis
+                self.rough[number], self.rough_t[number] = basis.psi, basis.psi.T
         return self._numbers[name]
 
     def make_room(self, used: IntArray) -> IntArray:
@@ -65,9 +71,11 @@ class BasisStack:
         """
         still_used = np.unique(used[used >= 0])
         room = max(_LEAST_ROOM, len(still_used))
-        self.psi, self.mu, self.force = (
-            np.concatenate([values[still_used], np.empty((room, *values.shape[1:]))])
-            for values in (self.psi, self.mu, self.force)
+        self.psi, self.mu, self.force, self.rough, self.rough_t = (
+            np.concatenate(
+                [values[still_used], np.empty_like(values, shape=(room, *values.shape[1:]))]
+            )
+            for values in (self.psi, self.mu, self.force, self.rough, self.rough_t)
         )
         new = {int(number): place for place, number in enumerate(still_used)}
         self._numbers = {

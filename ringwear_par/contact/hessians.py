@@ -6,7 +6,7 @@ through layers, non-local wear and large systems have Cholesky factors of their 
 """
 
 from collections import defaultdict
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
@@ -16,7 +16,6 @@ from ringwear_par.batched import keep
 from ringwear_par.contact.basis_stack import BROKEN, BasisStack
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
-from ringwear_par.petsc import PETSc
 from ringwear_par.wear.increment import WearIncrement
 
 #: largest systems that have bases: a basis takes as long as 26 to 31 factors (0.67, 3.1 and 14.8 ms
@@ -35,7 +34,7 @@ _NO_FACTOR = np.zeros((0, 0))
 
 
 class Hessians:
-    """Context of a Mat of type "python". What a block is depends on its own history alone.
+    """The blocks of the Hessian; what one is depends on its own history alone.
 
     Parameters
     ----------
@@ -87,16 +86,6 @@ class Hessians:
             factors = self._factors.items()
             self._factors = {places[h]: factor for h, factor in factors if h in places}
         self._rows.clear()
-
-    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to H x."""
-        size = self.slope.size
-        q = x.getArray(readonly=True)[:size].reshape(self.slope.shape)
-        product = RowProducts(self._which).of(q, self._matrices) + self.slope * q
-        if len(self.coupling):
-            product += np.einsum("bij,bj->bi", self.coupling, q)
-        y.set(0.0)
-        y.getArray()[:size] = product.ravel()
 
     def pose(self, wear: WearIncrement | None) -> None:
         """Make room for what the wear of an implicit step adds; none adds nothing."""
@@ -264,19 +253,20 @@ class Hessians:
         tolerance : of the residual, relative to the first, where steps are iterated for.
         """
         rows = self._rows_of(histories)
-        products = rows.groups.of
+        products, stack = rows.groups.of, self._stack
+        psi, psi_t = stack.matrices(gradient.dtype)
         if len(rows.numbers) == len(histories):
-            modal = products(gradient, self._stack.psi)
+            modal = products(gradient, psi)
             solved, approach = self._modal_steps(rows, modal, missing, tolerance)
-            return products(solved, self._stack.psi_t), approach
+            return products(solved, psi_t), approach
         steps, approach = np.zeros_like(gradient), np.zeros(gradient.shape[:-1])
         if len(rows.numbers):
             places = rows.places
-            modal = products(gradient[..., places, :], self._stack.psi)
+            modal = products(gradient[..., places, :], psi)
             solved, approach[..., places] = self._modal_steps(
                 rows, modal, None if missing is None else missing[..., places], tolerance
             )
-            steps[..., places, :] = products(solved, self._stack.psi_t)
+            steps[..., places, :] = products(solved, psi_t)
         self._set_factored(histories, gradient, missing, (steps, approach))
         return steps, approach
 
@@ -284,14 +274,20 @@ class Hessians:
         self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None, tolerance: float
     ) -> tuple[FloatArray, FloatArray]:
         """Return steps in the bases, (..., h, n), and of approaches, (..., h)."""
+        inverse, response, force = (
+            values.astype(modal.dtype, copy=False)
+            for values in (
+                self._inverse[rows.histories], self._response[rows.histories], rows.force
+            )
+        )  # fmt: skip
         if missing is None:
             change, solved = np.zeros(modal.shape[:-1]), -modal
         else:
-            carried = missing + inner(self._response[rows.histories], modal)
+            carried = missing + inner(response, modal)
             change = _divided(carried, self._stiffness[rows.histories])
-            solved = change[..., None] * rows.force
+            solved = change[..., None].astype(modal.dtype, copy=False) * force
             solved -= modal
-        solved *= self._inverse[rows.histories]
+        solved *= inverse
         irregular = np.flatnonzero(~self._regular[rows.histories])
         if len(irregular):
             sides = modal[..., irregular, :]
@@ -350,19 +346,23 @@ class Hessians:
         Gould, Hribar and Nocedal, SIAM J. Sci. Comput. 23 (2001) 1376-1395.
         """
         numbers, count = self._number[histories], len(histories)
-        slope, inverse = self.slope[histories], self._inverse[histories]
-        force, response = self._stack.force[numbers], self._response[histories]
-        groups, psi, psi_t = RowProducts(numbers), self._stack.psi, self._stack.psi_t
+        exact = (
+            self._inverse[histories], self._stack.force[numbers], self._response[histories],
+            self._stiffness[histories],
+        )  # fmt: skip
+        precision: Any = np.float32 if tolerance == ROUGH else np.float64
+        inverse, force, response, stiffness = (v.astype(precision, copy=False) for v in exact)
+        slope, scale = self.slope[histories].astype(precision, copy=False), largest(np.abs(right))
+        scale[~(scale > 0.0)] = 1.0
+        psi, psi_t = self._stack.matrices(precision)
+        groups = RowProducts(numbers)
+        multiplier = np.zeros(count, dtype=precision)
         solutions, multipliers = np.zeros_like(right), np.zeros(count)
-        stiffness, multiplier = self._stiffness[histories], np.zeros(count)
 
-        def apply(x: FloatArray, some: IntArray | None = None) -> FloatArray:
-            if some is not None:
-                x = x[some]
-            groups_of = groups if some is None else RowProducts(numbers[some])
-            bent = groups_of.of(x, psi_t)
-            bent *= slope if some is None else slope[some]
-            product = groups_of.of(bent, psi)
+        def apply(x: FloatArray) -> FloatArray:
+            bent = groups.of(x, psi_t)
+            bent *= slope
+            product = groups.of(bent, psi)
             product += x
             return product
 
@@ -373,14 +373,15 @@ class Hessians:
                 np.add(multiplier, more, out=multiplier)
             return inverse * r
 
-        rows, x, r = np.arange(count), np.zeros_like(right), right.copy()
+        rows, r = np.arange(count), (right / scale[:, None]).astype(precision)
+        x = np.zeros_like(r)
         if missing is not None and missing.any():
-            x = response * _divided(missing, stiffness)[:, None]
-            # of so little as is mostly missing, the round-off of the last step, r is that of none
-            size = tolerance * tolerance * inner(inverse * r, r)
-            much = np.flatnonzero(missing * missing > size * stiffness)
-            if len(much):
-                r[much] -= apply(x, much)
+            # next to nothing, the round-off of the step before, is made up for at the end
+            much = missing * missing > (tolerance * scale) ** 2 * exact[3] * inner(inverse * r, r)
+            if much.any():
+                share = _divided(np.where(much, missing / scale, 0.0), exact[3])
+                x = (exact[2] * share[:, None]).astype(precision)
+                r -= apply(x)
         direction = project()
         size = inner(r, direction)
         small, going = tolerance * tolerance * size, np.ones(count, dtype=bool)
@@ -410,6 +411,12 @@ class Hessians:
             direction += z
         else:
             solutions[rows[going]], multipliers[rows[going]] = x[going], -multiplier[going]
+        solutions *= scale[:, None]
+        multipliers *= scale
+        if missing is not None:
+            rest = _divided(missing - inner(exact[1], solutions), exact[3])
+            solutions += exact[2] * rest[:, None]
+            multipliers += rest
         return solutions, multipliers
 
 

@@ -61,17 +61,17 @@ class RowProducts:
         flat = rows.reshape(-1, n)
         count = len(flat)
         if self._slots is None:
-            whole, product = count // ROWS * ROWS, np.empty(flat.shape)
+            whole, product = count // ROWS * ROWS, np.empty_like(flat)
             matrix, shape = matrices[self._stack], (-1, ROWS, n)
             if whole:
                 full = flat[:whole].reshape(shape)
                 np.matmul(full, matrix, out=product[:whole].reshape(shape))
             if whole < count:
-                padded = np.zeros((ROWS, n))
+                padded = np.zeros((ROWS, n), dtype=flat.dtype)
                 padded[: count - whole] = flat[whole:]
                 product[whole:] = (padded @ matrix)[: count - whole]
             return product.reshape(rows.shape)
-        blocks = np.zeros((ROWS * self._n_blocks, n))
+        blocks = np.zeros((ROWS * self._n_blocks, n), dtype=flat.dtype)
         blocks[self._slots] = flat
         blocks = blocks.reshape(self._n_blocks, ROWS, n)
         if self._stack is not None:

@@ -37,7 +37,8 @@ class SolutionDerivatives:
         """
         problem = self._problem
         missing = None if problem.forces is None else np.zeros(gap.shape[:-1])
-        steps, _ = self._hessians.steps(problem.every, problem.weights * gap, missing, ROUGH)
+        gradient = np.multiply(problem.weights, gap, dtype=np.float32, casting="same_kind")
+        steps, _ = self._hessians.steps(problem.every, gradient, missing, ROUGH)
         return problem.pressures(steps, slice(None))
 
     def deflections(self, d_p: FloatArray) -> FloatArray:
