@@ -80,12 +80,11 @@ class _Callbacks:
         return self.objective(tao, x)
 
     def hessian(self, tao: PETSc.TAO, x: PETSc.Vec, h: PETSc.Mat, _: PETSc.Mat) -> None:
-        """Set the blocks of the Hessian; a dense matrix is that of the only history at work."""
+        """Set the Hessian of the only history at work."""
         problem, hessians = self._problem, self._hessians
         hessians.set_slopes(problem.rows, *problem.slopes(self._at_work(x)))
-        if h.getType() != PETSc.Mat.Type.PYTHON:
-            h.getDenseArray()[:] = hessians.matrix(int(problem.at_work[0]))
-            h.assemble()
+        h.getDenseArray()[:] = hessians.matrix(int(problem.at_work[0]))
+        h.assemble()
 
 
 class ContactEngine:
@@ -140,22 +139,23 @@ class ContactEngine:
     def _set_up_tao(self) -> None:
         """Make all that is PETSc's, each of it owned before it is there."""
         comm, callbacks = MPI.COMM_SELF, self._callbacks
+        guarded = callbacks.guard.guarded
         tao = self._tao = self._register(PETSc.TAO()).create(comm)
         x = self._x = self._register(PETSc.Vec())
-        gradient, hessian = self._register(PETSc.Vec()), self._register(PETSc.Mat())
+        gradient = self._register(PETSc.Vec())
         tao.setOptionsPrefix(CONTACT_PREFIX)
         tao.setType(self._tao_type)
         if self._newton is not None:
             size = self._q.size
             x.createWithArray(self._q.reshape(size), comm=comm)
             gradient.createWithArray(self._g.reshape(size), comm=comm)
-            hessian.createPython([size, size], self._hessians, comm=comm)
             tao.setPythonContext(self._newton)
         else:
             size = self._q.shape[1]
             x.createSeq(size, comm=comm)
             gradient.createSeq(size, comm=comm)
-            hessian.createDense([size, size], comm=comm)
+            hessian = self._register(PETSc.Mat()).createDense([size, size], comm=comm)
+            hessian.setUp()
             # inexact inner solves would stop the outer ones above KKT_TOLERANCE
             ksp = tao.getKSP()
             if self._tao_type == "bnls":
@@ -165,15 +165,13 @@ class ContactEngine:
                 ksp.setType("stcg")
                 ksp.getPC().setType("jacobi")
                 ksp.setTolerances(rtol=1e-10)
-        hessian.setUp()
+            tao.setHessian(guarded(callbacks.hessian), hessian, hessian)
         lower, upper = (self._register(x.duplicate()) for _ in "lu")
         lower.set(0.0)
         upper.set(PETSc.INFINITY)
-        guarded = callbacks.guard.guarded
         tao.setObjective(guarded(callbacks.objective))
         tao.setGradient(guarded(callbacks.gradient), gradient)
         tao.setObjectiveGradient(guarded(callbacks.objective_gradient), gradient)
-        tao.setHessian(guarded(callbacks.hessian), hessian, hessian)
         tao.setVariableBounds((lower, upper))
         tao.setSolution(x)
         set_from_options(tao, CONTACT_PREFIX)

@@ -16,7 +16,6 @@ from ringwear_par.batched import keep
 from ringwear_par.contact.basis_stack import BROKEN, BasisStack
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
-from ringwear_par.petsc import PETSc
 from ringwear_par.wear.increment import WearIncrement
 
 #: largest systems that have bases: a basis takes as long as 26 to 31 factors (0.67, 3.1 and 14.8 ms
@@ -35,7 +34,7 @@ _NO_FACTOR = np.zeros((0, 0))
 
 
 class Hessians:
-    """Context of a Mat of type "python". What a block is depends on its own history alone.
+    """The blocks of the Hessian; what one is depends on its own history alone.
 
     Parameters
     ----------
@@ -87,16 +86,6 @@ class Hessians:
             factors = self._factors.items()
             self._factors = {places[h]: factor for h, factor in factors if h in places}
         self._rows.clear()
-
-    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to H x."""
-        size = self.slope.size
-        q = x.getArray(readonly=True)[:size].reshape(self.slope.shape)
-        product = RowProducts(self._which).of(q, self._matrices) + self.slope * q
-        if len(self.coupling):
-            product += np.einsum("bij,bj->bi", self.coupling, q)
-        y.set(0.0)
-        y.getArray()[:size] = product.ravel()
 
     def pose(self, wear: WearIncrement | None) -> None:
         """Make room for what the wear of an implicit step adds; none adds nothing."""

@@ -261,8 +261,9 @@ class ErrorControl:
         iterations = progress.tried_iterations + step.state.contact.iterations
         ratio, pressing, ahead = self._ratios(before, step)
         pressed = progress.pressed | pressing
-        too_far = step.too_far & np.ones(len(length), dtype=bool)
-        accepted = (ratio <= 1.0) & ~too_far
+        within = ratio <= 1.0
+        accepted = np.logical_and(within, np.logical_not(step.too_far))
+        ended = accepted | step.too_far
         following = _following(length, _change(ahead), pressed, progress.cut, progress.length)
         return Decision(
             accepted,
@@ -272,13 +273,13 @@ class ErrorControl:
                 np.where(accepted, following, progress.next_step),
                 progress.rejected + ~accepted,
                 progress.iterations + np.where(accepted, iterations, 0),
-                np.where(ratio <= 1.0, progress.length, length * _change(ratio)),
+                np.where(within, progress.length, length * _change(ratio)),
                 progress.cut,
                 ~accepted,
                 pressed,
                 iterations,
                 ratio == np.inf,
-                np.where(accepted | too_far, step.interface, progress.interface),
+                np.where(ended, step.interface, progress.interface),
                 step.history_error,
             ),
         )

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, columns, inner, largest
+from ringwear_par.arrays import BoolArray, FloatArray, columns, largest
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.physics import Physics, Sliding
@@ -78,18 +78,15 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         state.contact.pressure, _weighted(weights, stage.pressure),
         _weighted(weights_last, contact.pressure),
     )  # fmt: skip
-    moments = [physics.moment(p) for p in pressures]
-    torques = [at.friction * moment for at, moment in zip(sliding, moments, strict=True)]
-    powers, normal_powers = (
-        np.stack([at.omega * of for at, of in zip(sliding, turning, strict=True)], axis=-1)
-        for turning in (torques, moments)
-    )
+    moments = np.array([physics.moment(p) for p in pressures])
+    omega, friction = (np.array(of) for of in zip(*sliding, strict=True))
+    powers, normal_powers = omega * (friction * moments), omega * moments
     contact = replace(
         contact,
         iterations=stage.iterations + contact.iterations,
         residual=np.maximum(stage.residual, contact.residual),
     )
-    energy, work = (length * inner(_WEIGHTS, power) for power in (powers, normal_powers))
+    energy, work = (length * _sum(_WEIGHTS, power) for power in (powers, normal_powers))
     wear = carried + losses
     then = last.rates(contact.pressure, worn_last)
     volumes = length * (
@@ -150,8 +147,8 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         after,
         _largest(defect),
         _largest(after.error),
-        abs(length * inner(_DEFECT, powers)),
-        powers.max(axis=-1),
+        np.abs(length * _sum(_DEFECT, powers)),
+        powers.max(axis=0),
         _largest(off / _scale(physics, state.contact, contact)),
         _largest(carried),
         _closing(state.contact.pressure, losses),
@@ -192,6 +189,13 @@ def _closing(p: FloatArray, losses: FloatArray) -> BoolArray:
 def _weighted(weights: FloatArray | float, values: FloatArray) -> FloatArray:
     """Return values that count so many times; a number is 1."""
     return values if isinstance(weights, float) else weights * values
+
+
+def _sum(weights: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the weighted sum of values at the start and of both stages, (3, B), term by term."""
+    start, stage, last = weights.tolist()
+    total: FloatArray = start * values[0] + stage * values[1] + last * values[2]
+    return total
 
 
 def _largest(values: FloatArray) -> FloatArray:
