@@ -82,7 +82,8 @@ def test_readings_that_a_curve_does_not_follow_or_that_are_no_friction_are_doubt
     torque["file"] = str(written[0] / "noisy.csv")
     suspicions = []
     for value, smoothing, trends in (
-        (smooth, "auto", 0), (jump, "auto", 0), (jump, 60.0, 1), (jump, "none", 0), (1e-3 * smooth, "auto", 0),
+        (smooth, "auto", 0), (jump, "auto", 0), (jump, 60.0, 1), (jump, "none", 0),
+        (1e-3 * smooth, "auto", 0),
     ):  # fmt: skip
         write_table(written[0] / "noisy.csv", ("t_s", "m_Nm"), t, value * noise)
         torque["smooth"] = smoothing
