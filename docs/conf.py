@@ -7,6 +7,9 @@ from typing import Any
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE / "extensions"), str(HERE.parent)]
 
+from docutils import nodes  # noqa: E402
+from sphinx_gallery.directives import imgsgnode  # noqa: E402
+
 import ringwear_par as rw  # noqa: E402
 
 project = "ringwear-par"
@@ -26,6 +29,7 @@ extensions = [
     "llms",
     "mathml",
     "measured",
+    "search_texts",
 ]
 exclude_patterns = ["_build", "gallery", "extensions", "generated/**/*.py"]
 exclude_patterns += ["generated/mesh_errors.md"]  # which a page includes
@@ -42,6 +46,7 @@ nitpick_ignore_regex = [
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "fieldlist"]
 myst_heading_anchors = 3
 html_math_renderer = "mathml"
+smartquotes = False  # texts of files, options and messages stay as they are typed
 
 autosummary_generate = True
 autodoc_typehints = "signature"
@@ -53,8 +58,7 @@ templates_path = ["templates"]
 html_theme = "furo"
 html_title = f"ringwear-par {version}"
 html_show_copyright = html_copy_source = html_show_sourcelink = False
-# it would fetch every page that is found, which browsers refuse for files
-html_show_search_summary = False
+html_show_search_summary = True
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 copybutton_exclude = ".linenos, .gp, .go"
@@ -88,3 +92,16 @@ sphinx_gallery_conf = {
 }
 # of sphinx_gallery's functions, which Sphinx cannot keep between two builds
 suppress_warnings = ["config.cache", "sphinx_gallery.space_in_filename"]
+
+
+def _described(app: Any, page: Any) -> None:
+    """Give the pictures of the gallery's scripts the title of their page as alternative text."""
+    if app.env.docname.startswith("generated/gallery/plot_"):
+        title = next(page.findall(nodes.title)).astext()
+        for picture in page.findall(imgsgnode):
+            picture["alt"] = title
+
+
+def setup(app: Any) -> None:
+    """Register it."""
+    app.connect("doctree-read", _described)

@@ -6,6 +6,7 @@ arguments.
 
 import argparse
 import difflib
+import math
 import os
 import re
 from collections.abc import Callable, Sequence
@@ -84,6 +85,26 @@ def _path(text: str) -> Path:
         reason = getattr(error, "strerror", None) or error
         raise argparse.ArgumentTypeError(f"{legible(text)}: {reason}") from error
     return Path(text)
+
+
+def _width(text: str) -> float:
+    """Return a width in mm."""
+    from ringwear_par.cases.units import in_unit
+    from ringwear_par.cases.values import RejectedError
+
+    try:
+        width = float(in_unit(text, "mm"))
+    except (RejectedError, ValueError):
+        width = math.nan
+    if not 0.0 < width < math.inf:
+        raise argparse.ArgumentTypeError(f"{legible(text)}: must be mm, or such as '3.5 in'")
+    return width
+
+
+def _dpi(text: str) -> int:
+    if not (re.fullmatch("[0-9]{2,4}", text) and 50 <= int(text) <= 2400):
+        raise argparse.ArgumentTypeError(f"{legible(text)}: must be a whole number, 50 to 2400")
+    return int(text)
 
 
 def _figure(text: str) -> Any:
@@ -237,6 +258,11 @@ COMMANDS = {
         _argument("--times", metavar="LIST",
                   help="times instead of steps, in s or such as '0.5 h, 2 h'; the nearest stored "
                   "profiles are drawn"),
+        _argument("--width", type=_width, metavar="WIDTH",
+                  help="of the figure, in mm or such as '3.5 in'; texts stay as large (a column of "
+                  "a journal: 90 mm; a page: 180 mm)"),
+        _argument("--dpi", type=_dpi, metavar="N",
+                  help="points of an inch, of pictures that are no drawings (default: 200)"),
         _argument("--profiles-of", type=_path, nargs="+", metavar="RUN.h5",
                   help="draw the profiles of these files only (default: of all)"),
     ), serial=True, stopped=UNWRITTEN,

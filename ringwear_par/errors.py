@@ -22,6 +22,11 @@ def legible(text: str, most: int = _LONGEST_VALUE) -> str:
     return _cut("".join(seen), most)
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, as messages have it."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def _cut(text: str, most: int) -> str:
     if len(text) <= most:
         return text

@@ -214,7 +214,7 @@ def breakpoints(*quantities: Quantity | None) -> tuple[float, ...]:
     times: set[float] = set()
     for q in quantities:
         if isinstance(q, Stacked):
-            times.update(breakpoints(*q.quantities))
+            times.update(breakpoints(*(q.quantities if q.numbers is None else ())))
         elif isinstance(q, Table) and q.axis == "t":
             times.update(x for x in q.x if x > 0.0)
     return tuple(sorted(times))

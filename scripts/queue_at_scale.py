@@ -28,7 +28,7 @@ SPREAD, GUESS = 0.05, 0.01
 
 def answer_seconds(ranks: int) -> float:
     """Return what the queue takes to answer a question of one of so many ranks, measured."""
-    queue, count = CaseQueue([10**9], ranks, [GUESS]), 20_000
+    queue, count = CaseQueue([10**9], ranks, [GUESS], side_by_side=True), 20_000
     begun = time.perf_counter()
     for i in range(count):
         queue.count(0, 1, 0, 1e-3)
@@ -38,7 +38,10 @@ def answer_seconds(ranks: int) -> float:
 
 def simulated(cases: int, ranks: int, rng: np.random.Generator) -> tuple[float, float, int]:
     """Return the seconds of a sweep, the share of work in the ranks' time, and the questions."""
-    queue, answer = CaseQueue([cases], ranks, [GUESS]), answer_seconds(ranks) + MESSAGE
+    queue, answer = (
+        CaseQueue([cases], ranks, [GUESS], side_by_side=True),
+        answer_seconds(ranks) + MESSAGE,
+    )
     #: when a rank has ended so many cases, and how long they took
     ends: list[tuple[float, int, int, float]] = []
     work = end = free = own_end = 0.0  # rank 0 is free to answer; its own cases end

@@ -29,10 +29,15 @@ from mpi4py import MPI
 import ringwear_par as rw
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.problem import Series
-from ringwear_par.identification.scatter.clocks import TestClocks
-from ringwear_par.identification.scatter.likelihood import Level, MixedModel
+from ringwear_par.identification.scatter.likelihood import (
+    Level,
+    LinearisedTest,
+    MixedModel,
+    ReducedTest,
+    reduce_test,
+)
+from ringwear_par.identification.scatter.linearisation import TestClocks
 from ringwear_par.identification.scatter.posterior import Size, integrate
-from ringwear_par.identification.scatter.reduction import LinearisedTest, ReducedTest, reduce_test
 
 LEVEL = 0.95
 #: two-sided 95 % of a normal distribution

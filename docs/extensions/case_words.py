@@ -195,23 +195,25 @@ def _default(usual: Any) -> str:
 
 
 def key_page(name: str) -> str:
-    """Return a page of keys, in MyST."""
+    """Return a page of keys, in MyST: a table for each table of the file."""
     directive, title, keys = KEYS[name]
-    lines = [f"# {title}", ""]
-    table = None
+    tables: dict[str, list[Any]] = {}
     for key in keys:
-        head = key.path.split(".")[0] if "." in key.path else ""
-        if head != table:
-            table = head
-            lines += [f"## `[{head}]`" if head else "## At the top", ""]
-        meaning, _, condition = key.meaning.partition(" (law = ")
-        lines += [f"```{{{directive}}} {key.path}", _plain(meaning), ""]
-        if condition:
-            lines.append(f":laws: {condition.rstrip(')')}")
-        if key.unit not in ("-", "1"):
-            lines.append(f":unit: {_plain(in_signs(key.unit))}")
-        usual = "none; it must be given" if key.default is ... else _default(key.default)
-        lines += [f":default: {usual}", f":allowed: {_plain(key.allowed)}", "```", ""]
+        tables.setdefault(".".join(key.path.split(".")[:-1][:2]), []).append(key)
+    names = {table: f"`[{table}]`" if table else "At the top" for table in tables}
+    links = (f"[{title}](#{re.sub(r'[^a-z-]', '', title.lower().replace(' ', '-'))})"
+             for title in names.values())  # fmt: skip
+    lines = ["---", "hide-toc: true", "---", f"# {title}", "", " ".join(links), ""]
+    for table, rows in tables.items():
+        lines += [f"## {names[table]}", "", "````{list-table}", ":header-rows: 1", ":class: keys"]
+        lines += ["", "* - key", "  - unit", "  - default", "  - allowed", "  - meaning"]
+        for key in rows:
+            unit = "" if key.unit in ("-", "1") else _plain(in_signs(key.unit))
+            usual = "required" if key.default is ... else _default(key.default)
+            lines += [f"* - ```{{{directive}}} {key.path}", "    ```"]
+            lines += [f"  - {cell}" for cell in (unit, usual, _plain(key.allowed),
+                                                 _plain(key.meaning))]  # fmt: skip
+        lines += ["````", ""]
     return "\n".join(lines)
 
 
@@ -256,11 +258,20 @@ def _made(app: "Sphinx") -> None:
         write(folder / f"{name}.md", key_page(name))
 
 
+def _signed(env: Any, path: str, node: Any) -> str:
+    """Set a key as an entry's name, which may be broken behind its dots."""
+    from docutils.nodes import raw
+    from sphinx.addnodes import desc_name
+
+    for part in re.findall(r"[^.]+\.?", path):
+        node += [desc_name(part, part), raw("", "<wbr>", format="html")]
+    return path
+
+
 def setup(app: "Sphinx") -> dict[str, bool]:
     """Make the pages before Sphinx looks for any."""
-    app.add_object_type("casekey", "key", objname="case key")
-    app.add_object_type("studykey", "studykey", objname="study key")
-    app.add_object_type("fitkey", "fitkey", objname="fit key")
-    app.add_object_type("measurekey", "measurekey", objname="measure key")
+    for kind, role in (("case", "key"), ("study", "studykey"), ("fit", "fitkey"),
+                       ("measure", "measurekey")):  # fmt: skip
+        app.add_object_type(f"{kind}key", role, parse_node=_signed, objname=f"{kind} key")
     app.connect("builder-inited", _made)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any
 
 from ringwear_par.cases.tables import Key
+from ringwear_par.cases.units import in_signs
 from ringwear_par.cases.values import (
     Values,
     chamfer,
@@ -272,6 +273,27 @@ LAYER_KEYS: tuple[Key, ...] = (
 _LAYER_ENTRIES = {key.path: key for key in LAYER_KEYS}
 _LAYER = re.compile(r"((?:lower|upper)\.layers)(\[[0-9]{1,3}\])\.(.+)")
 
+#: what figures and pages call quantities, with their symbols, by the last part of their keys;
+#: others are called as their meaning begins
+QUANTITIES = {
+    "r": "radii", "r[0]": "inner radius", "r[1]": "outer radius", "z": "heights",
+    "z[0]": "bottom", "z[1]": "top", "young": "Young's modulus E",
+    "poisson": "Poisson's ratio \N{GREEK SMALL LETTER NU}", "profile": "contact face",
+    "chamfer": "chamfer", "chamfer[0]": "inner chamfer", "chamfer[1]": "outer chamfer",
+    "thickness": "thickness", "density": "density", "layers": "layers", "grip": "grip",
+    "friction": "friction coefficient \N{GREEK SMALL LETTER MU}", "law": "wear law",
+    "k": "wear coefficient k", "p0": "threshold pressure p0", "m": "pressure exponent m",
+    "n": "speed exponent n", "k_start": "initial wear coefficient k_start",
+    "depth": "running-in depth", "distance": "running-in distance",
+    "length": "averaging length", "table": "wear rates", "control": "control",
+    "force": "axial force F", "pressure": "mean pressure", "displacement": "displacement",
+    "omega": "angular speed \N{GREEK SMALL LETTER OMEGA}", "scheme": "time scheme",
+    "step": "time step", "steps": "number of steps", "end": "duration",
+    "tolerance": "tolerance of time steps", "contact_elements": "number of contact elements",
+    "grading": "grading of the mesh", "geometry": "geometry",
+}  # fmt: skip
+_OF_BODY = re.compile(r"(?:wear\.)?(lower|upper)\.(?:layers\[(\d+)\])?")
+
 UNITS = {key.path: key.unit for key in KEYS}
 BY_PATH = {key.path: key for key in KEYS}
 TABLES = {key.path[:cut] for key in KEYS for cut, c in enumerate(key.path) if c == "."}
@@ -296,6 +318,21 @@ def key_of(name: str) -> Key | None:
     """Return the key of this name, or that of an entry of a layer; None where there is none."""
     entry = layer_entry(name)
     return BY_PATH.get(name) if entry is None else _LAYER_ENTRIES.get(entry[2])
+
+
+def quantity_name(name: str) -> str:
+    """Return the name of a key in figures and pages, such as "wear coefficient k, lower"."""
+    last, body, key = name.rpartition(".")[2], _OF_BODY.match(name), key_of(name)
+    words = last.replace("_", " ") if key is None else re.split("[,;:(]", key.meaning)[0].strip()
+    words = QUANTITIES.get(last, words) if ".parameters." not in name else f"parameter {last}"
+    if body is None:
+        return words
+    return f"{words}, {body[1]}" if body[2] is None else f"{words}, layer {body[2]} of {body[1]}"
+
+
+def quantity_label(name: str, unit: str) -> str:
+    """Return the name of a key in figures and pages, with a unit, "" for none."""
+    return f"{quantity_name(name)} ({in_signs(unit)})" if unit else quantity_name(name)
 
 
 def law_keys(table: str, law: Any) -> set[str]:

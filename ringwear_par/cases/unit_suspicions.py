@@ -4,8 +4,9 @@ A wrong unit shows by how deep bodies are to wear as the numbers say, which is f
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +14,8 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Ring, RingLayer
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ValidityWarning
-from ringwear_par.schedules import Quantity, Table, largest, mean
-from ringwear_par.wear.law import Law, WearLaw, parameters_of
+from ringwear_par.schedules import Table, largest, mean
+from ringwear_par.wear.law import Law, WearLaw, parameters_of, stack_laws
 from ringwear_par.wear.laws import LAWS
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.threshold import AboveThreshold
@@ -39,29 +40,46 @@ class Forecast:
     k: float
 
 
-def forecasts(case: Case) -> Iterator[Forecast]:
-    """Give the wear of bodies, at the mean pressure by the laws' own rates. Not collective.
+def deep_forecasts(cases: Sequence[Case]) -> list[list[Forecast]]:
+    """Return of each case the forecasts of wear that is ``DEEP``. Not collective.
 
-    That of the steady state at mean load and speed, without running-in; layers one after the other.
-    There is no forecast where a displacement is given: wear takes the load off.
+    At the mean pressure by the laws' own rates: that of the steady state at mean load and speed,
+    without running-in; layers one after the other. There is none where a displacement is given:
+    wear takes the load off.
+
+    Parameters
+    ----------
+    cases : of one ``lockstep.batch_key``.
     """
-    if case.load.force is None:
-        return
-    end, (a, b) = case.time.end, case.overlap
-    pressure = mean(case.load.force, 0.0, end) / case.area
-    speed = 0.5 * (a + b) * mean(case.load.omega, 0.0, end)
-    for i, strata in enumerate(_strata(case)):
-        left, worn = end, []
-        for table, law, thickness in strata:
-            rate = _rate(case, law, pressure, speed)
-            if rate <= 0.0 or left <= 0.0:
-                break
-            depth = min(rate * left, thickness)
-            left -= depth / rate
-            worn.append((depth, table, _coefficient(law)))
-        if worn:
-            _, table, k = max(worn)
-            yield Forecast(i, sum(depth for depth, *_ in worn), table, k)
+    forecasts: list[list[Forecast]] = [[] for _ in cases]
+    if not cases or cases[0].load.force is None:
+        return forecasts
+    ends = np.array([case.time.end for case in cases])
+    means = [
+        (mean(case.load.force or 0.0, 0.0, end), mean(case.load.omega, 0.0, end), _friction(case))
+        for case, end in zip(cases, ends.tolist(), strict=True)
+    ]
+    force, omega, friction = np.array(means).T
+    long, r = np.array([np.inf]), np.array([0.5 * sum(cases[0].overlap)])
+    pressure = force[:, None] / cases[0].area
+    local = LocalState(0.0 * ends, r, r * omega[:, None], friction, long, long)
+    for body, ring in enumerate(cases[0].rings):
+        strata = [_strata(case, body) for case in cases]
+        if all(law is None for _, law, _ in strata[0]):
+            continue
+        left, depths = ends, []
+        for stratum in zip(*strata, strict=True):
+            _, laws, thickness = zip(*stratum, strict=True)
+            rate = _rates(cases, laws, pressure, local)
+            wears = rate > 0.0
+            depths.append(np.where(wears, np.minimum(rate * left, thickness), 0.0))
+            left = left - np.divide(depths[-1], rate, out=left.copy(), where=wears)
+        total = np.sum(depths, axis=0)
+        for i in np.flatnonzero(total > DEEP * (ring.z[1] - ring.z[0])).tolist():
+            worn = zip(depths, strata[i], strict=True)
+            _, table, k = max((d[i], table, _coefficient(law)) for d, (table, law, _) in worn)
+            forecasts[i].append(Forecast(body, float(total[i]), table, k))
+    return forecasts
 
 
 def _coefficient(law: WearLaw | None) -> float:
@@ -80,12 +98,12 @@ def unit_question(case: Case, wear: FloatArray) -> str:
     wear : (2, n) mm, worn off lower and upper.
     """
     depths = wear.max(axis=1).tolist()
-    for forecast in forecasts(case):
+    for forecast in deep_forecasts([case])[0]:
         depths[forecast.body] = max(depths[forecast.body], forecast.depth)
-    for ring, strata, depth in zip(case.rings, _strata(case), depths, strict=True):
+    for body, (ring, depth) in enumerate(zip(case.rings, depths, strict=True)):
         coefficients = [
             (largest(getattr(law, name)), f"{table}.{name}")
-            for table, law, _ in strata
+            for table, law, _ in _strata(case, body)
             for name, parameter in parameters_of(type(law)).items()
             if parameter.unit == "1/MPa"
         ]
@@ -97,37 +115,50 @@ def unit_question(case: Case, wear: FloatArray) -> str:
     return ""
 
 
-def _strata(case: Case) -> list[list[tuple[str, WearLaw | None, float]]]:
-    """Return table, law and thickness (mm) of the layers of lower and upper and what is below."""
-    strata = []
-    laws = case.laws_by_table
-    for body, ring in zip(BODIES, case.rings, strict=True):
-        tables = [f"{body}.layers[{i}].wear" for i in range(len(ring.layers))]
-        tables = [table if table in laws else f"wear.{body}" for table in (*tables, "")]
-        thicknesses = [*(layer.thickness for layer in ring.layers), math.inf]
-        strata.append([(t, laws[t], h) for t, h in zip(tables, thicknesses, strict=True)])
-    return strata
+def _strata(case: Case, body: int) -> list[tuple[str, WearLaw | None, float]]:
+    """Return table, law and thickness (mm) of the layers of lower or upper and what is below."""
+    name, law = BODIES[body], (case.wear_lower, case.wear_upper)[body]
+    strata = [
+        (f"wear.{name}", law, layer.thickness)
+        if layer.wear is None
+        else (f"{name}.layers[{i}].wear", layer.wear, layer.thickness)
+        for i, layer in enumerate(case.rings[body].layers)
+    ]
+    return [*strata, (f"wear.{name}", law, math.inf)]
 
 
-def _rate(case: Case, law: WearLaw | None, pressure: float, speed: float) -> float:
-    """Return the rate of wear of a law at a pressure (MPa) and a speed (mm/s); 0: not known.
+def _rates(
+    cases: Sequence[Case], laws: Sequence[Any], pressure: FloatArray, local: LocalState
+) -> FloatArray:
+    """Return the rates of wear of the laws of cases, (B,) mm/s; 0: not known.
 
     After running-in, at the mean of each parameter. Laws of users are not run.
+
+    Parameters
+    ----------
+    pressure : (B, 1) MPa.
+    local : with speeds (B, 1).
     """
-    if not isinstance(law, Law) or type(law) not in LAWS.values() or isinstance(law, UserLaw):
-        return 0.0
-    for name in law.numeric:
-        if isinstance(quantity := law.quantity(name), Table):
-            law = law.with_parameter(name, _mean(case, quantity))
-    long, r = np.array([np.inf]), np.array([0.5 * sum(case.overlap)])
-    local = LocalState(0.0, r, np.array([speed]), _mean(case, case.friction), long, long)
-    return float(law.rate(np.array([pressure]), local)[0])
+    kind = type(laws[0])
+    if kind not in LAWS.values() or kind is UserLaw:
+        return np.zeros(len(cases))
+    law = stack_laws([_steady(case, law) for case, law in zip(cases, laws, strict=True)])
+    assert law is not None
+    return np.broadcast_to(law.rate(pressure, local), pressure.shape)[:, 0]
 
 
-def _mean(case: Case, quantity: Quantity) -> float:
-    """Return the mean of a quantity over the time of a case, or along its contact."""
-    along = isinstance(quantity, Table) and quantity.axis == "r"
-    return mean(quantity, *(case.overlap if along else (0.0, case.time.end)))
+def _steady(case: Case, law: Law) -> Law:
+    """Return a law with the means of those parameters that are tables."""
+    for name, quantity in vars(law).items():
+        if isinstance(quantity, Table):
+            along = case.overlap if quantity.axis == "r" else (0.0, case.time.end)
+            law = law.with_parameter(name, mean(quantity, *along))
+    return law
+
+
+def _friction(case: Case) -> float:
+    """Return the mean friction coefficient."""
+    return mean(case.friction, 0.0, case.time.end)
 
 
 _FLAG = "implausible_numbers"
@@ -153,13 +184,21 @@ _SOFT, _PRESSED = 300.0, 0.03
 _GIGAPASCALS = (65.0, 1100.0)
 
 
-def unit_suspicions(case: Case) -> tuple[ValidityWarning, ...]:
+def unit_suspicions(
+    case: Case, deep: Sequence[Forecast] | None = None
+) -> tuple[ValidityWarning, ...]:
     """Return numbers of a case that are more likely in another unit than meant so. Not collective.
 
     Its mean pressures are those of the nominal annulus.
+
+    Parameters
+    ----------
+    deep : its ``deep_forecasts``, where they are known.
     """
     texts: list[str] = []
-    for name, material in case.materials.items():
+    load, materials = _load(case), case.materials
+    softest = min(material.young for material in materials.values())
+    for name, material in materials.items():
         young, density = material.young, material.density
         if _PASCALS[0] < young <= _PASCALS[1]:
             texts.append(
@@ -175,19 +214,19 @@ def unit_suspicions(case: Case) -> tuple[ValidityWarning, ...]:
             size = max(material.r[1], material.z[1] - material.z[0])
             if size > _LARGEST:
                 texts.append(f"{name} measures {size:g} mm; plain lengths are in mm: is it in um?")
-    if too_much_load(case):
+    if load > MOST_PRESSED * softest:
         texts.append(
-            f"the mean pressure of {_load(case):.3g} MPa is more than a tenth of a Young's "
-            f"modulus, {smallest_modulus(case):g} MPa: elasticity is not linear there; plain "
-            f"loads are in N, moduli in MPa{_or_gigapascals(smallest_modulus(case))}"
+            f"the mean pressure of {load:.3g} MPa is more than a tenth of a Young's modulus, "
+            f"{softest:g} MPa: elasticity is not linear there; plain loads are in N, moduli in MPa"
+            f"{_or_gigapascals(softest)}"
         )
     fast = dict(_too_fast(case))
     return (
         *(ValidityWarning(_FLAG, _asking(case, text.split()[0], text)) for text in texts),
-        *_keyed(case, _too_thin(case)),
+        *_keyed(case, _too_thin(materials)),
         *_keyed(case, fast.items()),
-        *(warning for warning in deep_wear(case) if fast.keys().isdisjoint(warning.keys)),
-        *_keyed(case, _in_gigapascals(case)),
+        *(warning for warning in deep_wear(case, deep) if fast.keys().isdisjoint(warning.keys)),
+        *_keyed(case, _in_gigapascals(materials, load)),
     )
 
 
@@ -200,9 +239,10 @@ def _asking(case: Case, key: str, text: str) -> str:
     return text.partition("; if it is in")[0] if key in case.with_units else text
 
 
-def deep_wear(case: Case) -> list[ValidityWarning]:
+def deep_wear(case: Case, deep: Sequence[Forecast] | None = None) -> list[ValidityWarning]:
     """Return the wear coefficients that are to wear off much of a body. Not collective."""
-    return _keyed(case, _too_deep(case))
+    forecasts = deep_forecasts([case])[0] if deep is None else deep
+    return _keyed(case, (_too_deep(case, forecast) for forecast in forecasts))
 
 
 def smallest_modulus(case: Case) -> float:
@@ -238,9 +278,9 @@ def without_intended_numbers(
     return tuple(flag for flag in flags if not (by_purpose and flag == _FLAG))
 
 
-def _too_thin(case: Case) -> Iterator[tuple[str, str]]:
+def _too_thin(materials: Mapping[str, Ring | RingLayer]) -> Iterator[tuple[str, str]]:
     """Give the layers, key and sentence, whose thickness is likely in m."""
-    for name, layer in case.materials.items():
+    for name, layer in materials.items():
         if isinstance(layer, RingLayer) and layer.thickness < _THINNEST:
             key, thickness = f"{name}.thickness", layer.thickness
             text = (
@@ -267,30 +307,27 @@ def _too_fast(case: Case) -> Iterator[tuple[str, str]]:
                 yield f"{table}.{name}", text
 
 
-def _too_deep(case: Case) -> Iterator[tuple[str, str]]:
-    """Give the wear coefficients or laws, key and sentence, that wear off much of a body."""
-    for forecast in forecasts(case):
-        z = case.rings[forecast.body].z
-        if forecast.depth > DEEP * (z[1] - z[0]):
-            key = f"{forecast.table}.k" if forecast.k else forecast.table
-            coefficient = f"{key} = {forecast.k:g} 1/MPa" if forecast.k else key
-            question = f'; if it is in mm3/(N m), write "{forecast.k:g} mm3/(N m)"'
-            yield (
-                key,
-                f"{coefficient} would wear {forecast.depth:.3g} mm off {BODIES[forecast.body]} by "
-                f"t = {case.time.end:g} s, more than a tenth of its height, {z[1] - z[0]:g} mm"
-                + question
-                * bool(forecast.k),
-            )
+def _too_deep(case: Case, forecast: Forecast) -> tuple[str, str]:
+    """Return key and sentence of the wear coefficient or law that wears off much of a body."""
+    z = case.rings[forecast.body].z
+    key = f"{forecast.table}.k" if forecast.k else forecast.table
+    coefficient = f"{key} = {forecast.k:g} 1/MPa" if forecast.k else key
+    question = f'; if it is in mm3/(N m), write "{forecast.k:g} mm3/(N m)"' * bool(forecast.k)
+    return key, (
+        f"{coefficient} would wear {forecast.depth:.3g} mm off {BODIES[forecast.body]} by "
+        f"t = {case.time.end:g} s, more than a tenth of its height, {z[1] - z[0]:g} mm{question}"
+    )
 
 
-def _in_gigapascals(case: Case) -> Iterator[tuple[str, str]]:
+def _in_gigapascals(
+    materials: Mapping[str, Ring | RingLayer], load: float
+) -> Iterator[tuple[str, str]]:
     """Give the moduli, key and sentence, that are likely in GPa; not those under too much load."""
-    for name, material in case.materials.items():
+    for name, material in materials.items():
         young, poisson = material.young, material.poisson
-        soft = young < _SOFTEST or (young < _SOFT and _load(case) > _PRESSED * young)
+        soft = young < _SOFTEST or (young < _SOFT and load > _PRESSED * young)
         as_metal = _GIGAPASCALS[0] <= young < _GIGAPASCALS[1]
-        if poisson < _RUBBERY and (soft or as_metal) and _load(case) <= MOST_PRESSED * young:
+        if (soft or as_metal) and poisson < _RUBBERY and load <= MOST_PRESSED * young:
             key = f"{name}.young"
             solids = (
                 "rubber, which has a Poisson's ratio near 0.5, not"

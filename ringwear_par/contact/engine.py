@@ -127,7 +127,8 @@ class ContactEngine:
         #: our own method; None: one of PETSc's is at work
         self._newton: ActiveSetNewton | None = None
         if tao_type == TAO_TYPES[0]:
-            self._newton = ActiveSetNewton(self._problem, self._hessians)
+            guard = self._callbacks.guard
+            self._newton = ActiveSetNewton(self._problem, self._hessians, guard)
             self._iterations = self._newton.iterations
         OPEN[self] = None
         try:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner, largest
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner, largest, smallest
 from ringwear_par.batched import keep
 from ringwear_par.contact.basis_stack import BROKEN, BasisStack
 from ringwear_par.contact.row_products import RowProducts
@@ -50,13 +50,15 @@ class Hessians:
         self._per_speed = (1.0 / compliances.speed)[which]
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
+        #: (B, n) the diagonal
+        self.diagonal = np.ones((count, n))
         #: (B, n, n) what non-local wear adds, its diagonal included in it; (0, n, n): wear is local
         self.coupling = np.zeros((0, n, n))
         #: whether wear gets through layers: slopes then are of several laws, far apart, and a
         #: factor takes less time than conjugate gradients
         self.through_layers = False
-        # what the inverses are of
-        self._slope, self._free = np.zeros((count, n)), np.zeros((count, n), dtype=bool)
+        #: elements that the inverses are of, and whether they are of the slopes
+        self._free = np.zeros((count, n), dtype=bool)
         self._valid = np.zeros(count, dtype=bool)
         #: packed bits of the elements in contact and of those that wear
         self._sets = np.zeros((count, -(-2 * n // 8)), dtype=np.uint8)
@@ -72,17 +74,18 @@ class Hessians:
 
     def keep(self, histories: IntArray) -> None:
         """Go on with some of the histories."""
-        self.slope = self.slope[histories]
+        self.slope, self.diagonal = self.slope[histories], self.diagonal[histories]
         self.coupling = self.coupling[histories] if len(self.coupling) else self.coupling
         keep(
             self,
-            ("_which", "_weights", "_per_speed", "_slope", "_free", "_valid", "_sets", "_number",
+            ("_which", "_weights", "_per_speed", "_free", "_valid", "_sets", "_number",
              "_inverse", "_regular", "_response", "_stiffness"),
             histories,
         )  # fmt: skip
-        places = {history: place for place, history in enumerate(histories.tolist())}
-        factors = self._factors.items()
-        self._factors = {places[h]: factor for h, factor in factors if h in places}
+        if self._factors:
+            places = {history: place for place, history in enumerate(histories.tolist())}
+            factors = self._factors.items()
+            self._factors = {places[h]: factor for h, factor in factors if h in places}
         self._rows.clear()
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
@@ -98,7 +101,7 @@ class Hessians:
     def pose(self, wear: WearIncrement | None) -> None:
         """Make room for what the wear of an implicit step adds; none adds nothing."""
         if wear is None:
-            self.slope = np.zeros_like(self.slope)
+            self.set_slopes(slice(None), np.zeros_like(self.slope), None)
         self.through_layers = wear is not None and wear.layered
         coupled, (count, n) = wear is not None and not wear.local, self.slope.shape
         if coupled != bool(len(self.coupling)):
@@ -108,12 +111,14 @@ class Hessians:
         self, rows: IntArray | slice, slope: FloatArray, coupling: FloatArray | None
     ) -> None:
         """Set what wear adds in some rows, see ``ContactProblem.slopes``."""
-        if isinstance(rows, slice):
-            self.slope = slope
-        else:
-            if self.slope is self._slope:  # of the inverses
+        if slope is not self.slope:
+            self._valid[rows] &= (slope == self.slope[rows]).all(axis=1)
+            if isinstance(rows, slice):
+                self.slope, self.diagonal = slope, 1.0 + slope
+            else:
                 self.slope = self.slope.copy()
-            self.slope[rows] = slope
+                self.slope[rows] = slope
+                self.diagonal[rows] = 1.0 + slope
         if coupling is not None:
             self.coupling[rows] = coupling
 
@@ -144,10 +149,8 @@ class Hessians:
         """
         rows = slice(None) if len(histories) == len(self._valid) else histories
         slope, touching = self.slope[rows], free[rows]
-        new = ~self._valid[rows]
-        if self.slope is not self._slope:
-            new |= (slope != self._slope[rows]).any(axis=1)
-        new |= (touching != self._free[rows]).any(axis=1)
+        new = (touching != self._free[rows]).any(axis=1)
+        new |= ~self._valid[rows]
         coupled = bool(len(self.coupling))
         if coupled:
             new[:] = True
@@ -156,12 +159,6 @@ class Hessians:
                 return
             rows = histories = histories[new]
             slope, touching = slope[new], touching[new]
-        if isinstance(rows, slice):
-            self._slope = self.slope
-        else:
-            if self.slope is self._slope:
-                self._slope = self._slope.copy()
-            self._slope[rows] = slope
         self._free[rows], self._valid[rows] = touching, not coupled
         if coupled or not in_bases or slope.shape[1] > LARGEST_WITH_BASES:
             self._factorise(histories)
@@ -169,7 +166,7 @@ class Hessians:
         rate = slope * self._per_speed[rows]
         rate *= touching
         wearing, most = rate > 0.0, largest(rate)
-        least = -largest(-rate)
+        least = smallest(rate)
         regular = least >= (1.0 - _ROUND_OFF) * most
         if not regular.all():
             regular = ~(wearing & (rate < ((1.0 - _ROUND_OFF) * most)[:, None])).any(axis=1)
@@ -353,16 +350,19 @@ class Hessians:
         Gould, Hribar and Nocedal, SIAM J. Sci. Comput. 23 (2001) 1376-1395.
         """
         numbers, count = self._number[histories], len(histories)
-        slope, inverse = self._slope[histories], self._inverse[histories]
+        slope, inverse = self.slope[histories], self._inverse[histories]
         force, response = self._stack.force[numbers], self._response[histories]
         groups, psi, psi_t = RowProducts(numbers), self._stack.psi, self._stack.psi_t
         solutions, multipliers = np.zeros_like(right), np.zeros(count)
         stiffness, multiplier = self._stiffness[histories], np.zeros(count)
 
-        def apply(x: FloatArray) -> FloatArray:
-            bent = groups.of(x, psi_t)
-            bent *= slope
-            product = groups.of(bent, psi)
+        def apply(x: FloatArray, some: IntArray | None = None) -> FloatArray:
+            if some is not None:
+                x = x[some]
+            groups_of = groups if some is None else RowProducts(numbers[some])
+            bent = groups_of.of(x, psi_t)
+            bent *= slope if some is None else slope[some]
+            product = groups_of.of(bent, psi)
             product += x
             return product
 
@@ -376,7 +376,11 @@ class Hessians:
         rows, x, r = np.arange(count), np.zeros_like(right), right.copy()
         if missing is not None and missing.any():
             x = response * _divided(missing, stiffness)[:, None]
-            r -= apply(x)
+            # of so little as is mostly missing, the round-off of the last step, r is that of none
+            size = tolerance * tolerance * inner(inverse * r, r)
+            much = np.flatnonzero(missing * missing > size * stiffness)
+            if len(much):
+                r[much] -= apply(x, much)
         direction = project()
         size = inner(r, direction)
         small, going = tolerance * tolerance * size, np.ones(count, dtype=bool)

@@ -16,6 +16,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner, largest
 from ringwear_par.contact.hessians import NEAR, SOLVED, Hessians
 from ringwear_par.contact.problem import FORCE_TOLERANCE, GRADIENT_TOLERANCE, ContactProblem
+from ringwear_par.contact.tao import Guard
 from ringwear_par.petsc import PETSc
 
 PLAIN_ITERATIONS = 25
@@ -31,10 +32,11 @@ class ActiveSetNewton:
     ----------
     problem : the problems; those at work are solved.
     hessians : of them.
+    guard : keeps what is raised.
     """
 
-    def __init__(self, problem: ContactProblem, hessians: Hessians) -> None:
-        self._problem, self._hessians = problem, hessians
+    def __init__(self, problem: ContactProblem, hessians: Hessians, guard: Guard) -> None:
+        self._problem, self._hessians, self._guard = problem, hessians, guard
         #: whether the damped iteration is wanted, of the one history that is at work
         self.damped = False
         #: (B,) plain steps, and natural residuals relative to largest unknowns; (u,) which
@@ -46,16 +48,15 @@ class ActiveSetNewton:
         self._forget()
 
     def _forget(self) -> None:
-        self._x, self._g, self._hessian = PETSc.Vec(), PETSc.Vec(), PETSc.Mat()
+        self._x, self._g = PETSc.Vec(), PETSc.Vec()
 
     def destroy(self, tao: PETSc.TAO) -> None:
         """Forget what is the TAO's, before it is freed."""
         self._forget()
 
     def setUp(self, tao: PETSc.TAO) -> None:
-        """Take the TAO's vectors and its Hessian; look whether somebody watches."""
+        """Take the TAO's vectors; look whether somebody watches."""
         self._x, self._g = tao.getSolution(), tao.getGradient()[0]
-        self._hessian = tao.getHessian()[0]
         self._monitored = PETSc.Options(tao.getOptionsPrefix()).hasName("tao_monitor")
 
     def solve(self, tao: PETSc.TAO) -> None:
@@ -63,6 +64,10 @@ class ActiveSetNewton:
 
         At the end solution and gradient vector hold what they have there.
         """
+        self._guard.guarded(self._solve)(tao)
+        del tao  # what was raised keeps this frame, which must not keep the TAO
+
+    def _solve(self, tao: PETSc.TAO) -> None:
         q, g = (self._problem.rows_in(vector.getArray()) for vector in (self._x, self._g))
         iterate = self._iterate_damped if self.damped else self._iterate
         left, iterations = iterate(tao, q, g)
@@ -75,16 +80,15 @@ class ActiveSetNewton:
     def _iterate(self, tao: PETSc.TAO, q: FloatArray, g: FloatArray) -> tuple[IntArray, int]:
         """Take plain steps; return the histories that did not end, and the number of steps."""
         problem, hessians = self._problem, self._hessians
-        broken = problem.at_work[:0]
+        broken: list[int] = []
         free = q > 0.0
-        self._begin(tao, q, g, free)
-        self._evaluate(tao, recall=True)
+        self._begin(q, g, free)
+        self._evaluate(q, g, recall=True)
         iteration, limit = 0, min(PLAIN_ITERATIONS, tao.getMaximumIterations())
         while len(problem.at_work) and iteration < limit:
             iteration += 1
             histories, rows = problem.at_work, problem.rows
-            tao.computeHessian(self._x, self._hessian)
-            stop_if_ended(tao)
+            hessians.set_slopes(rows, *problem.slopes(q[rows], True))
             hessians.refresh(histories, free)
             missing = None
             if problem.forces is not None:
@@ -92,17 +96,17 @@ class ActiveSetNewton:
             steps, changes = hessians.steps(histories, g[rows], missing, NEAR)
             problem.approaches[rows] += changes
             q[rows] += steps
-            self._evaluate(tao)
+            self._evaluate(q, g)
             self.iterations[histories] = iteration
             if self._monitored:
                 self._monitor(tao, iteration)
             lost, cleared = self._settle(q, g, free)
-            broken = np.concatenate([broken, lost])
+            broken += lost
             if cleared and len(problem.at_work):
-                self._evaluate(tao)
-        return np.concatenate([broken, problem.at_work]), iteration
+                self._evaluate(q, g)
+        return np.array([*broken, *problem.at_work.tolist()], dtype=np.int64), iteration
 
-    def _settle(self, q: FloatArray, g: FloatArray, free: BoolArray) -> tuple[IntArray, bool]:
+    def _settle(self, q: FloatArray, g: FloatArray, free: BoolArray) -> tuple[list[int], bool]:
         """Let histories that have settled rest, and the others go on with the sets of the signs.
 
         Unknowns that leave their set become 0. Return the histories whose unknowns are no numbers,
@@ -120,14 +124,14 @@ class ActiveSetNewton:
             same = (keep == before).all(axis=1)
         if same.all() and fine.all() and not broken.any():
             problem.at_work = histories[:0]
-            return histories[:0], False
+            return [], False
         leaving = ~same & ~broken
         free[rows] = np.where(leaving[:, None], keep, before)
         cleared = (leaving[:, None] & ~keep & (x != 0.0)) | broken[:, None]
         q[rows] = np.where(cleared, 0.0, x)
         problem.is_known[histories[broken]] = False
         problem.at_work = histories[~((same & fine) | broken)]
-        return histories[broken], bool(cleared[~broken].any())
+        return histories[broken].tolist(), bool(cleared[~broken].any())
 
     def _optimal(self, x: FloatArray, gradient: FloatArray) -> tuple[BoolArray, BoolArray]:
         """Return who of the histories at work is optimal on its sets, (h,), and whose x is broken.
@@ -136,8 +140,9 @@ class ActiveSetNewton:
         round-off of x, and the force is met.
         """
         problem, rows = self._problem, self._problem.rows
-        diagonal = 1.0 + self._hessians.slope[rows]
-        natural = np.minimum(x, gradient / diagonal)
+        diagonal = self._hessians.diagonal[rows]
+        natural = gradient / diagonal
+        np.minimum(x, natural, out=natural)
         worst, most = largest(np.abs(natural)), np.maximum(largest(x), 0.0)
         carried = inner(problem.weights[rows], x)
         # where wear makes the diagonal large, round-off in q is more than the tolerance in g
@@ -155,7 +160,7 @@ class ActiveSetNewton:
         )
         return fine, ~np.isfinite(worst + carried)
 
-    def _begin(self, tao: PETSc.TAO, q: FloatArray, g: FloatArray, free: BoolArray) -> None:
+    def _begin(self, q: FloatArray, g: FloatArray, free: BoolArray) -> None:
         """Let the sets be those of the present values; where nothing touches, guess."""
         if q.min() > 0.0:
             return
@@ -166,7 +171,7 @@ class ActiveSetNewton:
             if self._problem.forces is not None:
                 free[none] = True
             else:
-                self._evaluate(tao)
+                self._evaluate(q, g)
                 free[none] = g[none] < 0.0
         if not (q[rows] >= 0.0).all():
             q[rows] = np.where(free[rows], q[rows], 0.0)
@@ -180,15 +185,14 @@ class ActiveSetNewton:
         histories = self._problem.at_work
         row, free = int(histories[0]), np.zeros(q.shape, dtype=bool)
         q[row] = np.maximum(q[row], 0.0)
-        self._evaluate(tao)
+        self._evaluate(q, g)
         limit = tao.getMaximumIterations()
         for iteration in range(1, limit + 1):
             free[row] = (q[row] > 0.0) | (g[row] < 0.0)
-            tao.computeHessian(self._x, self._hessian)
-            stop_if_ended(tao)
+            self._hessians.set_slopes(self._problem.rows, *self._problem.slopes(q[[row]], True))
             self._hessians.refresh(histories, free, in_bases=False)
             (step,), _ = self._hessians.steps(histories, g[[row]], None, SOLVED)
-            self._search(tao, q[row], g[row], step)
+            self._search(q, g, row, step)
             if self._monitored:
                 self._monitor(tao, iteration)
             fine, broken = self._optimal(q[[row]], g[[row]])
@@ -198,18 +202,17 @@ class ActiveSetNewton:
                 return histories[:0], iteration
         return histories, iteration
 
-    def _search(
-        self, tao: PETSc.TAO, x: FloatArray, gradient: FloatArray, step: FloatArray
-    ) -> None:
-        """Take the projected step from x (n,), so short that the convex objective is sure to fall.
+    def _search(self, q: FloatArray, g: FloatArray, row: int, step: FloatArray) -> None:
+        """Take the projected step of a row, so short that the convex objective is sure to fall.
 
         It does where the gradient at the end still points along the way there; gradients are far
-        cheaper than objectives. Both x and gradient become those at the end.
+        cheaper than objectives. Both become those at the end.
         """
+        x, gradient = q[row], g[row]
         start, length, slope_at_start = x.copy(), 1.0, gradient.copy()
         while True:
             x[:] = np.maximum(start + length * step, 0.0)
-            self._evaluate(tao)
+            self._evaluate(q, g)
             way = x - start
             before, after = float(slope_at_start @ way), float(gradient @ way)
             if after <= -_SLOPE_LEFT * before or length < _SHORTEST:
@@ -225,19 +228,10 @@ class ActiveSetNewton:
         residual = float(np.linalg.norm(np.where(x > 0.0, gradient, np.minimum(gradient, 0.0))))
         tao.monitor(iteration, tao.computeObjective(self._x), residual)
 
-    def _evaluate(self, tao: PETSc.TAO, recall: bool = False) -> None:
+    def _evaluate(self, q: FloatArray, g: FloatArray, recall: bool = False) -> None:
         """Compute the gradient at the present unknowns, or ``recall`` what is known of them."""
-        self._problem.recall = recall
-        tao.computeGradient(self._x, self._g)
-        stop_if_ended(tao)
-
-
-def stop_if_ended(tao: PETSc.TAO) -> None:
-    """Leave a solution that a callback has ended.
-
-    Raises
-    ------
-    RuntimeError : one has; what it raised itself is kept elsewhere.
-    """
-    if tao.getConvergedReason() == PETSc.TAO.Reason.DIVERGED_USER:
-        raise RuntimeError("a callback has failed")
+        rows = self._problem.rows
+        if isinstance(rows, slice):
+            self._problem.gradient(q, recall, g)
+        else:
+            g[rows] = self._problem.gradient(q[rows], recall)

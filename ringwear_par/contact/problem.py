@@ -100,8 +100,8 @@ class ContactProblem:
         self._product, self.is_known = np.zeros_like(self.scale), np.zeros(len(which), dtype=bool)
         #: (B, n) MPa at the last gradient, where it was of all histories
         self._pressure: FloatArray | None = None
-        #: whether a gradient is wanted at the last unknowns
-        self.recall = False
+        #: (B, n) slopes that depths have over pressures, and those of gradients over unknowns
+        self._slopes: tuple[FloatArray, FloatArray] | None = None
         self.at_work = self.every
         #: (B, n) mm, and (B,) mm
         self.gaps, self.approaches = np.zeros_like(self.scale), np.zeros(len(which))
@@ -152,6 +152,7 @@ class ContactProblem:
         self.every = np.arange(len(histories))
         self.at_work = self.every
         self._pressure = self._products = self._wear_at_work = self.wear = self.forces = None
+        self._slopes = None
 
     def rows_of(self, histories: IntArray) -> IntArray | slice:
         """Return the rows of some histories; of all a slice, which is quicker."""
@@ -192,8 +193,6 @@ class ContactProblem:
     def _products_of(self, q: FloatArray) -> FloatArray:
         """Return A q, (h, n)."""
         rows = self.rows
-        if self._recalls():
-            return self._product[rows]
         if self._products is None or self._products[0] is not self.at_work:
             self._products = self.at_work, RowProducts(self.which[rows])
         product = self._products[1].of(q, self.compliances.matrices)
@@ -204,28 +203,29 @@ class ContactProblem:
             self._product[rows] = product
         return product
 
-    def gradient(self, q: FloatArray) -> FloatArray:
-        """Return the gradient (h, n): the weighted gap of the deformed, worn profiles."""
-        rows, wear, p = self.rows, self._increment(), self._pressures_of(q)
-        gradient = self.gaps[rows] - self.approaches[rows, None]
+    def gradient(
+        self, q: FloatArray, recall: bool = False, out: FloatArray | None = None
+    ) -> FloatArray:
+        """Return the gradient (h, n): the weighted gap of the deformed, worn profiles.
+
+        Parameters
+        ----------
+        q : (h, n) float, the unknowns.
+        recall : whether they are the last ones, as far as those ``is_known``.
+        out : (h, n) float, where it is to be; None: in an array of its own.
+        """
+        rows, wear, whole = self.rows, self._increment(), isinstance(self.rows, slice)
+        recall = recall and bool(self.is_known[rows].all())
+        p = self._pressure if recall and whole else None
+        if p is None:
+            p = self.pressures(q, rows)
+        self._pressure = p if whole else None
+        gradient = np.subtract(self.gaps[rows], self.approaches[rows, None], out=out)
         if wear is not None:
             gradient += wear.depth(p)
         gradient *= self.weights[rows]
-        gradient += self._products_of(q)
+        gradient += self._product[rows] if recall else self._products_of(q)
         return gradient
-
-    def _pressures_of(self, q: FloatArray) -> FloatArray:
-        """Return the pressures of the histories at work, (h, n) MPa; remembered."""
-        rows = self.rows
-        if self._pressure is not None and isinstance(rows, slice) and self._recalls():
-            return self._pressure
-        p = self.pressures(q, rows)
-        self._pressure = p if isinstance(rows, slice) else None
-        return p
-
-    def _recalls(self) -> bool:
-        """Tell whether what is wanted at the last unknowns is known of all at work."""
-        return self.recall and bool(self.is_known[self.rows].all())
 
     def last_pressures(self, q: FloatArray) -> FloatArray:
         """Return the pressures of all histories, (B, n) MPa.
@@ -245,17 +245,27 @@ class ContactProblem:
             objectives = objectives + inner(self.area, wear.potential(self.pressures(q, rows)))
         return float(objectives.sum())
 
-    def slopes(self, q: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+    def slopes(self, q: FloatArray, recall: bool = False) -> tuple[FloatArray, FloatArray | None]:
         """Return the slopes that wear adds to the Hessians: on diagonals, (h, n), and off them.
 
         The second part is (h, n, n) of non-local wear, and does not have the first in it; of local
         wear it is None.
+
+        Parameters
+        ----------
+        q : (h, n) float, the unknowns.
+        recall : whether they are those of the last gradient.
         """
         wear, rows = self._increment(), self.rows
         if wear is None:
             return np.zeros_like(q), None
-        p = self.pressures(q, rows)
-        diagonal = self.scaled_slopes(wear.d_depth_dp(p), rows)
+        p = self._pressure if recall and isinstance(rows, slice) else None
+        if p is None:
+            p = self.pressures(q, rows)
+        slope = wear.d_depth_dp(p)
+        if self._slopes is None or self._slopes[0] is not slope:
+            self._slopes = slope, self.scaled_slopes(slope, rows)
+        diagonal = self._slopes[1]
         if wear.local:
             return diagonal, None
         coupling = self.scaled_slopes(wear.jacobian(p), rows)

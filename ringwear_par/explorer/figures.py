@@ -1,6 +1,6 @@
 """Figures of the explorer: the panels of a history, that of the case file and readings in them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,6 +18,8 @@ from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS
 
 _GREY, _HEIGHT = "#8a929a", 320
+#: histories that the present one is compared with
+CASE_FILE, PINNED = "case file", "pinned"
 #: readings by their kinds: name of the chart over time, and what they are times as much there
 _OVER_TIME = {
     **{name: (name, DISPLAY_UNITS[name][1]) for name in ("penetration", "approach", "torque")},
@@ -42,8 +44,8 @@ class Drawing:
 
     #: with all profiles
     result: Result
-    #: that of the case file
-    first: Result
+    #: that it is compared with, by name: that of the case file, the pinned one
+    references: Mapping[str, Result]
     #: of the result, which tells densities
     case: Case
     #: that is chosen, from 0 to 1 at the end of the history
@@ -82,20 +84,18 @@ class Drawing:
     def _wear(self) -> Panel:
         bodies = run_panels.worn_bodies(self.result)
         panel = run_panels.worn_faces(self.result, bodies)
-        heights = [run_panels.height(self.result, body) for body in bodies]
-        before = []
-        if self.first is not self.result:
-            before = [
-                _before(Curve(self.first.line.r, run_panels.height(self.first, body)[-1]), "end")
-                for body in run_panels.worn_bodies(self.first)
-            ]
+        depths = [run_panels.worn_depth(self.result, body) for body in bodies]
+        before = [
+            _before(name, Curve(other.line.r, run_panels.worn_depth(other, body)[-1]), "end")
+            for name, other in self.references.items()
+            for body in run_panels.worn_bodies(other)
+        ]
         points = []
         for number, readings in enumerate(self.laid):
             if readings.along:
-                sign = -1e3 if readings.quantity == "profile.lower" else 1e3
-                y = sign * readings.values(self.case, self.result)
+                y = 1e3 * readings.values(self.case, self.result)
                 points.append(_points(readings, readings.x, y, number))
-        chosen = [run_panels.at_instant(self.result, height[self.row]) for height in heights]
+        chosen = [run_panels.at_instant(self.result, depth[self.row]) for depth in depths]
         return replace(panel, curves=[*before, *panel.curves, *chosen], points=points)
 
     def _pressure(self) -> Panel:
@@ -107,12 +107,11 @@ class Drawing:
         end = float(self.result.histories["time"][-1])
         try:
             panel = run_panels.history([self.result], ["now"], name)
-            before = []
-            if self.first is not self.result:
-                before = [
-                    _before(curve, "")
-                    for curve in run_panels.history([self.first], [""], name, end).curves
-                ]
+            before = [
+                _before(of, curve, "")
+                for of, other in self.references.items()
+                for curve in run_panels.history([other], [""], name, end).curves
+            ]
         except InputError as error:  # p V without friction
             unit, _ = time_unit(end)
             label = HISTORY_PANELS[name].label
@@ -127,10 +126,11 @@ class Drawing:
         return replace(panel, curves=[*before, *panel.curves], points=points)
 
 
-def _before(curve: Curve, when: str) -> Curve:
-    """Return a curve of the case file."""
-    name = ", ".join(filter(None, ("case file", curve.name, when)))
-    return replace(curve, name=name, colour=_GREY, dash=1, width=1.6)
+def _before(of: str, curve: Curve, when: str) -> Curve:
+    """Return a curve of the case file or of the pinned numbers."""
+    name = ", ".join(filter(None, (of, curve.name, when)))
+    colour, dash, width = (COLOURS[3], 1, 2.0) if of == PINNED else (_GREY, 3, 1.6)
+    return replace(curve, name=name, colour=colour, dash=dash, width=width)
 
 
 def _points(readings: MeasuredColumn, x: Any, y: Any, number: int) -> Points:

@@ -5,7 +5,7 @@ import binascii
 import json
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from importlib.resources import files
@@ -21,12 +21,13 @@ from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError, RingwearError, reason_of
 from ringwear_par.explorer.exploring import Exploration, Explored
-from ringwear_par.explorer.figures import MENU, Drawing, figures
+from ringwear_par.explorer.figures import CASE_FILE, MENU, PINNED, Drawing, figures
 from ringwear_par.explorer.measured import LARGEST, MeasuredColumn, read_table
 from ringwear_par.explorer.sliders import Control
 from ringwear_par.pictures.rig import rig_address
-from ringwear_par.reports.run_page import key_rows, worn_table
-from ringwear_par.results.key_numbers import key_numbers
+from ringwear_par.reports.report import html_text
+from ringwear_par.reports.run_page import answers, key_rows, run_page, worn_table
+from ringwear_par.results.key_numbers import KeyNumber, key_numbers
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import DISPLAY_UNITS
 from ringwear_par.version import __version__
@@ -37,22 +38,25 @@ log = logging.getLogger(__name__)
 _FOLDED = ("Shape",)
 #: what the page asks for at first
 _START: dict[str, Any] = {"n": 0, "values": {}, "instant": 1.0, "menu": "volume",
-                          "moving": False}  # fmt: skip
+                          "moving": False, "pinned": None}  # fmt: skip
 #: s between messages on how far a history is
 _PROGRESS = 0.2
+_STOPPED = "stopped before its end; it is computed again once a number is changed"
 _BAD_WISH = "the page sent a wish that cannot be read; load it again"
 
 
 class Talk(DataModel):  # type: ignore[misc]
     """What a page and its server tell each other, in JSON.
 
-    ``request`` (numbers by the names of controls and whether one is moving, the time and chart
-    chosen) and ``table`` (a table of measurements, or what its columns are) come from the page,
-    ``answer`` goes to it: all that is seen of a history in one message, so that figures are painted
-    once. The ``n`` of a wish comes back with its answer, and with nothing else.
+    ``request`` (numbers by the names of controls and whether one is moving, those that are pinned,
+    the time and chart chosen), ``order`` (to stop what is computed, or to make a report) and
+    ``table`` (a table of measurements, or what its columns are) come from the page, ``answer`` goes
+    to it: all that is seen of a history in one message, so that figures are painted once. The ``n``
+    of a wish comes back with its answer, and with nothing else.
     """
 
     request = String(default="")
+    order = String(default="")
     table = String(default="")
     answer = String(default="")
 
@@ -86,10 +90,13 @@ class Page:
         self._document, self._busy, self._gone = document, False, False
         #: when the page was last told how far a history is
         self._progress_time = 0.0
-        #: what is drawn, the wish that it answers, and the history of the case file
+        #: what is drawn, the wish that it answers, and what it is compared with: numbers and their
+        #: history, None where they have none
         self._explored: Explored | None = None
         self._drawn: dict[str, Any] | None = None
-        self._first: Result | None = None
+        self._references: dict[str, tuple[dict[str, str], Explored | None]] = {}
+        #: whether the visitor wants what is computed no more
+        self._stopped = False
         #: why the last wish could not be computed
         self._faults: tuple[str, ...] = ()
         #: by numbers that stay theirs
@@ -103,6 +110,7 @@ class Page:
         document.template_variables.update(_variables(exploration, title, hosts))
         document.on_session_destroyed(self._left)
         self._talk.on_change("request", lambda _, __, new: self._ask(_message(new)))
+        self._talk.on_change("order", lambda _, __, new: self._obey(_message(new)))
         self._talk.on_change("table", lambda _, __, new: self._give(_message(new)))
         self._start()
 
@@ -120,7 +128,7 @@ class Page:
         """Tell how far a history is; return whether it is of no use. In the main thread."""
         # what the page shows of the same history needs no other
         another = self._wanted["values"] != self._computing["values"]
-        if self._left_alone or (another and not self._wanted["moving"]):
+        if self._stopped or self._left_alone or (another and not self._wanted["moving"]):
             return True
         now = time.perf_counter()
         if now - self._progress_time > _PROGRESS:
@@ -138,13 +146,27 @@ class Page:
         self._wanted = wanted
         if self._busy:
             return
-        if self._drawn is not None and wanted["values"] == self._drawn["values"]:
+        drawn = self._drawn
+        if drawn is not None and all(wanted[name] == drawn[name] for name in ("values", "pinned")):
             self._draw(wanted["n"])
         else:
             self._start()
 
+    def _obey(self, order: dict[str, Any]) -> None:
+        """Stop what is computed, or make the report of what is drawn."""
+        if order.get("order") == "stop":
+            self._stopped = self._busy
+        elif order.get("order") == "report" and self._explored is not None:
+            self._put(self._report)
+
+    def _report(self) -> None:
+        """Make the report of what is drawn. In the main thread."""
+        assert self._explored is not None
+        text = html_text(run_page(self._explored.result))
+        self._later(lambda: self._tell({"report": text}))
+
     def _start(self) -> None:
-        self._busy = True
+        self._busy, self._stopped = True, False
         self._put(self._compute)
 
     def _compute(self) -> None:
@@ -155,9 +177,10 @@ class Page:
         wanted, started = self._wanted, time.perf_counter()
         self._computing, self._progress_time = wanted, started
         outcome: Explored | tuple[str, ...] | None
+        references = self._references
         try:
-            values = wanted["values"]
-            outcome = self._exploration.compute(values, self._assembling, stops=self._stops)
+            references = self._compared(wanted)
+            outcome = self._history(wanted["values"])
         except InputError as error:
             outcome = error.faults
         except RingwearError as error:
@@ -166,7 +189,33 @@ class Page:
             log.exception("a history failed unexpectedly")
             outcome = (f"failed unexpectedly: {reason_of(error)}",)
         seconds = time.perf_counter() - started
-        self._later(lambda: self._computed(wanted, outcome, seconds))
+        self._later(lambda: self._computed(wanted, outcome, references, seconds))
+
+    def _history(self, values: dict[str, str]) -> Explored | None:
+        """Return the history of some numbers, None if it was stopped. In the main thread."""
+        known = [(self._drawn["values"], self._explored)] if self._drawn is not None else []
+        for numbers, explored in (*known, *self._references.values()):
+            if numbers == values and explored is not None:
+                return explored
+        return self._exploration.compute(values, self._assembling, stops=self._stops)
+
+    def _compared(
+        self, wanted: dict[str, Any]
+    ) -> dict[str, tuple[dict[str, str], Explored | None]]:
+        """Return the histories that a wish is compared with. In the main thread."""
+        numbers = {CASE_FILE: {}, PINNED: wanted["pinned"]}
+        references = {}
+        for name, values in numbers.items():
+            if values is None or values == wanted["values"]:
+                continue
+            old = self._references.get(name)
+            if old is None or old[0] != values:
+                try:
+                    old = values, self._history(values)
+                except RingwearError:  # there is nothing to compare with
+                    old = values, None
+            references[name] = old
+        return references
 
     def _assembling(self) -> None:
         """Say that the bodies are assembled. In the main thread."""
@@ -176,18 +225,22 @@ class Page:
         self,
         wanted: dict[str, Any],
         outcome: Explored | tuple[str, ...] | None,
+        references: dict[str, tuple[dict[str, str], Explored | None]],
         seconds: float,
     ) -> None:
         self._busy = False
-        if outcome is None:  # stopped: nobody is there, or wants something else
+        if outcome is None and self._stopped and self._wanted is wanted:
+            outcome = (_STOPPED,)
+        if outcome is None:  # nobody is there, or wants something else
             if self._wanted is not wanted:
                 self._ask(self._wanted)
             return
         if isinstance(outcome, Explored):
             self._explored, self._drawn, self._faults = outcome, wanted, ()
+            self._references = references
             self._seconds = seconds
-            if self._first is None and not wanted["values"]:
-                self._first = outcome.result
+            if not wanted["values"]:  # kept for later
+                self._references = {CASE_FILE: ({}, outcome), **references}
         else:
             self._drawn, self._faults = None, outcome
         self._draw(wanted["n"])
@@ -237,7 +290,8 @@ class Page:
         explored = self._explored
         if explored is None:
             laid = {"laid": [], "laid_fault": fault}
-            self._tell({"n": n, "faults": self._faults, **(laid if fault else {})})
+            answer = {"n": n, "faults": self._faults, "wrong": self._wrong()}
+            self._tell({**answer, **(laid if fault else {})})
             return
         wanted, result, faults = self._wanted, explored.result, [fault] if fault else []
         good, columns = [], []
@@ -251,11 +305,12 @@ class Page:
                 faults += error.faults
             columns.append({"number": number, **_column(one, off)})
         menu = wanted["menu"] if wanted["menu"] in MENU else _START["menu"]
-        first = result if self._first is None else self._first
-        drawing = Drawing(result, first, explored.case, float(wanted["instant"]), menu, good)
+        references = {
+            name: other.result for name, (_, other) in self._references.items() if other is not None
+        }
+        compared = {name: other for name, other in references.items() if other is not result}
+        drawing = Drawing(result, compared, explored.case, float(wanted["instant"]), menu, good)
         numbers = key_numbers(result)
-        known = [] if self._first is None else key_rows(key_numbers(first))
-        before = {name: value for name, value, _ in known}
         worn = worn_table(numbers)
         self._tell(
             {
@@ -266,16 +321,46 @@ class Page:
                 "summary": with_signs(result.summary()), "case": explored.text,
                 # sliders that move wait for no drawing
                 "rig": "" if wanted["moving"] else rig_address(explored.case),
-                "numbers": [(name, value, before.get(name, ""), unit)
-                            for name, value, unit in key_rows(numbers)],
+                "wrong": self._wrong(), "compared": list(references),
+                "numbers": _beside(key_rows, numbers, references),
+                "answers": _beside(_answer_rows, numbers, references),
                 "worn": [] if worn is None else [worn.header, *worn.rows],
                 "chosen": drawing.chosen_time, "charts": drawing.columns(), "laid": columns,
                 "laid_fault": ". ".join(dict.fromkeys(faults)), "seconds": self._seconds,
             }
         )  # fmt: skip
 
+    def _wrong(self) -> dict[str, str]:
+        """Return the faults of numbers that were moved, by their names."""
+        controls = self._exploration.controls
+        moved = [controls[name] for name in self._wanted["values"] if name in controls]
+        return {
+            control.name: fault
+            for control in moved
+            for fault in self._faults
+            if control.name in fault or control.path in fault
+        }
+
     def _tell(self, answer: dict[str, Any]) -> None:
         self._talk.answer = json.dumps(answer)
+
+
+def _answer_rows(numbers: list[KeyNumber]) -> list[tuple[str, str, str]]:
+    """Return the key numbers that stand beside the sliders."""
+    return [(tile.label, tile.value, tile.unit) for tile in answers(numbers)]
+
+
+def _beside(
+    rows_of: Callable[[list[KeyNumber]], list[tuple[str, str, str]]],
+    numbers: list[KeyNumber],
+    references: Mapping[str, Result],
+) -> list[tuple[str, ...]]:
+    """Return rows of name, value, unit, and the values of other histories."""
+    beside = [
+        {name: value for name, value, _ in rows_of(key_numbers(other))}
+        for other in references.values()
+    ]
+    return [(*row, *(values.get(row[0], "") for values in beside)) for row in rows_of(numbers)]
 
 
 def _message(text: str) -> dict[str, Any]:
@@ -291,15 +376,19 @@ def _wish_fault(wish: dict[str, Any]) -> str:
     """Return the fault of a wish, "" for none."""
     values, instant = wish.get("values"), wish.get("instant", -1.0)
     good = (
-        isinstance(values, dict)
-        and all(isinstance(text, str) for text in values.values())
+        _are_texts(values)
         and is_number(wish.get("n"))
         and is_number(instant)
         and 0.0 <= float(instant) <= 1.0
         and isinstance(wish.get("menu"), str)
+        and _are_texts(wish.setdefault("pinned", None) or {})
     )
     wish.setdefault("moving", False)
     return "" if good else _BAD_WISH
+
+
+def _are_texts(values: Any) -> bool:
+    return isinstance(values, dict) and all(isinstance(text, str) for text in values.values())
 
 
 def _column(one: MeasuredColumn, off: float | None) -> dict[str, Any]:

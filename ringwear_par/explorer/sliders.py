@@ -1,12 +1,11 @@
 """A number of a case with its slider: how far it reaches, and in what steps."""
 
 import math
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.schema import BY_PATH, quantity_name
 from ringwear_par.cases.units import factor, number_and_unit
 from ringwear_par.cases.values import LEAST, MOST, Interval, is_number
 
@@ -65,9 +64,14 @@ class Control:
         return f"{self.value:.10g}"
 
     @property
-    def gist(self) -> str:
-        """The meaning in a few words."""
-        return re.split(r"[,;:(]", self.meaning)[0].strip()
+    def quantity(self) -> str:
+        """What it is called, without the body where its group names it."""
+        entry = f"[{self.entry}]" if isinstance(self.entry, int) else ""
+        words = quantity_name(f"{self.path}{entry}")
+        if isinstance(self.entry, str):  # the shape of a face, or a parameter of a user's law
+            words = self.label
+        bare = words.partition(", ")[0] if self.group != "Materials" else words
+        return f"{bare} \N{MULTIPLICATION SIGN}" if self.scales and bare != self.label else bare
 
     def at(self, value: float) -> "Control":
         """Return the control at another value, its slider reaching that far."""

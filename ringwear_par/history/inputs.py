@@ -37,6 +37,8 @@ class HistoryInputs:
     #: None where it is for none. Of bodies with layers those of all of them and of the body itself,
     #: (layers + 1, B).
     per_energy: tuple[FloatArray | None, ...]
+    #: (B,) ``output.every``
+    every: IntArray
     #: (2, B) factors on the rates of wear of lower and upper in the present step; None: 1
     pace: FloatArray | None = None
 
@@ -63,13 +65,14 @@ class HistoryInputs:
             _stacked([load.displacement for load in loads]),
             tuple(stack_laws(body_laws) for body_laws in laws),
             tuple(_per_energy(body_laws, frictions) for body_laws in laws),
+            np.array([case.output.every for case in cases]),
         )
 
     def take(self, histories: IntArray) -> Self:
         """Return the inputs of some of B histories."""
         return replace(
             self,
-            cases=tuple(self.cases[i] for i in histories.tolist()),
+            cases=tuple(map(self.cases.__getitem__, histories.tolist())),
             initial_gap=self.initial_gap[histories],
             friction=take(self.friction, histories),
             tolerance=self.tolerance[histories],
@@ -78,6 +81,7 @@ class HistoryInputs:
             displacement=take(self.displacement, histories),
             laws=tuple(None if law is None else law.take(histories) for law in self.laws),
             per_energy=tuple(None if r is None else r[..., histories] for r in self.per_energy),
+            every=self.every[histories],
             pace=None if self.pace is None else self.pace[:, histories],
         )
 
@@ -88,11 +92,6 @@ class HistoryInputs:
             for i, law in enumerate(self.laws)
         )
         return replace(self, laws=laws)
-
-    @cached_property
-    def every(self) -> IntArray:
-        """(B,) ``output.every``."""
-        return np.array([case.output.every for case in self.cases])
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -127,6 +126,11 @@ class HistoryInputs:
         """
         reads = any(law is not None and law.reads_wear for law in self.laws)
         return self.steady_sliding and not reads
+
+    @cached_property
+    def rates_stay(self) -> bool:
+        """Whether the rates at a pressure are the same at all times, whatever has been worn."""
+        return self.steady_sliding and all(law is None or law.is_steady for law in self.laws)
 
 
 def _per_energy(laws: Sequence[Any], frictions: Sequence[Quantity]) -> FloatArray | None:

@@ -67,6 +67,8 @@ class Physics:
     update_cost: BodyCost = field(default_factory=BodyCost)
     #: whether the pair was assembled for others, too
     pair_is_shared: bool = False
+    #: the last increment of rates that stay: that of a stage or step of the same length is the same
+    _last: list[WearIncrement] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @classmethod
     def of(
@@ -204,13 +206,24 @@ class Physics:
 
     def sliding(self, time: FloatArray) -> Sliding:
         """Return how the histories slide at times (B,) s."""
+        return self._at_all_times or self._sliding(time)
+
+    def _sliding(self, time: FloatArray) -> Sliding:
         inputs = self.inputs
         return Sliding(in_time(inputs.omega, time), in_time(inputs.friction, time))
+
+    @cached_property
+    def _at_all_times(self) -> Sliding | None:
+        """How the histories slide, where that never changes."""
+        inputs = self.inputs
+        return self._sliding(np.zeros(len(inputs.cases))) if inputs.steady_sliding else None
 
     def mean_sliding(self, start: FloatArray, end: FloatArray) -> Sliding:
         """Return how the histories slide in the mean over steps."""
         inputs = self.inputs
-        return Sliding(mean(inputs.omega, start, end), mean(inputs.friction, start, end))
+        return self._at_all_times or Sliding(
+            mean(inputs.omega, start, end), mean(inputs.friction, start, end)
+        )
 
     def local_state(self, time: FloatArray, sliding: Sliding, wear: FloatArray) -> LocalState:
         """Return the local state of a body whose wear is (B, n) mm.
@@ -230,9 +243,9 @@ class Physics:
     @cached_property
     def _steady(self) -> tuple[FloatArray, FloatArray] | None:
         """(B, n) speeds, mm/s, and friction coefficient times these, where they never change."""
-        if not self.inputs.steady_sliding:
+        sliding = self._at_all_times
+        if sliding is None:
             return None
-        sliding = self.sliding(np.zeros(len(self.inputs.cases)))
         speed = columns(sliding.omega) * self.line.arm
         return speed, columns(sliding.friction) * speed
 
@@ -248,14 +261,23 @@ class Physics:
 
         ``closing`` is of elements that come into contact in it.
         """
-        lower = self.local_state(time, sliding, wear[0])
-        upper = (
-            self.local_state(time, sliding, wear[1]) if self.inputs.laws[1] is not None else lower
+        # derivatives are with respect to all that there is
+        stays = self.inputs.rates_stay and self.sensitivity is None
+        last, lasts = self._last[0] if stays and self._last else None, columns(step)
+        if last is not None and closing is None and np.array_equal(last.step, lasts):
+            return last
+        if last is not None:
+            at = last.at
+        else:
+            lower = self.local_state(time, sliding, wear[0])
+            upper = self.inputs.laws[1]
+            at = (lower, lower if upper is None else self.local_state(time, sliding, wear[1]))
+        increment = WearIncrement(
+            self.inputs.laws, at, step, self.averages, self.obliquity, closing, self.inputs.pace
         )
-        return WearIncrement(
-            self.inputs.laws, (lower, upper), step, self.averages, self.obliquity, closing,
-            self.inputs.pace,
-        )  # fmt: skip
+        if stays and closing is None:
+            self._last[:] = [increment]
+        return increment
 
     def rates(
         self, time: FloatArray, sliding: Sliding, wear: FloatArray, p: FloatArray
@@ -380,7 +402,7 @@ class Physics:
         return replace(
             self,
             inputs=self.inputs.take(histories),
-            pairs=tuple(self.pairs[i] for i in histories),
+            pairs=tuple(map(self.pairs.__getitem__, histories.tolist())),
             compliances=self.compliances.take(histories),
             layer_ends=tuple(
                 None if ends is None else ends[:, histories] for ends in self.layer_ends

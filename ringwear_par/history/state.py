@@ -98,8 +98,9 @@ class Progress:
     rejected: IntArray
     #: of the contact solver, in accepted steps
     iterations: IntArray
-    #: s, length of the present try
+    #: s, length of the present try, and whether a limit of time cuts it
     length: FloatArray
+    cut: BoolArray
     #: whether a try of the present step was made
     begun: BoolArray
     #: whether a try of the present step failed by its pressure
@@ -118,7 +119,7 @@ class Progress:
         """Return the progress of B histories before their first step."""
         zeros, no = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
         length, never = np.zeros(count), np.full(count, np.inf)
-        return cls(zeros, length, zeros, zeros, length, no, no, zeros, no, never, length)
+        return cls(zeros, length, zeros, zeros, length, no, no, no, zeros, no, never, length)
 
 
 @dataclass(frozen=True)

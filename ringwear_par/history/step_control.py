@@ -206,7 +206,7 @@ class ErrorControl:
         ------
         ComputationError : no step, however short, meets the tolerance.
         """
-        end, _, length = self._try(state, progress)
+        end, cut, length = self._try(state, progress)
         if (stuck := _is_short(state.time, end)).any():
             if len(stuck) > 1:
                 raise HistoriesError(stuck)
@@ -223,6 +223,7 @@ class ErrorControl:
         return end, replace(
             progress,
             length=length,
+            cut=cut,
             begun=np.ones_like(fresh),
             pressed=progress.pressed & ~fresh,
             tried_iterations=np.where(fresh, 0, progress.tried_iterations),
@@ -237,17 +238,14 @@ class ErrorControl:
         limit = _until_interface(state, limit, progress)
         fresh, length = ~progress.begun, progress.length
         if fresh.any():
-            fastest = largest(state.rates).max(axis=0)
-            wears = fastest > 0.0
-            first = _FIRST_WEAR * self.wear_tolerance
-            worn = np.divide(first, fastest, out=self.end.copy(), where=wears)
-            wanted = np.where(
-                progress.next_step == 0.0, np.minimum(self.end, worn), progress.next_step
-            )
-            meshed = np.divide(
-                self.meshed_wear, fastest, out=np.full_like(fastest, np.inf), where=wears
-            )
-            length = np.where(fresh, np.minimum(wanted, meshed), length)
+            wanted, first = progress.next_step, progress.next_step == 0.0
+            follows = np.isfinite(self.meshed_wear)
+            if first.any() or follows.any():
+                fastest = largest(state.rates).max(axis=0)
+                at_first = np.minimum(self.end, _time(_FIRST_WEAR * self.wear_tolerance, fastest))
+                wanted = np.where(first, at_first, wanted)
+                wanted = np.minimum(wanted, _time(self.meshed_wear, fastest))
+            length = np.where(fresh, wanted, length)
         left = limit - state.time
         cut = length >= left * (1.0 - 1e-9)
         whole = (length < 0.5 * left) | (length > 0.9 * left)  # no sliver at the end
@@ -260,13 +258,12 @@ class ErrorControl:
         The energy is held too: schedules may change it where nothing wears.
         """
         length = step.state.time - before.time
-        _, cut, _ = self._try(before, progress)
         iterations = progress.tried_iterations + step.state.contact.iterations
         ratio, pressing, ahead = self._ratios(before, step)
         pressed = progress.pressed | pressing
         too_far = step.too_far & np.ones(len(length), dtype=bool)
         accepted = (ratio <= 1.0) & ~too_far
-        following = _following(length, _change(ahead), pressed, cut, progress.length)
+        following = _following(length, _change(ahead), pressed, progress.cut, progress.length)
         return Decision(
             accepted,
             accepted,
@@ -276,6 +273,7 @@ class ErrorControl:
                 progress.rejected + ~accepted,
                 progress.iterations + np.where(accepted, iterations, 0),
                 np.where(ratio <= 1.0, progress.length, length * _change(ratio)),
+                progress.cut,
                 ~accepted,
                 pressed,
                 iterations,
@@ -324,8 +322,15 @@ class ErrorControl:
 def _until_interface(state: State, end: FloatArray, progress: Progress) -> FloatArray:
     """Return ends of steps, s, or when an element is at the end of its layer, if it is before."""
     interface = progress.interface
+    if interface.min() == np.inf:
+        return end
     within = (state.time < interface) & (interface < end) & ~_is_short(interface, end)
     return np.where(within, interface, end)
+
+
+def _time(depth: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return the times, s, in which depths are worn off; infinite where nothing wears."""
+    return np.divide(depth, rate, out=np.full_like(rate, np.inf), where=rate > 0.0)
 
 
 def _is_short(time: FloatArray, end: FloatArray) -> BoolArray:

@@ -16,9 +16,12 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.model.noise import whitened
-from ringwear_par.identification.scatter.clocks import MOST_READINGS, projected_precision
-from ringwear_par.identification.scatter.linearisation import Linearisation
-from ringwear_par.identification.scatter.reduction import ReducedTest
+from ringwear_par.identification.scatter.likelihood import ReducedTest
+from ringwear_par.identification.scatter.linearisation import (
+    MOST_READINGS,
+    Linearisation,
+    projected_precision,
+)
 
 if TYPE_CHECKING:
     import arviz
@@ -48,9 +51,7 @@ class _FitDraws:
 def to_arviz(fit: FitResult) -> "arviz.InferenceData":
     """Return the groups of a fit as ArviZ has them.
 
-    Raises
-    ------
-    InputError : arviz is not installed; readings without a normal distribution.
+    InputError where arviz is not installed, or readings have no normal distribution.
     """
     try:
         import arviz

@@ -10,7 +10,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.problem import Experiment, Series
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.pictures import fit_panels
-from ringwear_par.pictures.matplotlib import panel_figure, panel_grid
+from ringwear_par.pictures.matplotlib import add_letters, panel_figure, panel_grid
 from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.style import STYLE, NotebookFigure
 
@@ -18,7 +18,7 @@ _COLUMNS = 3
 #: inches of readings with their residuals, of a legend above all, and of an input
 _WIDTH, _HEIGHT, _LEGEND, _INPUT = 4.3, 3.9, 0.4, 2.4
 #: of the strip of single readings: a line of it, what is around them, and how narrow it may be
-_ROW, _MARGIN, _NARROWEST = 0.5, 0.65, 6.5
+_ROW, _MARGIN, _NARROWEST = 0.5, 0.9, 6.5
 
 
 def plot(fit: FitResult) -> Figure:
@@ -52,6 +52,7 @@ def plot(fit: FitResult) -> Figure:
         parts: Any = chart.subfigures(2, 1, height_ratios=heights)
         panel_grid(parts[0], rows, shares)
         panel_grid(parts[1], strip, legend=False)
+        add_letters(chart)
     return chart
 
 
@@ -78,12 +79,7 @@ def plot_parameters(fit: FitResult) -> Figure:
 
 
 def plot_specimens(fit: FitResult) -> Figure:
-    """Return the values of specimens of each key that scatters, and the material's.
-
-    Raises
-    ------
-    InputError : a fit without scatter.
-    """
+    """Return the values of specimens and material of each key that scatters, or InputError."""
     outcome = fit.to_dict()
     scattering = {k: one for k, one in outcome["parameters"].items() if "each" in one}
     if not scattering:

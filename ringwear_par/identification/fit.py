@@ -54,10 +54,7 @@ def fit_problem(
     """Return the fit of a problem that was read. Collective on comm.
 
     Other laws follow the first one, with linear intervals; one that fails does not end the fit.
-
-    Parameters
-    ----------
-    folder : where optima of starts are stored until the fit is done; None: nowhere.
+    Optima of starts are stored in the folder until the fit is done.
     """
     with StopSignals() as signals:
         result = _fit_law(problem, "", StoredStarts(folder, problem.key), signals, comm)
@@ -92,13 +89,7 @@ def _fit_law(
     *,
     expected: bool = False,
 ) -> FitResult:
-    """Return the result under one law, on all ranks. Collective on comm.
-
-    Parameters
-    ----------
-    law : its name in progress messages; "" of the first.
-    expected : whether the optimum is the start.
-    """
+    """Return the result under one law, its start where only ``expected``. Collective on comm."""
     rounds = Rounds(problem, comm, signals, lambda: stored.hint)
     misfit = Misfit(problem, rounds)
     if not expected:

@@ -1,15 +1,19 @@
 """Reasons not to take the numbers of a fit as they are."""
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
 
-from ringwear_par.errors import ValidityWarning
-from ringwear_par.identification.estimation.conditions import conditional_verdicts
+from ringwear_par.arrays import FloatArray
+from ringwear_par.errors import ValidityWarning, counted
+from ringwear_par.identification.definition.fitted_parameters import unit_of_key
+from ringwear_par.identification.estimation.intervals import ParameterEstimate
+from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.estimation.record_checks import record_warnings
-from ringwear_par.identification.fit_rows import counted
-from ringwear_par.identification.scatter.disagreement import disagreements
+from ringwear_par.identification.scatter.linearisation import Linearisation
 
 if TYPE_CHECKING:
     from ringwear_par.identification.fit_result import FitResult
@@ -18,6 +22,14 @@ if TYPE_CHECKING:
 _HIGH = 2.0
 #: sd, from which on readings do not belong to the others; what share of these they may be
 _FAR, _SHARE, _LISTED = 6.0, 0.1, 4
+#: of the sd with another key free, below which an interval depends on the bound of that
+_NARROWED = 0.5
+#: probability below which what tests differ by is no chance
+_NO_CHANCE = 0.01
+#: of the largest information of a test: less is none
+_INFORMED = 1e-6
+#: keys of rates: other numbers are the machine's
+_RATES = ("wear.", "contact.friction")
 
 
 def doubts(fit: "FitResult") -> tuple[ValidityWarning, ...]:
@@ -176,3 +188,145 @@ def assumptions(fit: "FitResult") -> list[ValidityWarning]:
         for one in experiment.inputs
         for sentence in one.assumptions + one.suspicions
     ]
+
+
+def growths_of_sd(
+    covariance: FloatArray, at_bounds: Collection[int]
+) -> dict[tuple[int, int], float]:
+    """Return by how much the sd of an unknown j grows where one i at its bound is free, by (j, i).
+
+    The covariance (m, m) of all unknowns is as if there were no bounds; others at bounds stay
+    there.
+    """
+
+    def sd(j: int, fixed: Sequence[int]) -> float:
+        across = covariance[j, fixed]
+        known = across @ np.linalg.pinv(covariance[np.ix_(fixed, fixed)], hermitian=True) @ across
+        return float(np.sqrt(max(covariance[j, j] - known, 0.0)))
+
+    growths = {}
+    for j in set(range(len(covariance))) - set(at_bounds):
+        narrow = sd(j, list(at_bounds))
+        for i in at_bounds:
+            wide = sd(j, [other for other in at_bounds if other != i])
+            growths[j, i] = wide / narrow if narrow > 0.0 else 1.0
+    return growths
+
+
+def conditional_verdicts(
+    estimates: Sequence[ParameterEstimate],
+    covariance: FloatArray,
+    narrowed: Collection[str],
+    keys_at_bound: Collection[str],
+) -> list[ValidityWarning]:
+    """Return warnings about keys that are identified only while others are at their bounds.
+
+    The covariance (m, m) is as if there were no bounds; ``narrowed`` are keys whose intervals are
+    those with the others within their bounds, ``keys_at_bound`` those whose estimate is one.
+    """
+    known = [j for j in range(len(estimates)) if np.isfinite(covariance[j, j])]
+    at_bounds = [
+        j for j in known if estimates[j].verdict == "at bound" and estimates[j].key in keys_at_bound
+    ]
+    warnings = []
+    part = covariance[np.ix_(known, known)]
+    growths = growths_of_sd(part, [known.index(i) for i in at_bounds])
+    for (place, bound), growth in sorted(growths.items()):
+        one, other = estimates[known[place]], estimates[known[bound]]
+        if one.verdict != "identified" or one.key not in narrowed or _NARROWED * growth <= 1.0:
+            continue
+        text = (
+            f"{one.key} is identified only if {other.key} = {other.estimate:g}, its bound: with "
+            f"that free its sd is {growth:.2g} times as large"
+        )
+        keys, values = (one.key, other.key), {"growth_of_sd": growth}
+        warnings.append(ValidityWarning("conditional-verdict", text, keys, (), values))
+    return warnings
+
+
+class _Heterogeneity(NamedTuple):
+    """Cochran's Q of a key, its degrees of freedom, and the scatter that explains it."""
+
+    q: float
+    freedom: int
+    scatter: float
+
+    @property
+    def probability(self) -> float:
+        """Probability of so large a Q where tests do not differ."""
+        return float(chi2.sf(self.q, self.freedom)) if self.freedom else 1.0
+
+
+def disagreements(
+    misfit: Misfit,
+    x: FloatArray,
+    evaluation: Evaluation,
+    test_unknowns: FloatArray,
+    sizes: FloatArray | None = None,
+) -> list[ValidityWarning]:
+    """Return a warning about the key of a rate whose values differ most between tests.
+
+    Of those that the fit file does not let scatter; sizes (bodies,) mm are of the process noise.
+    """
+    problem = misfit.problem
+    if len(problem.experiments) < 2:
+        return []
+    linear = Linearisation(misfit, evaluation, x, test_unknowns)
+    (reduced,) = linear.reduced(None if sizes is None else sizes[None])
+    score = np.array(
+        [r.score - r.information @ o for r, o in zip(reduced, test_unknowns, strict=True)]
+    )
+    information = np.array([np.diag(test.information) for test in reduced])
+    conditions = defaultdict(list)
+    for i, experiment in enumerate(problem.experiments):
+        conditions[experiment.conditions].append(i)
+    warnings = []
+    for key, parameter in enumerate(problem.parameters):
+        at_bound = not misfit.lower[key] < x[key] < misfit.upper[key]
+        if parameter.scatter is not None or at_bound or not parameter.key.startswith(_RATES):
+            continue
+        s, a = score[:, key], information[:, key]
+        informed = np.flatnonzero(a > _INFORMED * a.max()).tolist()
+        alike = _heterogeneity(
+            s, a, [[i for i in tests if i in informed] for tests in conditions.values()]
+        )
+        all_tests = _heterogeneity(s, a, [informed])
+        equal = alike.probability < _NO_CHANCE
+        heterogeneity = alike if equal else all_tests
+        if heterogeneity.probability >= _NO_CHANCE:
+            continue
+        own_sd = float(np.median(a[informed] ** -0.5))
+        unit = "" if parameter.log else unit_of_key(problem, parameter.key)
+        text = (
+            f"{parameter.key} scatters between tests of {'equal' if equal else 'different'} "
+            f"conditions by {_size(heterogeneity.scatter, parameter.log)}{unit} "
+            "(DerSimonian-Laird), but the readings explain only "
+            f'{_size(own_sd, parameter.log)}{unit}: use scatter = "fit"'
+            f"{'' if equal else ', or another law'}"
+        )
+        values = {**heterogeneity._asdict(), "p": heterogeneity.probability, "readings": own_sd}
+        names = tuple(problem.experiments[i].name for i in informed)
+        warnings.append(ValidityWarning("tests-disagree", text, (parameter.key,), names, values))
+    # one that scatters makes the others look as if they did
+    return sorted(warnings, key=lambda warning: -warning.values["q"])[:1]
+
+
+def _heterogeneity(
+    score: FloatArray, information: FloatArray, groups: Sequence[Sequence[int]]
+) -> _Heterogeneity:
+    """Return the heterogeneity within groups of tests."""
+    q, freedom, size = 0.0, 0, 0.0
+    for tests in groups:
+        if len(tests) < 2:
+            continue
+        s, a = score[list(tests)], information[list(tests)]
+        q += float((s**2 / a).sum() - s.sum() ** 2 / a.sum())
+        freedom += len(tests) - 1
+        size += float(a.sum() - (a**2).sum() / a.sum())
+    scatter = np.sqrt(max(q - freedom, 0.0) / size) if size > 0.0 else 0.0
+    return _Heterogeneity(q, freedom, float(scatter))
+
+
+def _size(size: float, log: bool) -> str:
+    """Return a standard deviation of an unknown in words."""
+    return f"{100.0 * size:.2g} %" if log else f"{size:.2g}"

@@ -36,12 +36,7 @@ FILES = (FIT, READINGS, CURVES, ESTIMATES, SPECIMENS)
 
 
 def refuse_interrupted(folder: Path) -> None:
-    """Refuse a folder with what an interrupted fit has left.
-
-    Raises
-    ------
-    InputError : it has that.
-    """
+    """Refuse a folder with what an interrupted fit has left."""
     left = folder / PROGRESS
     if left.is_dir() and any(left.iterdir()):
         raise InputError(
@@ -64,10 +59,6 @@ def save(fit: FitResult, folder: Path) -> None:
     """Write all files; fit.json, which says that it is whole, the last. On one rank.
 
     A picture that cannot be drawn is left out, with a warning.
-
-    Raises
-    ------
-    InputError, ComputationError : the folder or the disk.
     """
     with new_files(folder, FILES, "fit"):
         with atomic_hdf5(folder / READINGS) as (file, _):

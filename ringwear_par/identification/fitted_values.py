@@ -180,12 +180,7 @@ def write_values(file: h5py.File, values: FittedValues) -> None:
 
 
 def read_values(file: h5py.File) -> FittedValues:
-    """Return the group of a file.
-
-    Raises
-    ------
-    KeyError, ValueError : there is none, or it is damaged.
-    """
+    """Return the group of a file; KeyError or ValueError where there is none, or it is damaged."""
     group = file[GROUP]
     keys, specimens, laws, tables = (
         tuple(map(str, group.attrs[name])) for name in ("keys", "specimens", "laws", "tables")

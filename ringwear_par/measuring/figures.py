@@ -15,7 +15,7 @@ from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.key_numbers import time_unit
 
 #: inches of a panel, and of a legend above them all
-_WIDTH, _HEIGHT, _LEGEND = 3.6, 2.1, 0.35
+_WIDTH, _HEIGHT, _LEGEND = 4.0, 2.1, 0.35
 #: of the range of a record that is left above and below it
 _ROOM = 0.05
 #: of the largest reading, of a record that is flat
@@ -90,7 +90,7 @@ def _panel(
         Axis(f"time ({unit})", ends=(0.0, end / seconds)), Axis(label, ends=(low, high)), title,
         bands=[Band(ends / seconds, *limits, name, ("", ""), COLOURS[2 if steady else 1], 0.15)],
         points=[
-            Points(np.array(channel["time"]) / seconds, readings, "readings", GREY, 1.8, 0.4)
+            Points(np.array(channel["time"]) / seconds, readings, "readings", GREY, 2.0)
         ],
         curves=[
             Curve(*_with_gaps(time, means, seconds), "block means", COLOURS[0], width=1.2),

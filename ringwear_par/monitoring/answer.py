@@ -6,7 +6,7 @@ from typing import Any
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import in_signs, with_signs
-from ringwear_par.identification.fit_rows import users_numbers
+from ringwear_par.identification.summary import users_numbers
 from ringwear_par.pictures.panel import Axis, Band, Curve, Panel
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.prediction.prediction import TimeTo, depth_words

@@ -20,8 +20,8 @@ from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.fitted_values import FittedValues
 from ringwear_par.identification.model.readings import Reader
 from ringwear_par.identification.model.rounds import Rounds
+from ringwear_par.identification.scatter.likelihood import LinearisedTest, reduce_test
 from ringwear_par.identification.scatter.linearisation import Linearisation
-from ringwear_par.identification.scatter.reduction import LinearisedTest, reduce_test
 from ringwear_par.monitoring.histories import SpecimenHistories
 from ringwear_par.prediction.draws import draw_parts, log_densities
 

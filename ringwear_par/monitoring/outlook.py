@@ -9,8 +9,8 @@ from scipy.stats import chi2, norm
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import Problem, Series, body_of_wear
-from ringwear_par.identification.scatter.clocks import projected_precision
-from ringwear_par.identification.scatter.reduction import LinearisedTest, uncorrelated
+from ringwear_par.identification.scatter.likelihood import LinearisedTest, uncorrelated
+from ringwear_par.identification.scatter.linearisation import projected_precision
 from ringwear_par.monitoring.bank import Bank, rows_of
 from ringwear_par.prediction.prediction import times_at
 

@@ -8,7 +8,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import Problem
-from ringwear_par.identification.definition.user_units import in_users_unit
+from ringwear_par.identification.fit_numbers import in_users_unit
 from ringwear_par.monitoring.answer import Alarm, Answer, Goal, KeyAnswer
 from ringwear_par.monitoring.bank import Bank, are_too_few, effective_count, quantiles
 from ringwear_par.monitoring.outlook import surprise, time_to, times_of, widths

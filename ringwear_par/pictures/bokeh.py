@@ -111,7 +111,10 @@ def _add_marks(plot: Any, kind: str, source: Any) -> Any:
     filled = {"fill_color": "colour", "line_color": None}
     match kind:
         case "ribbons":
-            return plot.patches("x", "y", fill_alpha="opacity", **filled, source=source)
+            return plot.patches(
+                "x", "y", fill_alpha="opacity", fill_color="colour", line_color="colour",
+                line_width=0.7, source=source,
+            )  # fmt: skip
         case "cells":
             sides = {side: side for side in ("left", "right", "bottom", "top")}
             return plot.quad(**sides, line_color=None, source=source)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.units import in_signs
+from ringwear_par.cases.schema import quantity_label
 from ringwear_par.pictures.panel import Axis, Bars, Cells, Panel, Points
 from ringwear_par.pictures.style import COLOURS
 
@@ -14,8 +14,7 @@ def design_panels(outcome: Mapping[str, Any]) -> list[Panel]:
     """Return the predicted standard deviations of each key: a map, or bars of the best designs."""
     panels = []
     for key, scale in outcome["sd_scales"].items():
-        unit = in_signs(scale["unit"])
-        label = f"predicted sd of {key}" + (f" ({unit})" if unit else "")
+        label = f"predicted sd of {quantity_label(key, scale['unit'])}"
         if outcome["map"] is None:
             panels.append(_bars(outcome, key, scale["factor"], label))
         else:
@@ -28,7 +27,7 @@ def _map(outcome: Mapping[str, Any], key: str, factor: float, label: str) -> Pan
     x, y = (np.array(table[name]["values"]) for name in ("x", "y"))
     cells = Cells(x, y, factor * np.array(table["sd"][key], dtype=float), label)
     name = f"best: {outcome['designs'][0]['name']}"
-    marks = [Points(np.array(best["x"]), np.array(best["y"]), name, COLOURS[1], 14.0, hollow=True)]
+    marks = [Points(np.array(best["x"]), np.array(best["y"]), name, COLOURS[4], 14.0, hollow=True)]
     axes = Axis(table["x"]["label"]), Axis(table["y"]["label"])
     return Panel(*axes, cells=cells, points=marks if best["x"] else [])
 

@@ -2,6 +2,7 @@
 
 import logging
 import re
+import textwrap
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,15 +15,16 @@ from matplotlib.figure import Figure
 from ringwear_par.cases.case import Output
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.layers import expanded
-from ringwear_par.cases.schema import unit_of
+from ringwear_par.cases.schema import quantity_name, unit_of
 from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible
-from ringwear_par.pictures.matplotlib import draw, draw_labels
+from ringwear_par.pictures.matplotlib import LETTERS_OF_INCH, add_letters, draw, draw_labels
 from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.panel_kinds import KINDS, Drawing, Item
 from ringwear_par.pictures.style import (
+    MM_OF_INCH,
     STYLE,
     NotebookFigure,
     check_format,
@@ -44,6 +46,8 @@ _SECTIONS, _LARGER = {"section", "stress"}, 1.15
 #: drawn by default
 DEFAULT = "wear,penetration"
 _MOST_COLUMNS = 3
+#: inches of a panel; mm of one at least, and of a figure at most
+_PANEL, _NARROWEST, _WIDEST = (3.6, 3.3), 65, 1000
 #: of a time that is asked for: how far off that of the state shown may be unsaid
 _NOTICED = 0.01
 
@@ -54,6 +58,7 @@ def plot(
     steps: str = "",
     profiles_of: Sequence[Source] = (),
     times: str = "",
+    width: float | None = None,
 ) -> Figure:
     """Return the panels of one or more results side by side. Not collective.
 
@@ -75,6 +80,7 @@ def plot(
     times : comma-separated times of the profiles, s or with a unit ("1 h"), instead of steps; the
         stored states nearest to them are drawn. Without either: the first step and four quarters;
         the last one of stresses.
+    width : mm, of the figure, which then has as many panels side by side as there is room for.
 
     Raises
     ------
@@ -96,7 +102,7 @@ def plot(
         raise InputError("--times: must be absent beside --steps")
     with matplotlib.rc_context(STYLE):
         return _drawn_panels(
-            [_place(s) for s in sources], names, steps, times, map(_place, profiles_of)
+            [_place(s) for s in sources], names, steps, times, map(_place, profiles_of), width
         )
 
 
@@ -162,6 +168,7 @@ def _drawn_panels(
     steps: str,
     times: str,
     profiles_of: Iterable[Result | Path],
+    width: float | None,
 ) -> Figure:
     results = [result_of(source) for source in sources]
     chosen = list(profiles_of)
@@ -198,16 +205,22 @@ def _drawn_panels(
         raise InputError(*(fault for _, fault in left_out))
     for panel, fault in left_out:
         log.warning("%s is not drawn: %s", panel, fault)
-    figure = _laid_out(drawings)
+    figure = _laid_out(drawings, width)
     titles = {str(result.attributes["title"]) for result in results} - {""}
     if len(titles) == 1:
-        figure.suptitle(plain(titles.pop()), fontsize=8.0)
+        letters = int(LETTERS_OF_INCH * figure.get_figwidth())
+        figure.suptitle(textwrap.fill(plain(titles.pop()), letters), fontsize=8.0)
     return figure
 
 
-def _laid_out(drawings: Sequence[tuple[str, Drawing]]) -> Figure:
-    """Return a figure of panels, which are named, and drawn side by side."""
-    lines = -(-len(drawings) // _MOST_COLUMNS)
+def _laid_out(drawings: Sequence[tuple[str, Drawing]], width: float | None) -> Figure:
+    """Return a figure of panels, which are named, and drawn side by side, of a width in mm."""
+    most = _MOST_COLUMNS
+    if width is not None:
+        if not _NARROWEST <= width <= _WIDEST:
+            raise InputError(f"--width {width:g} mm: must be from {_NARROWEST} to {_WIDEST} mm")
+        most = max(1, int(width / _NARROWEST))
+    lines = -(-len(drawings) // most)
     columns = -(-len(drawings) // lines)
     names = [panel for panel, _ in drawings]
 
@@ -218,7 +231,8 @@ def _laid_out(drawings: Sequence[tuple[str, Drawing]]) -> Figure:
     heights = [size(names[line * columns : (line + 1) * columns]) for line in range(lines)]
     # sections have the same scale along both axes and leave room that constrained ones keep
     layout: Any = "compressed" if set(names) <= _SECTIONS else "constrained"
-    figure = NotebookFigure(figsize=(3.6 * sum(widths), 3.3 * sum(heights)), layout=layout)
+    inches = _PANEL[0] * sum(widths) if width is None else width / MM_OF_INCH
+    figure = NotebookFigure(figsize=(inches, _PANEL[1] * sum(heights)), layout=layout)
     grid = figure.add_gridspec(lines, columns, width_ratios=widths, height_ratios=heights)
     all_axes = []
     for number, (_, drawing) in enumerate(drawings):
@@ -233,11 +247,13 @@ def _laid_out(drawings: Sequence[tuple[str, Drawing]]) -> Figure:
     for profile in _PROFILES:  # one scale, or one cannot compare
         alike = [axes for axes, name in zip(all_axes, names, strict=True) if name == profile]
         ends = [axes.get_ylim() for axes in alike]
-        for axes in alike:
-            axes.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
+        for axes in alike:  # worn depths grow downwards
+            lower, upper = (max, min) if axes.yaxis_inverted() else (min, max)
+            axes.set_ylim(lower(end for end, _ in ends), upper(end for _, end in ends))
     for axes, (_, drawing) in zip(all_axes, drawings, strict=True):
         if isinstance(drawing, Panel):
             draw_labels(axes, drawing)
+    add_letters(figure)
     return figure
 
 
@@ -302,9 +318,10 @@ def _labels(results: Sequence[Result]) -> list[str]:
 
 
 def _short(path: str, keys: Container[str]) -> str:
-    """Return the last part of a key, with its body where the other one has it too."""
-    name = path.rpartition(".")[2]
-    for body, other in (BODIES, BODIES[::-1]):
-        if body in path.split(".") and path.replace(body, other) in keys:
-            return f"{body}.{name}"
+    """Return a parameter of a law, or the name of a quantity, with its body where both have it."""
+    name, _, body = quantity_name(path).partition(", ")
+    name = path.rpartition(".")[2] if path.startswith("wear.") else name
+    for name_of_body, other in (BODIES, BODIES[::-1]):
+        if name_of_body in path.split(".") and path.replace(name_of_body, other) in keys:
+            return f"{name} of {body}"
     return name

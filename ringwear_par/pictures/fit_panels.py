@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.cases.schema import quantity_label, quantity_name
 from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import legible
 from ringwear_par.pictures.panel import GREY, Axis, Band, Bars, Curve, Label, Panel, Points
@@ -28,10 +29,7 @@ _NAMED = 12
 #: readings whose noise has a bar each
 _FEW = 60
 #: what readings are called, by the first part of their quantity, if not by that
-_WORDS = {"profile": "depth", "mass": "mass loss", "volume": "volume loss"}
-#: what inputs are called
-_INPUTS = {"contact.friction": "friction coefficient", "load.force": "axial force",
-           "load.pressure": "mean pressure", "load.omega": "angular speed"}  # fmt: skip
+_WORDS = {"profile": "worn depth", "mass": "mass loss", "volume": "volume loss"}
 #: of ellipses
 _LEVELS = (0.68, 0.95)
 #: sd to both sides of an estimate that an axis of a key shows, and points of a curve over it
@@ -78,9 +76,7 @@ class Series:
     @property
     def label(self) -> str:
         """The label of an axis of its readings."""
-        kind, _, body = self.quantity.partition(".")
-        of = f" of {body}" if body else ""
-        return f"{_WORDS.get(kind, kind)}{of} ({in_signs(self.unit)})"
+        return f"{self._words} ({in_signs(self.unit)})"
 
     @property
     def quantile(self) -> float:
@@ -90,7 +86,12 @@ class Series:
     @property
     def title(self) -> str:
         """The experiment and the series."""
-        return f"{self.experiment}: {self.name}"
+        return f"{self.experiment}: {self.name.replace(self.quantity, self._words)}"
+
+    @property
+    def _words(self) -> str:
+        kind, _, body = self.quantity.partition(".")
+        return _WORDS.get(kind, kind) + f" of {body}" * bool(body)
 
     def along(self) -> tuple[FloatArray, Axis]:
         """Return the abscissae in the unit of their axis, and that axis."""
@@ -172,10 +173,9 @@ def measured_input(
 ) -> Panel:  # fmt: skip
     """Return the readings of an input of a test, times in s, and the curve of its case there."""
     word, length = time_unit(float(time[-1]))
-    name = _INPUTS[key]
-    label = f"{name} ({in_signs(unit)})" if unit not in ("1", "-") else name
+    label = quantity_label(key, "" if unit in ("1", "-") else unit)
     return Panel(
-        Axis(f"time ({word})"), Axis(label), f"{experiment}: {key}",
+        Axis(f"time ({word})"), Axis(label), f"{experiment}: {quantity_name(key)}",
         curves=[Curve(time / length, curve, "smoothed", COLOURS[2])],
         points=[Points(time / length, value, "data", GREY, 4.0)],
     )  # fmt: skip
@@ -304,7 +304,7 @@ class FittedKey:
         unit = in_signs(users_unit(self.entry)[0])
         unit = " ".join(filter(None, (power, unit)))
         ends = None if self.ends is None else tuple(self.scaled(self.ends).tolist())
-        return Axis(f"{self.name} ({unit})" if unit else self.name, ends=ends)
+        return Axis(quantity_label(self.name, unit), ends=ends)
 
 
 def fitted_keys(outcome: Mapping[str, Any], samples: Mapping[str, FloatArray]) -> list[list[Panel]]:
@@ -383,12 +383,14 @@ def _pair(outcome: Mapping[str, Any], first: FittedKey, second: FittedKey, i: in
     points, curves, labels = [], [], []
     if first.samples is not None and second.samples is not None:
         x, y = first.scaled(first.samples), second.scaled(second.samples)
-        points.append(Points(x, y, "", _LINE, 2.0, opacity=0.5))
+        points.append(Points(x, y, "", _LINE, 2.0))
     pair = first, second
     unknown = [key for key in pair if key.entry["verdict"] != "identified"]
     at = [key.scaled(key.entry["estimate"]) for key in pair]
     if unknown:
-        verdicts = "\n".join(f"{key.name}: {key.entry['verdict']}" for key in unknown)
+        verdicts = "\n".join(
+            f"{quantity_name(key.name)}: {key.entry['verdict']}" for key in unknown
+        )
         (left, right), (_, top) = (key.axis.ends or (v, v) for key, v in zip(pair, at, strict=True))
         labels.append(Label(0.5 * float(left + right), float(top), verdicts, True, centred=True))
     else:
@@ -449,6 +451,6 @@ def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
     material = Curve(ends, np.full(2, estimate["estimate"] / scale), "the material", COLOURS[0])
     return Panel(
         Axis("specimen", ends=(ends[0], ends[1]), categories=names),
-        Axis(f"{key} ({in_signs(unit)})" if unit else key),
-        f"{key} of specimens", curves=[material], bands=bands, points=drawn,
+        Axis(quantity_label(key, unit)), f"{quantity_name(key)}, of specimens",
+        curves=[material], bands=bands, points=drawn,
     )  # fmt: skip

@@ -1,17 +1,21 @@
 """Panels in files, drawn by matplotlib."""
 
 import math
+import string
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.colors import LogNorm
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, LogNorm, Normalize, to_rgba
+from matplotlib.legend import Legend
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from ringwear_par.pictures.panel import Axis, Cells, Curve, Label, Panel
+from ringwear_par.pictures.panel import Axis, Cells, Curve, Label, Panel, Stages
 from ringwear_par.pictures.style import (
+    CASING,
     CELL_COLOURS,
     DASHES,
     STYLE,
@@ -19,15 +23,18 @@ from ringwear_par.pictures.style import (
     number_text,
     plain,
     set_legend,
+    stage_colour,
 )
 
 #: letters of the labels in a line of a legend, with what is beside each, and its most columns
 _LETTERS, _GLYPH, _MOST_COLUMNS = 54, 5, 3
 #: likewise of an inch of a legend of many panels
-_LETTERS_OF_INCH = 15.0
+LETTERS_OF_INCH = 15.0
 #: widths of lines of a page, in those of a figure; of sizes of points
 _WIDTH, _SIZE = 0.65, 0.7
 _MARKERS = {"dot": "o", "level": "_", "up": "^", "down": "v"}
+#: width of the edges of bands, whose fillings are pale, and colours of a bar of stages
+_EDGE, _SHADES = 0.6, 256
 #: most intervals between numbers of an axis below, whose labels would run together
 _MOST_INTERVALS = 6
 #: so many points are a picture in drawings, whose files would be large
@@ -49,12 +56,10 @@ def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
     """
     for band in panel.bands:
         axes.fill_between(
-            band.x, band.low, band.high, color=band.colour, alpha=band.opacity, linewidth=0.0,
-            label=plain(band.name),
+            band.x, band.low, band.high, facecolor=to_rgba(band.colour, band.opacity),
+            edgecolor=band.colour if band.name else "none", linewidth=_EDGE,
+            linestyle=":" if band.edge else "-", label=plain(band.name),
         )  # fmt: skip
-        if band.edge:
-            for end in (band.low, band.high):
-                axes.plot(band.x, end, color=band.colour, linewidth=0.6, linestyle=":")
     for curve in panel.curves:
         _draw_curve(axes, curve)
     for points in panel.points:
@@ -63,7 +68,9 @@ def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
             color=points.colour, markersize=_SIZE * points.size, alpha=points.opacity,
             markerfacecolor="none" if points.hollow else points.colour, label=plain(points.name),
             markeredgewidth=1.0 if points.hollow or points.marker == "level" else 0.0,
-            rasterized=len(points.x) > _MANY, zorder=2.0 if points.cases is None else 1.5,
+            rasterized=len(points.x) > _MANY,
+            zorder=1.5 if points.cases is not None or len(points.x) > _MANY else 2.0,
+            path_effects=None if panel.cells is None else CASING,
         )  # fmt: skip
         if points.errors is not None:
             axes.errorbar(
@@ -80,11 +87,14 @@ def draw(axes: Any, panel: Panel, columns: int = _MOST_COLUMNS) -> None:
         starts = np.zeros(len(bars.values)) if bars.starts is None else bars.starts
         axes.barh(
             bars.places, bars.values - starts, bars.height, starts, xerr=bars.errors,
-            color=bars.colour, alpha=bars.opacity, linewidth=0.0, label=plain(bars.name),
+            color=to_rgba(bars.colour, bars.opacity), edgecolor=bars.colour, linewidth=_EDGE,
+            label=plain(bars.name),
             error_kw={"ecolor": "0.1", "elinewidth": 0.9, "capsize": 2.0},
         )  # fmt: skip
     if panel.cells is not None:
         _draw_cells(axes, panel.cells)
+    if panel.stages is not None:
+        _draw_stages(axes, panel.stages)
     _set_axis(axes, "x", panel.x)
     _set_axis(axes, "y", panel.y)
     if columns:
@@ -104,6 +114,13 @@ def _draw_cells(axes: Any, cells: Cells) -> None:
     bar.set_label(plain(cells.label))
 
 
+def _draw_stages(axes: Any, stages: Stages) -> None:
+    """Draw a bar of the colours of stages in time."""
+    shades = ListedColormap([stage_colour(share) for share in np.linspace(0.0, 1.0, _SHADES)])
+    colours = ScalarMappable(Normalize(stages.low, stages.high), shades)
+    axes.figure.colorbar(colours, ax=axes, label=stages.label)
+
+
 def panel_figure(
     rows: Sequence[Sequence[Panel]], size: tuple[float, float], heights: Sequence[float] = ()
 ) -> NotebookFigure:
@@ -116,7 +133,32 @@ def panel_figure(
     with matplotlib.rc_context(STYLE):
         chart = NotebookFigure(figsize=size, layout="constrained")
         panel_grid(chart, rows, heights)
+        add_letters(chart)
     return chart
+
+
+def add_letters(figure: Any) -> None:
+    """Name the panels of a figure (a), (b) and so on, before their titles, if it has several.
+
+    Beside a legend above a panel there is no room: there the letter is in its title.
+    """
+    panels = [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
+    for axes, letter in zip(panels, _letters(len(panels)), strict=False):
+        legend = axes.get_legend()
+        above = legend is not None and legend._loc == Legend.codes["lower center"]
+        if title := axes.get_title():
+            axes.set_title(f"{letter} {title}")
+        elif above:
+            legend.set_title(f"{letter} {legend.get_title().get_text()}".rstrip())
+        else:
+            axes.set_title(f"{letter} {axes.get_title(loc='left')}".rstrip(), loc="left")
+
+
+def _letters(count: int) -> list[str]:
+    """Return (a) to (z), (aa) and so on; none for a single panel."""
+    alphabet = ["", *string.ascii_lowercase]
+    names = [first + second for first in alphabet for second in alphabet[1:]]
+    return [f"({name})" for name in names[:count]] if count > 1 else []
 
 
 def panel_grid(
@@ -158,7 +200,7 @@ def add_shared_legend(chart: Any, entries: Mapping[str, Any], title: str = "") -
     """
     if entries:
         widest = max(map(len, entries)) + _GLYPH
-        letters = _LETTERS_OF_INCH * chart.bbox.width / chart.figure.dpi
+        letters = LETTERS_OF_INCH * chart.bbox.width / chart.figure.dpi
         legend = chart.legend(
             entries.values(), entries.keys(), loc="outside upper center", frameon=False,
             ncols=max(1, min(len(entries), int(letters / widest))), title=title,
@@ -247,7 +289,8 @@ def legend_shape(panel: Panel, letters: int = _LETTERS, most: int | None = None)
 def legend_entries(axes: Any) -> dict[str, Any]:
     """Return the handles of a panel's legend by label."""
     handles, labels = axes.get_legend_handles_labels()
-    return {label: handle for handle, label in zip(handles, labels, strict=True) if label}
+    entries = zip(reversed(handles), reversed(labels), strict=True)  # the first of a label
+    return dict(reversed({label: handle for handle, label in entries if label}.items()))
 
 
 def add_legend(axes: Any, title: str = "", columns: int = _MOST_COLUMNS) -> None:

@@ -154,6 +154,16 @@ class Cells:
         return _borders(self.x), _borders(self.y)
 
 
+@dataclass(frozen=True)
+class Stages:
+    """A bar of the colours of stages in time, in the place of a legend of many."""
+
+    low: float
+    high: float
+    #: with the unit of time
+    label: str
+
+
 def _borders(middles: FloatArray) -> FloatArray:
     if len(middles) == 1:
         half = 0.1 * abs(middles) or 0.5
@@ -178,6 +188,7 @@ class Panel:
     points: Sequence[Points] = ()
     bars: Sequence[Bars] = ()
     cells: Cells | None = None
+    stages: Stages | None = None
     #: values at which dotted lines go across
     levels: tuple[float, ...] = ()
     #: go up

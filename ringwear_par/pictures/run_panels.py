@@ -1,26 +1,24 @@
 """Panels of a run: quantities over time, worn faces and pressure along the radius."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import to_hex
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
-from ringwear_par.pictures.panel import FEW_POINTS, Axis, Curve, Label, Panel, Points
+from ringwear_par.pictures.panel import FEW_POINTS, Axis, Curve, Label, Panel, Points, Stages
 from ringwear_par.pictures.style import COLOURS, stage_colour
 from ringwear_par.results.key_numbers import (
     friction_of,
+    instants,
     nominal_area,
     pressure_peak,
     stages,
     time_unit,
-    time_words,
 )
 from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import layer_ends_near_wear
@@ -30,6 +28,8 @@ from ringwear_par.schedules import in_time
 RADIUS = "distance to axis (mm)"
 #: of the width of the contact, how far unworn faces are drawn beside it
 _BESIDE = 0.15
+#: most stages in time that a legend names; more have a bar of colours
+_NAMED = 8
 
 
 @dataclass(frozen=True)
@@ -194,23 +194,23 @@ def worn_bodies(result: Result) -> list[BodyName]:
 def worn_faces(
     result: Result, bodies: Sequence[BodyName] | None = None, rows: Sequence[int] | None = None
 ) -> Panel:
-    """Return the panel of worn faces with the ends of their layers.
+    """Return the panel of worn depths, which grow downwards, with the ends of layers.
 
     Parameters
     ----------
-    bodies : those to be drawn; None: those that wear.
+    bodies : those to be drawn; None: those that wear. Of both, the upper one is dashed.
     rows : stored states; None: the default instants.
     """
     bodies = worn_bodies(result) if bodies is None else bodies
-    faces = "faces" if len(bodies) > 1 else f"face of {bodies[0]}"
-    label = f"height of worn {faces} (\N{MICRO SIGN}m)"
+    both = len(bodies) > 1
+    label = f"worn depth{'' if both else f' of {bodies[0]}'} (\N{MICRO SIGN}m)"
     r, (inner, outer) = result.line.r, result.line.edges[[0, -1]].tolist()
-    curves = [c for body in bodies for c in at_states(result, height(result, body), rows)]
-    labels = []
-    for body in bodies:
-        sign = -1e3 if body == "lower" else 1e3
+    curves, labels = [], []
+    for number, body in enumerate(bodies):
+        drawn = at_states(result, worn_depth(result, body), rows)
+        curves += [replace(curve, dash=number) for curve in drawn] if both else drawn
         for end in layer_ends_near_wear(result, body):
-            name, depth = f"end of layer {end.layer}", sign * end.depth
+            name, depth = f"end of layer {end.layer}", 1e3 * end.depth
             curves.append(Curve(r, depth, name, "#666666", 3, 1.0, legend="end of layer"))
             place = float(result.line.edges[-1]), float(depth[-1])
             labels.append(Label(*place, f"layer {end.layer}", below=body == "lower"))
@@ -219,15 +219,11 @@ def worn_faces(
     for ends in ([low, inner], [outer, high]):
         unworn = Curve(np.array(ends), np.zeros(2), "", "#666666", 0, 1.0, tabulated=False)
         curves.append(unworn)
-    note = "lower below 0, upper above" if len(bodies) > 1 else ""
     return Panel(
-        Axis(RADIUS, ends=(low, high)),
-        Axis(label, zero=True),
-        label,
-        note,
-        curves=curves,
-        labels=labels,
-    )
+        Axis(RADIUS, ends=(low, high)), Axis(label, reversed=True), label,
+        "lower solid, upper dashed" if both else "", curves=curves, labels=labels,
+        stages=bar_of_stages(result, rows),
+    )  # fmt: skip
 
 
 def pressure(result: Result, rows: Sequence[int] | None = None, top: float | None = None) -> Panel:
@@ -242,46 +238,61 @@ def pressure(result: Result, rows: Sequence[int] | None = None, top: float | Non
     label, values = "contact pressure (MPa)", result.profiles["pressure"]
     peak = pressure_peak(result)
     top = top or peak.top(peak.highest)
-    rows = stages(result.histories["time"]) if rows is None else rows
+    drawn = stages(result.histories["time"]) if rows is None else rows
+    colours = stage_colours(result.histories["time"][drawn])
     marks = [
-        Points(
-            result.line.r[edge], values[row][edge], "contact edge", stage(number, len(rows)), 6.0,
-            hollow=True,
-        )
-        for number, row in enumerate(rows)
+        Points(result.line.r[edge], values[row][edge], "contact edge", colour, 6.0, hollow=True)
+        for row, colour in zip(drawn, colours, strict=True)
         if (edge := edge_elements(values[row]) & (values[row] > 0.0)).any()
     ]  # fmt: skip
     return Panel(
         Axis(RADIUS), Axis(label, ends=(0.0, top)), label, peak.note(top),
-        curves=at_states(result, values, rows), points=marks,
+        curves=at_states(result, values, rows), points=marks, stages=bar_of_stages(result, rows),
     )  # fmt: skip
 
 
-def height(result: Result, body: BodyName) -> FloatArray:
-    """Return the height of a worn face, um, at all stored states: lower's is below 0."""
-    sign = -1e3 if body == "lower" else 1e3
-    return sign * np.asarray(result.profiles[f"wear_{body}"])
+def worn_depth(result: Result, body: BodyName) -> FloatArray:
+    """Return the worn depth of a face, um, at all stored states."""
+    return 1e3 * np.asarray(result.profiles[f"wear_{body}"])
 
 
 def at_states(result: Result, values: Any, rows: Sequence[int] | None = None) -> list[Curve]:
     """Return a field along the radius at some stored states; None: the default instants."""
     time = result.histories["time"]
     rows = stages(time) if rows is None else rows
+    styles = stage_styles(time[rows], float(time[-1]))
     return [
-        Curve(
-            result.line.r, values[row], time_words(time[row], float(time[-1])),
-            stage(number, len(rows)), number,
-        )
-        for number, row in enumerate(rows)
+        Curve(result.line.r, values[row], *style) for row, style in zip(rows, styles, strict=True)
+    ]
+
+
+def stage_styles(times: FloatArray, end: float) -> list[tuple[str, str, int]]:
+    """Return name, colour and dash of stages in time, s; many have no names, see ``Stages``."""
+    colours, words = stage_colours(times), instants(times.tolist(), end)
+    if len(times) > _NAMED:
+        return [("", colour, 0) for colour in colours]
+    return [(*style, dash) for dash, style in enumerate(zip(words, colours, strict=True))]
+
+
+def stage_colours(times: FloatArray) -> list[str]:
+    """Return the colours of stages in time: of many by their times, of few evenly."""
+    places = times if len(times) > _NAMED else np.arange(len(times))
+    span = float(np.ptp(places))
+    return [stage_colour(float(share)) for share in (places - places[0]) / span] if span else [
+        stage_colour(1.0) for _ in places
     ]  # fmt: skip
+
+
+def bar_of_stages(result: Result, rows: Sequence[int] | None) -> Stages | None:
+    """Return the bar of the colours of stored states that are too many for a legend."""
+    if rows is None or len(rows) <= _NAMED:
+        return None
+    time = result.histories["time"]
+    unit, seconds = time_unit(float(time[-1]))
+    low, high = (time[[rows[0], rows[-1]]] / seconds).tolist()
+    return Stages(low, high, f"time ({unit})")
 
 
 def at_instant(result: Result, values: FloatArray) -> Curve:
     """Return a field along the radius at an instant that the reader chooses."""
     return Curve(result.line.r, values, "time chosen", COLOURS[1], 0, 2.5, marked=True)
-
-
-@cache
-def stage(number: int, count: int) -> str:
-    """Return the colour of a stage in time."""
-    return str(to_hex(stage_colour(number, count)))

@@ -96,7 +96,7 @@ def draw_section(axes: Any, result: Result, label: str) -> None:
         for zone, at in enumerate(body.contours):
             axes.add_patch(
                 Polygon(
-                    body.nodes[at], fill=False, edgecolor="0.75", linewidth=0.8,
+                    body.nodes[at], fill=False, edgecolor="0.55", linewidth=0.8,
                     label=None if number or zone else "undeformed, 1\N{MULTIPLICATION SIGN}",
                 )
             )  # fmt: skip

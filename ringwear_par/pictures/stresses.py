@@ -13,10 +13,10 @@ from ringwear_par.cases.files.key_values import Outline, outlines
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import COMPONENTS, SIDES, StressState, mises
 from ringwear_par.pictures.panel import FEW_POINTS, Axis, Band, Curve, Label, Panel
-from ringwear_par.pictures.run_panels import RADIUS, stage
+from ringwear_par.pictures.run_panels import RADIUS, stage_styles
 from ringwear_par.pictures.sections import magnification
-from ringwear_par.pictures.style import COLOURS
-from ringwear_par.results.key_numbers import time_unit, time_words
+from ringwear_par.pictures.style import CASING, COLOURS
+from ringwear_par.results.key_numbers import instants, time_unit
 from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import Interface, interfaces_of, stresses
 
@@ -42,7 +42,7 @@ _BESIDE = 0.5
 _ROOM = 0.05
 #: share of the radii drawn from which on a part that is worn through is told in words, and where
 _WIDE, _TEXT_HEIGHT = 0.2, 0.6
-_DARK, _PALE = "#666666", "#999999"
+_DARK, _PALE = "#666666", "#808080"
 
 
 def highest(states: Sequence[StressState]) -> float:
@@ -84,18 +84,16 @@ def draw_map(axes: Any, result: Result, label: str, state: StressState, top: flo
         axes.add_patch(Polygon(outline.contour, fill=False, edgecolor="0.25", linewidth=0.9))
         axes.hlines(outline.interfaces, inner, outer, color="0.25", linewidth=0.5)
     stretch = _stretch(float(r[-1] - r[0]), float(z[-1] - z[0]))
-    factor = _draw_wear(axes, result, state, sections, _WEAR_DRAWN * (z[-1] - z[0]))
+    _draw_wear(axes, result, state, sections, _WEAR_DRAWN * (z[-1] - z[0]), max(stretch, 1.0))
     axes.set_xlim(r[0], r[-1])
     axes.set_ylim(z[0], z[-1])
     axes.set_aspect(stretch)
     axes.set_xlabel("distance to axis (mm)")
     axes.set_ylabel("height (mm)")
-    time = time_words(state.time, float(result.histories["time"][-1]))
+    (time,) = instants([state.time], float(result.histories["time"][-1]))
     scales = {}
     if stretch != 1.0:
         scales["heights" if stretch > 1.0 else "radii"] = max(stretch, 1.0 / stretch)
-    if factor:
-        scales["worn faces"] = factor * max(stretch, 1.0)
     words = ", ".join(f"{name} {of:.6g}\N{MULTIPLICATION SIGN}" for name, of in scales.items())
     axes.set_title(f"{label}: {time}\n{words}".rstrip())
 
@@ -138,25 +136,25 @@ def _spread(values: FloatArray, known: BoolArray) -> FloatArray:
 
 
 def _draw_wear(
-    axes: Any, result: Result, state: StressState, sections: Sequence[Outline], height: float
-) -> float:
+    axes: Any, result: Result, state: StressState, sections: Sequence[Outline], height: float,
+    stretch: float,
+) -> None:  # fmt: skip
     """Draw the worn faces of a state, the deepest wear by a height; return how much more it is.
 
-    Never less than it is: what the scale of heights shows is drawn as it lies. Return 0 if none of
-    them is among the heights of the map.
+    Never less than it is: what the scale of heights shows is drawn as it lies. A legend names the
+    faces that are among the heights of the map, and how much larger their wear is than radii.
     """
     heights = stresses(result).grid[1]
-    seen = False
     row = int(np.abs(result.histories["time"] - state.time).argmin())
     depths = []
     for body in BODIES:
         profile = result.profiles.get(f"wear_{body}")
         if profile is None or (profile.ndim == 1 and row != len(result.step) - 1):
-            return 0.0
+            return
         depths.append(profile if profile.ndim == 1 else profile[row])
     deepest = max(float(depth.max()) for depth in depths)
     if not deepest > 0.0:
-        return 0.0
+        return
     factor = max(1.0, float(f"{height / deepest:.1g}"))
     line = result.line
     for outline, depth, down, name in zip(sections, depths, (1.0, -1.0), BODIES, strict=True):
@@ -164,12 +162,14 @@ def _draw_wear(
             continue
         face = np.interp(line.r, *outline.contour[:-2].T)
         drawn = face - down * factor * depth
-        seen |= bool(((drawn >= heights[0]) & (drawn <= heights[-1])).any())
+        seen = ((drawn >= heights[0]) & (drawn <= heights[-1])).any()
+        words = f"worn face of {name}, {factor * stretch:.6g}\N{MULTIPLICATION SIGN}"
         axes.plot(
-            line.r, drawn, color=COLOURS[1], linewidth=1.2,
-            linestyle="-" if name == "lower" else "--",
+            line.r, drawn, color="k", linewidth=1.2, path_effects=CASING,
+            linestyle="-" if name == "lower" else "--", label=words if seen else "",
         )  # fmt: skip
-    return factor if seen else 0.0
+    if axes.get_legend_handles_labels()[1]:
+        axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=4.0)
 
 
 def along_height(result: Result, label: str, states: Sequence[StressState]) -> Panel:
@@ -184,13 +184,11 @@ def along_height(result: Result, label: str, states: Sequence[StressState]) -> P
                              upper.interfaces + _ON_FACE])  # fmt: skip
     between = np.searchsorted(z, levels)  # where materials end, curves do
     height = np.insert(z, between, np.nan)
+    styles = stage_styles(np.array([state.time for state in states]), end)
     curves = [
-        Curve(
-            np.insert(mises(state.grid[column]), between, np.nan), height,
-            time_words(state.time, end), stage(number, len(states)), number,
-        )
-        for number, state in enumerate(states)
-    ]  # fmt: skip
+        Curve(np.insert(mises(state.grid[column]), between, np.nan), height, *style)
+        for state, style in zip(states, styles, strict=True)
+    ]
     at = f"r = {r[column]:.4g} mm"
     highest = max((float(np.nanmax(curve.x, initial=0.0)) for curve in curves), default=0.0)
     return Panel(
@@ -291,7 +289,7 @@ def _along(
             Curve(r, curve, name, COLOURS[number], number)
             for number, (curve, name) in enumerate(zip(of_state, names, strict=True))
         ]
-        time = time_words(state.time, end_time)
+        (time,) = instants([state.time], end_time)
         lines = [": ".join(filter(None, (label, time))), interface.name, note]
         yield Panel(
             Axis(RADIUS, ends=(low, high)), Axis("", ends=(bottom, top)),

@@ -2,13 +2,17 @@
 
 import io
 import logging
+import math
 import re
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import matplotlib
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from ringwear_par.cases.units import in_signs
 from ringwear_par.cases.values import is_number
@@ -31,14 +35,20 @@ STYLE: dict[Any, Any] = {
 }
 #: fonts in files as fonts: publishers refuse Type 3, and texts in drawings can be edited
 _FONTS: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"}
-#: of Okabe and Ito, which the colour-blind tell apart; dashes do in print without colour
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#222222")
+#: after Okabe and Ito, which the colour-blind tell apart, with a contrast of 3 on white at least;
+#: dashes do in print without colour
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#c2699a", "#222222")
+#: of dark lines on colours
+CASING = [withStroke(linewidth=3.0, foreground="w")]
 #: map of the colours of cells, which the colour-blind see as others do
 CELL_COLOURS = "viridis_r"
 #: line styles that stay apart in print without colour
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
-#: of a map whose lightness grows evenly, the dark part that can be seen on white
-_EARLY, _LATE = 0.82, 0.0
+#: of a map whose lightness grows evenly, the dark part whose contrast on white is 3 at least
+_EARLY, _LATE = 0.58, 0.0
+MM_OF_INCH = 25.4
+#: share of its usual width that a figure has at least
+_LEAST_WIDTH = 0.85
 #: pixels of an inch in a notebook, and of its pictures as many times as much for fine screens
 _NOTEBOOK_DPI, _FINE = 100.0, 2
 
@@ -62,10 +72,10 @@ class NotebookFigure(Figure):
         return picture.getvalue(), {"width": width, "height": height}
 
 
-def stage_colour(number: int, count: int) -> Any:
-    """Return the colour of a stage in time, the later the darker; it stays so in grey."""
-    share = 1.0 if count == 1 else number / (count - 1)
-    return matplotlib.colormaps["viridis"](_EARLY + (_LATE - _EARLY) * share)
+@cache
+def stage_colour(share: float) -> str:
+    """Return the colour of a stage in time, from 0 to 1, the later the darker; so in grey too."""
+    return to_hex(matplotlib.colormaps["viridis"](_EARLY + (_LATE - _EARLY) * share))
 
 
 def plain(text: str) -> str:
@@ -127,8 +137,28 @@ def check_format(output: Path) -> None:
         raise InputError(f"{output}: its ending must be one of {', '.join(sorted(formats))}")
 
 
-def save_figure(figure: Figure, output: Path) -> None:
+def of_width(figure: Figure, width: float | None) -> Figure:
+    """Return a figure with another width, mm, its texts as large as before; None: as it is.
+
+    Raises
+    ------
+    InputError : its texts would have no room.
+    """
+    if width is None:
+        return figure
+    least = math.ceil(_LEAST_WIDTH * MM_OF_INCH * figure.get_figwidth())
+    if width < least:
+        raise InputError(f"--width {width:g} mm: must be {least} mm at least for this figure")
+    figure.set_figwidth(width / MM_OF_INCH)
+    return figure
+
+
+def save_figure(figure: Figure, output: Path, dpi: float | None = None) -> None:
     """Write a picture by rename, in the format of its ending. On one rank.
+
+    Parameters
+    ----------
+    dpi : points of an inch of pictures that are no drawings; None: those of the style.
 
     Raises
     ------
@@ -136,7 +166,7 @@ def save_figure(figure: Figure, output: Path) -> None:
     OSError : the disk or the folder.
     """
     try:
-        picture = _drawn(figure, output.suffix[1:].lower())
+        picture = _drawn(figure, output.suffix[1:].lower(), dpi)
     except ArithmeticError as error:
         raise InputError(f"{output}: cannot be drawn: {error}; values are too large") from error
     with atomic_write(output) as temporary:
@@ -157,9 +187,9 @@ def picture(draw: Callable[[], Figure], name: str) -> bytes | None:
         return None
 
 
-def _drawn(figure: Figure, form: str) -> bytes:
+def _drawn(figure: Figure, form: str, dpi: float | None = None) -> bytes:
     """Return a figure in a format: backends leave files open where the disk fails."""
     content = io.BytesIO()
     with matplotlib.rc_context(STYLE):
-        figure.savefig(content, format=form)
+        figure.savefig(content, format=form, dpi=dpi or STYLE["savefig.dpi"])
     return content.getvalue()

@@ -28,7 +28,7 @@ def panel(time: FloatArray, quantiles: FloatArray, of: str) -> Panel:
     low, lower, median, upper, high = factor * quantiles
     time = time / seconds
     return Panel(
-        Axis(f"time ({unit})"), Axis(f"penetration ({depth})", zero=True), of,
+        Axis(f"time ({unit})", zero=True), Axis(f"penetration ({depth})", zero=True), of,
         curves=[Curve(time, median, "median", COLOURS[1], width=1.8)],
         bands=[
             Band(time, low, high, "95 %", ("2.5 %", "97.5 %"), COLOURS[0], 0.18),

@@ -9,7 +9,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.errors import InputError, ValidityWarning, legible
+from ringwear_par.errors import InputError, ValidityWarning, counted, legible
 from ringwear_par.files.folders import DESIGN, FIT, PROGRESS, READINGS
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.history.derivatives.keys import differentiable
@@ -161,7 +161,7 @@ def sources_of(known: FitKnowledge, of: str, sizes: FloatArray) -> tuple[str, ..
     sizes : (2, draws) mm, of the process noise.
     """
     values, count = known.values, known.specimens
-    tested = f"{count} specimen{'' if count == 1 else 's'}"
+    tested = counted(count, "specimen")
     scatters = [values.keys[key] for key in dict.fromkeys(values.scattering.tolist())]
     if scatters:
         sentences = [f"scatter of {', '.join(scatters)} between {tested}"]
@@ -207,9 +207,6 @@ def doubts_of(known: FitKnowledge, case: Case, of: str) -> tuple[ValidityWarning
             numbers = {"condition": name, "case": value, "tests": [low, high], "unit": unit}
             doubts.append(ValidityWarning("extrapolates", text, values=numbers))
     if known.warnings:
-        text = (
-            f"the fit itself has {known.warnings} warning{'' if known.warnings == 1 else 's'}: "
-            "read its summary first"
-        )
+        text = f"the fit itself has {counted(known.warnings, 'warning')}: read its summary first"
         doubts.append(ValidityWarning("fit-warnings", text))
     return tuple(doubts)

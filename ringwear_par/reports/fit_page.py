@@ -10,14 +10,13 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import factor, in_signs, with_signs
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import InputError, counted, legible
 from ringwear_par.files import folders
 from ringwear_par.files.text import parse_json
 from ringwear_par.files.text import read_text as read_file
-from ringwear_par.identification.fit_rows import (
+from ringwear_par.identification.summary import (
     LAWS,
     SERIES,
-    counted,
     goodness,
     input_lines,
     key_rows,

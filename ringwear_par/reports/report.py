@@ -6,7 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError, InputError, counted
 from ringwear_par.files import folders
 from ringwear_par.files.writing import atomic_write, check_writable
 from ringwear_par.reports.blocks import Chart, Page
@@ -56,11 +56,11 @@ def write_page(page: Page, output: Path) -> str:
     """
     try:
         with atomic_write(output) as temporary:
-            temporary.write_text(_html(page), encoding="utf-8")
+            temporary.write_text(html_text(page), encoding="utf-8")
     except OSError as error:
         raise ComputationError(f"{output}: {error.strerror or error}") from error
     figures = len(page.charts) + page.pictures
-    return f"{output}: {page.kind}, {figures} figure{'' if figures == 1 else 's'}"
+    return f"{output}: {page.kind}, {counted(figures, 'figure')}"
 
 
 def check_page(output: Path) -> None:
@@ -127,7 +127,7 @@ def _other_file(path: Path) -> str:
     return ""
 
 
-def _html(page: Page) -> str:
+def html_text(page: Page) -> str:
     """Return the text of a page; everything that is not of the template is escaped."""
     import jinja2
     from markupsafe import Markup

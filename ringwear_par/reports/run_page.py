@@ -31,8 +31,8 @@ from ringwear_par.results.key_numbers import (
     KeyNumber,
     check_numbers,
     in_groups,
+    instants,
     key_numbers,
-    time_words,
 )
 from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import nearest_states
@@ -80,8 +80,8 @@ def run_page(result: Result) -> Page:
     return Page("Wear history of a test", title or "Run without a title", sections)
 
 
-def _tiles(numbers: Iterable[KeyNumber], doubts: int, wrong: list[KeyNumber], errors: str) -> Tiles:
-    """Return the answers of a run."""
+def answers(numbers: Iterable[KeyNumber]) -> list[Tile]:
+    """Return the key numbers that a page of a run begins with."""
     known, tiles = {number.name: number for number in numbers}, []
     bodies = [body for body in BODIES if f"{body}_worn_volume" in known]
     labels = [("penetration", "penetration")]
@@ -96,8 +96,13 @@ def _tiles(numbers: Iterable[KeyNumber], doubts: int, wrong: list[KeyNumber], er
         number = known.get(name)
         if number is not None and not math.isnan(number.value):
             tiles.append(Tile(label, number.short, in_signs(number.unit)))
+    return tiles
+
+
+def _tiles(numbers: Iterable[KeyNumber], doubts: int, wrong: list[KeyNumber], errors: str) -> Tiles:
+    """Return the answers of a run, and whether its checks are good."""
     note = with_signs("; ".join([*map(str, wrong), errors]))
-    return Tiles([*tiles, checks_tile(doubts, note, len(wrong))])
+    return Tiles([*answers(numbers), checks_tile(doubts, note, len(wrong))])
 
 
 def histories(result: Result) -> Charts:
@@ -111,7 +116,7 @@ def histories(result: Result) -> Charts:
 def profiles(result: Result) -> Charts | None:
     """Return worn faces and pressure at five instants and at that of a slider; None: not stored."""
     panels = {
-        f"wear-{body}": (run_panels.worn_faces(result, [body]), run_panels.height(result, body))
+        f"wear-{body}": (run_panels.worn_faces(result, [body]), run_panels.worn_depth(result, body))
         for body in run_panels.worn_bodies(result)
     }
     if run_panels.at_all_states(result, "pressure"):
@@ -119,17 +124,16 @@ def profiles(result: Result) -> Charts | None:
     if not panels:
         return None
     time = result.histories["time"]
-    instants = np.unique(np.linspace(0, len(time) - 1, _SLIDER).round().astype(int)).tolist()
+    rows = np.unique(np.linspace(0, len(time) - 1, _SLIDER).round().astype(int)).tolist()
     charts = []
     for name, (panel, values) in panels.items():
         times = ", ".join(curve.name for curve in panel.curves)
         label = f"Line chart: {panel.y.label} over the {run_panels.RADIUS} at {times}"
-        frames = [values[row].tolist() for row in instants]
-        chosen = run_panels.at_instant(result, values[instants[-1]])
+        frames = [values[row].tolist() for row in rows]
+        chosen = run_panels.at_instant(result, values[rows[-1]])
         panel = replace(panel, curves=[*panel.curves, chosen])
         charts.append(Chart(name, panel, label, 400, frames))
-    words = [time_words(time[row], float(time[-1])) for row in instants]
-    return Charts(charts, words, len(instants) - 1)
+    return Charts(charts, instants(time[rows].tolist(), float(time[-1])), len(rows) - 1)
 
 
 def key_rows(numbers: Iterable[KeyNumber]) -> list[tuple[str, str, str]]:

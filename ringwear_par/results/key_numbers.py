@@ -49,6 +49,20 @@ def time_words(time: float, end: float) -> str:
     return f"{number_words(time / seconds)} {unit}"
 
 
+def instants(times: Sequence[float], end: float) -> list[str]:
+    """Return times of a history, s, as round as a hundredth of its end tells them apart.
+
+    Where that is too round, as ``time_words``.
+    """
+    unit, seconds = time_unit(end)
+    of_end = 2 - math.floor(math.log10(end / seconds)) if end > 0.0 else 0
+    words = []
+    for time in times:
+        digits = max(of_end, 1 - math.floor(math.log10(time / seconds)), 0) if time > 0.0 else 0
+        words.append(f"{number_words(round(time / seconds, digits))} {unit}")
+    return words if len(set(words)) == len(words) else [time_words(time, end) for time in times]
+
+
 def stages(time: FloatArray) -> list[int]:
     """Return the states that profiles are drawn of by default: the first step, four quarters.
 

@@ -8,8 +8,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.batched import one
+from ringwear_par.batched import one, take
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.elasticity.stress.fields import BoundaryState, StressHistory
 from ringwear_par.errors import InputError, RingwearError, ValidityWarning
@@ -114,22 +116,32 @@ def _checked(outcome: Outcome, verb: str) -> Outcome:
 class Checkpoint:
     """The last state of a history, with all that it takes to continue."""
 
-    #: where the history continues
-    start: Start
+    #: where histories that ended together continue, and which of them this one is
+    starts: Start
+    place: int
     #: of the contact solver since the last stored state
     pending_iterations: int
     #: of the history so far, see ``WorstStates.history``
     worst: Mapping[str, Sequence[float]]
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields, without the other histories."""
+        return {**vars(self), "starts": self.start, "place": 0}
+
+    @cached_property
+    def start(self) -> Start:
+        """Where the history continues, as of one of B = 1."""
+        return take(self.starts, np.array([self.place]))
+
     @cached_property
     def state(self) -> State:
         """The state, without the axis of histories."""
-        return one(self.start.state, 0)
+        return one(self.starts.state, self.place)
 
     @cached_property
     def progress(self) -> Progress:
         """Its steps, without the axis of histories."""
-        return one(self.start.progress, 0)
+        return one(self.starts.progress, self.place)
 
 
 @dataclass(frozen=True, eq=False)

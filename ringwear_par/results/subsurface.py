@@ -64,7 +64,7 @@ class Interface:
     @property
     def name(self) -> str:
         """What it is called in pictures."""
-        return f"under {BODIES[self.body]}.layers[{self.layer}], z = {self.z:.6g} mm"
+        return f"under layer {self.layer} of {BODIES[self.body]}, z = {self.z:.6g} mm"
 
     def stress(self, state: StressState) -> FloatArray:
         """Return (2, m, 6) MPa, above and below."""

@@ -1,13 +1,16 @@
 """Warnings about the validity of an answer: printed by ``run``, flagged by ``sweep``."""
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.unit_suspicions import (
     MOST_PRESSED,
+    Forecast,
+    deep_forecasts,
     deep_wear,
     smallest_modulus,
     too_much_load,
@@ -30,6 +33,10 @@ from ringwear_par.history.refusals.stable_steps import missed_corner, stable_ste
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.schedules import largest
 
+#: histories whose worst states are looked at together
+_TOGETHER = 64
+#: the measures of few elements in contact
+_ON_FEW = tuple(map(force_on, range(1, FEW_ELEMENTS)))
 #: share of the largest force of a history under which contact need not be resolved
 _SLIGHT_LOAD = 0.1
 #: largest approach or wear, in heights of a body, that small displacements describe
@@ -81,23 +88,44 @@ class Warnings:
         self._begun = True
         return False
 
-    def worst(self, number: int) -> dict[str, Sequence[float]]:
-        """Return the worst of a history by name of its measure, ``ENTRIES`` numbers each."""
-        more = {
-            "reactions": self._balances.reactions(number),
-            "infinite_stress": self._stresses.infinite(number),
-        }
+    def worst(self, numbers: IntArray) -> dict[str, Sequence[float]]:
+        """Return the worst of some histories by name of its measure, ``ENTRIES`` numbers each."""
+        infinite = max(map(self._stresses.infinite, numbers.tolist()))
+        more = {"reactions": self._balances.reactions(numbers), "infinite_stress": infinite}
         return {
-            **self._states.history(number),
+            **self._states.worst(numbers),
             **{name: (*some, *(ENTRIES - len(some)) * (0.0,)) for name, some in more.items()},
         }
 
-    def history(self, number: int) -> tuple[ValidityWarning, ...]:
-        """Return the warnings of a history."""
-        case, worst = self._cases[number], self.worst(number)
+    def histories(self, failed: Sequence[bool]) -> list[tuple[ValidityWarning, ...]]:
+        """Return the warnings of each history, none of those that have failed."""
+        good = [number for number, bad in enumerate(failed) if not bad]
+        warnings: list[tuple[ValidityWarning, ...]] = [()] * len(failed)
+        calm, deep = self._calm(), deep_forecasts([self._cases[number] for number in good])
+        for number, forecasts in zip(good, deep, strict=True):
+            warnings[number] = self._of(number, bool(calm[number]), forecasts)
+        return warnings
+
+    def _calm(self) -> BoolArray:
+        """Return which histories need not be looked at one by one: the worst of many is well."""
+        calm, case = np.zeros(len(self._cases), dtype=bool), self._cases[0]
+        alike = np.array([other.rings == case.rings for other in self._cases])
+        for numbers in np.array_split(np.flatnonzero(alike), -(-len(calm) // _TOGETHER)):
+            if len(numbers) > 1:
+                worst = self.worst(numbers)
+                known = not math.isnan(worst["reactions"][0])
+                calm[numbers] = known and not (
+                    _is_deep(case, worst) or any(_of_states(case, worst))
+                )
+        return calm
+
+    def _of(self, number: int, calm: bool, deep: Sequence[Forecast]) -> tuple[ValidityWarning, ...]:
+        case, places = self._cases[number], self._stresses.places(number)
         warnings = [self._long_steps[number]] if number in self._long_steps else []
-        warnings += validity_warnings(case, worst)
-        places = self._stresses.places(number)
+        if calm and places is None:
+            return *warnings, *unit_suspicions(case, deep), *_of_loads(case)
+        worst = self.worst(np.array([number]))
+        warnings += validity_warnings(case, worst, deep)
         if places is not None:
             history = self._stresses.history(number)
             assert history is not None
@@ -108,26 +136,34 @@ class Warnings:
 
 
 def validity_warnings(
-    case: Case, worst: Mapping[str, Sequence[float]]
+    case: Case, worst: Mapping[str, Sequence[float]], deep: Sequence[Forecast] | None = None
 ) -> tuple[ValidityWarning, ...]:
     """Return where the states of a case left what the method is made for. Not collective.
 
     Parameters
     ----------
     worst : the worst of its history, see ``Warnings.worst``.
+    deep : its ``deep_forecasts``, where they are known.
     """
     return (
-        *_deep_wear(case, worst),
-        *_apart(case),
-        *_contact_beyond_mesh(case, worst),
-        *_missed_corner(case),
-        *_high_pressure(case, worst),
-        *_few_elements(case, worst),
-        *_coarse_mesh(case, worst),
-        *_other_stack(case, worst),
-        *_unlike_slopes(case, worst),
-        *_asymmetric(worst),
-    )
+        *_deep_wear(case, worst, deep), *_of_loads(case),
+        *(warning for warnings in _of_states(case, worst) for warning in warnings),
+    )  # fmt: skip
+
+
+def _of_loads(case: Case) -> Iterator[ValidityWarning]:
+    """Yield what a case's gaps and loads alone make doubtful."""
+    yield from _apart(case)
+    yield from _missed_corner(case)
+
+
+def _of_states(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[list[ValidityWarning]]:
+    """Yield what the worst of a history's states make doubtful; nothing worse makes less so."""
+    for check in (
+        _contact_beyond_mesh, _high_pressure, _few_elements, _coarse_mesh, _other_stack,
+        _unlike_slopes, _asymmetric,
+    ):  # fmt: skip
+        yield list(check(case, worst))
 
 
 def _missed_corner(case: Case) -> Iterator[ValidityWarning]:
@@ -146,24 +182,31 @@ def _missed_corner(case: Case) -> Iterator[ValidityWarning]:
     )
 
 
-def _deep_wear(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
+def _deep_wear(
+    case: Case, worst: Mapping[str, Sequence[float]], deep: Sequence[Forecast] | None
+) -> Iterator[ValidityWarning]:
     """Yield suspicious units, and whether wear or approach were too large for small displacements.
 
     One warning for one thing: wear that much was forecast for is there.
     """
-    moved, time, *_ = worst["moved"]
-    gap = case.smallest_gaps[0] if _is_apart(case) else 0.0  # of which another warning tells
-    if moved - gap <= _MOST_MOVED * _height(case):
-        yield from unit_suspicions(case)
+    if not _is_deep(case, worst):
+        yield from unit_suspicions(case, deep)
         return
-    forecast = deep_wear(case)
-    yield from (warning for warning in unit_suspicions(case) if warning not in forecast)
+    moved, time, *_ = worst["moved"]
+    forecast = deep_wear(case, deep)
+    yield from (warning for warning in unit_suspicions(case, deep) if warning not in forecast)
     yield ValidityWarning(
         "large_displacement",
         f"approach or wear of {moved:.3g} mm at t = {time:g} s is more than 5 % of a body's "
         "height: small displacements and the mesh of the unworn bodies no longer hold"
         + "".join(f". {warning.text}" for warning in forecast),
     )
+
+
+def _is_deep(case: Case, worst: Mapping[str, Sequence[float]]) -> bool:
+    """Tell whether wear or approach were too large for small displacements."""
+    gap = case.smallest_gaps[0] if _is_apart(case) else 0.0  # of which another warning tells
+    return worst["moved"][0] - gap > _MOST_MOVED * _height(case)
 
 
 def _height(case: Case) -> float:
@@ -250,8 +293,8 @@ def _high_pressure(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator
 def _few_elements(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
     """Yield whether few elements bore a load that counts among those of the history."""
     most = worst["force"][0]
-    for count in range(1, FEW_ELEMENTS):
-        force, time, *_ = worst.get(force_on(count), (0.0, 0.0))
+    for count, name in enumerate(_ON_FEW, start=1):
+        force, time, *_ = worst.get(name, (0.0, 0.0))
         if force > _SLIGHT_LOAD * most:
             yield ValidityWarning(
                 "few_elements_in_contact",
@@ -292,7 +335,7 @@ def _unlike_slopes(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator
         )
 
 
-def _asymmetric(worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
+def _asymmetric(_case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
     """Yield whether making the compliance symmetric spoiled pressures."""
     error, time, r, *_ = worst["asymmetry"]
     if error > _MOST_ASYMMETRY:

@@ -56,12 +56,9 @@ def checks_of(
     sizes: tuple[int, ...] = SIZES,
     kind: Kind = "reference",
 ) -> Iterator[Check]:
-    """Return the checks of several errors that are computed together, one a row.
+    """Return the checks of errors of each size, whatever their signs, that go together, one a row.
 
-    Parameters
-    ----------
-    errors : of each size, in the order of the rows; their signs do not matter.
-    rows : name, tolerance and, unless it is that of ``Check``, the reference's accuracy.
+    A row is name, tolerance and, unless it is that of ``Check``, the reference's accuracy.
     """
     for values, row in zip(zip(*errors, strict=True), rows, strict=True):
         name, tolerance = row[:2]

@@ -89,9 +89,7 @@ def finite_element_errors(
 ) -> dict[str, float]:
     """Return relative errors against finite elements: ``approach``, ``ring means``, ``p(30)``.
 
-    Parameters
-    ----------
-    pressure : (n,) float, MPa, on the contact elements of a mesh.
+    The pressure (n,) MPa is on the contact elements of a mesh.
     """
     ring_values: list[float] = []
     exact: list[float] = []

@@ -72,9 +72,7 @@ def ring_case(
 ) -> Case:
     """Return the case of a pair of rings, adaptive to the last of TIMES where no steps are given.
 
-    Parameters
-    ----------
-    k : 1/MPa, of lower and upper, p0 = 0; None does not wear.
+    k, 1/MPa, is of lower and upper, p0 = 0; None does not wear.
     """
     rise = math.tan(math.radians(rings.degrees)) * (CONTACT[1] - CONTACT[0])
     faces = [((28.5, min(-r, 0.0)), (31.5, min(r, 0.0))) if r else () for r in (rise, -rise)]
@@ -89,12 +87,7 @@ def ring_case(
 
 
 class Pairs:
-    """Contact pairs of shapes and meshes, each assembled once; they serve all moduli.
-
-    Parameters
-    ----------
-    comm : communicator of the assemblies.
-    """
+    """Contact pairs of shapes and meshes, each assembled once by ranks; they serve all moduli."""
 
     def __init__(self, comm: MPI.Comm) -> None:
         self._comm = comm

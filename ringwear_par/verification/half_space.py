@@ -141,12 +141,8 @@ def indented(profile: FloatArray, approach: float, big_r: float, n: int,
              comm: MPI.Comm) -> tuple[ContactLine, ContactState]:  # fmt: skip
     """Press a rigid body of revolution into a disc of radius R at E = 1. Collective on comm.
 
-    Parameters
-    ----------
-    profile : (m, 2) float, mm, radii of the body and depths of its face below its top.
-    approach : mm.
-    big_r : mm, radius and height of the disc.
-    n : number of contact elements, all equal.
+    The profile (m, 2) mm has radii of the body and depths of its face below its top; the disc is
+    ``big_r`` mm in radius and height, its n contact elements are equal; the approach is in mm.
     """
     reach = float(profile[-1, 0])
     face = tuple((float(r), -float(z)) for r, z in profile)

@@ -72,9 +72,7 @@ def paper_checks(comm: MPI.Comm) -> Iterator[Check]:
 def edge_error(pair: ContactPair, ratio: float) -> float:
     """Return the error (absolute) of the edge exponent for E2/E1. Not collective.
 
-    Parameters
-    ----------
-    pair : of the paper's rings, strongly graded; the exponent is that from 0.003 to 0.03 mm.
+    It is that from 0.003 to 0.03 mm of the paper's rings, strongly graded.
     """
     compliance = pair.compliance((10e3, 10e3 * min(ratio, 1e9)))
     line = compliance.line
@@ -202,12 +200,7 @@ def adaptive_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
 
 
 def pin_case(n: int) -> Case:
-    """Return the case of a solid pin, r = 0 to 3 mm under 3000 N, that wears to its steady state.
-
-    Parameters
-    ----------
-    n : number of contact elements.
-    """
+    """Return the case of a solid pin, r = 0 to 3 mm under 3000 N, that wears until steady."""
     return Case(
         Ring((0.0, 10.0), (0.0, 10.0), 200e3, NU, "clamped"),
         Ring((0.0, 3.0), (10.0, 20.0), 200e3, NU, "clamped"),

@@ -315,12 +315,9 @@ def thin_disc_errors(
 ) -> list[tuple[float, float]]:
     """Return the errors of thin discs, clamped and wider than the ring that presses on them.
 
-    Of the approach, and of the pressure 0.7 mm inside both edges and in the middle. The reference
-    is the same disc as a layer on a rigid body, which has no elements of a held face near.
-
-    Parameters
-    ----------
-    sizes : numbers of contact elements.
+    Of the approach, and of the pressure 0.7 mm inside both edges and in the middle, for some
+    numbers of contact elements. The reference is the same disc as a layer on a rigid body, which
+    has no elements of a held face near.
     """
     soft, rigid, base = Material(500.0, poisson), Material(1e12, NU), 20.0
     disc = Body(Section((0.0, 30.0), height), soft.young, soft.poisson, "clamped")

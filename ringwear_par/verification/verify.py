@@ -41,12 +41,7 @@ def checks(comm: MPI.Comm) -> Iterator[Check]:
 
 
 def verify(comm: MPI.Comm) -> None:
-    """Print every check as it is done. Collective on comm.
-
-    Raises
-    ------
-    ComputationError : some are not passed; they are named.
-    """
+    """Print every check as it is done; ComputationError names failed ones. Collective on comm."""
     load_kernels(comm)
     started, failed = time.perf_counter(), []
     count: Counter[Kind] = Counter()

@@ -89,6 +89,10 @@ class WearIncrement:
     )
     #: the last pressures, and the depths of the bodies that wear: they are asked for several times
     _known: list[Any] = field(default_factory=list, init=False, repr=False, compare=False)
+    #: of laws by identity, the last slopes of rates, and those of depths: linear ones stay the same
+    _steep: dict[int, tuple[FloatArray, FloatArray]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         parts = enumerate(zip(self.laws, self.at, self.averages, strict=True))
@@ -198,7 +202,10 @@ class WearIncrement:
     def _d_depth_dp(self, law: Law, at: LocalState, p: FloatArray) -> FloatArray:
         p = _not_negative(p)
         if not law.remembers:
-            return self.step * law.d_rate_dp(p, at)
+            slope = law.d_rate_dp(p, at)
+            if id(law) not in self._steep or self._steep[id(law)][0] is not slope:
+                self._steep[id(law)] = slope, self.step * slope
+            return self._steep[id(law)][1]
         after = self.after_step(law, at, p)
         return self.step * law.d_rate_dp(p, after) / (1.0 - self.step * law.d_rate_dwear(p, after))
 

@@ -141,6 +141,11 @@ class Law:
         return self.remembers
 
     @property
+    def is_steady(self) -> bool:
+        """Whether the rate depends on pressure, speed and friction alone."""
+        return not (self.reads_wear or self.breakpoints)
+
+    @property
     def breakpoints(self) -> tuple[float, ...]:
         """Times, s, at which a parameter's table bends."""
         return breakpoints(*map(self.quantity, self.numeric))

@@ -10,7 +10,7 @@ from paths import CASES, FIT
 
 import ringwear_par as rw
 from ringwear_par.explorer.exploring import Exploration
-from ringwear_par.explorer.figures import MENU, Drawing
+from ringwear_par.explorer.figures import CASE_FILE, MENU, Drawing
 from ringwear_par.explorer.measured import read_table
 from ringwear_par.explorer.moved_keys import raw_keys
 from ringwear_par.explorer.page import _variables
@@ -31,7 +31,7 @@ def drawn():
 def test_figures_hold_the_history(drawn):
     first, now = drawn
     for menu in MENU.keys() - {"through"}:  # of layers
-        told = Drawing(now.result, first.result, now.case, 0.5, menu, []).columns()
+        told = Drawing(now.result, {CASE_FILE: first.result}, now.case, 0.5, menu, []).columns()
         curves = HISTORY_PANELS[menu].curves(now.result)
         lines = told["other"]["sources"]["lines"]
         assert len(lines["x"]) == 2 * len(curves)  # and those of the case file
@@ -39,12 +39,12 @@ def test_figures_hold_the_history(drawn):
             assert np.array_equal(np.unique(y), np.unique(values))
     lines = told["wear"]["sources"]["lines"]
     assert lines["label"][-2:] == ["time chosen"] * 2
-    assert np.array_equal(lines["y"][-2], -1e3 * now.result.profiles["wear_lower"][
+    assert np.array_equal(lines["y"][-2], 1e3 * now.result.profiles["wear_lower"][
         np.abs(now.result.histories["time"] - 100.0).argmin()])  # fmt: skip
     ends = [lines["y"][lines["label"].index(label)] for label in ("case file, end", "200 s")]
-    wear = (-1e3 * one.result.profiles["wear_lower"][-1] for one in drawn)
+    wear = (1e3 * one.result.profiles["wear_lower"][-1] for one in drawn)
     assert all(np.array_equal(*both) for both in zip(ends, wear, strict=True))
-    assert told["wear"]["note"] == "lower below 0, upper above"
+    assert told["wear"]["note"] == "lower solid, upper dashed"
     top = told["pressure"]["ranges"][1][1]
     assert 80.0 < top < max(map(max, told["pressure"]["sources"]["lines"]["y"]))
     assert "peak of" in told["pressure"]["note"]
@@ -60,7 +60,7 @@ def test_the_share_worn_through_is_drawn_of_layers(comm):
         assert len(menu) == len(MENU) - (not layered)
         if layered:
             found = exploration.compute({})
-            told = Drawing(found.result, found.result, found.case, 1.0, "through", []).columns()
+            told = Drawing(found.result, {}, found.case, 1.0, "through", []).columns()
             (y,) = told["other"]["sources"]["lines"]["y"]
             assert y == (100.0 * found.result.layers["share_through_lower"]).tolist()
             assert y[-1] > 0.0

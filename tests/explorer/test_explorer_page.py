@@ -46,7 +46,11 @@ class Visited:
 
     def ask(self, n, **values):
         """Ask for other numbers."""
-        wish = {"n": n, "instant": 1.0, "menu": "torque", "values": values}
+        self.wish(n, values)
+
+    def wish(self, n, values, pinned=None):
+        """Ask for other numbers, beside those that are pinned."""
+        wish = {"n": n, "instant": 1.0, "menu": "torque", "values": values, "pinned": pinned}
         self.talk.request = json.dumps(wish)
 
     def give(self, name, table):
@@ -97,13 +101,16 @@ def test_malformed_wishes_are_answered_by_a_sentence(comm, caplog):
     good = {"n": 1, "instant": 1.0, "menu": "torque", "values": {}}
     for wish in ("{", "[" * 100000, "[]", "{}", *(
         json.dumps({**good, key: value})
-        for key, value in (("n", None), ("instant", "x"), ("values", {"a": 1}), ("menu", []))
+        for key, value in (("n", None), ("instant", "x"), ("values", {"a": 1}), ("menu", []),
+                           ("pinned", 3), ("pinned", {"a": None}))
     )):  # fmt: skip
         visited.talk.answer = ""
         visited.talk.request = wish
         assert visited.told["faults"] == [
             "the page sent a wish that cannot be read; load it again"
         ]  # fmt: skip
+    for order in ("{", "[]", '{"order": 3}', '{"order": "stop"}'):
+        visited.talk.order = order
     visited.talk.table = json.dumps({"number": "x"})
     assert "no table" in visited.told["laid_fault"]
     assert not visited.tasks
@@ -160,17 +167,18 @@ def test_only_answers_have_the_number_of_a_wish(comm):
 
 
 def test_only_the_case_file_stands_as_the_case_file(comm):
+    """Also where others were asked for before its history."""
     visited = Visited(comm)
-    visited.ask(1, **{"load.omega": "9"})  # before the first history
-    told = visited.work()
-    assert [row[2] for row in told["numbers"]] == [""] * len(told["numbers"])
-    assert "case file" not in told["charts"]["penetration"]["sources"]["lines"]["label"]
+    visited.ask(1, **{"load.omega": "9"})
+    first = visited.work()
     visited.ask(2)
-    before = {row[0]: row[1] for row in visited.work()["numbers"]}
-    visited.ask(3, **{"load.omega": "9"})
     told = visited.work()
-    assert {row[0]: row[2] for row in told["numbers"]} == before
-    assert "case file" in told["charts"]["penetration"]["sources"]["lines"]["label"]
+    assert told["charts"]["penetration"]["sources"]["lines"]["label"] == ["now"]
+    before = {row[0]: row[1] for row in told["numbers"]}
+    visited.ask(3, **{"load.omega": "9"})
+    for told in (first, visited.work()):
+        assert {row[0]: row[3] for row in told["numbers"]} == before
+        assert "case file" in told["charts"]["penetration"]["sources"]["lines"]["label"]
 
 
 def test_a_page_that_is_closed_meanwhile_ends_nothing():
@@ -186,3 +194,49 @@ def test_a_page_that_is_closed_meanwhile_ends_nothing():
     _if_there(document, lambda: called.append(2))
     loop.close()
     assert called == [1]
+
+
+def test_a_pinned_variant_stands_beside_the_present_one(comm):
+    """Its curves are dashed, and its numbers in a column; a fault marks the field that it is of."""
+    visited = Visited(comm)
+    visited.wish(1, {"load.omega": "9"}, {"load.omega": "6"})  # as an address that is opened
+    told = visited.work()
+    assert told["compared"] == ["case file", "pinned"]
+    lines = told["charts"]["penetration"]["sources"]["lines"]
+    ends = {label: y[-1] for label, y in zip(lines["label"], lines["y"], strict=True)}
+    assert ends["case file"] < ends["pinned"] < ends["now"]
+    assert lines["dash"][lines["label"].index("pinned")] == "dashed"
+    name, now, _, of_file, pinned = told["answers"][0]
+    assert name == "penetration"
+    assert float(pinned) == pytest.approx(ends["pinned"], rel=1e-3)
+    assert float(of_file) < float(pinned) < float(now)
+    visited.wish(2, {"load.omega": "9", "contact.friction": "x"}, {"load.omega": "6"})
+    told = visited.work()
+    assert told["wrong"] == {"contact.friction": told["faults"][0]}
+    visited.wish(3, {"load.omega": "9"})
+    assert visited.work()["compared"] == ["case file"]
+    visited.talk.order = json.dumps({"order": "report"})
+    report = visited.work()["report"]
+    assert report.startswith("<!DOCTYPE html>")
+    assert "Wear history of a test" in report
+
+
+def test_a_history_is_stopped_by_its_visitor(comm):
+    visited = Visited(comm)
+    visited.work()
+    steps, stops = [], visited.page._stops
+
+    def stop(share):
+        steps.append(share)
+        visited.talk.order = json.dumps({"order": "stop"})
+        return stops(share)
+
+    visited.page._stops = stop
+    visited.ask(1, **{"load.omega": "9"})
+    told = visited.work()
+    assert len(steps) == 1
+    assert "stopped before its end" in told["faults"][0]
+    visited.page._stops = stops
+    visited.ask(2, **{"load.omega": "9"})  # is computed after all
+    told = visited.work()
+    assert (told["n"], told["faults"]) == (2, [])

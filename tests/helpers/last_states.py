@@ -8,4 +8,4 @@ def with_last_pressure(result, pressure):
     start = result.checkpoint.start
     contact = replace(start.state.contact, pressure=pressure[None])
     start = replace(start, state=replace(start.state, contact=contact))
-    return replace(result, checkpoint=replace(result.checkpoint, start=start))
+    return replace(result, checkpoint=replace(result.checkpoint, starts=start, place=0))

@@ -286,7 +286,7 @@ def flags(case, comm):
         if snapshot.finished:
             worst = WorstStates(case)
             worst(snapshot)
-            own = validity_warnings(case, worst.history())
+            own = validity_warnings(case, worst.worst(np.array([0])))
             found.update({doubt.code: doubt.text for doubt in own})
         return False
 

@@ -13,7 +13,7 @@ from scipy.stats import t as student_t
 import ringwear_par as rw
 from ringwear_par.errors import InputError
 from ringwear_par.identification import arviz_groups
-from ringwear_par.identification.fit_rows import probabilities
+from ringwear_par.identification.summary import probabilities
 
 KEY = "wear.lower.k"
 #: s, of the noise; variance of a nuisance that is free, in mm^2

@@ -7,7 +7,7 @@ from mpi4py import MPI
 
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fit import fit
-from ringwear_par.identification.model import operators as operators_room
+from ringwear_par.identification.model import histories as operators_room
 from ringwear_par.identification.model.histories import ROUGH_STEPS, Histories
 from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.results.execution.stop_signals import StopSignals

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from figure_texts import check_texts
 from laboratory import FITTED, fit_tables, write_tests
 from mpi4py import MPI
 
@@ -63,7 +64,7 @@ def test_a_profile_is_broken_at_edges_and_gaps():
 @pytest.mark.parametrize(
     ("quantity", "unit", "said"),
     [
-        ("profile.lower", "\N{MICRO SIGN}m", "depth of lower (\N{MICRO SIGN}m)"),
+        ("profile.lower", "\N{MICRO SIGN}m", "worn depth of lower (\N{MICRO SIGN}m)"),
         ("penetration", "\N{GREEK SMALL LETTER MU}m", "penetration (\N{MICRO SIGN}m)"),
         ("penetration", "um", "penetration (\N{MICRO SIGN}m)"),
         ("penetration", "2 vacuums", "penetration (2 vacuums)"),
@@ -77,6 +78,7 @@ def test_axes_are_in_words(quantity, unit, said):
 
 def test_residuals_are_data_less_model(found):
     chart = found.plot()
+    check_texts(chart)
     panels = [axes for axes in chart.axes if axes.get_ylabel() == "residual / sd"]
     assert len(panels) == 2
     for axes, (_, series, part) in zip(panels, found.misfit.records, strict=False):
@@ -88,10 +90,11 @@ def test_residuals_are_data_less_model(found):
 def test_single_readings_share_a_strip(found):
     """A line each, below the curves, with both numbers in words."""
     chart = found.plot()
+    check_texts(chart)
     chart.draw_without_rendering()
     *curves, strip = chart.axes
     (words,) = (tick.get_text() for tick in strip.get_yticklabels())
-    assert words.startswith("test 1: mass.lower\n5 mg from 4.804 to 5.196\nmodel ")
+    assert words.startswith("test 1: mass loss of lower\n5 mg from 4.804 to 5.196\nmodel ")
     assert strip.get_xlabel() == "(data - model) / sd"
     (data,) = (line for line in strip.lines if line.get_label() == "data")
     assert data.get_xdata() == pytest.approx([-found.evaluation.noise[-1]])

@@ -3,6 +3,7 @@
 ``scripts/docs.sh`` builds the site, warnings being errors, and follows the links of what it built.
 """
 
+import ast
 import re
 import shlex
 import shutil
@@ -74,8 +75,8 @@ def test_links_to_files_of_the_repository_lead_there(page):
         name, _, fragment = target.partition("#")
         path = page.parent / name if name else page
         if "generated" in path.parts:  # by the build, of scripts in docs/gallery or of the code
-            script = ROOT / "docs" / "gallery" / f"{path.stem}.py"
-            assert script.exists() or path.stem in GENERATED, target
+            stem = re.sub("^sphx_glr_|_001$", "", path.stem)  # of the script, also of its picture
+            assert (ROOT / f"docs/gallery/{stem}.py").exists() or stem in GENERATED, target
             continue
         assert path.exists(), target
         assert not fragment or fragment in anchors(path.read_text("utf-8")), target
@@ -182,13 +183,11 @@ def test_every_command_and_option_is_told():
 )
 def test_every_key_has_its_entry(name, keys):
     page = case_words.key_page(name)
-    entries = re.findall(
-        r"^```\{(?:case|study|fit|measure)key\} (\S+)\n(.*?)^```", page, re.M | re.S
-    )
-    assert [path for path, _ in entries] == [key.path for key in keys]
-    for key, (_, entry) in zip(keys, entries, strict=True):
-        assert case_words._plain(key.allowed) in entry
-        assert ("it must be given" in entry) == (key.default is ...)
+    rows = dict(re.findall(r"^\* - ```\{\w+key\} (\S+)\n(.*?)(?=^\*|^````)", page, re.M | re.S))
+    assert sorted(rows) == sorted(key.path for key in keys)
+    for key in keys:
+        assert case_words._plain(key.allowed) in rows[key.path]
+        assert ("- required\n" in rows[key.path]) == (key.default is ...)
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -216,6 +215,24 @@ def test_the_first_case_is_explained_line_by_line():
     assert len(re.findall(r"^\d+\. ", told, re.M)) == len(measured.first_summary(page).splitlines())
 
 
+def texts_of_the_program():
+    """Yield all texts of the package's modules, with … for what is put into them."""
+    for module in (ROOT / "ringwear_par").rglob("*.py"):
+        for node in ast.walk(ast.parse(module.read_text("utf-8"))):
+            if isinstance(node, ast.JoinedStr):
+                parts = (getattr(part, "value", "") for part in node.values)
+                yield "".join(part if isinstance(part, str) else "…" for part in parts)
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                yield re.sub("%[ds]", "…", node.value)
+
+
+def test_messages_that_are_explained_are_ones_of_the_program():
+    page = (ROOT / "docs" / "messages.md").read_text("utf-8")
+    headings, texts = re.findall("^### (.*)$", page, re.M), [*texts_of_the_program()]
+    assert len(headings) > 15
+    assert not [one for one in headings if not any(one in text for text in texts)]
+
+
 def test_a_law_that_no_case_shows_is_an_error(monkeypatch, tmp_path):
     monkeypatch.setattr(case_words, "CASES", tmp_path)
     with pytest.raises(LookupError, match="wear law archard: no case"):
@@ -234,13 +251,15 @@ def test_formulas_in_symbols_are_set_as_such(formula, expected):
     assert case_words.latex(formula) == expected
 
 
-def test_links_that_lead_nowhere_are_found(tmp_path):
+def test_links_that_lead_nowhere_and_pictures_without_a_text_are_found(tmp_path):
     (tmp_path / "a.html").write_text('<p id="here"><a href="b.html#there">', "utf-8")
     (tmp_path / "b.html").write_text(
-        '<a href="a.html#here"><a href="#no"><img src="c.png">', "utf-8"
-    )
+        '<a href="a.html#here"><a href="#no"><img src="c.png">'
+        '<img src="a.html" alt="a picture of pages">', "utf-8"
+    )  # fmt: skip
     assert check_links.broken(tmp_path) == [
         "a.html: b.html#there leads nowhere",
         "b.html: #no leads nowhere",
+        "b.html: c.png has no text of three words or more",
         "b.html: c.png leads nowhere",
     ]

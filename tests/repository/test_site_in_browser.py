@@ -15,7 +15,7 @@ from paths import ROOT
 
 SITE = ROOT / "docs" / "_build" / "html"
 WIDTHS = (1280, 400)
-SOUGHT, FOUND = "search.html?q=pressure", 10
+SOUGHT, FOUND = "search.html?q=wear+coefficient", 10
 
 pytestmark = [
     pytest.mark.serial,
@@ -52,7 +52,8 @@ async function look(page, width) {
     pictures: here.images.length, formulas: all("math").length,
     flat: all("article math").filter((e) => !box(e).width || !box(e).height).length,
     links: [...new Set(all("a[href]").map((a) => a.href))],
-    found: all("#search-results li").length,
+    found: all("#search-results li > a").map((a) => a.href),
+    excerpts: all("#search-results .context").filter((e) => /coeff/i.test(e.innerText)).length,
     bare: (here.querySelector("article")?.innerText.match(/\\$\\$|\\{[a-z]+\\}`|\\\\frac/g) ?? []),
   });
 }
@@ -130,9 +131,16 @@ def test_pages_show_what_they_hold(seen):
         assert not page["bare"], at  # formulas and roles that were not understood
     wide = {page["page"]: page for page in seen[0] if page["width"] == WIDTHS[0]}
     assert wide["model.html"]["formulas"] > 20
-    assert wide["index.html"]["pictures"] == 1
-    assert wide["generated/gallery/index.html"]["pictures"] >= 8
-    assert wide[SOUGHT]["found"] > FOUND
+    assert wide["index.html"]["pictures"] == 6
+    assert wide["generated/gallery/index.html"]["pictures"] >= 12
+
+
+def test_the_search_leads_to_what_a_word_means_and_shows_it(seen):
+    (search,) = (page for page in seen[0] if page["page"] == SOUGHT and page["width"] == WIDTHS[0])
+    assert len(search["found"]) > FOUND
+    assert search["found"][0].endswith("glossary.html#term-wear-coefficient")
+    assert not any("changelog" in address for address in search["found"])
+    assert search["excerpts"] > 0.8 * len(search["found"])
 
 
 def test_pages_are_as_wide_as_the_window(seen):

@@ -297,7 +297,7 @@ def test_pictures_show_what_is_stored(result):
             np.testing.assert_array_equal(curve, stress[0, :, component])
         for line, values in zip(other.lines, mises(stress), strict=False):
             np.testing.assert_array_equal(line.get_ydata(), values)
-        assert f"under {('lower', 'upper')[body]}.layers[{layer}]" in title(axes)
+        assert f"under layer {layer} of {('lower', 'upper')[body]}" in title(axes)
         # free edges are infinite: where they are drawn they are shaded, and not what the scale has
         assert ("shaded: 0.1 mm" in title(other)) == (body == 1)
         assert (mises(stress).max() > 1.5 * other.get_ylim()[1]) == (body == 1)

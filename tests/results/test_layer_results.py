@@ -192,14 +192,14 @@ def test_layers_in_tables_and_pictures(result, tmp_path):
     grey = [line for line in wear.lines if line.get_color() == "#666666"]
     interface = [line for line in grey if line.get_linestyle() == ":"]
     # um, both of lower, the coating of upper is far from worn
-    np.testing.assert_allclose([line.get_ydata()[0] for line in interface], [-0.5, -3.5])
+    np.testing.assert_allclose([line.get_ydata()[0] for line in interface], [0.5, 3.5])
     assert [text.get_text().strip() for text in wear.texts[-2:]] == ["layer 0", "layer 1"]
     assert "end of layer" in [text.get_text() for text in wear.get_legend().get_texts()]
     plain = rw.simulate(rw.read_case(CASE, {**SMALL, "lower.layers": None}), MPI.COMM_SELF)
     face, _, _ = profiles(result).charts
     ends = [curve for curve in face.panel.curves if curve.name.startswith("end of layer")]
     assert [curve.name[-1] for curve in ends] == ["0", "1"]
-    np.testing.assert_allclose([curve.y[0] for curve in ends], [-0.5, -3.5])
+    np.testing.assert_allclose([curve.y[0] for curve in ends], [0.5, 3.5])
     assert face.panel.curves[-1].name == "time chosen"  # which the slider moves
     light = rw.simulate(rw.read_case(CASE, {**SMALL, "time.steps": 1}), MPI.COMM_SELF)
     assert plot(light, "through").axes[0].get_ylim() == (0.0, 100.0)

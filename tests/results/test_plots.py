@@ -1,16 +1,17 @@
 """Figures: drawn from files alone, with axes that say what they show."""
 
-import itertools
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from figure_texts import check_texts
 from paths import PAPER
 
 from ringwear_par.errors import InputError
 from ringwear_par.pictures.figures import plot, plot_files
 from ringwear_par.results.execution.run import run_case
+from ringwear_par.results.key_numbers import instants
 from ringwear_par.results.storage.result_files import open_result
 
 pytestmark = pytest.mark.serial
@@ -64,12 +65,13 @@ def test_what_is_drawn_is_what_is_stored(runs):
     figure = plot(runs[:2], "wear,penetration,pressure", "1,20", runs[1:2])
     wear, penetration, pressure = figure.axes
     result = open_result(runs[1])
-    assert wear.lines[1].get_ydata() == pytest.approx(-1e3 * result.profiles["wear_lower"][20])
+    assert wear.lines[1].get_ydata() == pytest.approx(1e3 * result.profiles["wear_lower"][20])
     assert pressure.lines[0].get_ydata() == pytest.approx(result.profiles["pressure"][1])
     assert pressure.lines[0].get_xdata() == pytest.approx(result.line.r)
     assert penetration.lines[1].get_ydata() == pytest.approx(1e3 * result.histories["penetration"])
     assert penetration.lines[1].get_xdata() == pytest.approx(result.histories["time"])
-    assert wear.get_ylabel() == "height of worn face of lower (\N{MICRO SIGN}m)"
+    assert wear.get_ylabel() == "worn depth of lower (\N{MICRO SIGN}m)"
+    assert wear.yaxis_inverted()  # as in figures of fits
     assert pressure.get_ylabel() == "contact pressure (MPa)"
     assert penetration.get_xlabel() == "time (s)"
     assert penetration.lines[1].get_marker() == ""
@@ -232,8 +234,8 @@ def test_labels_name_the_body_where_both_have_the_key(tmp_path, comm):
     for path, young in zip(paths, (1e3, 2e3), strict=True):
         keys = ["mesh.contact_elements=12", "time.steps=1", f"upper.young={young}"]
         run_case(PAPER, path, keys, comm=comm)
-    texts = plot(paths, "penetration").axes[0].get_legend().texts
-    assert [text.get_text().partition(" =")[0] for text in texts] == ["upper.young"] * 2
+    for text in plot(paths, "penetration").axes[0].get_legend().texts:
+        assert text.get_text().startswith("Young's modulus E of upper = ")
 
 
 def test_long_histories_are_drawn_in_hours(tmp_path, comm):
@@ -251,19 +253,37 @@ def test_long_histories_are_drawn_in_hours(tmp_path, comm):
     assert [time_unit(end)[0] for end in (7200.0, 7201.0, 8 * 86400.0)] == ["s", "h", "days"]
 
 
-@pytest.mark.parametrize("panels", ["wear,pressure", "penetration,volume"])
-def test_legends_cover_nothing(runs, panels):
-    """They stand above their panel, within the picture, and no two letters overlap."""
-    figure = plot(runs[:2], panels)
-    figure.canvas.draw()
-    boxes = []
-    for axes in figure.axes:
-        legend = axes.get_legend().get_window_extent()
-        assert legend.y0 >= axes.get_window_extent().y1
-        assert figure.bbox.x0 <= legend.x0
-        assert legend.x1 <= figure.bbox.x1
-        boxes.append(legend)
-    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+@pytest.mark.parametrize("width", [None, 180.0, 90.0])
+def test_no_text_covers_another(runs, width):
+    for panels in ("wear,pressure", "penetration,volume,torque", "wear,rate,pressure,energy"):
+        figure = plot(runs[:2], panels, width=width)
+        check_texts(figure)
+        for axes in figure.axes:
+            legend = axes.get_legend()
+            assert legend.get_window_extent().y0 >= axes.get_window_extent().y1
+        assert width is None or 25.4 * figure.get_figwidth() == pytest.approx(width)
+    with pytest.raises(InputError, match="--width 30 mm: must be from 65 to 1000 mm"):
+        plot(runs[:2], width=30.0)
+
+
+def test_many_times_are_colours_with_a_bar(runs):
+    steps = [*range(17)]
+    figure = plot(runs[1], "wear,pressure", ",".join(map(str, steps)))
+    check_texts(figure)
+    wear, bar, pressure, other_bar = figure.axes
+    assert bar.get_ylabel() == other_bar.get_ylabel() == "time (s)"
+    assert bar.get_ylim() == (0.0, 16.0)
+    assert len({line.get_color() for line in wear.lines if len(line.get_xdata()) > 2}) == 17
+    for axes, letter in ((wear, "(a)"), (pressure, "(b)")):
+        assert axes.get_legend().texts == []
+        assert axes.get_legend().get_title().get_text().startswith(letter)
+
+
+def test_times_are_as_round_as_they_stay_apart():
+    assert instants([0.4608, 41.07, 86.75, 161.2, 200.0], 200.0) == [
+        "0.46 s", "41 s", "87 s", "161 s", "200 s"
+    ]  # fmt: skip
+    assert instants([0.0, 41.07, 41.08, 3601.0], 3601.0) == ["0 s", "41.07 s", "41.08 s", "3601 s"]
 
 
 def test_a_history_of_one_state_has_no_rate(runs):
@@ -290,7 +310,7 @@ def test_the_peak_of_pressure_is_the_same_everywhere(tmp_path, comm):
         assert axes.get_legend().get_title().get_text().endswith(f"\n{note}")
     chart = profiles(result).charts[-1]
     assert chart.caption == f"contact pressure (MPa), {note}"
-    told = Drawing(result, result, None, 1.0, "volume", []).columns()["pressure"]
+    told = Drawing(result, {}, None, 1.0, "volume", []).columns()["pressure"]
     assert told["note"] == note
     assert told["ranges"][1] == [*chart.panel.y.ends]
     assert told["ranges"][1][1] == pytest.approx(pressure_peak(result).limit)

@@ -167,7 +167,7 @@ def test_flags_are_those_of_single_cases(case):
     for i, one in enumerate(cases):
         recorder = Recorder([one], ALONE)
         simulate_one(one, ALONE, pair=pair, observers=[recorder])
-        assert found[i] == tuple(doubt.code for doubt in recorder.warnings.history(0))
+        assert found[i] == tuple(doubt.code for doubt in recorder.result().doubts)
     assert "unstable_explicit_step" in found[0]
     assert "unstable_explicit_step" not in found[1]
 

@@ -1,7 +1,5 @@
 """Drawing cases: each exactly once, whoever draws."""
 
-from itertools import pairwise
-
 import pytest
 
 from ringwear_par.studies.execution import case_queue
@@ -99,33 +97,29 @@ def test_teams_take_groups_before_they_share_one():
     assert board.draw(2) == Stretch(1, 1, 1)  # the most are left there
 
 
-def test_what_is_drawn_at_once_keeps_a_team_busy_and_shrinks_towards_the_end():
-    seconds, teams = 0.01, 2
-    board = CaseQueue([1000], teams, [1.0])
-    assert board.draw(0) == Stretch(0, 0, 1)  # nothing is known of its time
-    board.count(0, 1, 0, seconds)
+def draws(board, seconds):
+    """Draw everything, two teams in turns; return how much at once, after the first."""
     drawn = []
-    while (cases := board.draw(0)) is not None:
+    while (cases := board.draw(len(drawn) % 2)) is not None:
         drawn.append(cases.number)
-        board.count(0, cases.number, 0, cases.number * seconds)
-    assert drawn[0] == round(case_queue._BUSY_SECONDS / seconds)
-    left = 999
-    for before, count in pairwise([drawn[0], *drawn]):
-        least = min(case_queue._LEAST_SECONDS / seconds, -(-left // teams))
-        assert count <= max(-(-left // teams) // 2, least, 1)
-        assert count <= min(2 * before, case_queue._LONGEST_SECONDS / seconds)
-        left -= count
-    largest = drawn.index(max(drawn))
-    assert drawn[largest:] == sorted(drawn[largest:], reverse=True)
-    assert (left, board.done) == (0, 1000)
+        board.count(0, cases.number, 0, seconds(cases.number))
+    assert sum(drawn) == board.done
+    return drawn[1:]
+
+
+def test_what_is_drawn_at_once_keeps_a_team_busy_and_shrinks_towards_the_end():
+    drawn = draws(CaseQueue([1001], 2, [1.0]), lambda count: 0.01 * count)
+    assert drawn[0] == round(case_queue._BUSY_SECONDS / 0.01)
+    assert max(drawn) == round(case_queue._LONGEST_SECONDS / 0.01)
+    shrinking = drawn[drawn.index(max(drawn)) :]
+    assert shrinking == sorted(shrinking, reverse=True)
+    assert min(drawn[:-2]) >= case_queue._LEAST_SECONDS / 0.01
 
 
 def test_cases_that_go_side_by_side_are_drawn_as_many_as_that_takes():
-    """Where one takes long, but a hundred hardly longer."""
-    board, drawn = CaseQueue([10_000], 2, [1.0]), []
-    for _ in range(12):
-        drawn.append(board.draw(0).number)
-        board.count(0, drawn[-1], 0, 0.6 + 0.005 * drawn[-1])
-    assert drawn[:4] == [1, 2, 4, 8]
-    assert drawn[-1] > 128
-    assert max(0.6 + 0.005 * count for count in drawn) < 2.0 * case_queue._LONGEST_SECONDS
+    """Where many start in the time of one, each team draws few times."""
+    drawn = draws(
+        CaseQueue([4096], 2, [1e-2], side_by_side=True), lambda count: 0.05 + 4e-4 * count
+    )
+    assert len(drawn) <= 9
+    assert min(drawn[:-2]) >= 128

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from figure_texts import check_texts
 from known_sweeps import sample, write
 
 from ringwear_par.errors import InputError
@@ -145,13 +146,17 @@ def test_indices_are_drawn(tmp_path):
     u = sample(KEYS, 128)
     ensemble = write(tmp_path, KEYS, u, linear(u), "latin-hypercube", lower=u[:, 1])
     depth, _ = sensitivity(ensemble)
-    panel, other = draw_sweep(ensemble).axes[1:3]
+    figure = draw_sweep(ensemble)
+    check_texts(figure)
+    panel, other = figure.axes[1:3]
     bars = {each.get_label(): each for each in panel.containers if len(each.get_label()) > 0}
     (first,), (delta,) = ([b for n, b in bars.items() if word in n] for word in ("first", "\u03b4"))
     assert [bar.get_width() for bar in delta] == pytest.approx(depth.influence)
     assert [bar.get_width() for bar in first] == pytest.approx(depth.first)
     assert "sample of 128 cases" in panel.get_legend().get_title().get_text()
-    assert [text.get_text() for text in panel.get_yticklabels()] == list(KEYS)
+    assert [text.get_text() for text in panel.get_yticklabels()] == [
+        "mean pressure", "angular speed \N{GREEK SMALL LETTER OMEGA}", "outer radius, upper"
+    ]  # fmt: skip
     assert "penetration" in panel.get_legend().get_title().get_text()
     assert "worn volume" in other.get_legend().get_title().get_text()
 
@@ -162,13 +167,16 @@ def test_curves_of_a_grid(tmp_path):
     p, k = np.array(rows).T
     names = ("load.pressure", "wear.lower.k")
     ensemble = write(tmp_path, names, rows, 1e-3 * p + 1e5 * k, lower=p * k)
-    fan, *panels = draw_sweep(ensemble).axes
+    figure = draw_sweep(ensemble)
+    check_texts(figure)
+    fan, *panels = figure.axes
     assert len(fan.lines) == 9
     assert fan.lines[4].get_ydata() == pytest.approx(
         1e3 * (0.04 + 1e-3) * np.arange(11) / 10, rel=1e-9
     )
     assert fan.lines[4].get_label() == "40, 1e-8"
     against_p, against_k, volume_p, volume_k = panels
+    of_k = "wear coefficient k, lower (1/MPa)"
     assert [line.get_label() for line in against_p.lines] == ["1e-9", "1e-8", "1e-7"]
     for line, factor in zip(against_p.lines, factors, strict=True):
         assert list(line.get_xdata()) == pressures
@@ -176,11 +184,11 @@ def test_curves_of_a_grid(tmp_path):
     for line, pressure in zip(volume_k.lines, pressures, strict=True):
         assert list(line.get_xdata()) == factors
         assert line.get_ydata() == pytest.approx(pressure * np.array(factors))
-    assert against_p.get_legend().get_title().get_text() == "wear.lower.k (1/MPa)"
+    assert against_p.get_legend().get_title().get_text() == f"(b) {of_k}"
     assert against_p.get_ylabel() == "final penetration (\N{MICRO SIGN}m)"
     assert volume_p.get_ylabel() == "worn volume, lower (mm\N{SUPERSCRIPT THREE})"
-    assert volume_p.get_xlabel() == "load.pressure (MPa)"
-    assert volume_k.get_xlabel() == "wear.lower.k (1/MPa)"
+    assert volume_p.get_xlabel() == "mean pressure (MPa)"
+    assert volume_k.get_xlabel().replace("\n", " ") == of_k
     assert (against_p.get_xscale(), against_k.get_xscale()) == ("linear", "log")
     assert (against_p.get_yscale(), volume_p.get_yscale()) == ("linear", "log")
 
@@ -217,7 +225,7 @@ def test_fan_of_histories_with_different_steps(tmp_path):
         x, y = band.get_paths()[0].vertices.T
         last = y[np.isclose(x, 60.0)]
         assert (last.min(), last.max()) == pytest.approx(ends)
-    assert fan.get_legend().get_title().get_text() == ""
+    assert fan.get_legend().get_title().get_text() == "(a)"
 
 
 def test_wrong_requests(tmp_path):
@@ -277,6 +285,7 @@ def test_round_off_looks_like_no_effect(tmp_path, keys, method):
     except InputError:
         found = None
     figure = draw_sweep(ensemble, found)
+    check_texts(figure)
     figure.draw_without_rendering()
     spans = {"lower": [], "upper": []}
     for axes in figure.axes:

@@ -1,22 +1,26 @@
 "use strict";
 const find = (id) => document.getElementById(id);
 const element = (name, text = "", more = {}) => Object.assign(document.createElement(name), { textContent: text, ...more });
-const page = { talk: null, n: 0, flying: false, waiting: false, values: {}, instant: 1, menu: find("menu").value, moving: false };
+const page = { talk: null, n: 0, flying: false, waiting: false, values: {}, instant: 1, menu: find("menu").value, moving: false, pinned: null };
 
 // -- what is asked for: one wish at a time, the last one next, so that moves never queue up
 function ask() {
   // a wish at rest takes the place of one that takes long
   if (!page.talk || (page.flying && (page.moving || !page.slow))) { page.waiting = true; return; }
   page.flying = true; page.slow = false; page.waiting = false; page.n += 1; clearTimeout(page.late);
-  const { n, values, instant, menu, moving } = page;
-  page.late = setTimeout(() => { page.slow = true; say("Computing \u2026", true); if (page.waiting && !page.moving) ask(); }, 400);
-  page.talk.request = JSON.stringify({ n, values, instant, menu, moving });
+  const { n, values, instant, menu, moving, pinned } = page;
+  page.late = setTimeout(() => { page.slow = true; say("Computing \u2026", true); find("progress").hidden = false; if (page.waiting && !page.moving) ask(); }, 400);
+  page.talk.request = JSON.stringify({ n, values, instant, menu, moving, pinned });
 }
+function order(what) { page.talk.order = JSON.stringify({ order: what, at: performance.now() }); }
 // the next is computed while figures are painted
 function land() {
   clearTimeout(page.late);
   page.flying = false;
-  if (page.waiting) ask(); else rest();
+  if (page.waiting) { ask(); return; }
+  find("progress").hidden = true;
+  find("bar").removeAttribute("value");
+  rest();
 }
 let resting = 0;
 // said only once sliders rest, for those who listen to the page
@@ -33,12 +37,55 @@ function say(words, busy = false) {
   status.classList.toggle("busy", busy);
 }
 
+// -- numbers at rest: those before are undone one by one, and the address keeps the present ones
+const start = { menu: page.menu };
+let settled = "{}", before = [];
+function settle() {
+  const now = JSON.stringify(page.values);
+  if (now !== settled) { before.push(settled); settled = now; }
+  keep();
+}
+function keep() {
+  const words = new URLSearchParams(page.values);
+  if (page.menu !== start.menu) words.append("chart", page.menu);
+  if (page.pinned) words.append("pinned", new URLSearchParams(page.pinned));
+  find("undo").disabled = !before.length;
+  history.replaceState(null, "", `${words}` ? `#${words}` : location.pathname);
+}
+function recall() {
+  const words = new URLSearchParams(location.hash.slice(1)), chart = words.get("chart"), pinned = words.get("pinned");
+  words.delete("chart"); words.delete("pinned");
+  page.values = Object.fromEntries(words);
+  page.pinned = pinned === null ? null : Object.fromEntries(new URLSearchParams(pinned));
+  find("menu").value = chart ?? start.menu;
+  if (!find("menu").value) find("menu").value = start.menu;
+  page.menu = find("menu").value;
+  settled = JSON.stringify(page.values);
+  change();
+}
+// other numbers than those that the sliders show
+function change() {
+  page.moving = false; page.forced = true;
+  for (const [name, text] of Object.entries(page.values)) if (controls.has(name)) controls.get(name).box.value = text;
+  find("pin").textContent = page.pinned ? "Unpin" : "Pin";
+  keep(); ask();
+}
+function undo() { if (before.length) { settled = before.pop(); page.values = JSON.parse(settled); change(); } }
+find("undo").addEventListener("click", undo);
+find("pin").addEventListener("click", () => { page.pinned = page.pinned ? null : { ...page.values }; change(); });
+find("stop").addEventListener("click", () => order("stop"));
+find("report").addEventListener("click", () => { say("Making the report \u2026", true); order("report"); });
+document.addEventListener("keydown", (event) => {
+  if ((event.ctrlKey || event.metaKey) && event.key === "z" && !document.activeElement.matches("input[type=text]")) { event.preventDefault(); undo(); }
+});
+addEventListener("hashchange", recall);
+
 // -- controls
 const controls = new Map();
 for (const row of document.querySelectorAll(".control")) {
   const [range, box] = row.querySelectorAll("input"), { name, unit } = row.dataset;
   const log = "log" in row.dataset, whole = "whole" in row.dataset, assembles = "assembles" in row.dataset;
-  const control = { row, range, box, log };
+  const control = { row, range, box, log, fault: row.querySelector(".fault") };
   controls.set(name, control);
   control.place = ({ text, value, low, high, step }, force) => {
     if (force || document.activeElement !== box) box.value = text;
@@ -57,7 +104,7 @@ for (const row of document.querySelectorAll(".control")) {
     range.setAttribute("aria-valuetext", `${text} ${unit}`.trim());
     return text;
   };
-  const set = (text, moving) => { page.values[name] = text; page.moving = moving; ask(); };
+  const set = (text, moving) => { page.values = { ...page.values, [name]: text }; page.moving = moving; if (!moving) settle(); ask(); };
   range.addEventListener("input", () => {
     control.held = true;
     const text = slid();
@@ -66,13 +113,18 @@ for (const row of document.querySelectorAll(".control")) {
   range.addEventListener("change", () => { control.held = false; set(slid(), false); });
   box.addEventListener("change", () => set(box.value.trim(), false));
 }
-find("reset").addEventListener("click", () => { page.values = {}; page.moving = false; page.forced = true; ask(); });
+find("reset").addEventListener("click", () => { page.values = {}; settle(); change(); });
 find("instant").addEventListener("input", (event) => { page.instant = Number(event.target.value); ask(); });
-find("menu").addEventListener("change", (event) => { page.menu = event.target.value; ask(); });
+find("menu").addEventListener("change", (event) => { page.menu = event.target.value; keep(); ask(); });
 
 // -- what is told
 function hear(told) {
-  if (told.progress !== undefined) { say(`Computing \u2026 ${Math.round(100 * told.progress)} % of the time`, true); return; }
+  if (told.progress !== undefined) {
+    say(`Computing \u2026 ${Math.round(100 * told.progress)} % of the time`, true);
+    find("progress").hidden = false; find("bar").value = told.progress;
+    return;
+  }
+  if (told.report !== undefined) { save(told.report, "text/html", "report.html"); say("The report is saved as report.html."); return; }
   if (told.assembling) { say("Assembling the bodies \u2026", true); return; }
   const faults = told.faults ?? [], answered = told.n === page.n;
   const rested = !page.waiting && (answered || !page.flying);
@@ -83,17 +135,26 @@ function hear(told) {
     if (faults.length) list.push(element("p", "The figures are of the last numbers that could be computed.", { className: "note" }));
     find("faults").replaceChildren(...list);
     find("figures").classList.toggle("old", faults.length > 0);
+    for (const [name, { row, box, fault }] of controls) {
+      const words = told.wrong[name];
+      row.classList.toggle("wrong", Boolean(words));
+      box.setAttribute("aria-invalid", Boolean(words));
+      fault.hidden = !words; fault.textContent = words ?? "";
+    }
   }
   if (told.controls) {
-    for (const [name, state] of Object.entries(told.controls)) if (rested || page.forced) controls.get(name)?.place(state, page.forced);
+    for (const [name, state] of Object.entries(told.controls)) if (rested) controls.get(name)?.place(state, page.forced);
     if (rested) page.forced = false;
     find("doubts").replaceChildren(...told.doubts.map((text) => element("li", text)));
     find("doubts").hidden = !told.doubts.length;
+    find("report").disabled = false;
+    head(find("answers"), ["at the end", "now", ...told.compared]);
+    fill(find("answers").tBodies[0], told.answers.map(([label, value, unit, ...others]) => [unit ? `${label} (${unit})` : label, value, ...others]));
+    head(find("numbers"), ["quantity", "now", "unit", ...told.compared]);
     fill(find("numbers").tBodies[0], told.numbers);
     find("worn").hidden = !told.worn.length;
     if (told.worn.length) {
-      find("worn").tHead.replaceChildren(element("tr"));
-      find("worn").tHead.rows[0].append(...told.worn[0].map((text) => element("th", text, { scope: "col" })));
+      head(find("worn"), told.worn[0]);
       fill(find("worn").tBodies[0], told.worn.slice(1));
     }
     find("summary").textContent = told.summary;
@@ -124,6 +185,10 @@ function draw(charts) {
     });
     find(`${name}-note`).textContent = note ? `(${note})` : "";
   }
+}
+function head(table, names) {
+  table.tHead.replaceChildren(element("tr"));
+  table.tHead.rows[0].append(...names.map((text) => element("th", text, { scope: "col" })));
 }
 function fill(body, rows) {
   body.replaceChildren(...rows.map((cells) => {
@@ -190,11 +255,12 @@ find("copy").addEventListener("click", async () => {
   }
   setTimeout(() => { find("copied").textContent = ""; }, 4000);
 });
-find("download").addEventListener("click", (event) => {
-  const address = URL.createObjectURL(new Blob([find("case").textContent], { type: "application/toml" }));
-  event.currentTarget.href = address;
+function save(text, type, name) {
+  const address = URL.createObjectURL(new Blob([text], { type }));
+  element("a", "", { href: address, download: name }).click();
   setTimeout(() => URL.revokeObjectURL(address), 10000);
-});
+}
+find("download").addEventListener("click", () => save(find("case").textContent, "application/toml", "explored.toml"));
 
 // -- the connection
 const waiting = setInterval(() => {
@@ -207,5 +273,5 @@ const waiting = setInterval(() => {
     find("faults").replaceChildren(element("p", "The connection is lost: ringwear explore has ended, or this page slept. If it still runs, load the page again.", { className: "warning" }));
   });
   if (talk.answer) hear(JSON.parse(talk.answer));
-  ask();  // nothing is computed for a page without a connection
+  recall();  // nothing is computed for a page without a connection
 }, 50);

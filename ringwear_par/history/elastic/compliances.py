@@ -32,15 +32,11 @@ class Compliances:
     every: Sequence[ContactCompliance] = field(metadata=along(None))
     #: (B,) int, the one of each history
     which: IntArray
-    #: (B, n) float, mm/MPa, displacement of each element under its own pressure alone
-    diagonal: FloatArray
+    #: (m, n) float, mm/MPa, displacements of elements under their own pressures alone, of the
+    #: different compliances
+    diagonals: FloatArray = field(metadata=along(None))
     #: (B,) float, MPa/mm, uniform pressure over the mean displacement that it makes
     stiffness: FloatArray
-    #: (B, n) float, mm/MPa, see ``ContactCompliance``
-    twist: FloatArray
-    #: (B, 2, n) float, mm^2 and mm^3, see ``ContactCompliance``
-    force_reaction: FloatArray
-    torque_reaction: FloatArray
     #: (B,) float, see ``ContactCompliance``
     symmetry_defect: FloatArray
 
@@ -69,13 +65,30 @@ class Compliances:
         return cls(
             every,
             which,
-            np.array([np.diagonal(c.matrix) / area for c in every])[which],
+            np.array([np.diagonal(c.matrix) / area for c in every]),
             np.array([float(area.sum() / c.matrix.sum()) for c in every])[which],
-            np.array([c.twist for c in every])[which],
-            np.array([c.force_reaction for c in every])[which],
-            np.array([c.torque_reaction for c in every])[which],
             np.array([c.symmetry_defect for c in every])[which],
         )
+
+    @property
+    def diagonal(self) -> FloatArray:
+        """(B, n) mm/MPa, displacement of each element under its own pressure alone."""
+        return self.diagonals[self.which]
+
+    @property
+    def twist(self) -> FloatArray:
+        """(B, n) mm/MPa, see ``ContactCompliance``."""
+        return np.array([c.twist for c in self.every])[self.which]
+
+    @property
+    def force_reaction(self) -> FloatArray:
+        """(B, 2, n) mm^2, see ``ContactCompliance``."""
+        return np.array([c.force_reaction for c in self.every])[self.which]
+
+    @property
+    def torque_reaction(self) -> FloatArray:
+        """(B, 2, n) mm^3, see ``ContactCompliance``."""
+        return np.array([c.torque_reaction for c in self.every])[self.which]
 
     def history(self, i: int) -> ContactCompliance:
         """Return the compliance of one history."""

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, relative
+from ringwear_par.arrays import FloatArray, IntArray, relative
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import State
@@ -151,11 +151,11 @@ class WorstBalances:
         """(B,) s, end of the step at which ``step_error`` is the largest."""
         return self._times[_NAMES.index("step_error")]
 
-    def reactions(self, number: int = 0) -> tuple[float, float]:
-        """Return the worse of ``torque`` and ``reaction`` of one history, and its time, s."""
-        rows = [_NAMES.index("torque"), _NAMES.index("reaction")]
-        row = rows[int(self._worst[rows, number].argmax())]
-        return float(self._worst[row, number]), float(self._times[row, number])
+    def reactions(self, numbers: IntArray) -> tuple[float, float]:
+        """Return the worst ``torque`` or ``reaction`` of some histories, and its time, s."""
+        rows = [[_NAMES.index("torque")], [_NAMES.index("reaction")]]
+        worst, times = self._worst[rows, numbers], self._times[rows, numbers]
+        return float(worst.max()), float(times.flat[worst.argmax()])
 
     @property
     def worst(self) -> Balances:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, inner, largest
+from ringwear_par.arrays import FloatArray, IntArray, inner, largest
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.mesh import case_slopes
 from ringwear_par.elasticity.sections import BODIES
@@ -110,10 +110,17 @@ class WorstStates:
                 take(worn_share(i, layer), share)
         return False
 
-    def history(self, number: int = 0) -> dict[str, tuple[float, ...]]:
-        """Return the measures of one of B histories by name, ENTRIES numbers each."""
-        entries = self._table[:, :, number].tolist()
-        return {name: tuple(entries[row]) for name, row in self._rows.items()}
+    def worst(self, numbers: IntArray) -> dict[str, list[float]]:
+        """Return the measures of a history by name, ENTRIES numbers each.
+
+        Of several, the largest of each number, and the smallest of their largest forces.
+        """
+        table, force = self._table[..., numbers], self._rows[_FORCE]
+        worst = table[..., 0]
+        if len(numbers) > 1:
+            worst = table.max(axis=2)
+            worst[force] = table[force].min(axis=1)
+        return dict(zip(self._rows, worst.tolist(), strict=True))
 
     def restore(self, before: Mapping[str, Sequence[float]]) -> None:
         """Take the measures that an interrupted single history had."""

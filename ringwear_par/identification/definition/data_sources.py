@@ -64,14 +64,9 @@ class Readings:
 def read_readings(
     reader: TableReader, kind: str, at: float | None, end: float, files: FileStore, plans: bool
 ) -> Readings | None:
-    """Return the readings of a table of a fit file; None, and faults, where there are none.
+    """Return the readings of a table of a fit file at ``at`` (s) or until the end (s) of the test.
 
-    Parameters
-    ----------
-    reader : of the table.
-    kind : the first part of its quantity.
-    at, end : s, when it was read, and the end of the test.
-    plans : whether readings may be planned ones.
+    None, and faults, where there are none; ``kind`` is the first part of the quantity.
     """
     where, once = ("r", ()) if kind == "profile" else ("times", ("value",))
     single_key = next((key for key in ("file", *once) if key in reader), "")
@@ -338,12 +333,7 @@ def read_censored(reader: TableReader, readings: Readings) -> IntArray | None:
 def check_censored(
     name: str, settings: Settings, experiments: Sequence[Experiment], faults: list[str]
 ) -> None:
-    """Add what does not go together with censored readings to the faults.
-
-    Parameters
-    ----------
-    name : of the file.
-    """
+    """Add what does not go together with censored readings to the faults."""
     for experiment in experiments:
         for series in experiment.series:
             if series.censored is None or not series.censored.any():

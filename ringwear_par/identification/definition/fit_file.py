@@ -42,12 +42,7 @@ _LOADS = ("load.pressure", "load.force")
 
 
 def read_complete(source: Path | str | Mapping[str, Any]) -> Problem:
-    """Read a fit file, if the packages for its intervals are there. Not collective.
-
-    Raises
-    ------
-    InputError : its faults; a package that is missing.
-    """
+    """Read a fit file; InputError too for missing packages of its intervals. Not collective."""
     problem = read_fit(source)
     if missing := problem.settings.missing_package:
         raise InputError(f"{problem.name}: {missing}")
@@ -61,19 +56,11 @@ def read_fit(
     test: str = "",
     files: FileStore | None = None,
 ) -> Problem:
-    """Read a fit file with its case and all its measurements, or the same as a dict.
+    """Read a fit file with its case and all its measurements, or a dict of them. Not collective.
 
-    Not collective.
-
-    Parameters
-    ----------
-    plans : whether readings may be planned ones.
-    test : name of the one experiment that is read, and not compared with others; "": all are.
-    files : of measurements; None: those beside the fit file, as they are.
-
-    Raises
-    ------
-    InputError : all faults, one sentence each.
+    Planned readings only where ``plans``. With ``test``, one experiment, which is not compared with
+    others. Measurements are of ``files``, else beside the fit file. Raises InputError with all
+    faults.
     """
     tables_or_file = _with_keys(source) if isinstance(source, Mapping) else source
     name, folder, tables, written = source_tables(tables_or_file, "fit")

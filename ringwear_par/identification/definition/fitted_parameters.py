@@ -45,11 +45,8 @@ def read_parameters(
 ) -> tuple[FittedParameter, ...]:
     """Return the fitted keys, and add what is wrong with them to the faults.
 
-    Parameters
-    ----------
-    said : how sentences about the table begin.
-    units : in which keys are told, instead of those in which their starts are written.
-    case_units : in which the case writes numbers, for keys whose start has no unit.
+    A key is told in its unit of ``units``, or in which its start is written, or the case its
+    number.
     """
     if not isinstance(table, Mapping) or not table:
         faults.append(f"{said}: is missing or empty; must name one case key at least")
@@ -72,13 +69,7 @@ def _is_other(unit: str, key: str) -> bool:
 
 
 def read_units(said: str, table: Any, parameters: Any, faults: list[str]) -> dict[str, str]:
-    """Return the units in which fitted keys are told, as ``fit.units`` names them.
-
-    Parameters
-    ----------
-    said : how sentences about the table begin.
-    parameters : the table of fitted keys.
-    """
+    """Return the units in which fitted keys are told, as ``fit.units`` names them."""
     if not isinstance(table, Mapping):
         faults.append(f"{said} = {shortened(table)}: must be a table of units by fitted key")
         return {}

@@ -54,13 +54,7 @@ def refuse_known(
     changes: Mapping[str, Any],
     faults: list[str],
 ) -> None:
-    """Add a fault for each input that is set or fitted too.
-
-    Parameters
-    ----------
-    said : how sentences about the experiment begin.
-    changes : dotted keys that are set.
-    """
+    """Add a fault for each input that is set or fitted too."""
     for key in dict.fromkeys(measured):
         same = set(_LOADS if key in _LOADS else (key,))
         fitted = {split_key(parameter.key)[0] for parameter in parameters}
@@ -84,12 +78,7 @@ def read_inputs(
 ) -> tuple[tuple[MeasuredInput, ...], dict[str, Any]]:
     """Return the inputs of an experiment, and the keys of its case that they are.
 
-    None, and faults, where one is wrong.
-
-    Parameters
-    ----------
-    said : how sentences about the experiment begin.
-    case : with numbers in the places of what was measured.
+    None, and faults, where one is wrong. The case has numbers in the places of what was measured.
     """
     if not isinstance(tables, list):
         faults.append(f"{said}: input: must be tables, [[experiment.input]]")

@@ -16,10 +16,7 @@ from ringwear_par.wear.laws import LAWS
 
 
 def ordered_keys(parameters: Sequence[FittedParameter]) -> list[tuple[int, int]]:
-    """Return the pairs (i, j) of fitted keys of one scale of which i is never less than j.
-
-    That is as their wear law declares them, see ``Parameter.at_least``.
-    """
+    """Return pairs (i, j) of fitted keys of one scale of which i may not be less than j."""
     least = {
         name: parameter.at_least
         for law in LAWS.values()
@@ -39,12 +36,7 @@ def ordered_keys(parameters: Sequence[FittedParameter]) -> list[tuple[int, int]]
 def refuse_unfit(
     said: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
 ) -> None:
-    """Add a fault for each key on which a case does not depend smoothly, or out of order.
-
-    Parameters
-    ----------
-    said : how sentences about the experiment begin.
-    """
+    """Add a fault for each key on which a case does not depend smoothly, or out of order."""
     _refuse_fixed(said, parameters, case, faults)
     _refuse_order(said, parameters, case, faults)
 
@@ -56,10 +48,6 @@ def _refuse_order(
 
     As k_start of at least k. Of two fitted keys of one scale the rule is a bound, see
     ``ordered_keys``.
-
-    Parameters
-    ----------
-    said : how sentences about the experiment begin.
     """
     fitted = {parameter.key: parameter for parameter in parameters}
     ordered = {(parameters[i].key, parameters[j].key) for i, j in ordered_keys(parameters)}
@@ -89,12 +77,7 @@ def _refuse_order(
 def _refuse_fixed(
     said: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
 ) -> None:
-    """Add a fault for each key without derivatives, once for all experiments.
-
-    Parameters
-    ----------
-    said : how sentences about the experiment begin.
-    """
+    """Add a fault for each key without derivatives, once for all experiments."""
     allowed, elastic = differentiable(case), elastic_numbers(case)
     for parameter in parameters:
         if parameter.key in elastic:
@@ -124,13 +107,7 @@ def _faults_of_bounds(said: str, parameter: FittedParameter, case: Case) -> list
 def refuse_both(
     said: str, parameters: Sequence[FittedParameter], changes: Mapping[str, Any], faults: list[str]
 ) -> None:
-    """Add a fault for each key that is both set and fitted.
-
-    Parameters
-    ----------
-    said : how sentences about what is set begin.
-    changes : dotted keys that are set.
-    """
+    """Add a fault for each key that is both set and fitted."""
     loads = {"load.force", "load.pressure", "load.displacement"}
     for parameter in parameters:
         path = split_key(parameter.key)[0]

@@ -16,6 +16,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.files.smoothing import Smoothing, curve
 from ringwear_par.version import __version__
+from ringwear_par.wear.layered import LayeredLaw
 
 Quantity = Literal[
     "penetration", "approach", "torque", "profile.lower", "profile.upper", "mass.lower",
@@ -62,8 +63,8 @@ class Scatter:
 class ProcessNoise:
     """How the wear of a body is itself random.
 
-    Its worn depth is a gamma process: its variance is a size times its mean. The share is the
-    standard deviation over the depth, at the end of the test that wears most.
+    Its worn depth is a gamma process, of a variance of size times mean. The share is the standard
+    deviation over the depth, at the end of the test that wears most.
     """
 
     #: mm, and of 1; both None where the size is fitted
@@ -309,6 +310,11 @@ class Experiment:
     def n(self) -> int:
         """Number of readings."""
         return sum(series.n for series in self.series)
+
+    @property
+    def bends_within(self) -> bool:
+        """Whether layers may be worn through: readings bend where a step's end meets that."""
+        return any(isinstance(law, LayeredLaw) for law in self.case.laws)
 
 
 @dataclass(frozen=True)

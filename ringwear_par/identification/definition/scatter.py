@@ -45,14 +45,7 @@ _LONGEST_CORRELATION = 0.1
 def read_scatter(
     said: str, key: str, value: Any, log: bool, unit: str, faults: list[str]
 ) -> Scatter | None:
-    """Return the scatter of a fitted key, and add what is wrong with it to the faults.
-
-    Parameters
-    ----------
-    said : how sentences about the key begin.
-    value : "fit", a number or a table; None for none.
-    unit : of the key.
-    """
+    """Return the scatter of a fitted key, and add what is wrong with it to the faults."""
     if value is None:
         return None
     if key.startswith(_SETTINGS):
@@ -115,13 +108,7 @@ def check_scatter(
     settings: Settings,
     faults: list[str],
 ) -> None:
-    """Add what readings cannot tell of the scatters to the faults.
-
-    Parameters
-    ----------
-    name : of the file.
-    settings : with the intervals that are asked for.
-    """
+    """Add what readings cannot tell of the scatters to the faults."""
     scatters = [(p.key, p.scatter) for p in parameters if p.scatter is not None]
     fitted = [(key, group) for key, s in scatters for group, v in s.sizes.items() if v is None]
     count = len(fitted) + sum(noise.fitted for noise in settings.process.values())
@@ -187,12 +174,7 @@ def expected_sizes(problem: Problem) -> dict[tuple[str, str], float]:
 
 
 def read_process(said: str, table: Any, faults: list[str]) -> dict[str, ProcessNoise]:
-    """Return the process noise by key ("wear.lower"), and add what is wrong with it to the faults.
-
-    Parameters
-    ----------
-    said : how sentences about the table begin.
-    """
+    """Return the process noise by key ("wear.lower"), and add faults of it to the others."""
     if not isinstance(table, Mapping):
         faults.append(f"{said} = {shortened(table)}: must be a table of wear.lower, wear.upper")
         return {}
@@ -232,13 +214,7 @@ def check_process(
     intervals: Sequence[str],
     faults: list[str],
 ) -> None:
-    """Add what readings cannot tell of wear's own noise to the faults.
-
-    Parameters
-    ----------
-    name : of the file.
-    intervals : that are asked for.
-    """
+    """Add what readings cannot tell of wear's own noise to the faults."""
     if not process or not experiments:
         return
     for key in process:

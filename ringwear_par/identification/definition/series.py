@@ -10,7 +10,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.cases.files.columns import FileStore, read_intervals
 from ringwear_par.cases.tables import TableReader
-from ringwear_par.errors import legible
+from ringwear_par.errors import counted, legible
 from ringwear_par.files.measurements import and_more
 from ringwear_par.identification.definition.data_sources import (
     read_censored,
@@ -54,14 +54,7 @@ def read_series(
     *,
     plans: bool = False,
 ) -> Series | None:
-    """Return the readings of one table, and add what is wrong with it to the faults.
-
-    Parameters
-    ----------
-    said : how sentences about it begin.
-    case : of the experiment; None where that has faults itself.
-    plans : whether readings may be planned ones.
-    """
+    """Return the readings of one table, or add its faults; a case that has some itself is None."""
     before = len(faults)
     reader = TableReader(said, table, faults, DATA)
     quantity = reader.read("quantity")
@@ -137,7 +130,7 @@ def read_series(
             _check_depths(reader, series, case)
     if series.n <= len(free):
         reader.fault(
-            f"has {series.n} reading{'s' if series.n > 1 else ''}; must have more than nuisances "
+            f"has {counted(series.n, 'reading')}; must have more than nuisances "
             f"without prior or bounds, {', '.join(free)}, which take all that they tell"
         )
     return series if len(faults) == before else None
@@ -211,11 +204,6 @@ def density_of(reader: TableReader, quantity: str, case: Case | None) -> float |
     """Return the density of all that is lost, g/mm3; None where each layer has its own.
 
     Refuse one that is not known, or that nothing has, as that in another unit.
-
-    Parameters
-    ----------
-    quantity : "mass.lower" or "mass.upper".
-    case : of the experiment; None where that has faults itself.
     """
     body = quantity.partition(".")[2]
     densities = (
@@ -264,13 +252,7 @@ def _density_rule(density: float) -> str:
 
 
 def check_times(reader: TableReader, x: FloatArray, lines: Sequence[str], end: float) -> None:
-    """Refuse times that do not increase, or that are outside the test.
-
-    Parameters
-    ----------
-    lines : beginnings of sentences about each of them.
-    end : s, of the test.
-    """
+    """Refuse times that do not increase, or outside the test; ``lines`` begin sentences on them."""
     if (late := np.flatnonzero(np.diff(x) <= 0)).size:
         i = int(late[0])
         reader.fault(

@@ -46,12 +46,7 @@ class ParameterEstimate:
 
 
 def information(misfit: Misfit, evaluation: Evaluation, priors: bool = True) -> FloatArray:
-    """Return the Fisher information (u, u) of the unknowns.
-
-    Parameters
-    ----------
-    priors : whether those of the fitted keys count; those of nuisances always do.
-    """
+    """Return the Fisher information (u, u) of the unknowns, priors of nuisances always counted."""
     share = information_share(misfit.problem.settings.loss)
     matrix: FloatArray = share * evaluation.noise_jacobian.T @ evaluation.noise_jacobian
     m = len(misfit.problem.parameters)
@@ -210,12 +205,7 @@ def _judged(
 
 
 def direction(misfit: Misfit, spectrum: Spectrum, j: int) -> str:
-    """Return in words what the readings tell instead of an unknown.
-
-    Parameters
-    ----------
-    spectrum : of the information of the readings.
-    """
+    """Return in words what the readings, by their spectrum, tell instead of an unknown."""
     names, parameters = misfit.names, misfit.problem.parameters
     weak = spectrum.weakest(j)
     taking = np.flatnonzero(np.abs(weak[j]) > _MENTIONED * np.abs(weak[j]).max()).tolist()

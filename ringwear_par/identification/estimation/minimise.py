@@ -9,7 +9,7 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.contact.tao import Guard
 from ringwear_par.identification.definition.parameter_rules import ordered_keys
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
-from ringwear_par.identification.model.histories import HistoryError, bends_within
+from ringwear_par.identification.model.histories import HistoryError
 from ringwear_par.identification.model.noise import NuisanceProjection
 from ringwear_par.identification.model.rounds import WaitFor
 from ringwear_par.options import FIT_PREFIX, set_from_options
@@ -56,20 +56,11 @@ def minimise(
     wait_for: WaitFor | None = None,
     fixed: int | None = None,
 ) -> Optimum:
-    """Return the least squares near a start, within bounds. Not collective.
+    """Return the least squares near a start (u,), within bounds. Not collective.
 
     Unknowns without bounds on which residuals depend linearly are at every trial the best for the
-    others. Histories of trials are forgotten, but for those at the optimum.
-
-    Parameters
-    ----------
-    start : (u,) within the bounds.
-    wait_for : has the histories at a point computed, with those of other searches.
-    fixed : a fitted key that stays where it is.
-
-    Raises
-    ------
-    ComputationError : a history.
+    others; one fitted key may be ``fixed``. Histories of trials are forgotten, but for those at the
+    optimum; ``wait_for`` has those at a point computed with those of other searches.
     """
     new_points: list[FloatArray] = []
 
@@ -85,7 +76,7 @@ def minimise(
         free[fixed] = False
     box = _Box.of(misfit, start, free)
     nonlinear, linear = free & ~misfit.linear, free & misfit.linear
-    bent = any(bends_within(experiment) for experiment in misfit.problem.experiments)
+    bent = any(experiment.bends_within for experiment in misfit.problem.experiments)
     x, iterations, still = start, 0, False
     solve = _brgn if misfit.problem.settings.method == "brgn" else _scipy
     for _ in range(_SCALES):
@@ -156,18 +147,10 @@ class _NoProgressError(Exception):
 class _Reduced:
     """A problem over nonlinear coordinates, in units of their scale where it starts.
 
-    Remembers its last point, as minimisers ask for residuals and Jacobian one after the other.
-
-    Parameters
-    ----------
-    x : (u,) where it starts.
-    box : of all unknowns.
-    nonlinear, linear : (u,) bool; at each trial linear ones are the best for the others.
-
-    Attributes
-    ----------
-    patience : trials in vain after which it raises ``_NoProgressError``; None: it never does.
-    best : (u,) the unknowns of the best trial since then.
+    Remembers its last point, as minimisers ask for residuals and Jacobian one after the other. At
+    each trial linear unknowns are the best for the others. After ``patience`` trials in vain it
+    raises ``_NoProgressError`` (None: never); ``best`` (u,) are the unknowns of the best one since
+    then.
     """
 
     def __init__(

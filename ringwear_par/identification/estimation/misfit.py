@@ -24,7 +24,6 @@ from ringwear_par.identification.definition.problem import (
     Problem,
     Series,
 )
-from ringwear_par.identification.estimation.responses import Responses
 from ringwear_par.identification.model.histories import Histories, HistoryError
 from ringwear_par.identification.model.noise import (
     censored_rows,
@@ -35,6 +34,7 @@ from ringwear_par.identification.model.noise import (
     whitened,
 )
 from ringwear_par.identification.model.readings import nuisance_columns
+from ringwear_par.identification.model.rounds import Responses
 
 log = logging.getLogger(__name__)
 
@@ -77,11 +77,6 @@ class Evaluation:
 
 class Misfit:
     """Residuals of a problem over its unknowns.
-
-    Parameters
-    ----------
-    problem : the problem.
-    histories : of its experiments.
 
     Attributes
     ----------
@@ -206,12 +201,7 @@ class Misfit:
         return self.problem.values(x[: self._m])
 
     def values_of_tests(self, x: FloatArray, test_unknowns: FloatArray | None) -> list[FloatArray]:
-        """Return the fitted keys' values (m,) of each test.
-
-        Parameters
-        ----------
-        test_unknowns : (tests, m) unknowns of each; None: those of x are the same for all.
-        """
+        """Return the keys' values (m,) of each test, by unknowns (tests, m), or x for all."""
         if test_unknowns is None:
             return [self.values(x)] * len(self.problem.experiments)
         return [self.values(unknowns) for unknowns in test_unknowns]
@@ -220,12 +210,7 @@ class Misfit:
         return self.responses.of_tests(self.values_of_tests(x, test_unknowns))
 
     def model_readings(self, x: FloatArray) -> FloatArray:
-        """Return the readings (n,) as the model has them without nuisances. Not collective.
-
-        Raises
-        ------
-        HistoryError : there is no history.
-        """
+        """Return the readings (n,) as the model has them without nuisances. Not collective."""
         return self._response(x)[:, 0]
 
     def clocks(
@@ -233,12 +218,6 @@ class Misfit:
     ) -> tuple[FloatArray, FloatArray]:
         """Return how readings follow the wear of bodies that is random. Not collective.
 
-        Parameters
-        ----------
-        test_unknowns : (tests, m) unknowns of the keys in each test, see ``evaluate``.
-
-        Returns
-        -------
         (n, bodies) of each reading: its change for each mm of mean depth that is worn faster all
         along, and that mean depth, mm.
         """
@@ -249,16 +228,7 @@ class Misfit:
     # from readings to residuals
 
     def columns(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> FloatArray:
-        """Return derivatives (n, u) of the readings with respect to the unknowns. Not collective.
-
-        Parameters
-        ----------
-        test_unknowns : (tests, m) unknowns of the keys in each test, see ``evaluate``.
-
-        Raises
-        ------
-        HistoryError : there is no history.
-        """
+        """Return derivatives (n, u) of the readings by the unknowns. Not collective."""
         counts = [experiment.n for experiment in self.problem.experiments]
         slopes = [self.problem.slopes(v) for v in self.values_of_tests(x, test_unknowns)]
         derivatives = self._response(x, test_unknowns)[:, 1 : 1 + self._m]
@@ -287,17 +257,10 @@ class Misfit:
         test_unknowns: FloatArray | None = None,
         random_part: FloatArray | float = 0.0,
     ) -> Evaluation:
-        """Return the residuals at unknowns (u,). Not collective.
+        """Return the residuals at unknowns (u,), or raise HistoryError. Not collective.
 
-        Parameters
-        ----------
-        test_unknowns : (tests, m) unknowns of the keys in each test, where their values scatter;
-            priors are of those of x.
-        random_part : (n,) of the readings, that is due to the random part of wear.
-
-        Raises
-        ------
-        HistoryError : there is no history.
+        Keys have unknowns (tests, m) of their own where their values scatter; priors are of those
+        of x. ``random_part`` (n,) of the readings is due to the random part of wear.
         """
         values, response = self.values(x), self._response(x, test_unknowns)
         model = response[:, 0] + self.nuisance_readings(x) + random_part
@@ -335,12 +298,9 @@ class Misfit:
     ) -> FloatArray | None:
         """Return by how many sd (m,) steps half as long would move the fitted keys' unknowns.
 
-        To the first order, and 0 of those of which nothing is known; None where all readings are
-        limits, and, with a warning, where no history comes of such steps. Not collective.
-
-        Parameters
-        ----------
-        x, evaluation, covariance : the optimum, the residuals there, (u, u) of the unknowns.
+        From x, the optimum, to the first order, and 0 of those of which nothing is known; None
+        where all readings are limits, and, with a warning, where no history comes of such steps.
+        Not collective.
         """
         if self.censored.all():
             return None
@@ -364,10 +324,7 @@ class Misfit:
     ) -> FloatArray:
         """Return the scatter of each series over its noise, (series,).
 
-        Parameters
-        ----------
-        leverage : (n,) share of each reading that what is fitted takes away; None: that of one
-            value of each key for all tests.
+        By the leverage (n,), the share of each reading that what is fitted takes away.
         """
         by_loss = weights(self.problem.settings.loss, evaluation.noise)
         weighted = by_loss * evaluation.noise**2 * (self.censored == 0)
@@ -399,16 +356,8 @@ class Misfit:
     ) -> FloatArray:
         """Return unknowns (u,) at values of the fitted keys, with the best nuisances for them.
 
-        Time constants are the best ones only where tests have their unknowns; else at their start.
-
-        Parameters
-        ----------
-        test_unknowns : (tests, m) unknowns of the keys in each test, see ``evaluate``.
-        times_of : (u,) unknowns whose time constants stay as they are.
-
-        Raises
-        ------
-        HistoryError : there is no history.
+        Time constants are the best ones only where tests have their unknowns (tests, m), and
+        ``times_of`` (u,) does not hold them; else at their start. Raises HistoryError.
         """
         lower, upper = self.lower[self._m :], self.upper[self._m :]
         unknowns = self.problem.unknowns(values)
@@ -446,9 +395,7 @@ class Misfit:
     def _best_growth(self, x: FloatArray, test_unknowns: FloatArray, rows: BoolArray) -> FloatArray:
         """Return the best nuisances (u - m,), time constants included, from those of x on.
 
-        Parameters
-        ----------
-        rows : of residuals that nuisances change.
+        ``rows`` are of residuals that nuisances change.
         """
 
         def at(nuisances: FloatArray) -> Evaluation:

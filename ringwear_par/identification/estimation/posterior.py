@@ -1,12 +1,12 @@
-"""Samples of the posterior distribution of the fitted keys.
+"""The likelihood of all readings at values of the fitted keys, and samples of their posterior.
 
-Drawn by an ensemble of walkers (emcee: Foreman-Mackey et al., Publ. Astron. Soc. Pac. 125 (2013)
-306-312; moves of differential evolution), whose histories step side by side. Before any reading a
-key has the distribution of its prior within its bounds; one without a prior is uniform there, or
-its logarithm where the scale is logarithmic. Nuisances are those that fit each sample best: as they
-are linear, that is the same as integrating over them where noise is Gaussian and they have no
-bounds. Noise that is fitted stays what it is at the optimum: that it is not known better adds
-nothing to the spread of the samples.
+Samples are drawn by an ensemble of walkers (emcee: Foreman-Mackey et al., Publ. Astron. Soc. Pac.
+125 (2013) 306-312; moves of differential evolution), whose histories step side by side. Before any
+reading a key has the distribution of its prior within its bounds; one without a prior is uniform
+there, or its logarithm where the scale is logarithmic. Nuisances are those that fit each sample
+best: as they are linear, that is the same as integrating over them where noise is Gaussian and they
+have no bounds. Noise that is fitted stays what it is at the optimum: that it is not known better
+adds nothing to the spread of the samples.
 """
 
 import logging
@@ -17,14 +17,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.files.writing import atomic_write, open_ordinary
 from ringwear_par.identification.definition.problem import reflected
-from ringwear_par.identification.estimation.likelihood import MarginalLikelihood
 from ringwear_par.identification.estimation.misfit import Misfit
+from ringwear_par.identification.model.noise import student_loss, student_weights
 from ringwear_par.identification.model.rounds import Rounds, StoppedError
 
+#: rounds of reweighting where the loss is not Gaussian
+_REWEIGHTED = 20
+#: change of residuals over their noise at which they are done
+_SAME = 1e-4
 log = logging.getLogger(__name__)
 
 #: most walkers, steps that they make at least, and the seed of all
@@ -38,6 +43,82 @@ _NEARER = 40
 STORE_SECONDS = 10.0
 #: effective samples below which quantiles mean little
 _FEW = 200.0
+
+
+class MarginalLikelihood:
+    """The logarithm of the probability of readings, but for a constant.
+
+    Thermal growth is linearised at unknowns x (u,).
+    """
+
+    def __init__(self, misfit: Misfit, x: FloatArray) -> None:
+        self._misfit = misfit
+        problem, m = misfit.problem, len(misfit.problem.parameters)
+        self._student = problem.settings.loss == "student"
+        self._low, self._high = misfit.lower[m:], misfit.upper[m:]
+        self._free = not np.isfinite([self._low, self._high]).any()
+        count = len(self._low)
+        nuisance_priors = [(j - m, prior) for j, prior in misfit.priors if j >= m]
+        self._prior_rows, self._prior_values = (
+            np.zeros((len(nuisance_priors), count)),
+            np.zeros(len(nuisance_priors)),
+        )
+        for row, (j, prior) in enumerate(nuisance_priors):
+            self._prior_rows[row, j] = 1.0 / prior.sd
+            self._prior_values[row] = prior.mean / prior.sd
+        self._priors = [(j, prior) for j, prior in misfit.priors if j < m]
+        columns = misfit.nuisance_derivatives(x)
+        self._data = misfit.data - (misfit.nuisance_readings(x) - columns @ x[m:])
+        self._columns = misfit.whitened(columns)
+        # without weights that change it is the same for all samples
+        ones = np.ones(misfit.n)
+        self._inverse = None if self._student or not self._free else self._inverse_of(ones)
+
+    def __call__(self, values: FloatArray, readings: FloatArray) -> float:
+        """Return it for values (m,) of the keys and the model's readings (n,)."""
+        unadjusted = self._misfit.whitened(readings - self._data)
+        weights = np.ones(len(unadjusted))
+        noise, rest = unadjusted, -self._prior_values
+        for _ in range(_REWEIGHTED if self._student else 1):
+            if not len(self._low):
+                break
+            nuisances, before = self._nuisances(unadjusted, np.sqrt(weights)), noise
+            noise = unadjusted + self._columns @ nuisances
+            rest = self._prior_rows @ nuisances - self._prior_values
+            if np.abs(noise - before).max() < _SAME:
+                break
+            weights = student_weights(noise)
+        square = noise @ noise
+        if self._student:
+            square = student_loss(noise).sum()
+        square += rest @ rest
+        square += sum(((values[j] - prior.mean) / prior.sd) ** 2 for j, prior in self._priors)
+        # priors are densities of values, those sought here of unknowns
+        slopes = self._misfit.problem.slopes(values)
+        return float(sum(np.log(slopes[j]) for j, _ in self._priors) - 0.5 * square)
+
+    def _nuisances(self, unadjusted: FloatArray, roots: FloatArray) -> FloatArray:
+        right = np.concatenate([-roots * unadjusted, self._prior_values])
+        if self._free:
+            inverse = self._inverse_of(roots) if self._inverse is None else self._inverse
+            return inverse @ right
+        columns, size = self._scaled(roots)
+        limits = (self._low * size, self._high * size)
+        nuisances: FloatArray = lsq_linear(columns, right, limits).x / size
+        return nuisances
+
+    def _inverse_of(self, roots: FloatArray) -> FloatArray:
+        """Return the matrix (nuisances, rows) of the best nuisances; idle ones stay 0."""
+        columns, size = self._scaled(roots)
+        inverse: FloatArray = np.linalg.pinv(columns, rcond=1e-12) / size[:, None]
+        return inverse
+
+    def _scaled(self, roots: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the columns of nuisances and priors with norm 1, and their norms."""
+        columns = np.concatenate([roots[:, None] * self._columns, self._prior_rows])
+        size = np.linalg.norm(columns, axis=0)
+        size[size == 0.0] = 1.0
+        return columns / size, size
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,16 +150,9 @@ def sample_posterior(
     covariance: FloatArray,
     path: Path | None,
 ) -> Posterior:
-    """Return samples of the fitted keys. Not collective.
+    """Return samples of the fitted keys, from the optimum x and its covariance on. Not collective.
 
-    Parameters
-    ----------
-    x, covariance : (u,) and (u, u) of the unknowns at the optimum.
-    path : file of the chain, which continues where it was stopped; None: it is not stored.
-
-    Raises
-    ------
-    StoppedError : a signal; the chain is stored.
+    The chain is stored in the file, and continues where it was stopped by a signal (StoppedError).
     """
     import emcee
 

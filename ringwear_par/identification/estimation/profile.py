@@ -71,12 +71,7 @@ def likelihood_profiles(
 ) -> Profiles:
     """Return likelihood profiles, or the linear estimates where the settings ask for none.
 
-    All limits are searched side by side. Not collective.
-
-    Parameters
-    ----------
-    estimates : with linear limits.
-    covariance : (u, u) of the unknowns.
+    All limits are searched side by side, from the covariance (u, u) on. Not collective.
     """
     level = misfit.problem.settings.level
     limited, known, covariance = list(estimates), covariance.copy(), covariance.copy()

@@ -145,15 +145,10 @@ def _alike(misfit: Misfit, x: FloatArray) -> list[ValidityWarning]:
 
 
 def trend(residuals: FloatArray, n_nuisances: int = 0, least: float = 0.0) -> float:
-    """Return how probable residuals in time are if they are noise, 1 for too few to tell.
+    """Return how probable residuals (n,) in time are if they are noise, 1 for too few to tell.
 
-    Sums of blocks are compared with differences of neighbours, which trends hardly change.
-
-    Parameters
-    ----------
-    residuals : (n,) uncorrelated if they are noise.
-    n_nuisances : that were fitted to them.
-    least : of their variance.
+    Sums of blocks are compared with differences of neighbours, which trends hardly change; the
+    variance is at least ``least``.
     """
     n = len(residuals)
     if n - n_nuisances < _ENOUGH:
@@ -170,14 +165,7 @@ def trend(residuals: FloatArray, n_nuisances: int = 0, least: float = 0.0) -> fl
 
 
 def refuse_idle(misfit: Misfit, start: FloatArray) -> None:
-    """Refuse quantities that respond to no parameter, and parameters without response.
-
-    Not collective.
-
-    Raises
-    ------
-    InputError : one sentence a series and a parameter.
-    """
+    """Refuse series that respond to no parameter, and keys without response. Not collective."""
     m = len(misfit.problem.parameters)
     columns = misfit.evaluate(start).noise_jacobian[:, :m] * (misfit.upper - misfit.lower)[:m]
     faults = [
@@ -242,10 +230,6 @@ def refuse_reversed(misfit: Misfit, start: FloatArray) -> None:
 
     Those that do so only beside a drift or a compliance may be right, with a part that is not, of
     which a warning tells at the optimum; and so may be records that change as the model in total.
-
-    Raises
-    ------
-    InputError : one sentence a series.
     """
     model = misfit.model_readings(start)
     faults = []

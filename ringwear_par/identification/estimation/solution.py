@@ -61,12 +61,7 @@ class Solution:
 
 
 def expected_solution(misfit: Misfit) -> Solution:
-    """Return the solution whose optimum is the start. Not collective.
-
-    Raises
-    ------
-    InputError : readings that cannot be what they are called.
-    """
+    """Return the solution whose optimum is the start, or refuse its readings. Not collective."""
     x = _begin(misfit)
     evaluation = misfit.evaluate(x)
     parameters, covariance = estimates(misfit, x, evaluation)
@@ -76,14 +71,8 @@ def expected_solution(misfit: Misfit) -> Solution:
 def solve(misfit: Misfit, rounds: Rounds, law: str, stored: StoredStarts) -> Solution:
     """Return the best of all starts, with intervals. Not collective.
 
-    Parameters
-    ----------
-    law : its name in progress messages; "" of the first.
-
-    Raises
-    ------
-    InputError : readings that cannot be what they are called.
-    ComputationError : no start leads to an optimum.
+    Raises InputError for readings that cannot be what they are called, ComputationError where no
+    start leads to an optimum. The law has a name in progress messages, but for the first.
     """
     keys, prefix = misfit.problem.keys, f"{law}: " if law else ""
     _begin(misfit)

@@ -14,9 +14,9 @@ from ringwear_par.errors import InputError, RingwearError, reason_of
 from ringwear_par.files.folders import PROGRESS
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.files.writing import atomic_write
-from ringwear_par.identification.estimation.likelihood import MarginalLikelihood
 from ringwear_par.identification.estimation.minimise import minimise
 from ringwear_par.identification.estimation.misfit import Misfit
+from ringwear_par.identification.estimation.posterior import MarginalLikelihood
 from ringwear_par.identification.model.histories import ROUGH_STEPS, Histories
 from ringwear_par.identification.model.rounds import Rounds, StoppedError, WaitFor, side_by_side
 
@@ -55,13 +55,10 @@ class StartOutcome:
 
 
 class StoredStarts:
-    """The folder with the outcomes of starts until the fit is done.
+    """The folder with the outcomes of starts until the fit is done; None stores nothing.
 
-    Parameters
-    ----------
-    folder : of the results; None: nothing is stored.
-    key : of the problem; outcomes of another problem are not used.
-    law : number of the law among those that are compared, 0 the first.
+    Outcomes of another problem, of another key, are not used; ``law`` numbers those that are
+    compared.
     """
 
     def __init__(self, folder: Path | None, key: str, law: int = 0) -> None:
@@ -77,12 +74,7 @@ class StoredStarts:
         return "; the same command with --restart goes on" if stored else "; nothing written"
 
     def refuse_others(self) -> None:
-        """Refuse a folder whose outcomes are of another fit. Not collective.
-
-        Raises
-        ------
-        InputError : they are.
-        """
+        """Refuse a folder whose outcomes are of another fit (InputError). Not collective."""
         if self._folder is None:
             return
         numbers = [int(path.stem[2:]) for path in (self._folder / PROGRESS).glob("0-*.json")]
@@ -127,14 +119,7 @@ class StoredStarts:
             log.warning("%s: cannot be written: %s", path, error.strerror or error)
 
     def remove(self) -> None:
-        """Remove all stored outcomes, and the folder of the results where nothing else is in it.
-
-        On one rank.
-
-        Raises
-        ------
-        OSError : the folder.
-        """
+        """Remove all stored outcomes, and the folder where nothing else is in it. On one rank."""
         if self._folder is None or not (self._folder / PROGRESS).is_dir():
             return
         for path in (self._folder / PROGRESS).iterdir():
@@ -145,14 +130,10 @@ class StoredStarts:
 
 
 def case_points(misfit: Misfit, count: int) -> FloatArray:
-    """Return Sobol' points (count, m) within the bounds of the fitted keys' unknowns.
+    """Return Sobol' points (count, m) within the bounds of the keys' unknowns. Not collective.
 
-    Those that are no case, for a law has rules for its numbers together, are left out. Not
-    collective.
-
-    Raises
-    ------
-    InputError : hardly any point is one.
+    Those that are no case, for a law has rules for its numbers together, are left out; InputError
+    where hardly any point is one.
     """
     from scipy.stats import qmc  # slow to import
 
@@ -212,12 +193,7 @@ def start_points(misfit: Misfit, histories: Histories) -> FloatArray:
 def solve_starts(
     misfit: Misfit, histories: Rounds, name: str, progress: StoredStarts
 ) -> list[StartOutcome]:
-    """Return the outcomes of all starts, which advance side by side. Not collective.
-
-    Parameters
-    ----------
-    name : of the law in progress messages; "" of the first.
-    """
+    """Return the outcomes of all starts, which advance side by side. Not collective."""
     numbers = range(misfit.problem.settings.starts)
     stored = [progress.read(number) for number in numbers]
     outcomes = [one for one in stored if one is not None]
@@ -292,14 +268,7 @@ def _solved(misfit: Misfit, number: int, unknowns: FloatArray, wait_for: WaitFor
 
 
 def fill_planned(misfit: Misfit) -> None:
-    """Let planned readings be what the model has at the start, nuisances as their priors have them.
-
-    Not collective.
-
-    Raises
-    ------
-    ComputationError : a history.
-    """
+    """Let planned readings be the model's at the start, nuisances as expected. Not collective."""
     plans = [(part, series) for _, series, part in misfit.records if series.planned]
     if not plans:
         return

@@ -18,15 +18,19 @@ from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ComputationError, InputError, reason_of
 from ringwear_par.history.derivatives.keys import is_elastic
+from ringwear_par.history.elastic.bodies import operator_key
+from ringwear_par.history.elastic.interpolated_pairs import InterpolatedPairs, interpolate
+from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.identification.definition.problem import Experiment, Problem, body_of_wear
-from ringwear_par.identification.model.operators import Operators
-from ringwear_par.identification.model.readings import Reader, Trajectory, lost_mass, time_through
-from ringwear_par.results.result import Result
+from ringwear_par.identification.model.readings import Reader, trajectory
 from ringwear_par.schedules import Table, in_time
 from ringwear_par.studies.definition.variations import split_key
 from ringwear_par.studies.execution.batches import computed
-from ringwear_par.wear.layered import LayeredLaw
 
+#: most pairs kept of points that have some of their own
+_MOST_PAIRS = 64
+#: bodies assembled for a search by start: each of its some ten points would need three or more
+_BODIES_A_START = 16
 #: of a test with constant conditions
 STEPS = 40
 #: of tests of which rough histories will do: they say where a search is to go
@@ -45,23 +49,89 @@ _FIRST, _SHORT = 2e-4, 1e-2
 _CLOSE = 1e-7
 
 
+class Operators:
+    """Contact pairs of the experiments of a problem. Making them is collective on comm.
+
+    ``owners`` tell of each experiment what its pair at the starts has in common with those of
+    others. Raises ComputationError where the assembly fails.
+    """
+
+    def __init__(self, problem: Problem, comm: MPI.Comm) -> None:
+        self._problem = problem
+        self.owners: list[Hashable] = [operator_key(e.case) for e in problem.experiments]
+        #: experiments of which each value of a fitted key has an operator of its own
+        self._elastic = {
+            i for i, e in enumerate(problem.experiments) if is_elastic(e.case, problem.keys)
+        }
+        self._pairs: dict[Hashable, ContactPair] = {}
+        #: those of the last points
+        self._at_points: dict[tuple[Hashable, bool], ContactPair] = {}
+        #: where those of other points may come from in a search
+        self._interpolated: dict[Hashable, InterpolatedPairs] = {}
+        for key, experiment in zip(self.owners, problem.experiments, strict=True):
+            if key not in self._pairs:
+                self._pairs[key] = assemble(experiment.case, comm)
+
+    @property
+    def order(self) -> list[int]:
+        """The number of each experiment's pair, as they were assembled."""
+        pairs = list(self._pairs)
+        return [pairs.index(owner) for owner in self.owners]
+
+    def interpolate(self, comm: MPI.Comm) -> None:
+        """Prepare operators for a search, between exact ones, where these pay. Collective."""
+        bounds = {parameter.key: parameter.bounds for parameter in self._problem.parameters}
+        most = _BODIES_A_START * self._problem.settings.starts
+        for experiment in sorted(self._elastic):
+            owner = self.owners[experiment]
+            if owner in self._interpolated:
+                continue
+            case = self._problem.experiments[experiment].case
+            pairs = interpolate(case, self._pairs[owner], bounds, most, comm)
+            if pairs is not None:
+                self._interpolated[owner] = pairs
+
+    @property
+    def are_interpolated(self) -> bool:
+        """Whether there are operators for a search."""
+        return bool(self._interpolated)
+
+    def of(self, experiment: int, case: Case, exact: bool) -> ContactPair:
+        """Return the pair of a case of an experiment.
+
+        Where each value has its own, it is interpolated, or assembled by this rank alone.
+        """
+        owner = self.owners[experiment]
+        if experiment not in self._elastic:
+            return self._pairs[owner]
+        exact = exact or owner not in self._interpolated
+        key = operator_key(case)
+        if exact and key in self._pairs:
+            return self._pairs[key]
+        if (key, exact) not in self._at_points:
+            while len(self._at_points) >= _MOST_PAIRS:
+                del self._at_points[next(iter(self._at_points))]
+            self._at_points[key, exact] = (
+                assemble(case, MPI.COMM_SELF, use_kept=False)
+                if exact
+                else self._interpolated[owner].of(case)
+            )
+        return self._at_points[key, exact]
+
+
 def step_times(experiment: Experiment, steps: int = STEPS) -> FloatArray:
-    """Return the ends of steps of a test, s.
+    """Return the ends of steps of a test, s; about ``steps`` where its schedules have no bends.
 
     After the start, and after every bend of a schedule, they grow geometrically: pressures change
     quickly there. Profiles are read at ends of steps. Pieces between bends share the steps of a
     test, but for a number that each needs. Where a body with layers wears, steps stay short to the
     end: rates change at once as a layer is worn through, whenever that is.
-
-    Parameters
-    ----------
-    steps : of a test whose schedules have no bends.
     """
     case = experiment.case
     end = case.time.end
     cuts = list(itertools.pairwise((0.0, *case.breakpoints, end)))
     long = sum(high - low > _SHORT * end for low, high in cuts)
-    layered = bends_within(experiment)
+    layered = experiment.bends_within
     pieces = []
     for low, high in cuts:
         length = high - low
@@ -83,11 +153,6 @@ def step_times(experiment: Experiment, steps: int = STEPS) -> FloatArray:
             times.append(time)
     times[-1] = end
     return np.array(times)
-
-
-def bends_within(experiment: Experiment) -> bool:
-    """Tell whether layers may be worn through: readings then bend where a step's end meets that."""
-    return any(isinstance(law, LayeredLaw) for law in experiment.case.laws)
 
 
 def _limited(grown: FloatArray, count: int) -> FloatArray:
@@ -131,16 +196,8 @@ def cases_at(case: Case, keys: Sequence[str], points: FloatArray) -> list[Case |
 class Histories:
     """Model readings of the experiments of a problem, at any values of the fitted keys.
 
-    Making one is collective on comm; all else is done by each rank for itself.
-
-    Parameters
-    ----------
-    problem : the problem.
-    comm : of the ranks that share the assembly.
-
-    Raises
-    ------
-    ComputationError : the assembly.
+    Making one is collective on comm, whose ranks share the assembly, and raises ComputationError;
+    all else is done by each rank for itself.
     """
 
     def __init__(self, problem: Problem, comm: MPI.Comm) -> None:
@@ -164,21 +221,10 @@ class Histories:
         derivatives: bool = True,
         exact: bool = True,
     ) -> list[FloatArray | HistoryError]:
-        """Return readings and derivatives of all experiments at some points. Not collective.
+        """Return for each point (p, m) the readings of all experiments, or why there are none.
 
-        Histories of all points and experiments step side by side; none depends on the others.
-
-        Parameters
-        ----------
-        points : (p, m) values of the fitted keys.
-        steps : about how many a history makes.
-        derivatives : whether they are asked for.
-        exact : whether operators are, or may be interpolated, see ``Operators``.
-
-        Returns
-        -------
-        For each point (n, 1 + m), the readings of all experiments, one after another, and their
-        derivatives with respect to the values, or (n, 1) without; or why there are none.
+        One after another, (n, 1 + m), with derivatives by the values, or (n, 1) without. Operators
+        may be interpolated unless ``exact``. Not collective.
         """
         every, m = range(len(self._experiments)), len(self._keys)
         pairs = [(i, e) for i in range(len(points)) for e in every]
@@ -209,9 +255,9 @@ class Histories:
     ) -> list[FloatArray | HistoryError]:
         """Return the readings at some of the points, of an experiment each, or why not.
 
-        See ``responses``. After its derivatives by the values follow those by factors on measured
-        inputs, then, for each body whose wear is random, that by a factor on its rates, and then
-        for each its mean worn depth, mm.
+        All step side by side; none depends on the others. After its derivatives by the values
+        follow those by factors on measured inputs, then, for each body whose wear is random, that
+        by a factor on its rates, and then for each its mean worn depth, mm.
         """
         by_experiment: dict[int, list[int]] = defaultdict(list)
         for number, (_, experiment) in enumerate(pairs):
@@ -248,18 +294,15 @@ class Histories:
                         readings[number] = HistoryError(reason_of(result))
                     else:
                         reader = self._readers[pairs[number][1]]
-                        readings[number] = reader.read(_trajectory(result, cases[number], keys))
+                        readings[number] = reader.read(trajectory(result, cases[number], keys))
         self.count += len(pairs)
         return [readings[number] for number in range(len(pairs))]
 
     def renew_inputs(self, values: FloatArray) -> tuple[Experiment, ...]:
         """Return the experiments, friction now as their torques tell it at values of the keys.
 
-        By the radius at which friction acts in their histories there. Not collective.
-
-        Raises
-        ------
-        HistoryError : there is no history.
+        By the radius at which friction acts in their histories there; HistoryError for none. Not
+        collective.
         """
         experiments = list(self._experiments)
         for number, experiment in enumerate(experiments):
@@ -290,25 +333,3 @@ class Histories:
         """Take the experiments with other cases, of the same bodies."""
         self._experiments = experiments
         self._readers = [Reader(experiment, self._clocks) for experiment in experiments]
-
-
-def _trajectory(result: Result, case: Case, keys: Sequence[str]) -> Trajectory:
-    """Return values of a history and derivatives, if it has any, (..., 1 + m)."""
-
-    def both(name: str, values: FloatArray) -> FloatArray:
-        if not result.derivatives:
-            return values[..., None]
-        slopes = np.moveaxis(result.derivatives[f"d_{name}"], 0, -1)
-        return np.concatenate([values[..., None], slopes], axis=-1)
-
-    histories, profiles = result.histories, result.profiles
-    wear = np.stack([both(f"wear_{b}", profiles[f"wear_{b}"]) for b in BODIES])
-    return Trajectory(
-        histories["time"],
-        both("approach", histories["approach"]),
-        both("torque", histories["torque"]),
-        np.stack([both(f"worn_volume_{b}", histories[f"worn_volume_{b}"]) for b in BODIES]),
-        wear,
-        np.stack([lost_mass(case, i, of_body, keys) for i, of_body in enumerate(wear)]),
-        np.stack([time_through(case, i, histories["time"], w, keys) for i, w in enumerate(wear)]),
-    )

@@ -19,10 +19,7 @@ _DEPENDENT = 1e-10
 
 
 def whitened(series: Series, rows: FloatArray) -> FloatArray:
-    """Return rows (n, ...) of a series, in units of its noise, without their correlation in time.
-
-    The noise is an AR(1) process of the series' ``correlation_time``.
-    """
+    """Return rows (n, ...) of a series in units of its noise, AR(1), uncorrelated in time."""
     if not series.correlation_time or series.n < 2:
         return rows
     steps = (np.diff(series.x) / series.correlation_time).reshape(-1, *(1,) * (rows.ndim - 1))
@@ -64,15 +61,10 @@ def censored_rows(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return rows in the place of readings (n,) that are limits of normal distributions.
 
-    Parameters
-    ----------
-    side : -1 where the true value is at most the reading, 1 where it is at least.
-    residuals : of the model less the limit, over the noise.
-
-    Returns
-    -------
-    Residual of the reading with the same gradient and curvature, and the factor of its
-    derivatives; the square root of twice the negative log likelihood, and its derivative.
+    The residual with the same gradient and curvature, and the factor of its derivatives; the square
+    root of twice the negative log likelihood, and its derivative. ``side`` is -1 where the true
+    value is at most the reading, 1 where at least; residuals are of the model less the limit, over
+    the noise.
     """
     t = side * residuals
     log_probability = log_ndtr(t)
@@ -106,9 +98,7 @@ def information_share(loss: Loss) -> float:
 class NuisanceProjection:
     """Least squares over nuisances, of which those that do the same count once.
 
-    Parameters
-    ----------
-    columns : (n, k) float, what a unit of each adds to residuals.
+    Columns (n, k) are what a unit of each adds to residuals.
     """
 
     def __init__(self, columns: FloatArray) -> None:

@@ -21,6 +21,7 @@ from ringwear_par.identification.definition.problem import (
     Series,
     friction_power,
 )
+from ringwear_par.results.result import Result
 from ringwear_par.schedules import in_time
 
 #: of a segment's length: within it steps are equal, beyond it their logarithms
@@ -35,7 +36,7 @@ _NEVER = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """What is read of a history, at its steps, the start included.
+    """What is read of a history, at its s steps, the start included.
 
     The last axis of all but ``time`` holds the value and, where there are any, its derivatives.
     """
@@ -58,14 +59,7 @@ class Trajectory:
 
 
 class TimeInterpolation:
-    """What values at other times are of those at the ends of steps.
-
-    Parameters
-    ----------
-    time : (s,) s, of the steps, the breaks among them.
-    at : (t,) s.
-    breaks : from the start to the end, s.
-    """
+    """Values at times ``at`` (t,), s, of those at the ends (s,) of steps, the breaks among them."""
 
     def __init__(self, time: FloatArray, at: FloatArray, breaks: Sequence[float]) -> None:
         self._count = len(at)
@@ -98,12 +92,9 @@ class TimeInterpolation:
 
 
 class Reader:
-    """Reads all series of an experiment.
+    """Reads all series of an experiment, whose case may have other values of the fitted keys.
 
-    Parameters
-    ----------
-    experiment : its case may have other values of the fitted keys than the histories.
-    clocks : 0 for lower and 1 for upper, of which mean worn depths are read along.
+    Mean worn depths of the bodies ``clocks`` (0 lower, 1 upper) are read along.
     """
 
     def __init__(self, experiment: Experiment, clocks: Sequence[int] = ()) -> None:
@@ -165,10 +156,7 @@ class Reader:
 
 
 def _radial(series: Series, case: Case) -> FloatArray:
-    """Return (n, elements) what a profile's points are of the elements' depths.
-
-    Outside the contact it is unworn.
-    """
+    """Return (n, elements) what points of a profile are of depths of elements; 0 beyond them."""
     a, b = case.contact
     mid_points = case.line.r
     close = _CLOSE * b
@@ -183,16 +171,11 @@ def _radial(series: Series, case: Case) -> FloatArray:
 def growth(
     nuisance: Nuisance, case: Case, t: FloatArray, time: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the share of its growth that a warm rig has, and its derivative by ``time``, 1/s.
+    """Return the share of its growth that a warm rig has at t (n,) s, and its derivative by time.
 
-    It is cold at first, and follows its heat by time g' = heat - g: each change of the heat makes a
-    growth of its own.
-
-    Parameters
-    ----------
-    nuisance : whose heat goes with the friction power where it has ``power``, else is 1.
-    t : (n,) s.
-    time : constant, s.
+    It is cold at first, and follows its heat by time g' = heat - g (s): each change of the heat
+    makes a growth of its own. The heat is 1, or goes with the friction power where the nuisance has
+    ``power``.
     """
     starts, heat = np.zeros(1), np.ones(1)
     if nuisance.power:
@@ -220,14 +203,11 @@ def nuisance_columns(
     """Return (n, nuisances) what each nuisance of a series adds to its readings, by its unit.
 
     The offset and the level are constant; the drift grows to 1 at the end of the test; the
-    compliance goes with the load in kN (of a penetration with what it has changed since the start);
-    the tilt with the distance in mm from the middle of the contact. Thermal growth comes near to 1
-    after some time constants, with respect to which its column is the derivative; with ``power`` it
-    follows the friction power, over its largest.
-
-    Parameters
-    ----------
-    values : (nuisances,) at which growth is linearised; None: as they are expected.
+    compliance goes with the load in kN (of a penetration with its change since the start); the tilt
+    with the distance in mm from the middle of the contact. Thermal growth comes near to 1 after
+    some time constants, with respect to which its column is the derivative at the values
+    (nuisances,), or as these are expected; with ``power`` it follows the friction power, over its
+    largest.
     """
     columns = []
     values = [n.expected for n in series.nuisances] if values is None else values
@@ -255,14 +235,8 @@ def time_through(
 ) -> FloatArray:
     """Return when (s) the first layer of lower (0) or upper (1) is worn through anywhere, (q,).
 
-    From the rate of the last step before it, or of the last one of all; with derivatives; NaN of a
-    body without layers.
-
-    Parameters
-    ----------
-    time : (s,) s.
-    wear : (s, n, q) mm, along the axis, and its derivatives.
-    keys : of the q - 1 derivatives, of which the layer's thickness moves its end.
+    From worn depths (s, n, q) mm, by the rate of the last step before it, or of the last one of
+    all; with derivatives by the keys; NaN of a body without layers.
     """
     if not case.rings[body].layers:
         return np.full(wear.shape[-1], np.nan)
@@ -287,12 +261,8 @@ def time_through(
 def lost_mass(case: Case, body: int, wear: FloatArray, keys: Sequence[str] = ()) -> FloatArray:
     """Return the mass (g) that layers and body of lower (0) or upper (1) have lost, (s, q).
 
-    NaN where a density is not known, and of a body without layers, whose volume tells it.
-
-    Parameters
-    ----------
-    wear : (s, n, q) mm, along the axis, and its derivatives.
-    keys : of the q - 1 derivatives, of which thicknesses of layers move where these end.
+    By worn depths (s, n, q) mm, with derivatives by the keys. NaN where a density is not known, and
+    of a body without layers, whose volume tells it.
     """
     ring = case.rings[body]
     if not ring.layers or None in ring.densities:
@@ -308,3 +278,25 @@ def lost_mass(case: Case, body: int, wear: FloatArray, keys: Sequence[str] = ())
         ends[:, 1:] = [float(key in names[: i + 1]) for key in keys]
         depth = depth + more * np.where(wear[..., :1] < end[:, None], wear, ends)
     return np.einsum("e,seq->sq", case.line.area, depth)
+
+
+def trajectory(result: Result, case: Case, keys: Sequence[str]) -> Trajectory:
+    """Return values of a history and derivatives, if it has any, (..., 1 + m)."""
+
+    def both(name: str, values: FloatArray) -> FloatArray:
+        if not result.derivatives:
+            return values[..., None]
+        slopes = np.moveaxis(result.derivatives[f"d_{name}"], 0, -1)
+        return np.concatenate([values[..., None], slopes], axis=-1)
+
+    histories, profiles = result.histories, result.profiles
+    wear = np.stack([both(f"wear_{b}", profiles[f"wear_{b}"]) for b in BODIES])
+    return Trajectory(
+        histories["time"],
+        both("approach", histories["approach"]),
+        both("torque", histories["torque"]),
+        np.stack([both(f"worn_volume_{b}", histories[f"worn_volume_{b}"]) for b in BODIES]),
+        wear,
+        np.stack([lost_mass(case, i, of_body, keys) for i, of_body in enumerate(wear)]),
+        np.stack([time_through(case, i, histories["time"], w, keys) for i, w in enumerate(wear)]),
+    )

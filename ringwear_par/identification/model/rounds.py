@@ -4,7 +4,7 @@ Minimisers meet where they ask for histories, which one batch then computes. Eac
 its own, as TAO asks by callbacks and does not let go; only one of them runs at a time, and always
 in the same order, so that nothing depends on how threads are scheduled. What decides where
 histories are wanted runs on the first rank alone, so that ranks cannot part ways; the others serve
-it until it is done.
+it until it is done. Responses keep the readings of a search as long as it may ask for them.
 """
 
 import threading
@@ -13,12 +13,19 @@ from contextlib import closing
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import FloatArray
+from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.definition.problem import Experiment, Problem
-from ringwear_par.identification.model.histories import STEPS, Histories, HistoryError, Pair
+from ringwear_par.identification.model.histories import (
+    ROUGH_STEPS,
+    STEPS,
+    Histories,
+    HistoryError,
+    Pair,
+)
 from ringwear_par.parallel import as_ours, together
 from ringwear_par.results.execution.progress import FitProgress
 from ringwear_par.results.execution.stop_signals import StopSignals, name_of, remark
@@ -35,17 +42,10 @@ class StoppedError(ComputationError):
 def side_by_side(
     jobs: Sequence[Callable[[WaitFor], T]], compute: Callable[[list[FloatArray]], Any]
 ) -> list[T]:
-    """Return the results of jobs. Not collective.
+    """Return the results of jobs, each called with what it waits by for histories. Not collective.
 
-    Parameters
-    ----------
-    jobs : each is given a function to be called before it needs the histories at a point.
-    compute : computes those at several points; must keep them.
-
-    Raises
-    ------
-    ComputationError : MPI may not be called from threads.
-    Exception : of ``compute``, which ends all jobs; or of a job, once the others have ended.
+    ``compute`` computes those at several points, and must keep them; its error ends all jobs, that
+    of a job is raised once the others have ended. ComputationError where MPI allows no threads.
     """
     if MPI.Query_thread() < MPI.THREAD_SERIALIZED:
         raise ComputationError(
@@ -119,16 +119,10 @@ class Renewed:
 
 
 class Rounds(Histories):
-    """Histories that all ranks compute together while the first one leads.
+    """Histories that all ranks compute together while the first one leads. Collective to make.
 
-    Making one is collective on comm.
-
-    Parameters
-    ----------
-    problem : the problem.
-    comm : of the ranks.
-    signals : that end a job before its next round, on whichever rank they come.
-    hint : returns what is added to the sentence that says so.
+    Signals on any rank end a job before its next round; ``hint`` returns what is added to that
+    sentence.
     """
 
     def __init__(
@@ -149,10 +143,7 @@ class Rounds(Histories):
     def lead(self, job: Callable[[], T]) -> T:
         """Return the result of a job of the first rank. Collective.
 
-        Raises
-        ------
-        StoppedError : a signal.
-        RingwearError : of the job, or of the histories of any rank.
+        Raises StoppedError by a signal, and what the job or the histories of any rank raise.
         """
         comm = self._comm
         result = None
@@ -239,3 +230,97 @@ class Rounds(Histories):
 
     def _stopped(self, received: int) -> StoppedError:
         return StoppedError(f"stopped by {name_of(received)}{self._hint()}{remark(received)}")
+
+
+class Responses:
+    """Readings of a problem's tests and their derivatives, one history a test.
+
+    Points are unknowns of the fitted keys, or of these and the nuisances. ``known`` holds readings
+    with derivatives (n, 1 + m), or why there are none, by the test's number and the bytes of the
+    values; histories make about ``steps``, on operators that are ``exact`` or, in a search,
+    interpolated.
+    """
+
+    def __init__(self, problem: Problem, histories: Histories) -> None:
+        self._problem, self._histories = problem, histories
+        self.steps, self.exact = STEPS, True
+        self.known: dict[tuple[int, bytes], FloatArray | HistoryError] = {}
+
+    def _values(self, point: FloatArray) -> FloatArray:
+        return self._problem.values(point[: len(self._problem.parameters)])
+
+    def allowed(self, points: FloatArray) -> BoolArray:
+        """Return at which points (p, m) all rules of the laws hold, (p,)."""
+        return self._histories.allowed(np.array([self._values(point) for point in points]))
+
+    def compute(self, points: Sequence[FloatArray]) -> None:
+        """Have the histories at points computed together, and keep them. Not collective."""
+        tests = range(len(self._problem.experiments))
+        self.prepare([(test, v) for v in map(self._values, points) for test in tests])
+
+    def prepare(self, wanted: Sequence[tuple[int, FloatArray]]) -> None:
+        """Have the histories of tests at values of the keys computed together, and keep them."""
+        new = {(test, v.tobytes()): v for test, v in wanted}
+        new = {key: v for key, v in new.items() if key not in self.known}
+        values = list({v.tobytes(): v for v in new.values()}.values())
+        numbers = {v.tobytes(): i for i, v in enumerate(values)}
+        pairs = [(numbers[content], test) for test, content in new]
+        if pairs:
+            responses = self._histories.read(np.array(values), pairs, self.steps, exact=self.exact)
+            self.known.update(zip(new, responses, strict=True))
+
+    def are_known(self, point: FloatArray) -> bool:
+        """Tell whether the histories at a point were computed."""
+        return (0, self._values(point).tobytes()) in self.known
+
+    def of_tests(self, values: Sequence[FloatArray]) -> FloatArray:
+        """Return the readings of all tests and derivatives by the values (m,) of each, (n, 1 + m).
+
+        Raises HistoryError where there is no history.
+        """
+        wanted = list(enumerate(values))
+        self.prepare(wanted)
+        responses = []
+        for test, of_test in wanted:
+            response = self.known[test, of_test.tobytes()]
+            if isinstance(response, HistoryError):
+                raise response
+            responses.append(response)
+        return np.concatenate(responses)
+
+    def in_shorter_steps(self, values: FloatArray) -> FloatArray | HistoryError:
+        """Return the readings (n,) of all tests in steps half as long, or why there are none."""
+        (finer,) = self._histories.responses(values[None], 2 * self.steps, derivatives=False)
+        return finer if isinstance(finer, HistoryError) else finer[:, 0]
+
+    def forget(self, points: Sequence[FloatArray], but: FloatArray) -> None:
+        """Forget the histories at points, but for those at one."""
+        past = {self._values(point).tobytes() for point in points} - {self._values(but).tobytes()}
+        for key in [key for key in self.known if key[1] in past]:
+            del self.known[key]
+
+    def keep_only(self, values: Sequence[FloatArray]) -> None:
+        """Forget all histories but those at values of each test. Not collective."""
+        self.of_tests(values)
+        remaining = {(test, of_test.tobytes()) for test, of_test in enumerate(values)}
+        self.known = {key: response for key, response in self.known.items() if key in remaining}
+
+    def renew_inputs(self, values: FloatArray) -> tuple[Experiment, ...]:
+        """Return the tests, friction as torques tell it at values (m,); histories are theirs."""
+        self.known = {}
+        return self._histories.renew_inputs(values)
+
+    def part_from_histories(self) -> None:
+        """Let the histories' engines and communicator go: responses computed so far remain."""
+        del self._histories
+
+    def refine(self) -> None:
+        """Have histories make twice as many steps from now on."""
+        self.steps *= 2
+        self.known = {}
+
+    def be_exact(self, exact: bool) -> None:
+        """Have histories on exact operators from now on, or rough ones: interpolated, few steps."""
+        if exact != self.exact:
+            self.steps = STEPS if exact else ROUGH_STEPS
+            self.exact, self.known = exact, {}

@@ -18,8 +18,12 @@ from ringwear_par.identification.estimation.intervals import (
     is_vague,
 )
 from ringwear_par.identification.estimation.misfit import Evaluation
-from ringwear_par.identification.scatter.mixture import Mixture
-from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size, SizePosterior
+from ringwear_par.identification.scatter.posterior import (
+    Mixture,
+    ScatterPosterior,
+    Size,
+    SizePosterior,
+)
 from ringwear_par.identification.scatter.random_wear import RandomWear
 
 #: ISO 5725: limit of the difference of two results that is exceeded once in twenty times
@@ -35,12 +39,7 @@ _WANTED, _MOST_SPECIMENS = 0.10, 10_000
 
 
 def known_sizes(problem: Problem, specimens: int) -> list[str]:
-    """Return the sentence on scatters that a plan takes as known and a fit does not; or none.
-
-    Parameters
-    ----------
-    specimens : of the planned tests.
-    """
+    """Return the sentence on scatters that a plan takes as known and a fit does not; or none."""
     scatters = [(p.key, p.scatter.sizes) for p in problem.parameters if p.scatter is not None]
     fitted = [key for key, sizes in scatters if sizes.get("specimen", 0.0) is None]
     if not fitted:
@@ -124,10 +123,7 @@ class Material:
         return self.wear.sizes(self.wear.estimated_shares(self.posterior))
 
     def material(self, key: int) -> Mixture:
-        """Return the distribution of the material's unknown of a key.
-
-        Of one that is at its bound: as if that were none.
-        """
+        """Return the distribution of a key's unknown; at its bound, as if that were none."""
         if key in self.free:
             return self.posterior.material(self.free.index(key))
         return self.unbounded.material(key)

@@ -11,13 +11,16 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 from scipy.stats import t as student_t
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.batched import concat, take
 from ringwear_par.identification.scatter.likelihood import MixedModel, Solutions
-from ringwear_par.identification.scatter.mixture import Mixture
 
+#: standard deviations beyond the outermost mean that hold all of a mixture, and halvings of that
+#: range until a quantile is found to round-off
+_REACH, _BISECTIONS = 40.0, 80
 #: degrees of freedom of the priors of sizes
 DEGREES = 4.0
 #: points of the grid along each axis, by the number of axes
@@ -33,6 +36,46 @@ _FEW = 10
 _CHUNK, _IMPROBABLE = 256, 75.0
 #: of -2 log likelihood, by which a size of 0 is worse than the best where it is excluded at 90 %
 _AT_BOUND = 2.71
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """A mixture of normal distributions of one number."""
+
+    #: (g,) float, of the parts; they sum to 1
+    weights: FloatArray
+    #: (g,) float, of the parts
+    means: FloatArray
+    variances: FloatArray
+
+    @property
+    def mean(self) -> float:
+        """Mean of the mixture."""
+        return float(self.weights @ self.means)
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of the mixture."""
+        spread = self.variances + (self.means - self.mean) ** 2
+        return float(np.sqrt(self.weights @ spread))
+
+    def quantile(self, probability: float) -> float:
+        """Return the number below which the mixture has a probability, between 0 and 1."""
+        sd = np.sqrt(self.variances)
+        low = float(np.min(self.means - _REACH * sd))
+        high = float(np.max(self.means + _REACH * sd))
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            if self.weights @ ndtr((middle - self.means) / sd) < probability:
+                low = middle
+            else:
+                high = middle
+        return 0.5 * (low + high)
+
+    def interval(self, level: float) -> tuple[float, float]:
+        """Return the central interval that holds the number with a probability ``level``."""
+        tail = 0.5 * (1.0 - level)
+        return self.quantile(tail), self.quantile(1.0 - tail)
 
 
 @dataclass(frozen=True)
@@ -207,13 +250,7 @@ class ScatterPosterior:
         return self._between(rows, self._material_rows)
 
     def size(self, level: int, probability: float) -> SizePosterior:
-        """Return the posterior of the size of a level's scatter.
-
-        Parameters
-        ----------
-        level : number of the level.
-        probability : of its interval.
-        """
+        """Return the posterior of the size of a level's scatter, its interval of a probability."""
         return self._size(self.solutions.tau[:, level], self._without_level[level], probability)
 
     @cached_property
@@ -256,18 +293,10 @@ def integrate(
 ) -> ScatterPosterior:
     """Return the posterior of mixed models over the sizes of their levels and of process noise.
 
-    With three sizes to be fitted, or one that is known well, a coarse grid finds where the
-    likelihood is, and a second one covers that.
-
-    Parameters
-    ----------
-    models_at : returns a model for each of (k, bodies) shares of the process noise.
-    sizes : of the levels.
-    shares : of the process noise of bodies.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError : the tests and priors together do not determine the material.
+    ``models_at`` returns a model for each of (k, bodies) shares of the process noise. With three
+    sizes to be fitted, or one that is known well, a coarse grid finds where the likelihood is, and
+    a second one covers that. LinAlgError where tests and priors together do not determine the
+    material.
     """
     every = [*sizes, *shares]
     unknown = sum(size.known is None for size in every)

@@ -16,7 +16,7 @@ from ringwear_par.identification.definition.problem import (
     body_of_wear,
 )
 from ringwear_par.identification.estimation.misfit import Misfit
-from ringwear_par.identification.scatter.clocks import MOST_READINGS
+from ringwear_par.identification.scatter.linearisation import MOST_READINGS
 from ringwear_par.identification.scatter.posterior import DEGREES, ScatterPosterior, Size
 
 #: of the logarithm of the prior's interval: a narrower one is told by the readings
@@ -42,11 +42,8 @@ class RandomWear:
     ) -> "RandomWear":
         """Return the bodies at unknowns (u,) and those of the keys in each test, (tests, m).
 
-        In a plan, shares are known: half the scale of their priors.
-
-        Raises
-        ------
-        ComputationError : a body does not wear there.
+        In a plan, shares are known: half the scale of their priors. ComputationError where a body
+        does not wear there.
         """
         process = misfit.problem.settings.process
         if not process:

@@ -22,13 +22,17 @@ from ringwear_par.identification.estimation.intervals import is_vague
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.model.histories import HistoryError
 from ringwear_par.identification.model.noise import log_constant, weights
-from ringwear_par.identification.scatter.clocks import projected_precision
-from ringwear_par.identification.scatter.likelihood import Level, MixedModel
-from ringwear_par.identification.scatter.linearisation import Linearisation
+from ringwear_par.identification.scatter.likelihood import (
+    Level,
+    MixedModel,
+    ReducedTest,
+    uncorrelated,
+    with_fixed,
+)
+from ringwear_par.identification.scatter.linearisation import Linearisation, projected_precision
 from ringwear_par.identification.scatter.material import Material
 from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size, integrate
 from ringwear_par.identification.scatter.random_wear import RandomWear, confounded_with_drift
-from ringwear_par.identification.scatter.reduction import ReducedTest, uncorrelated, with_fixed
 
 #: sd by which no test's unknowns move any more, and most rounds until then
 _STILL, _MOST_ROUNDS = 1e-3, 60
@@ -43,19 +47,11 @@ _HALVINGS = 6
 def estimate_material(
     misfit: Misfit, x: FloatArray, sizes: Mapping[tuple[str, str], float] | None = None
 ) -> Material:
-    """Return the material behind the specimens of a fit. Not collective.
+    """Return the material behind the specimens of a fit, from unknowns x (u,) on. Not collective.
 
-    Noise that is fitted is estimated along; ``misfit`` has it afterwards.
-
-    Parameters
-    ----------
-    x : (u,) unknowns of the fit with one value for all tests, where the search begins.
-    sizes : of scatters, by key and group, that are taken as known, for a plan: readings then are
-        those of x; None: as the fit file says, from the readings.
-
-    Raises
-    ------
-    ComputationError : readings do not determine the material, or no history could be computed.
+    Noise that is fitted is estimated along; ``misfit`` has it afterwards. In a plan, sizes of
+    scatters are known, by key and group, and readings are those of x. ComputationError where
+    readings do not determine the material, or no history could be computed.
     """
     problem, m = misfit.problem, len(misfit.problem.parameters)
     levels, scatters, names = levels_of(problem, sizes)
@@ -132,11 +128,8 @@ def _evaluated(
 ) -> tuple[FloatArray, Evaluation, FloatArray]:
     """Return unknowns with the best nuisances, residuals there, and the unknowns of tests.
 
-    Where there is no history, tests go half as far from where they were before.
-
-    Raises
-    ------
-    HistoryError : there is none near that either.
+    Where there is no history, tests go half as far from where they were before; HistoryError in the
+    end.
     """
     # with the noise of wear, time constants are those of its last round
     times_of = x if misfit.problem.settings.process else None

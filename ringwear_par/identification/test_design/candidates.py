@@ -87,12 +87,7 @@ def count_of(space: DesignSpace) -> int:
 
 
 def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
-    """Return the tests of a space, measured as ``template`` is.
-
-    Raises
-    ------
-    InputError : values that a case does not allow.
-    """
+    """Return the tests of a space, measured as ``template``; InputError for impossible values."""
     load = next((key for key in LOADS if key in space.ranges), None)
     steps = _counts(space, _STEPS, 1)
     instants: list[tuple[float, ...]] = [()]

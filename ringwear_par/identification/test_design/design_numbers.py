@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import factor
 from ringwear_par.identification.definition.fitted_parameters import unit_of_key
-from ringwear_par.identification.definition.user_units import unit_scale
+from ringwear_par.identification.fit_numbers import unit_scale
 from ringwear_par.identification.scatter.material import known_sizes
 from ringwear_par.identification.test_design.candidates import Candidate
 from ringwear_par.identification.test_design.design import DesignResult
@@ -219,12 +219,7 @@ def name_of_tests(design: DesignResult, one: Design, separator: str = " + ") -> 
 
 
 def name_of(test: Candidate, units: Mapping[str, str]) -> str:
-    """Return a test in a few words.
-
-    Parameters
-    ----------
-    units : that keys are told in, where another than the case's.
-    """
+    """Return a test in a few words, its keys in some units where not in the case's."""
 
     def words_of(key: str, base: str, *values: Any) -> str:
         unit = units.get(key, base)

@@ -64,12 +64,7 @@ def widths(problem: Problem) -> FloatArray:
 
 
 def prior_information(problem: Problem, after: str | Path | None) -> PriorInformation:
-    """Return the information of priors or of an earlier fit.
-
-    Raises
-    ------
-    InputError : the earlier fit is none of these keys.
-    """
+    """Return the information of priors or of an earlier fit, which must be one of these keys."""
     parameters = problem.parameters
     noise: dict[tuple[str, str], tuple[float, str]] = {}
     sizes = expected_sizes(problem)
@@ -198,19 +193,12 @@ def information_of_tests(
     scatter: FloatArray,
     comm: MPI.Intracomm,
 ) -> tuple[FloatArray, dict[int, str], int]:
-    """Return the information of each test. Collective on comm; its ranks share each draw.
+    """Return the information (d, tests, m, m) of each test on unknowns, at draws (d, m) of values.
 
+    Then why histories fail, by number of the test, which has NaN then, and how many were computed.
     Tests of one case, the same object, share its histories; series that they share are read once.
-
-    Parameters
-    ----------
-    draws : (d, m) values of the keys.
-    scatter : (m,) variances of the unknowns between specimens; each test is of a new one.
-
-    Returns
-    -------
-    (d, tests, m, m) of the unknowns, NaN of tests whose histories fail; why these fail, by number;
-    and the histories computed.
+    Each test is of a new specimen, whose unknowns scatter by variances (m,). Collective on comm;
+    its ranks share each draw.
     """
     groups: dict[int, list[int]] = {}
     for number, test in enumerate(tests):
@@ -260,13 +248,9 @@ def _series_information(
 
 
 def information(problem: Problem, case: Case, series: Series, columns: FloatArray) -> FloatArray:
-    """Return the information (m, m) of a series, its nuisances eliminated.
+    """Return the information (m, m) of a series by derivatives (n, m), its nuisances eliminated.
 
     As nuisances are of one series, what several tell adds.
-
-    Parameters
-    ----------
-    columns : (n, m) derivatives of its readings.
     """
     m = columns.shape[1]
     columns_and_nuisances = np.concatenate([columns, nuisance_columns(series, case)], axis=1)

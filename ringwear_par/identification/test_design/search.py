@@ -38,14 +38,7 @@ class Design:
 
 
 class Search:
-    """Looks for the best tests.
-
-    Parameters
-    ----------
-    prior : the information before the tests.
-    information : (d, c, m, m) of each candidate, at each draw.
-    tests : the candidates.
-    """
+    """Looks for the best tests by the information (d, c, m, m) of candidates, at each draw."""
 
     def __init__(
         self,
@@ -170,10 +163,7 @@ class Search:
         return self._natural(alone), self._score(self._information)
 
     def pairs(self) -> tuple[FloatArray, FloatArray]:
-        """Return predicted sd (c, c, m) after two candidates, and their scores (c, c).
-
-        Scores are -inf beyond the budget.
-        """
+        """Return predicted sd (c, c, m) after two candidates; scores (c, c), -inf over budget."""
         information, c = self._information[0], len(self._seconds)
         rows = [
             self._natural(_inverse(information + one + self._before + self._floor))

@@ -11,8 +11,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.results.execution.stop_signals import is_launched
 from ringwear_par.results.result import Result
@@ -30,11 +28,15 @@ class _Progress:
 
     def __init__(self, **bar: Any) -> None:
         self._begun = self._last = time.perf_counter()
-        self._bar: Any = tqdm(leave=False, disable=not sys.stderr.isatty(), **bar)
+        self._bar: Any = None
+        if sys.stderr.isatty():
+            from tqdm import tqdm  # slow to import
+
+            self._bar = tqdm(leave=False, **bar)
 
     @property
     def _on_terminal(self) -> bool:
-        return not self._bar.disable
+        return self._bar is not None
 
     def _is_due(self, pause: float = PROGRESS_SECONDS) -> bool:
         """Tell whether the last time that it was is so many wall seconds ago."""
@@ -49,7 +51,8 @@ class _Progress:
 
     def close(self) -> None:
         """Remove the bar."""
-        self._bar.close()
+        if self._on_terminal:
+            self._bar.close()
 
 
 class RunProgress(_Progress):

@@ -147,7 +147,7 @@ class Recorder:
         """Return all histories as they are stored, and the warnings of each."""
         failures, count = {**self._stresses.failures, **failures}, len(self._cases)
         failed = [number in failures for number in range(count)]
-        warnings = [() if bad else self.warnings.history(i) for i, bad in enumerate(failed)]
+        warnings = self.warnings.histories(failed)
         rows = self._rows.columns()
         columns = HistoryColumns(
             **rows,
@@ -206,9 +206,11 @@ class Recorder:
         warnings: Sequence[ValidityWarning],
         error: str = "",
     ) -> Result:
-        case, rows, last = self._cases[number], columns.rows(number), self._last.state(number)
-        steps, time_reached = columns.steps[rows], float(last.start.state.time[0])
+        case, rows = self._cases[number], columns.rows(number)
+        last, place = self._last.state(number)
+        steps, time_reached = columns.steps[rows], float(last.start.state.time[place])
         through = times_through(case, self._last.through[:, number])
+        worst = self.warnings.worst(np.array([number]))
         about = case_attributes(case, time_reached)
 
         def part(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -224,18 +226,18 @@ class Recorder:
             {
                 **about,
                 **{name: float(time) for name, time in through.items()},
-                "status": "complete" if last.finished[0] else "incomplete",
+                "status": "complete" if last.finished[place] else "incomplete",
                 "error": error,
                 "ranks": self._comm.size,
                 "begun_by": self._before.get("begun_by", about["version"]),
                 **self.seconds(),
                 **balance_attributes(vars(self._balances.history(number))),
-                "symmetry_defect": float(last.symmetry_defect[0]),
+                "symmetry_defect": float(last.symmetry_defect[place]),
                 "step_error_time": float(self._balances.step_error_time[number]),
                 "closing_contact": int(self._balances.closing_contact[number]),
                 "doubts": json.dumps([warning.to_dict() for warning in warnings]),
             },
-            Checkpoint(last.start, int(self._rows.pending[number]), self.warnings.worst(number)),
+            Checkpoint(last.start, place, int(self._rows.pending[number]), worst),
             parameters=self._rows.parameters,
             derivatives=part(columns.derivatives),
             layers=part(columns.layers),

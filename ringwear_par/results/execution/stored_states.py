@@ -244,13 +244,12 @@ class LastStates:
             self._ended |= {number: (states, i) for i, number in enumerate(numbers.tolist())}
         return False
 
-    def state(self, number: int) -> LastState:
-        """Return the state of a history at its end, or its present one, as of one of B = 1."""
+    def state(self, number: int) -> tuple[LastState, int]:
+        """Return the state of a history at its end, or its present one, and which it is of some."""
         if number in self._ended:
-            states, place = self._ended[number]
-            return batched.take(states, np.array([place]))
+            return self._ended[number]
         assert self.snapshot is not None
-        return LastState.of(self.snapshot, np.flatnonzero(self.snapshot.numbers == number))
+        return LastState.of(self.snapshot, np.flatnonzero(self.snapshot.numbers == number)), 0
 
     @property
     def physics(self) -> Physics:

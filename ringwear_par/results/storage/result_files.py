@@ -354,7 +354,7 @@ def read_checkpoint(group: h5py.Group, sizes: Mapping[str, int]) -> Checkpoint:
     }
     if any(len(values) != ENTRIES for values in worst.values()):
         raise ValueError(_WORST)
-    return Checkpoint(_start(parts), int(read_number(group.attrs[_PENDING])), worst)
+    return Checkpoint(_start(parts), 0, int(read_number(group.attrs[_PENDING])), worst)
 
 
 def _start(parts: Mapping[str, Any]) -> Start:

@@ -250,10 +250,8 @@ def _errors(
 ) -> dict[str, tuple[float, float]]:  # fmt: skip
     """Return the errors of responses that are left out in turn, and those of their forms.
 
-    Parameters
-    ----------
-    chosen : stretches and forms.
-    anew : whether to choose others without each fold; errors of forms are of those above.
+    With the chosen stretches and forms, or others chosen anew without each fold; errors of forms
+    are of those above.
     """
     apart: dict[str, list[FloatArray]] = {name: [] for name in values}
     of_form: dict[str, list[FloatArray]] = {name: [] for name in values}

@@ -88,15 +88,8 @@ def _read_responses(
 class _States:
     """Stored states around some times of each case, and values between them.
 
-    Parameters
-    ----------
-    time : (cases, steps), NaN behind the stored ones.
-    stored : (cases,) number of stored states, two at least.
-    at : (times,).
-
-    Raises
-    ------
-    InputError : a case does not last so long.
+    Times are (cases, steps), NaN behind the stored ones, at least two of each case. InputError
+    where a case does not last until all times ``at`` (times,).
     """
 
     def __init__(self, time: FloatArray, stored: IntArray, at: FloatArray) -> None:

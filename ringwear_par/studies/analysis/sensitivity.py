@@ -19,10 +19,9 @@ from scipy.stats import rankdata
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
-from ringwear_par.studies.analysis.predictions import COARSE, Surrogate, share_words
 from ringwear_par.studies.analysis.regression import Part
 from ringwear_par.studies.analysis.responses import SEED, chosen_cases, done_cases
-from ringwear_par.studies.analysis.surrogate import surrogate
+from ringwear_par.studies.analysis.surrogate import COARSE, Surrogate, share_words, surrogate
 from ringwear_par.studies.definition.designs import SAMPLED
 from ringwear_par.studies.storage.end_values import figure_columns, final_name
 from ringwear_par.studies.storage.ensemble import Ensemble

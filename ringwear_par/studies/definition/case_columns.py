@@ -1,6 +1,7 @@
-"""The cases of a study by column, and in groups."""
+"""The cases of a study by column, and in groups; their texts: one template, with places."""
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -9,8 +10,42 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.numbers import Number, interval_of
-from ringwear_par.studies.definition.texts import Place
+from ringwear_par.files.text import toml_text
 from ringwear_par.studies.definition.variations import Column, path_of, split_key, varied_keys
+
+_PLACE = re.compile("\0([0-9]+)\0")  # no text of a case has a zero byte
+
+
+class Place:
+    """Stands in a case's keys for the value of a column, by its number."""
+
+    def __init__(self, column: int) -> None:
+        self._column = column
+
+    def __str__(self) -> str:
+        return f"\0{self._column}\0"
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A text with places for values."""
+
+    #: the texts before, between and after them
+    pieces: tuple[str, ...]
+    #: numbers of the columns that the values come from
+    columns: tuple[int, ...]
+
+    @classmethod
+    def of(cls, keys: Mapping[str, Any]) -> "Frame":
+        """Return the frame of dotted keys, some of whose values are a Place."""
+        pieces = _PLACE.split(toml_text(keys))
+        return cls(tuple(pieces[::2]), tuple(map(int, pieces[1::2])))
+
+    def filled(self, values: Sequence[str]) -> str:
+        """Return the text with values, as TOML writes them, in its places."""
+        words = [""] * (2 * len(self.pieces) - 1)
+        words[::2], words[1::2] = self.pieces, values
+        return "".join(words)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,12 +165,7 @@ class Groups:
         return np.diff(self.starts)
 
     def only(self, wanted: BoolArray) -> "Groups":
-        """Return the groups with the wanted cases only.
-
-        Parameters
-        ----------
-        wanted : by number of the case.
-        """
+        """Return the groups with the wanted cases only, by number of the case."""
         chosen = wanted[self.cases]
         starts = np.concatenate([[0], np.cumsum(chosen)])[self.starts]
         return Groups(self.cases[chosen], starts)

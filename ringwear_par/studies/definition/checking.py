@@ -54,13 +54,7 @@ class CheckedCases:
 
 
 def check_cases(draft: Draft, first: int, last: int, ranks: int) -> CheckedCases:
-    """Check a stretch of a draft's cases.
-
-    Parameters
-    ----------
-    first, last : number of its first case, and of the one behind it.
-    ranks : that are to share a case.
-    """
+    """Check the cases of a draft from ``first`` on, before ``last``; ranks share a case."""
     return _Checker(draft, first, last, ranks).check()
 
 
@@ -124,12 +118,7 @@ class _Checker:
                 self.bad[i] = True
 
     def _read(self, i: int) -> Case:
-        """Return one case, read and checked.
-
-        Raises
-        ------
-        InputError : its faults.
-        """
+        """Return one case, read and checked; InputError with its faults."""
         name = case_name(self._draft.name, self._first + i + 1)
         with naming(f"{name}:"):
             keys = self.rows.keys(i)
@@ -180,15 +169,9 @@ def _stepping_work(case: Case) -> float:
 def refuse_bad_cases(
     draft: Draft, stretches: Sequence[CheckedCases], largest: Mapping[Hashable, Case], ranks: int
 ) -> None:
-    """Refuse a study any case of which is bad.
+    """Refuse a study of bad cases: the faults of the first ones, and those of its operators.
 
-    Parameters
-    ----------
-    largest : of the cases of all stretches that share an operator, the one that stores most.
-
-    Raises
-    ------
-    InputError : the faults of its first bad cases, and those of its operators.
+    Of the cases of all stretches that share an operator, the largest stores most.
     """
     of_cases = [fault for part in stretches for fault in part.faults][:LOOKED_AT]
     faults = case_faults(
@@ -216,14 +199,7 @@ def case_name(study: str, number: int) -> str:
 def case_faults(
     study: str, first_bad: Sequence[tuple[int, Sequence[str]]], bad: int, count: int
 ) -> list[str]:
-    """Return the faults of bad cases, and how many more there are.
-
-    Parameters
-    ----------
-    study : what messages call it.
-    first_bad : numbers and faults of the first bad cases; these begin with the ``case_name``.
-    bad, count : number of bad cases, and of all.
-    """
+    """Return the faults of bad cases, each with its ``case_name``, and how many more there are."""
     cases_of: dict[str, list[int]] = {}
     with_new = covered = 0
     for number, faults in first_bad:

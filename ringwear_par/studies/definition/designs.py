@@ -24,6 +24,7 @@ from ringwear_par.files.text import (
     shortened,
 )
 from ringwear_par.studies.definition.case_columns import CaseColumns
+from ringwear_par.studies.definition.samples import MOST_AXES, latin_hypercube, sobol
 from ringwear_par.studies.definition.schema import DESIGN, MOST_CASES
 from ringwear_par.studies.definition.variations import (
     Column,
@@ -59,12 +60,7 @@ class Draft:
 
 
 def read_draft(source: Path | str | Mapping[str, Any]) -> Draft:
-    """Read a study: its name or its tables. Not collective.
-
-    Raises
-    ------
-    InputError : its faults, those of single cases excepted.
-    """
+    """Read a study: its name or its tables; refuse faults but for single cases. Not collective."""
     if isinstance(source, Mapping) and isinstance(source.get("case"), Case):
         raise InputError(
             "study: case is a Case; must be the name of a case file, or its tables as a dict"
@@ -121,12 +117,7 @@ def _in_full(name: str, folder: Path, value: Any) -> Any:
 
 
 def read_design(name: str, table: Mapping[str, Any], faults: list[str]) -> dict[str, Any]:
-    """Return the values of the table [design], and add its faults.
-
-    Raises
-    ------
-    InputError : the method is wrong; with all faults.
-    """
+    """Return the values of the table [design], and add its faults; refuse a wrong method."""
     before, reader = len(faults), TableReader(f"{name}: [design]", table, faults, DESIGN)
     method = reader.read("method")
     if len(faults) > before:
@@ -145,12 +136,7 @@ def read_design(name: str, table: Mapping[str, Any], faults: list[str]) -> dict[
 def drawn(
     name: str, variations: Sequence[Variation], method: str, design: Mapping[str, Any]
 ) -> list[Column]:
-    """Return the columns of a grid or of a sampled design; the design must have no faults.
-
-    Raises
-    ------
-    InputError : it has too many cases or keys.
-    """
+    """Return the columns of a grid or sampled design without faults; refuse too many cases."""
     if method == "grid":
         sizes = [v.count or len(v.values) for v in variations]
         count = math.prod(sizes)
@@ -162,16 +148,13 @@ def drawn(
             codes = numbers // math.prod(sizes[i + 1 :]) % sizes[i]
             columns.append(Column.chosen(variation.grid(), codes))
         return columns
-    from scipy.stats import qmc  # slow to import, and not needed to draw a figure
-
     count, seed, d = design["count"], design["seed"], len(variations)
-    if method == "sobol":  # whole powers of 2, cut: a longer design begins with a shorter one
-        if d > qmc.Sobol.MAXDIM:
-            raise InputError(f"{name}: [vary] has {d} keys; must be at most {qmc.Sobol.MAXDIM}")
-        points = qmc.Sobol(d, scramble=True, seed=seed).random_base2((count - 1).bit_length())
-        points = points[:count]
+    if method == "sobol":
+        if d > MOST_AXES:
+            raise InputError(f"{name}: [vary] has {d} keys; must be at most {MOST_AXES}")
+        points = sobol(count, d, seed)
     elif method == "latin-hypercube":
-        points = qmc.LatinHypercube(d, seed=seed).random(count)
+        points = latin_hypercube(count, d, seed)
     else:
         points = np.random.default_rng(seed).random((count, d))
     return [v.at(u) for v, u in zip(variations, points.T, strict=True)]
@@ -180,9 +163,7 @@ def drawn(
 def listed(table: Path) -> tuple[tuple[str, ...], list[Column]]:
     """Return the varied keys and columns of a CSV file: a line of keys, and one line a case.
 
-    Raises
-    ------
-    InputError : its first faults, one sentence each.
+    InputError has its first faults, one sentence each.
     """
     try:
         lines = [line for line in csv.reader(read_text(table).splitlines()) if line]

@@ -26,12 +26,7 @@ _WINDOW = 2**14
 
 
 def case_id(case_keys: Mapping[str, Any]) -> str:
-    """Return the id of a case, from all that its results depend on: 16 hexadecimal digits.
-
-    Parameters
-    ----------
-    case_keys : dotted keys and raw values of a good case.
-    """
+    """Return the id of a case, from all that its results depend on: 16 hexadecimal digits."""
     pieces = _id_pieces(case_keys, {})
     return _digest("".join(map(str, pieces)))
 
@@ -42,13 +37,7 @@ def _digest(contents: str) -> str:
 
 
 def _id_pieces(case_keys: Mapping[str, Any], numbers: Mapping[Number, int]) -> list[str | int]:
-    """Return the JSON pairs that an id is made of, and numbers of columns in their places.
-
-    Parameters
-    ----------
-    case_keys : dotted keys and raw values of a good case, Places for numbers.
-    numbers : their columns.
-    """
+    """Return the JSON pairs that an id is made of, Places in keys being numbers of columns."""
     pieces: list[str | int] = []
     for path in sorted(case_keys.keys() - {"title"}):
         raw, key = case_keys[path], BY_PATH[path]
@@ -85,12 +74,7 @@ def _pair(path: str, value: Any) -> str:
 
 
 def identities_of(rows: CaseColumns, firsts: Mapping[int, int]) -> Any:
-    """Return (cases,) bytes, the ids of good cases.
-
-    Parameters
-    ----------
-    firsts : a good case of each kind that has one.
-    """
+    """Return (cases,) bytes, the ids of good cases, by a good case of each kind that has one."""
     identities = np.zeros(len(rows.kinds), dtype="S16")
     for start in range(0, len(identities), _WINDOW):
         window = slice(start, start + _WINDOW)

@@ -206,12 +206,7 @@ def value_of(case_keys: Mapping[str, Any], name: str) -> Any:
 def varied_keys(
     base: Mapping[str, Any], parts: Sequence[tuple[str, int | str | None]], row: Sequence[Any]
 ) -> dict[str, Any]:
-    """Return the dotted keys of a case: those of the base with a row of values in their place.
-
-    Parameters
-    ----------
-    parts : of ``split_key``, one a value of the row.
-    """
+    """Return the dotted keys of a case: those of the base, with a row of values at its parts."""
     changed: dict[str, Any] = {}
     for (path, index), value in zip(parts, row, strict=True):
         if index is None:

@@ -7,11 +7,12 @@ group that has most cases left; it assembles the operator once more, if that is 
 Rank 0 computes cases like all others, and answers them between two steps of its own. Questions with
 answers work on every network; memory that other ranks change without rank 0's doing does not (Open
 MPI 4 offers it over TCP and fails). A team draws as many cases at once as keep it busy for some
-time, fewer towards the end, so that waiting for an answer costs little; but not very few, as cases
-that step side by side take hardly longer than one. The first cases are dealt without a question:
-rank 0 may be in the middle of its first assembly.
+time, and fewer towards the end; but not few, as cases that step side by side take hardly longer
+than one. The first cases are dealt without a question: rank 0 may be in the middle of its first
+assembly.
 """
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from enum import IntEnum, auto
@@ -25,6 +26,12 @@ from ringwear_par.arrays import IntArray
 #: how long the cases that a team draws are to take, s; it may be so much longer with twice as many
 #: as before: cases that step side by side take less time each; and how short they may become
 _BUSY_SECONDS, _LONGEST_SECONDS, _LEAST_SECONDS = 0.5, 2.0, 0.1
+#: s that a case takes at least: all that are drawn at once are held in memory
+_QUICKEST = 2.5e-4
+#: how much less time one of many cases side by side takes than one alone, at least
+_QUICKER = 8.0
+#: part of the cases left that all teams share in a round; the rest evens out what they differ by
+_ROUND = 0.75
 #: how long a rank that waits for an answer sleeps between two looks
 _NAP_SECONDS = 0.0005
 _QUESTION_TAG, _ANSWER_TAG = 1, 2
@@ -56,16 +63,24 @@ class CaseQueue:
     sizes : number of cases to be computed of each group.
     teams : that draw.
     seconds : estimate for a case of each group, until its time is known.
+    side_by_side : whether cases step side by side: many take much less time each than one.
     """
 
     def __init__(
-        self, sizes: Sequence[int] | IntArray, teams: int, seconds: Sequence[float]
+        self,
+        sizes: Sequence[int] | IntArray,
+        teams: int,
+        seconds: Sequence[float],
+        *,
+        side_by_side: bool = False,
     ) -> None:
         self._sizes = np.array(sizes, dtype=np.int64)
         self._left = self._sizes.copy()
-        self._seconds, self._drawn = np.array(seconds, dtype=float), np.zeros_like(self._sizes)
+        self._seconds, self._ended = np.array(seconds, dtype=float), np.zeros_like(self._sizes)
         self._all_left, self._untaken = int(self._sizes.sum()), 0
-        self._teams = teams
+        self._teams, self._quicker = teams, _QUICKER if side_by_side else 1.0
+        #: how many teams have yet to draw in this round, and how many cases each
+        self._in_round, self._share = 0, 0
         self._groups: dict[int, int] = {}
         self.done, self.failed, self.stopped = 0, 0, False
 
@@ -76,15 +91,21 @@ class CaseQueue:
         group = self._groups.get(team)
         if group is None or not self._left[group]:
             group = self._groups[team] = self._next_group()
-        left, seconds = int(self._left[group]), max(float(self._seconds[group]), _NAP_SECONDS)
-        share = left
+        left, seconds = int(self._left[group]), max(float(self._seconds[group]), _QUICKEST)
+        twice = min(2 * int(self._ended[group]), int(_LONGEST_SECONDS / seconds))
+        busy = _BUSY_SECONDS / seconds * (1.0 if self._ended[group] else self._quicker)
+        number = max(int(busy), twice, 1)
         # as long as there are other groups to take, teams need not share this one
         if self._untaken == len(self._sizes) and self._teams > 1:
-            of_team = -(-self._all_left // self._teams)
-            share = max(of_team // 2, min(of_team, int(_LEAST_SECONDS / seconds)))
-        twice = min(2 * int(self._drawn[group]), int(_LONGEST_SECONDS / seconds))
-        number = max(min(left, share, max(int(_BUSY_SECONDS / seconds), twice)), 1)
-        self._drawn[group] = number
+            of_team, least = math.ceil(self._all_left / self._teams), int(_LEAST_SECONDS / seconds)
+            if not self._in_round:
+                self._in_round = self._teams
+                self._share = min(of_team, max(int(_ROUND * of_team), least, 1))
+            self._in_round -= 1
+            # less of cases whose time is not known yet
+            known = self._share if self._ended[group] else max(of_team // 2, min(of_team, least))
+            number = max(min(number, known), 1)
+        number = min(number, left)
         self._left[group] -= number
         self._all_left -= number
         return Stretch(group, int(self._sizes[group]) - left, number)
@@ -101,8 +122,10 @@ class CaseQueue:
         """Count cases that have ended."""
         self.done += done
         self.failed += failed
-        if done + failed:  # of late: cases that step side by side take less than a first one
+        if done + failed:
+            # of late: cases that step side by side take less than a first one
             self._seconds[group] = seconds / (done + failed)
+            self._ended[group] = done + failed
 
 
 class SharedQueue:
@@ -115,7 +138,7 @@ class SharedQueue:
     sizes : number of cases to be computed of each group.
     comm : communicator.
     teams : into which it is divided.
-    seconds : estimate for a case of each group.
+    seconds, side_by_side : as of ``CaseQueue``.
     """
 
     def __init__(
@@ -124,9 +147,11 @@ class SharedQueue:
         comm: MPI.Intracomm,
         teams: int,
         seconds: Sequence[float],
+        *,
+        side_by_side: bool = False,
     ) -> None:
         self._comm = comm.Dup()  # no message of anybody else
-        queue = CaseQueue(sizes, teams, seconds)  # as it begins, every rank knows it
+        queue = CaseQueue(sizes, teams, seconds, side_by_side=side_by_side)  # every rank knows it
         dealt = {leader: queue.draw(leader) for leader in range(0, comm.size, comm.size // teams)}
         self._queue = queue if comm.rank == 0 else None
         self._status = MPI.Status()

@@ -79,11 +79,13 @@ class CaseSet(NamedTuple):
     cases: Sequence[Case]
     #: of the cases
     ids: Sequence[str]
+    #: which kinds they are of, see ``CaseColumns``
+    kinds: Sequence[int]
 
     def part(self, places: Sequence[int]) -> "CaseSet":
         """Return some of them."""
         cases, ids = [self.cases[i] for i in places], [self.ids[i] for i in places]
-        return CaseSet(cases, ids)
+        return CaseSet(cases, ids, [self.kinds[i] for i in places])
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,8 @@ class Plan:
         """Return some cases of a group that are to be computed, from a place on."""
         numbers = self.todo[group][first : first + count]
         ids: list[str] = self.study.identities[numbers].astype(str).tolist()
-        return CaseSet(self.study.cases_of(numbers), ids)
+        kinds: list[int] = self.study.cases.kinds[numbers].tolist()
+        return CaseSet(self.study.cases_of(numbers), ids, kinds)
 
     @property
     def left(self) -> list[int]:

@@ -25,6 +25,7 @@ from ringwear_par.studies.execution.estimate import estimate
 from ringwear_par.studies.execution.merging import merge_if_well
 from ringwear_par.studies.execution.pairs import load_kernels_of, pair_of
 from ringwear_par.studies.execution.plan import Plan, Request, make_plan
+from ringwear_par.studies.execution.single_cases import is_batchable
 from ringwear_par.studies.execution.summary import Summary, Timings, trouble_of
 from ringwear_par.studies.execution.team_store import TeamStore
 from ringwear_par.studies.execution.teams import Team
@@ -137,7 +138,8 @@ def _compute(
     timings.assembly = time.perf_counter() - begun
     work, todo = plan.study.work, plan.todo
     seconds = [float(work[todo[group][:1]].sum()) for group in range(len(todo))]
-    queue = SharedQueue(todo.sizes, comm, plan.request.teams, seconds)
+    side_by_side = team.size == 1 and all(map(is_batchable, map(plan.first_case, plan.left[:1])))
+    queue = SharedQueue(todo.sizes, comm, plan.request.teams, seconds, side_by_side=side_by_side)
     trouble: RingwearError | None = None
     with StopSignals() as signals, ExitStack() as at_end:
         progress = None

@@ -92,10 +92,13 @@ class Team:
             return True
         places: list[int] = []
         if self._comm.size == 1:
-            begun, cases = self._plan.checkpoints, zip(drawn.ids, drawn.cases, strict=True)
-            places = [
-                i for i, (n, case) in enumerate(cases) if n not in begun and is_batchable(case)
-            ]
+            begun, of_kinds = (
+                self._plan.checkpoints,
+                dict(zip(drawn.kinds, drawn.cases, strict=True)),
+            )
+            batchable = {kind for kind, case in of_kinds.items() if is_batchable(case)}
+            cases = enumerate(zip(drawn.ids, drawn.kinds, strict=True))
+            places = [i for i, (name, kind) in cases if kind in batchable and name not in begun]
         if places and not self._simulate_batched(resources, drawn.part(places)):
             return False
         for i in sorted(set(range(stretch.number)) - set(places)):

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.cases.units import in_signs
-from ringwear_par.errors import InputError
+from ringwear_par.cases.schema import quantity_label, quantity_name
+from ringwear_par.errors import InputError, counted
 from ringwear_par.files.text import parse_value, shortened
 from ringwear_par.pictures.style import in_words, number_text
-from ringwear_par.studies.analysis.predictions import USELESS, Surrogate, share_words
 from ringwear_par.studies.analysis.regression import Part, untested
 from ringwear_par.studies.analysis.responses import done_cases
 from ringwear_par.studies.analysis.sensitivity import Indices
+from ringwear_par.studies.analysis.surrogate import USELESS, Surrogate, share_words
 from ringwear_par.studies.definition.designs import SAMPLED
 from ringwear_par.studies.storage.end_values import display_of, figure_columns
 from ringwear_par.studies.storage.ensemble import Ensemble
@@ -73,8 +73,8 @@ class Key:
 
     @property
     def label(self) -> str:
-        """Its name with its unit."""
-        return f"{self.name} ({in_signs(self.unit)})" if self.unit else self.name
+        """What it is called, with its unit."""
+        return quantity_label(self.name, self.unit)
 
     @property
     def differs(self) -> bool:
@@ -205,7 +205,9 @@ class Responses:
         source = f"surrogate of {len(part.points)} cases"
         if part.texts:
             texts = zip(self.surrogate.text_keys, part.texts, strict=True)
-            source += " with " + ", ".join(f"{key} = {shortened(text)}" for key, text in texts)
+            source += " with " + ", ".join(
+                f"{quantity_name(key)} = {shortened(text)}" for key, text in texts
+            )
         remarks = [source]
         if self.names:
             remarks = [f"{source}; keys vary evenly over their ranges"]
@@ -216,7 +218,7 @@ class Responses:
                 f"{self._errors(self.coarse)}; more cases, or more values of keys that have few, "
                 "make these smaller"
             )
-        two_values = [part.keys[i] for i in untested(part.points)]
+        two_values = [quantity_name(part.keys[i]) for i in untested(part.points)]
         if two_values and self.names:
             remarks.append(f"no case tests it between the two values of {', '.join(two_values)}")
         return tuple(remarks)
@@ -291,7 +293,7 @@ def most_important(keys: Sequence[str], indices: Sequence[Indices], most: int) -
 def _counts(ensemble: Ensemble) -> str:
     """Return in words how many cases there are, and how many of them are not drawn."""
     status = np.array(ensemble.status)[ensemble.in_study]
-    words = [f"{len(status)} case{'s' if len(status) != 1 else ''}"]
+    words = [counted(len(status), "case")]
     for word in ("failed", "incomplete"):
         count = int((status == word).sum())
         if count:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.schema import quantity_name
 from ringwear_par.pictures.panel import GREY, Axis, Band, Bars, Curve, Panel, Points
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.studies.analysis.responses import SEED, chosen_cases
@@ -105,7 +106,7 @@ def _points(key: Key, values: FloatArray, rows: IntArray, chosen: BoolArray, nam
         x = x + np.random.default_rng(SEED).uniform(-_ASIDE, _ASIDE, len(x))
     size = float(np.clip(_SIZE / np.sqrt(len(rows)), 2.8, 6.0))
     numbers = np.arange(len(rows))
-    return Points(x[chosen], values[rows][chosen], name, GREY, size, 0.6, cases=numbers[chosen])
+    return Points(x[chosen], values[rows][chosen], name, GREY, size, cases=numbers[chosen])
 
 
 def _medians(arrangement: Arrangement, values: FloatArray) -> list[Curve | Band | Points]:
@@ -207,7 +208,7 @@ def _index_panel(indices: Indices, keys: Sequence[str] | None) -> Panel:
     ]  # fmt: skip
     return Panel(
         Axis("sensitivity index", ends=(0.0, 1.05)),
-        Axis("", categories=tuple(indices.keys[i] for i in chosen), reversed=True), title,
-        bars=bars, uprights=(indices.noise,) if indices.noise else (),
+        Axis("", categories=tuple(quantity_name(indices.keys[i]) for i in chosen), reversed=True),
+        title, bars=bars, uprights=(indices.noise,) if indices.noise else (),
         legend=f"{textwrap.fill(f'{name}:', _LETTERS)}\n{indices.source}",
     )  # fmt: skip

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from ringwear_par.errors import InputError
 from ringwear_par.pictures.matplotlib import (
+    add_letters,
     add_shared_legend,
     draw,
     legend_entries,
@@ -22,9 +23,8 @@ from ringwear_par.pictures.matplotlib import (
 )
 from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.style import STYLE, NotebookFigure, number_text, plain, set_legend
-from ringwear_par.studies.analysis.predictions import Surrogate
 from ringwear_par.studies.analysis.sensitivity import Indices, sensitivity_indices
-from ringwear_par.studies.analysis.surrogate import surrogate
+from ringwear_par.studies.analysis.surrogate import Surrogate, surrogate
 from ringwear_par.studies.pictures.choice import Choice, choose
 from ringwear_par.studies.pictures.effects import effects, index_panels, pointed_cases
 from ringwear_par.studies.pictures.histories import FEW, histories
@@ -90,6 +90,7 @@ def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figu
                 empty.remove()
         for number, (part, grid) in enumerate(zip(parts[1 + len(below) :], grids, strict=True)):
             _draw_grid(part, grid, "" if number else "\n".join(remarks))
+        add_letters(figure)
     return figure
 
 
@@ -172,8 +173,8 @@ def _draw_grid(part: Any, grid: Sequence[Sequence[Panel]], remarks: str) -> None
                 columns = legend_shape(column, _LEGEND_LETTERS)[0]
                 set_legend(axes, columns, panel.legend, {name: every[name] for name in names})
             axes.set_ylabel(textwrap.fill(axes.get_ylabel(), _LABEL_LETTERS))
-            if number < len(grid) - 1:
-                axes.set_xlabel("")
+            below = textwrap.fill(axes.get_xlabel(), _LABEL_LETTERS)
+            axes.set_xlabel(below if number == len(grid) - 1 else "")
             if not (panel.x.log or panel.x.categories):
                 axes.locator_params(axis="x", nbins=3 if max(axes.get_xlim()) >= 1e4 else 5)
                 axes.xaxis.set_major_formatter(lambda value, _: number_text(value, 6))

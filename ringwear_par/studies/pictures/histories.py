@@ -134,7 +134,7 @@ def _fan(ensemble: Ensemble, choice: Choice) -> Panel:
         known = np.isfinite(table.depth[row])
         curves.append(
             Curve(
-                time[known], table.depth[row][known], singles, GREY, 0, 0.8, 0.7, tabulated=False,
+                time[known], table.depth[row][known], singles, GREY, 0, 0.8, tabulated=False,
                 words=words,
             )
         )  # fmt: skip

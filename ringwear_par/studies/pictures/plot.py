@@ -11,7 +11,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.files.folders import refuse_drawn
 from ringwear_par.pictures import figures
 from ringwear_par.pictures.rig import draw_rig
-from ringwear_par.pictures.style import check_format, save_figure
+from ringwear_par.pictures.style import check_format, of_width, save_figure
 from ringwear_par.results.result import Result
 
 
@@ -21,6 +21,7 @@ def plot(
     steps: str = "",
     profiles_of: Sequence[figures.Source] = (),
     times: str = "",
+    width: float | None = None,
 ) -> Figure:
     """Return the panels of results side by side, the figure of a sweep, or the rig of a case.
 
@@ -39,13 +40,15 @@ def plot(
     times : comma-separated times of the profiles, s or with a unit ("1 h"), instead of steps; the
         stored states nearest to them are drawn. Without either: the first step and four quarters.
 
+    width : mm, of the figure; None: what suits it.
+
     Raises
     ------
     InputError : something that is not a result, an unknown panel, a step not stored; more than its
         folder where a sweep is drawn; the folder of a fit or a design, which has its pictures.
     """
     if isinstance(results, Case):
-        return draw_rig(results)
+        return of_width(draw_rig(results), width)
     several = [results] if isinstance(results, Result | str | Path) else results
     sources = several if isinstance(several, Sequence) else ()
     for path in (Path(source) for source in sources if isinstance(source, str | Path)):
@@ -58,12 +61,12 @@ def plot(
                 "be drawn, without panels, steps, times and profiles of some"
             )
         if not path.is_dir():
-            return draw_rig(read_case(path))
+            return of_width(draw_rig(read_case(path)), width)
         from ringwear_par.studies.pictures.figures import draw_sweep_and_surrogate
         from ringwear_par.studies.storage.ensemble import read_ensemble
 
-        return draw_sweep_and_surrogate(read_ensemble(path))
-    return figures.plot(several, panels or figures.DEFAULT, steps, profiles_of, times)
+        return of_width(draw_sweep_and_surrogate(read_ensemble(path)), width)
+    return figures.plot(several, panels or figures.DEFAULT, steps, profiles_of, times, width)
 
 
 def plot_stored(
@@ -73,16 +76,20 @@ def plot_stored(
     steps: str | None = None,
     profiles_of: Sequence[Path] | None = None,
     times: str | None = None,
+    width: float | None = None,
+    dpi: float | None = None,
 ) -> None:
     """Write the picture of runs, of a sweep or of the rig of a case; see ``plot``. On one rank.
 
     Parameters
     ----------
     output : its ending chooses the format.
+    dpi : points of an inch, of formats that have such.
 
     Raises
     ------
     InputError : what cannot be drawn or written.
     """
     check_format(output)
-    save_figure(plot(results, panels, steps or "", profiles_of or (), times or ""), output)
+    figure = plot(results, panels, steps or "", profiles_of or (), times or "", width)
+    save_figure(figure, output, dpi)

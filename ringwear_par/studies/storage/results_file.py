@@ -11,7 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ringwear_par.errors import InputError
+from ringwear_par.errors import InputError, counted
 from ringwear_par.results.storage.hdf5 import (
     UnreadableError,
     find_array,
@@ -66,7 +66,7 @@ def count_flags(flagged: Mapping[tuple[str, ...], int]) -> str:
         counts.update(dict.fromkeys(flags, n))
     words = ", ".join(f"{flag.replace('_', ' ')} ({n})" for flag, n in counts.most_common())
     total = sum(flagged.values())
-    return f"{total} case{'' if total == 1 else 's'} flagged: {words}; see flags in {TABLE}"
+    return f"{counted(total, 'case')} flagged: {words}; see flags in {TABLE}"
 
 
 def power_of_2(number: float) -> int:

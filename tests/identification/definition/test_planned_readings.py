@@ -10,9 +10,9 @@ from mpi4py import MPI
 
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
-from ringwear_par.identification.definition.user_units import specific_wear_rate
 from ringwear_par.identification.fit import expected_result
-from ringwear_par.identification.fit_rows import key_rows
+from ringwear_par.identification.fit_numbers import specific_wear_rate
+from ringwear_par.identification.summary import key_rows
 
 pytestmark = pytest.mark.serial
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ringwear_par.identification.estimation.conditions import conditional_verdicts
 from ringwear_par.identification.estimation.intervals import ParameterEstimate
+from ringwear_par.identification.fit_doubts import conditional_verdicts
 
 pytestmark = pytest.mark.serial
 

@@ -7,9 +7,9 @@ import pytest
 
 from ringwear_par.identification.definition.problem import Series
 from ringwear_par.identification.model.noise import whitened
-from ringwear_par.identification.scatter.clocks import Blocks, projected_precision
-from ringwear_par.identification.scatter.clocks import TestClocks as Clocks
-from ringwear_par.identification.scatter.reduction import LinearisedTest, reduce_test
+from ringwear_par.identification.scatter.likelihood import LinearisedTest, reduce_test
+from ringwear_par.identification.scatter.linearisation import Blocks, projected_precision
+from ringwear_par.identification.scatter.linearisation import TestClocks as Clocks
 
 pytestmark = pytest.mark.serial
 SIZE = 0.04

@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 
-from ringwear_par.identification.scatter.likelihood import Level, MixedModel, of_new_specimen
-from ringwear_par.identification.scatter.mixture import Mixture
-from ringwear_par.identification.scatter.posterior import Size, integrate
-from ringwear_par.identification.scatter.reduction import LinearisedTest, ReducedTest, reduce_test
+from ringwear_par.identification.scatter.likelihood import (
+    Level,
+    LinearisedTest,
+    MixedModel,
+    ReducedTest,
+    of_new_specimen,
+    reduce_test,
+)
+from ringwear_par.identification.scatter.posterior import Mixture, Size, integrate
 
 pytestmark = pytest.mark.serial
 
