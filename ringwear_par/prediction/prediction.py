@@ -66,7 +66,7 @@ def read_depth(text: str, faults: list[str]) -> float:
 
 
 def depth_words(depth: float) -> str:
-    """Return what is reached, of a depth in mm."""
+    """Return a depth (mm) of penetration in words."""
     return f"{1e3 * depth:g} um of penetration"
 
 
