@@ -134,6 +134,7 @@ _CASE = (
 )  # fmt: skip
 _FIT_FILE = _argument("source", type=_path, metavar="FIT.toml", help="fit file")
 _FOLDER = _output("DIR", dest="folder")
+_DEPTH = _argument("--depth", metavar="DEPTH", help="penetration whose time is asked, as '20 um'")
 _NO_CACHE = _flag(
     "--no-cache",
     "assemble every contact pair, neither read nor write stored ones (their folder: ringwear info)",
@@ -207,6 +208,7 @@ COMMANDS = {
                   help="number of histories (default: %(default)s)"),
         _argument("--seed", type=int, default=0, metavar="N",
                   help="seed of the draws (default: %(default)s)"),
+        _DEPTH,
         _NO_CACHE,
     ), solves=True, stopped=UNWRITTEN,
         example="ringwear predict out/fit case.toml -o out/prediction --set load.pressure=60"),
@@ -220,7 +222,7 @@ COMMANDS = {
         _argument("--test", metavar="NAME", help="experiment that runs (default: the last one)"),
         _argument("--to", default="10%", metavar="PERCENT",
                   help="half width of the interval of k that is wished (default: 10%%)"),
-        _argument("--depth", metavar="DEPTH", help="penetration whose time is asked, as '20 um'"),
+        _DEPTH,
         _argument("--draws", type=int, default=10_000, metavar="N",
                   help="number of draws (default: %(default)s)"),
         _argument("--seed", type=int, default=0, metavar="N",

@@ -4,7 +4,7 @@
     python scripts/scatter_coverage.py specimens [--trials 1000]    # some 3 minutes
     python scripts/scatter_coverage.py wear [--trials 400]          # some 10 minutes
     python scripts/scatter_coverage.py predict [--trials 200]       # some 10 minutes
-    python scripts/scatter_coverage.py chain [--trials 200]         # some MINUTES minutes
+    python scripts/scatter_coverage.py chain [--trials 200]         # some 15 minutes
 
 ``specimens``: repeats whose k scatter (normal in its logarithm), each known to 2 % from its own
 readings. ``wear``: records of 150 readings of 15 um of wear, which grows at random (a gamma

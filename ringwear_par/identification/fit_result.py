@@ -253,10 +253,16 @@ class FitResult(Outcome, Solution):
     def nuisances(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Estimate and sd of each nuisance, by experiment and series, in the data's unit.
 
-        That of thermal growth has the ``time`` constant's, s.
+        That of thermal growth has the ``time`` constant's, s, and tells where it is with ``power``.
         """
         nuisances: dict[str, Any] = {}
         idle, sds = self.misfit.idle, self.standard_deviations
+        with_power = {
+            (record.experiment.name, record.series.name)
+            for record in self.misfit.records
+            for nuisance in record.series.nuisances
+            if nuisance.power
+        }
         for i, name in enumerate(self.misfit.names):
             if isinstance(name, str):
                 continue
@@ -266,6 +272,8 @@ class FitResult(Outcome, Solution):
             known = not idle[i] and np.isfinite(sds[i])
             entry = {"estimate": float(self.x[i]), "sd": float(sds[i]) if known else None}
             of_series = nuisances.setdefault(experiment, {}).setdefault(series, {})
+            if (experiment, series) in with_power and kind == "thermal":
+                entry["power"] = True
             if kind == GROWTH_TIME:
                 of_series["thermal"]["time"] = entry
             else:

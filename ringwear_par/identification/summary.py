@@ -174,6 +174,7 @@ def _nuisance(kind: str, entry: Entry, unit: str) -> str:
     if entry["sd"] is None:
         return f"{kind} not identified"
     words = f"{kind} {_with_sd(entry['estimate'], entry['sd'], 3, f' {unit}')}"
+    words += " at the largest friction power" * ("power" in entry)
     return f"{words} in {_nuisance('time', entry['time'], 's')}" if "time" in entry else words
 
 

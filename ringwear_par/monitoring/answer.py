@@ -9,7 +9,7 @@ from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.identification.summary import users_numbers
 from ringwear_par.pictures.panel import Axis, Band, Curve, Panel
 from ringwear_par.pictures.style import COLOURS
-from ringwear_par.prediction.prediction import TimeTo
+from ringwear_par.prediction.prediction import TimeTo, depth_words
 from ringwear_par.reports.blocks import (
     Chart,
     Charts,
@@ -149,14 +149,12 @@ class Answer:
         expected = f", +-{goal.at_end:.2g} % is expected there" if goal.time is None else ""
         lines.append(f"  {goal.key} to +-{goal.percent:g} %: {self.left}{expected}")
         if self.depth is not None:
-            depth, (median, interval, _) = self.depth
-            middle, low_end, high_end = map(self._at, (median, *interval))
-            spread = "" if low_end == high_end else f" (from {low_end} to {high_end})"
-            lines.append(f"  {1e3 * depth:g} um of penetration: {middle}{spread}")
+            depth, when = self.depth
+            lines.append(f"  {depth_words(depth)}: {when.words(self.end)}")
         return [*lines, *(f"warning: {words}" for words in self.warnings)]
 
-    def _at(self, time: float | None) -> str:
-        return "after the end" if time is None else time_words(time, self.end)
+    def _at(self, time: float) -> str:
+        return time_words(time, self.end)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of follow.json."""

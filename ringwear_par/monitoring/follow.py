@@ -11,8 +11,6 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.cases.units import number_in
-from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible, reason_of
 from ringwear_par.files.folders import FOLLOW, check_folder
 from ringwear_par.identification.definition.problem import Problem
@@ -25,6 +23,7 @@ from ringwear_par.monitoring.running_state import RunningTestState, Targets
 from ringwear_par.monitoring.running_test import RunningTest
 from ringwear_par.parallel import on_first_rank
 from ringwear_par.prediction.draws import NEXT
+from ringwear_par.prediction.prediction import read_depth
 from ringwear_par.results.execution.stop_signals import StopSignals
 
 log = logging.getLogger(__name__)
@@ -71,7 +70,7 @@ def run_follow(
             for name, number, least in (("draws", draws, _FEWEST), ("seed", seed, 0))
             if number < least
         ]
-        percent, mm = _percent(to, faults), None if depth is None else _depth(depth, faults)
+        percent, mm = _percent(to, faults), None if depth is None else read_depth(depth, faults)
         if faults:
             raise InputError(*faults)
         check_folder(folder, (FOLLOW, PAGE), "follow")
@@ -153,13 +152,3 @@ def _percent(text: str, faults: list[str]) -> float:
         faults.append(f"--to = {legible(text)}: must be a percentage, such as 10%")
         return np.nan
     return float(match[1])
-
-
-def _depth(text: str, faults: list[str]) -> float:
-    try:
-        depth = number_in(text, "mm")
-    except RejectedError:
-        depth = 0.0
-    if not depth > 0.0:
-        faults.append(f"--depth = {legible(text)}: must be a length > 0, such as '20 um'")
-    return depth

@@ -113,8 +113,9 @@ class RunningTestState:
         doubts, worth = self._doubts, effective_count(weights)
         if are_too_few(weights):
             doubts += (
-                f"only {worth:.0f} of {len(weights)} draws are worth anything by these readings: "
-                "intervals are rough; must be more (--draws), if the fit can explain them at all",
+                f"these readings leave only {worth:.0f} of {len(weights)} draws: intervals are "
+                "rough; use more draws (--draws), and check that the earlier tests are of the same "
+                "material and rig",
             )
         self._weights = weights
         return Answer(

@@ -26,7 +26,7 @@ from ringwear_par.prediction.known import (
     fit_knowledge,
     sources_of,
 )
-from ringwear_par.prediction.prediction import QUANTITIES, Prediction
+from ringwear_par.prediction.prediction import QUANTITIES, Prediction, read_depth
 from ringwear_par.results.result import Result
 from ringwear_par.studies.execution.many import results_of
 
@@ -100,15 +100,26 @@ def run_predict(
     of: str = "next specimen",
     draws: int = 1000,
     seed: int = 0,
+    depth: str | None = None,
 ) -> None:
-    """Predict and write the outcome to a folder. Collective on comm."""
+    """Predict and write the outcome to a folder. Collective on comm.
 
-    def read() -> _Job:
+    Parameters
+    ----------
+    depth : of penetration with its unit, whose time is told.
+    """
+
+    def read() -> tuple[_Job, float | None]:
+        faults: list[str] = []
+        mm = None if depth is None else read_depth(depth, faults)
+        if faults:
+            raise InputError(*faults)
         job = _job(fit, case, overrides, of, draws, seed, "--")
         prepare(folder)
-        return job
+        return job, mm
 
-    result = _predicted(on_first_rank(comm, read), comm)
+    job, mm = on_first_rank(comm, read)
+    result = replace(_predicted(job, comm), depth=mm)
     on_first_rank(comm, lambda: result.save(folder))
     if comm.rank == 0:
         print(result.summary())

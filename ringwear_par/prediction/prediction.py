@@ -1,13 +1,17 @@
 """A prediction: histories of a case at draws of what a fit knows."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.errors import InputError, ValidityWarning
+from ringwear_par.cases.units import number_in
+from ringwear_par.cases.values import RejectedError
+from ringwear_par.errors import InputError, ValidityWarning, legible
+from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.result import Outcome
 from ringwear_par.results.variables import HISTORIES, SOFTWARE, Variable, to_dataset
 from ringwear_par.version import versions
@@ -42,6 +46,28 @@ class TimeTo(NamedTuple):
             for t in np.quantile(times, (tail, 0.5, 1.0 - tail), method="inverted_cdf")
         )
         return cls(median, (low, high), float(np.isfinite(times).mean()))
+
+    def words(self, end: float) -> str:
+        """Return median and interval in words, of a test that ends at a time, s."""
+        middle, low, high = (
+            "after the end" if time is None else time_words(time, end)
+            for time in (self.median, *self.interval)
+        )
+        return middle if low == high else f"{middle} (from {low} to {high})"
+
+
+def read_depth(text: str, faults: list[str]) -> float:
+    """Return a depth, mm, as a command is given it with its unit; NaN, and a fault, if none."""
+    with suppress(RejectedError):
+        if (depth := number_in(text, "mm")) > 0.0:
+            return depth
+    faults.append(f"--depth = {legible(text)}: must be a length > 0, such as '20 um'")
+    return np.nan
+
+
+def depth_words(depth: float) -> str:
+    """Return a depth (mm) of penetration in words."""
+    return f"{1e3 * depth:g} um of penetration"
 
 
 def times_at(time: FloatArray, depths: FloatArray, depth: float) -> FloatArray:
@@ -78,6 +104,7 @@ class Prediction(Outcome):
     sources : sentences about what was drawn.
     doubts : what speaks against the numbers.
     versions : of the software.
+    depth : mm of penetration, whose time the summary tells; None: none.
     """
 
     functions: ClassVar = {
@@ -98,6 +125,7 @@ class Prediction(Outcome):
     sources: tuple[str, ...]
     doubts: tuple[ValidityWarning, ...]
     versions: Mapping[str, str] = field(default_factory=versions)
+    depth: float | None = None
 
     def __repr__(self) -> str:
         return f"<Prediction of {self.of}: {len(self.values)} draws to {self.time[-1]:g} s>"

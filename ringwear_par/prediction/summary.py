@@ -3,7 +3,7 @@
 from typing import Any
 
 from ringwear_par.errors import warning_lines
-from ringwear_par.prediction.prediction import PROBABILITIES, Prediction
+from ringwear_par.prediction.prediction import PROBABILITIES, Prediction, depth_words
 from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES
 
@@ -30,6 +30,9 @@ def summary(prediction: Prediction) -> str:
         spread = "" if first == last else f"  from {first} to {last} {unit}"
         lines.append(f"{words}  {middle} {unit}{spread}")
     lines[0] = f"{lines[0]} (95 %, {prediction.whose}, after {time_words(end, end)})"
+    if prediction.depth is not None:
+        when = prediction.time_to(prediction.depth)
+        lines.append(f"{depth_words(prediction.depth)}: {when.words(end)}")
     lines.append(f"{len(prediction.values)} draws: {'; '.join(prediction.sources)}")
     if prediction.failed:
         lines.append(f"{prediction.failed} draws were left out: they have no history")
@@ -54,6 +57,9 @@ def to_dict(prediction: Prediction) -> dict[str, Any]:
             name: {"unit": HISTORIES[name].unit, "values": prediction.quantiles(name).T.tolist()}
             for name in prediction.histories
         },
+        "depth": None
+        if prediction.depth is None
+        else {"depth": prediction.depth, **prediction.time_to(prediction.depth)._asdict()},
         "summary": summary(prediction).splitlines(),
         "doubts": [doubt.to_dict() for doubt in prediction.doubts],
         "case": prediction.case,

@@ -204,6 +204,7 @@ def test_growth_with_friction_power_is_recovered(tmp_path):
     assert abs(k.estimate - TRUTH[K]) < 2.0 * k.sd < 0.3 * TRUTH[K]
     of_rig = found.to_dict()["nuisance"]["a"]["penetration"]["thermal"]
     assert abs(of_rig["estimate"] + 6.0) < 2.0 * of_rig["sd"] < 2.0
+    assert "at the largest friction power in " in found.summary()
     thermal["power"] = False
     assert rw.fit(tables, MPI.COMM_SELF).chi2 > found.chi2 + 10.0
     thermal["power"] = True

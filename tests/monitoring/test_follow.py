@@ -250,7 +250,7 @@ def test_draws_that_are_made_anew_and_a_record_that_is_replaced(laboratory, monk
     )
     monkeypatch.setattr(bank, "_ROUNDS", 0)
     (words,) = state().answer(problem).warnings
-    assert "draws are worth anything" in words
+    assert "these readings leave only" in words
 
 
 def test_readings_after_an_alarm_do_not_change_the_time_to_a_depth(laboratory):

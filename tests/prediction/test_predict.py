@@ -178,7 +178,7 @@ def test_the_command(found, tmp_path):
     folder, _ = found
     out, case = tmp_path / "out", folder.parent / "case.toml"
     words = ["predict", folder, case, "--draws", 4, "--set", "load.pressure=60", "-o"]
-    done = ringwear(*words, out)
+    done = ringwear(*words, out, "--depth", "1 um")
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("penetration ")
     assert len(done.stdout.splitlines()) <= 10
@@ -187,6 +187,9 @@ def test_the_command(found, tmp_path):
     }  # fmt: skip
     stored = json.loads((out / "prediction.json").read_text())
     assert stored["draws"] == 4
+    (line,) = [line for line in stored["summary"] if line.startswith("1 um of penetration: ")]
+    assert line in done.stdout
+    assert stored["depth"]["reached"] == 1.0
     assert np.shape(stored["quantiles"]["penetration"]["values"]) == (len(stored["time"]), 5)
     assert "Prediction, 1 figure" in rw.report(out, tmp_path / "page.html")
     assert "case.toml -o DIR --of" in (tmp_path / "page.html").read_text()
