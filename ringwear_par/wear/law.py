@@ -129,6 +129,8 @@ class Law:
 
     #: averaging length, mm; 0 for a local law
     length: float = 0.0
+    #: whether the rate depends on the pressure, the speed, friction and parameters alone
+    steady: ClassVar[bool] = False
 
     @property
     def remembers(self) -> bool:
@@ -142,8 +144,8 @@ class Law:
 
     @property
     def is_steady(self) -> bool:
-        """Whether the rate depends on pressure, speed and friction alone."""
-        return not (self.reads_wear or self.breakpoints)
+        """Whether the rate at a pressure stays while speed and friction do."""
+        return self.steady and not self.breakpoints
 
     @property
     def breakpoints(self) -> tuple[float, ...]:

@@ -173,7 +173,9 @@ def test_flags_are_those_of_single_cases(case):
 
 
 class Raising(ThresholdLaw):
-    """A law that fails in one case of many."""
+    """A law that fails in one case of many, and in time."""
+
+    steady = False
 
     def rate(self, p, at):
         """Raise where the coefficient is that of the bad case."""

@@ -26,6 +26,7 @@ class ArchardLaw(Law):
 
     name = "archard"
     formula = "k p V"
+    steady = True
 
     k: Coefficient
 

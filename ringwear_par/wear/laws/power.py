@@ -30,6 +30,7 @@ class PowerLaw(Law):
 
     name = "power"
     formula = "k p^m V^n"
+    steady = True
 
     k: Annotated[Quantity, Parameter("mm/s", "rate where p = 1 MPa and V = 1 mm/s")]
     m: Annotated[float, Parameter("1", "exponent of p", "number", low=1.0, high=10.0)]

@@ -79,11 +79,6 @@ class RunningInLaw(AboveThreshold):
         """Whether worn depth is what it remembers."""
         return self.depth is not None
 
-    @property
-    def is_steady(self) -> bool:
-        """Whether the rate depends on pressure, speed and friction alone."""
-        return False
-
     def _over(self, local: LocalState) -> tuple[FloatArray, float]:
         """Return the memory, mm, and over how much of it, mm, the coefficient falls."""
         if self.depth is not None:

@@ -28,6 +28,7 @@ class TableLaw(Law):
 
     name = "table"
     formula = "linear between points of p V"
+    steady = True
 
     table: Annotated[
         tuple[tuple[float, float], ...],

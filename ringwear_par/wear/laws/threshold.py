@@ -74,6 +74,7 @@ class ThresholdLaw(AboveThreshold):
 
     name = "threshold"
     formula = "k mu max(0, p - p0) V"
+    steady = True
 
     k: Coefficient
     p0: Threshold = 0.0
