@@ -52,7 +52,8 @@ class FitResult(Outcome, Solution):
 
     functions: ClassVar = {
         "summary": f"{_ROOM}.summary", "to_dict": f"{_ROOM}.fit_numbers",
-        "doubts": f"{_ROOM}.fit_doubts", "save": f"{_ROOM}.fit_folder", "plot": f"{_ROOM}.figures",
+        "doubts": f"{_ROOM}.fit_doubts", "assumptions": f"{_ROOM}.fit_doubts",
+        "save": f"{_ROOM}.fit_folder", "plot": f"{_ROOM}.figures",
         "plot_parameters": f"{_ROOM}.figures", "plot_specimens": f"{_ROOM}.figures",
         "to_arviz": f"{_ROOM}.arviz_groups",
     }  # fmt: skip

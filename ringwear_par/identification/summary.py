@@ -13,9 +13,7 @@ import numpy as np
 from ringwear_par.cases.units import CUSTOMARY
 from ringwear_par.errors import counted, warning_lines
 from ringwear_par.identification.definition.problem import body_of_wear
-from ringwear_par.identification.definition.scatter import PLURALS
-from ringwear_par.identification.fit_doubts import assumptions
-from ringwear_par.identification.scatter.material import known_sizes
+from ringwear_par.identification.definition.scatter import PLURALS, known_sizes
 
 if TYPE_CHECKING:
     from ringwear_par.identification.fit_result import FitResult
@@ -332,7 +330,7 @@ def prediction(fit: "FitResult") -> str:
         f"{counted(len(problem.experiments), 'experiment')}; to be expected if the parameters have "
         "their start values (nothing written):"
     ]
-    lines += warning_lines(doubt.text for doubt in assumptions(fit))
+    lines += warning_lines(doubt.text for doubt in fit.apply("assumptions"))
     outcome = fit.to_dict()
     lines += _parameter_lines(outcome)
     lines += [f"  {line}" for line in process_lines(outcome)]

@@ -10,6 +10,8 @@ from ringwear_par.errors import InputError
 from ringwear_par.files.folders import FIT, READINGS
 from ringwear_par.files.spreadsheets import Sheet, write_csv, write_xlsx
 from ringwear_par.files.writing import check_writable
+from ringwear_par.identification.summary import key_rows
+from ringwear_par.reports.fit_page import stored_outcome, stored_readings
 from ringwear_par.results.storage.export import check_tables, titled
 from ringwear_par.results.storage.export import export as export_run
 from ringwear_par.results.variables import HISTORIES
@@ -119,10 +121,6 @@ def fit_sheets(folder: Path) -> list[Sheet]:
     ------
     InputError : it is damaged.
     """
-    # of a machine that only looks at runs, without PETSc
-    from ringwear_par.identification.summary import key_rows
-    from ringwear_par.reports.fit_page import stored_outcome, stored_readings
-
     with stored_outcome(folder / FIT, "the outcome of ringwear fit") as outcome:
         keys = [row for key, entry in outcome["parameters"].items() for row in key_rows(key, entry)]
         rows = [(row.label, row.estimate, row.sd, *row.interval, row.unit, row.verdict, row.note)

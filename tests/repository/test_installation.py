@@ -43,6 +43,9 @@ def test_results_and_laws_are_looked_at_without_petsc(tmp_path):
     ):  # fmt: skip
         done = python("-m", "ringwear_par", *words, cwd=tmp_path, PYTHONPATH=path)
         assert (done.returncode, done.stderr) == (0, "")
+    # of fits too: where one rank alone reads them, it must not start PETSc
+    pages = "import ringwear_par.reports.fit_page, ringwear_par.reports.spreadsheets"
+    assert python("-c", pages, PYTHONPATH=path).returncode == 0
     fit = ROOT / "scripts/fit/plan.toml"
     done = python("-m", "ringwear_par", "design", fit, "-o", "out", cwd=tmp_path, PYTHONPATH=path)
     assert done.returncode == 1

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student_t
 
 from ringwear_par.arrays import IntArray
 from ringwear_par.cases.tables import TableReader, name_unknown_keys
@@ -237,3 +239,19 @@ def check_process(problem: Problem, faults: list[str]) -> None:
 def _length(series: Series) -> float:
     """Return the duration of a record, s."""
     return float(np.ptp(series.x))
+
+
+def known_sizes(problem: Problem, specimens: int) -> list[str]:
+    """Return the sentence on scatters that a plan takes as known and a fit does not; or none."""
+    scatters = [(p.key, p.scatter.sizes) for p in problem.parameters if p.scatter is not None]
+    fitted = [key for key, sizes in scatters if sizes.get("specimen", 0.0) is None]
+    if not fitted:
+        return []
+    sentence = f"the scatter of {', '.join(fitted)} is taken as known"
+    if specimens < 2:
+        return [f"{sentence}; one specimen does not tell it"]
+    wider = student_t.ppf(0.975, specimens - 1) / norm.ppf(0.975)
+    return [
+        f"{sentence}; of {specimens} specimens a fit knows it so little that intervals of 95 % are "
+        f"some {wider:.2g} times as wide (Student's t)"
+    ]

@@ -10,7 +10,7 @@ from scipy.stats import t as student_t
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning
-from ringwear_par.identification.definition.problem import FittedParameter, Problem
+from ringwear_par.identification.definition.problem import FittedParameter
 from ringwear_par.identification.definition.scatter import PLURALS
 from ringwear_par.identification.estimation.intervals import (
     ParameterEstimate,
@@ -36,22 +36,6 @@ _MOST_BENT = 0.2
 _FEW = 2
 #: relative half width of the material's interval for which specimens are counted
 _WANTED, _MOST_SPECIMENS = 0.10, 10_000
-
-
-def known_sizes(problem: Problem, specimens: int) -> list[str]:
-    """Return the sentence on scatters that a plan takes as known and a fit does not; or none."""
-    scatters = [(p.key, p.scatter.sizes) for p in problem.parameters if p.scatter is not None]
-    fitted = [key for key, sizes in scatters if sizes.get("specimen", 0.0) is None]
-    if not fitted:
-        return []
-    sentence = f"the scatter of {', '.join(fitted)} is taken as known"
-    if specimens < 2:
-        return [f"{sentence}; one specimen does not tell it"]
-    wider = student_t.ppf(0.975, specimens - 1) / norm.ppf(0.975)
-    return [
-        f"{sentence}; of {specimens} specimens a fit knows it so little that intervals of 95 % are "
-        f"some {wider:.2g} times as wide (Student's t)"
-    ]
 
 
 @dataclass(frozen=True, eq=False)
