@@ -22,7 +22,8 @@ class BasisStack:
         n = len(compliances.area)
         self._compliances = compliances
         self._numbers: dict[tuple[int, bytes], int] = {}
-        self._count = 0
+        #: numbers that no basis has
+        self._vacant: list[int] = []
         #: (m, n, n) and (m, n) each, room for more included; see ``Basis``
         self.psi, self.mu, self.force = np.empty((0, n, n)), np.empty((0, n)), np.empty((0, n))
 
@@ -34,7 +35,7 @@ class BasisStack:
     @property
     def is_full(self) -> bool:
         """Whether there has to be room before there can be another basis."""
-        return self._count == len(self.mu)
+        return not self._vacant
 
     def number_of(self, compliance: int, sets: bytes, free: BoolArray, wearing: BoolArray) -> int:
         """Return the number of a basis, which is new where there is none yet.
@@ -51,29 +52,38 @@ class BasisStack:
             if basis is None:
                 self._numbers[name] = BROKEN
             else:
-                number = self._numbers[name] = self._count
-                self._count += 1
+                number = self._numbers[name] = self._vacant.pop()
                 self.psi[number], self.mu[number], self.force[number] = basis
         return self._numbers[name]
 
-    def make_room(self, used: IntArray) -> IntArray:
-        """Forget the bases that are not used, make room for as many again; return new numbers.
+    def make_room(self, used: IntArray) -> None:
+        """Forget the bases that are not used, so that there is room for others.
 
         Parameters
         ----------
-        used : numbers that are; negative ones, which are no numbers of bases, stay.
+        used : numbers that are; negative ones are no numbers of bases.
         """
-        still_used = np.unique(used[used >= 0])
-        room = max(_LEAST_ROOM, len(still_used))
-        self.psi, self.mu, self.force = (
-            np.concatenate([values[still_used], np.empty((room, *values.shape[1:]))])
-            for values in (self.psi, self.mu, self.force)
-        )
-        new = {int(number): place for place, number in enumerate(still_used)}
+        vacant = np.ones(len(self.mu), dtype=bool)
+        vacant[used[used >= 0]] = False
         self._numbers = {
-            name: new.get(number, number)
+            name: number
             for name, number in self._numbers.items()
-            if number in new or number < 0
+            if number < 0 or not vacant[number]
         }
-        self._count = len(still_used)
-        return np.where(used >= 0, np.searchsorted(still_used, used), used)
+        more = len(vacant) - 2 * int(vacant.sum())  # bases that are used, less those that are not
+        if more > 0 or not len(vacant):
+            # room that is not used costs nothing, to copy bases does: two of each compliance
+            more = max(_LEAST_ROOM, more, 2 * len(self._compliances.matrices) - len(vacant))
+            self.psi, self.mu, self.force = (
+                _longer(values, more) for values in (self.psi, self.mu, self.force)
+            )
+            vacant = np.append(vacant, np.ones(more, dtype=bool))
+        # the lowest are taken first: products are fewer where numbers follow each other
+        self._vacant = np.flatnonzero(vacant)[::-1].tolist()
+
+
+def _longer(values: FloatArray, more: int) -> FloatArray:
+    """Return values with room for more, whose memory is not touched."""
+    longer = np.empty((len(values) + more, *values.shape[1:]))
+    longer[: len(values)] = values
+    return longer

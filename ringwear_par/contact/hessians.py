@@ -200,7 +200,7 @@ class Hessians:
             alike[which[place], packed[place * width : (place + 1) * width]].append(place)
         for (compliance, name), places in alike.items():
             if self._stack.is_full:
-                self._number = self._stack.make_room(self._number)
+                self._stack.make_room(self._number)
             self._number[histories[places]] = self._stack.number_of(
                 compliance, name, free[places[0]], wearing[places[0]]
             )

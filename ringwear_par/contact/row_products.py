@@ -8,7 +8,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 
 #: rows of a product: BLAS rounds a row alike whoever the others are, if there are always so many
-ROWS = 8
+ROWS = 4
 
 
 class RowProducts:
@@ -24,14 +24,14 @@ class RowProducts:
         self._which = which
         #: of rows that are there several times, one after another
         self._repeated: dict[int, RowProducts] = {}
-        #: numbers of matrices, and the first and last blocks of their rows
-        self._runs: list[tuple[int, int, int]] = []
-        #: the one matrix of all blocks, or those of each, where they are a slice
-        self._stack: int | slice | None = None
+        #: blocks and their matrices: several of one, or as many as there are of them
+        self._runs: list[tuple[slice, slice]] = []
+        #: the one matrix of all rows, if there is no more than one
+        self._only = 0
         #: places of rows in the blocks; None: they follow each other
         self._slots: IntArray | None = None
         if not count or (which == which[0]).all():
-            self._stack = int(which[0]) if count else 0
+            self._only = int(which[0]) if count else 0
             return
         counts = np.bincount(which)
         numbers = np.flatnonzero(counts)
@@ -39,10 +39,16 @@ class RowProducts:
         blocks = -(-counts // ROWS)
         last = np.cumsum(blocks)
         self._n_blocks = int(last[-1])
-        if len(numbers) == self._n_blocks == numbers[-1] - numbers[0] + 1:
-            self._stack = slice(int(numbers[0]), int(numbers[-1]) + 1)
-        ends = zip(numbers.tolist(), (last - blocks).tolist(), last.tolist(), strict=True)
-        self._runs = list(ends)
+        # matrices that follow each other, with a block each, are one run: one call for all of them
+        single = blocks == 1
+        follows = single[1:] & single[:-1] & (numbers[1:] - numbers[:-1] == 1)
+        begins = [0, *(np.flatnonzero(~follows) + 1).tolist()]
+        ends = [*(begin - 1 for begin in begins[1:]), len(numbers) - 1]
+        names, firsts, lasts = numbers.tolist(), (last - blocks).tolist(), last.tolist()
+        self._runs = [
+            (slice(firsts[begin], lasts[end]), slice(names[begin], names[end] + 1))
+            for begin, end in zip(begins, ends, strict=True)
+        ]
         # rows of a matrix follow each other from its first block on
         starts = ROWS * (last - blocks) - (np.cumsum(counts) - counts)
         self._slots = np.empty(count, dtype=np.int64)
@@ -61,23 +67,20 @@ class RowProducts:
         flat = rows.reshape(-1, n)
         count = len(flat)
         if self._slots is None:
-            whole, product = count // ROWS * ROWS, np.empty(flat.shape)
-            matrix, shape = matrices[self._stack], (-1, ROWS, n)
-            if whole:
-                full = flat[:whole].reshape(shape)
-                np.matmul(full, matrix, out=product[:whole].reshape(shape))
+            whole, matrix, shape = count // ROWS * ROWS, matrices[self._only], (-1, ROWS, n)
+            padded = np.zeros((ROWS, n))
+            padded[: count - whole] = flat[whole:]
+            if not whole:
+                return (padded @ matrix)[:count].reshape(rows.shape)
+            product = np.empty(flat.shape)
+            np.matmul(flat[:whole].reshape(shape), matrix, out=product[:whole].reshape(shape))
             if whole < count:
-                padded = np.zeros((ROWS, n))
-                padded[: count - whole] = flat[whole:]
                 product[whole:] = (padded @ matrix)[: count - whole]
             return product.reshape(rows.shape)
         blocks = np.zeros((ROWS * self._n_blocks, n))
         blocks[self._slots] = flat
         blocks = blocks.reshape(self._n_blocks, ROWS, n)
-        if self._stack is not None:
-            product = blocks @ matrices[self._stack]
-        else:
-            product = np.empty_like(blocks)
-            for number, first, last in self._runs:
-                np.matmul(blocks[first:last], matrices[number], out=product[first:last])
+        product = np.empty_like(blocks)
+        for run, of_run in self._runs:
+            np.matmul(blocks[run], matrices[of_run], out=product[run])
         return product.reshape(-1, n)[self._slots]
