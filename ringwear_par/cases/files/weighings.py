@@ -162,11 +162,11 @@ def _readings(
     """Return the masses of all rows by the places of columns, g; NaN where nothing was read."""
     readings = {}
     for place, (_, grams) in columns.items():
-        one = table.column(place)
-        filled = one.filled(one.columns[0])
+        column = table.column(place)
+        filled = column.filled(column.columns[0])
         readings[place] = np.full(len(table.rows), np.nan)
         try:
-            readings[place][filled] = grams * one.numbers(one.columns[0], filled)
+            readings[place][filled] = grams * column.numbers(column.columns[0], filled)
         except InputError as error:
             faults += error.faults
     return readings
