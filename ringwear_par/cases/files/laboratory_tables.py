@@ -172,7 +172,7 @@ def _columns(
         if role and (column := _column(table, place, role, units.get(role), worn, faults))
     ]
     if all(column.role != "name" for column in columns):
-        columns = [_Column(0, "name"), *(column for column in columns if column.place)]
+        columns.append(_Column(0, "name"))
     _refuse_twins(table, columns, faults)
     return columns
 

@@ -190,7 +190,7 @@ def _resolution(table: Measurements, columns: Mapping[int, tuple[str, float]]) -
 def roles_by_name(
     column: Measurements, words: Mapping[str, set[str]], base: Callable[[str], str]
 ) -> list[str]:
-    """Return what a column may be of: with a unit that fits, a word of its name tells it.
+    """Return the roles that a column may have: with a unit that fits, a word of its name tells.
 
     Else the name must be that word, so that a unit that is missing or wrong is told.
 
