@@ -239,7 +239,9 @@ def and_more(count: int, noun: str) -> str:
     return "" if count == 1 else f" (and {count - 1} more {noun}{'s' if count > 2 else ''})"
 
 
-def read_measurements(path: Path, *, labelled: bool = False, skip: int = 0) -> Measurements:
+def read_measurements(
+    path: Path, *, labelled: bool = False, skip: int | None = None
+) -> Measurements:
     """Read a table from a file, see ``measurements_in``. Not collective.
 
     Raises
@@ -255,7 +257,7 @@ def read_measurements(path: Path, *, labelled: bool = False, skip: int = 0) -> M
 
 
 def measurements_in(
-    content: bytes, path: str, *, labelled: bool = False, skip: int = 0
+    content: bytes, path: str, *, labelled: bool = False, skip: int | None = None
 ) -> Measurements:
     """Return a table: a line of names, then numbers; between them commas, semicolons or tabs.
 
@@ -268,22 +270,23 @@ def measurements_in(
     path : what messages call it.
     labelled : whether the first column has names of what the numbers behind them are of; several
         columns may have one name then.
-    skip : lines at the beginning that are left out.
+    skip : lines at the beginning that are left out; None where a user cannot say so.
 
     Raises
     ------
     InputError : it is no such table.
     """
-    table = table_in(decode(path, content), path, labelled=labelled, skip=skip)
+    table = table_in(decode(path, content), path, labelled=labelled, skip=skip or 0)
     columns, first = tuple(table.names), table.first
     if len(columns) > MOST_COLUMNS:
         raise InputError(
             f"{path}: line {first}: names {len(columns)} columns; must be at most {MOST_COLUMNS}"
         )
     if any(NUMBER.fullmatch(name.replace(",", ".")) for name in columns):
+        hint = "" if skip is None else "; skip = 3 leaves out three lines above them"
         raise InputError(
             f"{path}: line {first}: {legible(', '.join(columns))}: must be the names of the "
-            "columns, not numbers; skip = 3 leaves out three lines above them"
+            f"columns, not numbers{hint}"
         )
     if len(columns) == 1:
         raise InputError(

@@ -58,17 +58,17 @@ def cross_validated(x: FloatArray, value: FloatArray) -> BSpline:
 
     Knots are few, unless the readings follow more of them.
     """
-    best, least = _penalised(x, value, max(2, min(_KNOTS[0], len(x) // 2)))
+    best, least = penalised(x, value, max(2, min(_KNOTS[0], len(x) // 2)))
     for count in _KNOTS[1:]:
         if count > len(x) // 2:
             break
-        spline, square = _penalised(x, value, count)
+        spline, square = penalised(x, value, count)
         if square < _WORTH * least:
             best, least = spline, square
     return best
 
 
-def _penalised(x: FloatArray, value: FloatArray, count: int) -> tuple[BSpline, float]:
+def penalised(x: FloatArray, value: FloatArray, count: int) -> tuple[BSpline, float]:
     """Return the spline with a number of knots, and its square by generalised cross-validation.
 
     The penalty on the integral of its squared second derivative is that of the least such square

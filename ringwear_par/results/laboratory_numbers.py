@@ -66,9 +66,9 @@ def _specific_rate(body: int, course: Course) -> FloatArray | None:
     return None if volume is None else _ratio(1e3 * volume, course.normal_work)
 
 
-def _ratio(one: FloatArray, other: FloatArray) -> FloatArray:
+def _ratio(volume: FloatArray, divisor: FloatArray) -> FloatArray:
     """Return a quotient, NaN where it is none."""
-    return np.divide(one, other, out=np.full(one.shape, np.nan), where=other > 0.0)
+    return np.divide(volume, divisor, out=np.full(volume.shape, np.nan), where=divisor > 0.0)
 
 
 def _distance(course: Course) -> FloatArray | None:
@@ -156,8 +156,8 @@ def course_of(result: Result) -> Course:
     volumes, densities = [], []
     for body in BODIES:
         layers = result.layers.get(f"worn_volume_{body}_layers")
-        one = histories[f"worn_volume_{body}"][:, None] if layers is None else layers
-        volumes.append(one if about[f"law_{body}"] else None)
+        volume = histories[f"worn_volume_{body}"][:, None] if layers is None else layers
+        volumes.append(volume if about[f"law_{body}"] else None)
         densities.append(densities_of(result, body))
     return Course(
         time, histories["force"], _normal_work(result), integral(omega, 0.0, time),
@@ -220,8 +220,8 @@ def end_numbers(
     volumes, densities = [], []
     for i, body in enumerate(BODIES):
         layers = columns.layers.get(f"worn_volume_{body}_layers")
-        one = columns.histories[f"worn_volume_{body}"][:, None] if layers is None else layers
-        volumes.append(one[last] if any(case.laws[i] is not None for case in known) else None)
+        volume = columns.histories[f"worn_volume_{body}"][:, None] if layers is None else layers
+        volumes.append(volume[last] if any(case.laws[i] is not None for case in known) else None)
         of_cases = [[np.nan if d is None else d for d in c.rings[i].densities] for c in known]
         densities.append(np.array(of_cases))
     course = Course(

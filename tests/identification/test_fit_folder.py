@@ -17,6 +17,7 @@ from laboratory import (
 )
 
 import ringwear_par as rw
+from ringwear_par.cli import main
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.folders import FIT
 from ringwear_par.files.text import toml_value
@@ -110,6 +111,32 @@ def test_what_is_written(written, comm, capsys):
             to_k = stored["sensitivity"].sel(parameter="wear.lower.k")
             assert to_k.dims == ("reading",)
             assert stored["data"].attrs["units"] == "mm"
+    if comm.rank == 0:
+        check_exported(folder, told, chi2)
+
+
+def check_exported(folder, told, chi2):
+    """Check that the tables for spreadsheets have the numbers of the fit."""
+    openpyxl = pytest.importorskip("openpyxl")
+    assert main(["export", str(folder), "-o", str(folder.parent / "fit.xlsx")]) == 0
+    book = openpyxl.load_workbook(folder.parent / "fit.xlsx")
+    sheets = {sheet.title: [*sheet.iter_rows(values_only=True)] for sheet in book}
+    assert list(sheets) == ["tests", "parameters", "readings"]
+    header, *keys = sheets["parameters"]
+    k = dict(zip(header, keys[0], strict=True))
+    stored = told["parameters"]["wear.lower.k"]
+    assert (k["key"], k["unit"]) == ("wear.lower.k", "1/MPa")
+    assert [k["from"], k["to"]] == pytest.approx(stored["interval"])
+    place = sheets["readings"][0].index("residual over noise")
+    assert sum(row[place] ** 2 for row in sheets["readings"][1:]) == pytest.approx(chi2)
+    path = folder.parent / "fit.csv"
+    assert main(["export", str(folder), "-o", str(path), "--decimal", "comma"]) == 0
+    rows = [line.split(";") for line in path.read_text().splitlines()]
+    assert rows[0] == list(sheets["tests"][0])
+    for row, cells in zip(rows[1:], sheets["tests"][1:], strict=True):
+        assert row[0] == cells[0]
+        numbers = [float(cell.replace(",", ".")) for cell in row[1:]]
+        assert numbers == pytest.approx(cells[1:], rel=1e-14)
 
 
 @pytest.mark.serial

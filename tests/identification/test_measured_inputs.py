@@ -16,10 +16,11 @@ from laboratory import (
     write_tests,
 )
 from mpi4py import MPI
+from scipy.interpolate import make_smoothing_spline
 
 import ringwear_par as rw
 from ringwear_par.errors import InputError
-from ringwear_par.files.smoothing import curve
+from ringwear_par.files.smoothing import curve, penalised
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation.record_checks import input_trends
 from ringwear_par.identification.fit import fit_problem
@@ -59,6 +60,23 @@ def tables(written):
 
 
 # -- curves ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.serial
+def test_a_spline_with_knots_at_all_readings_is_the_smoothing_spline_of_scipy():
+    """Two readings at each knot are one of twice the weight."""
+    knots = np.linspace(0.0, 3.0, 24)
+    x = np.repeat(knots, 2)
+    value = np.sin(x) + 0.1 * np.random.default_rng(0).standard_normal(48)
+    spline, _ = penalised(x, value, 24)
+    # what its penalty is follows from the least: f (y - f) = penalty times the integral of f''^2
+    bends = spline.derivative(2)(np.linspace(0.0, 3.0, 47))  # straight between knots
+    weights = np.array([1.0, *[4.0, 2.0] * 22, 4.0, 1.0]) * (knots[1] / 6.0)
+    penalty = float(spline(x) @ (value - spline(x)) / (weights @ bends**2))
+    assert 1e-5 < penalty < 1.0
+    mean = value.reshape(24, 2).mean(axis=1)
+    expected = make_smoothing_spline(knots, mean, w=np.full(24, 2.0), lam=penalty)(knots)
+    np.testing.assert_allclose(spline(knots), expected, rtol=1e-8)
 
 
 @pytest.mark.serial

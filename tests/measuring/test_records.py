@@ -186,6 +186,12 @@ def test_weighings_are_averaged(tmp_path):
     read = weighings(tmp_path, "specimen,loss_mg\nA,1.5\n")
     assert read.specimens["A"].loss == pytest.approx(1.5e-3)
     assert read.scatter is None
+    read = weighings(
+        tmp_path,
+        "specimen,before_g,after_g,final Ra / um,loss_mg,sd loss / mg\nA,2.00000,1.99845,3,1.5,9\n",
+    )
+    assert read.specimens["A"].loss == pytest.approx(1.5e-3)  # rounded, so it is that of both
+    assert read.notes == ("weighings: columns not used: final Ra / um, sd loss / mg",)
 
 
 def test_a_loss_is_of_two_weighings(tmp_path):
@@ -217,12 +223,14 @@ def test_weighings_are_known_to_their_last_digit_at_best(text, resolution, scatt
     [
         ("specimen;before;after_g\nA;2;1\n", "before: no unit; name it before / g"),
         ("specimen;before_mm;after_g\nA;2;1\n", "the column before_mm is in mm by its name; must"),
+        ("specimen;before_g;after_g;loss_mg\nA;2.00;1.95;30\n",
+         "line 2: A: has a loss of 30 mg beside before - after = 50 mg; must be the same, or one"),
         ("specimen;before_g;then_g\nA;2;1\n", "must have masses before (vor, initial) and after"),
         ("specimen;before_g;after_g\nA;2;1\nA;2;1\n", "line 3: A: has two rows"),
         ("specimen;before_g;after_g\nA;2;-\nB;2;1\n", "line 2: A: has no mass after"),
         ("specimen;before_g;after_g\nB;2;1\nA;2;x\n", "line 3: after_g = x: must be a number"),
     ],
-)
+)  # fmt: skip
 def test_weighings_that_are_refused(text, said, tmp_path):
     with pytest.raises(InputError) as caught:
         weighings(tmp_path, text)

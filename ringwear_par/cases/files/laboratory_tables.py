@@ -9,10 +9,16 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.cases.files.columns import FileStore, missing_column, unit_by_name
-from ringwear_par.cases.files.weighings import KINDS, Weighing
+from ringwear_par.cases.files.weighings import (
+    KINDS,
+    MASSES,
+    Weighing,
+    last_digit,
+    roles_by_name,
+)
 from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.cases.tables import Key, TableReader
-from ringwear_par.cases.units import bare_name, factor, has_unit, number_and_unit, unit_of_column
+from ringwear_par.cases.units import bare_name, factor, has_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible
@@ -33,10 +39,11 @@ _WORDS: dict[str, set[str]] = {
     "load.pressure": {"pressure", "load", "p", "pressung", "last"},
     "load.omega": {"omega", "speed", "n", "drehzahl"},
     "time.end": {"duration", "dauer"},
-    "sd": {"sd", "u"},
-    **KINDS,
+    **MASSES,
 }
 _TEXTS, _MASSES = ("name", "specimen", "batch", "lab"), (*KINDS, "sd")
+#: a case has one of them
+_LOADS = {"load.force", "load.pressure"}
 #: units of what is no key of a case
 _UNITS = {"at": "s", **dict.fromkeys(_MASSES, "g")}
 #: of masses in g: differences have the digits that were typed, and no more
@@ -80,7 +87,8 @@ def laboratory_tests(
     base : dotted keys of the case; None where that has faults itself.
     """
     before, reader = len(faults), TableReader(place, entries, faults, keys)
-    file, sd = reader.read("file"), reader.raw("sd")
+    file, skip, drop = (reader.read(key) for key in ("file", "skip", "drop"))
+    sd = reader.raw("sd")
     names, units = (_texts(reader, key) for key in ("columns", "units"))
     templates = {key: _templates(reader, key) for key in ("data", "input")}
     if has_unit(sd):
@@ -92,14 +100,17 @@ def laboratory_tests(
         return {}
     worn = [body for body in BODIES if any(key.startswith(f"wear.{body}.") for key in base or ())]
     try:
-        rows = files.read(file, read_measurements, labelled=True)
+        table = files.read(file, read_measurements, labelled=True, skip=skip).without(drop)
     except InputError as error:
         for fault in error.faults:
             reader.fault(fault)
         return {}
-    laboratory = _Reader(rows, names, units, worn, sd, templates)
-    tests = laboratory.tests()
-    for fault in laboratory.faults:
+    in_table: list[str] = []
+    columns = _columns(table, names, units, worn, in_table)
+    tests = {} if in_table else _Rows(table, columns, sd, templates, in_table).tests()
+    if worn and not in_table:
+        _name_unused(table, columns, templates)
+    for fault in in_table:
         reader.fault(fault)
     return tests
 
@@ -128,201 +139,236 @@ def _templates(reader: TableReader, key: str) -> list[Mapping[str, Any]]:
     return tables
 
 
-class _Reader:
-    """Reads the tests of a table.
+def _columns(
+    table: Measurements,
+    names: Mapping[str, str],
+    units: Mapping[str, str],
+    worn: Sequence[str],
+    faults: list[str],
+) -> list[_Column]:
+    """Return the columns of a table that are used; add what is wrong to the faults.
 
     Parameters
     ----------
     names, units : of columns by role, as a user has them.
     worn : bodies that wear.
-    sd : of one weighing, a text with its unit; None: unknown.
-    templates : of ``[[tests.data]]`` and ``[[tests.input]]``.
     """
+    faults += [
+        fault for role, name in names.items() if (fault := missing_column(table, name, role))
+    ]
+    chosen = {name: role for role, name in names.items()}
+    roles = [
+        chosen.get(name) or _role(table.column(place), names, worn)
+        for place, name in enumerate(table.columns)
+    ]
+    faults += [
+        f"units.{role}: no column is known to be of {role}; tests.columns must name it"
+        for role in units
+        if role not in roles
+    ]
+    columns = [
+        column
+        for place, role in enumerate(roles)
+        if role and (column := _column(table, place, role, units.get(role), worn, faults))
+    ]
+    if all(column.role != "name" for column in columns):
+        columns.append(_Column(0, "name"))
+    _refuse_twins(table, columns, faults)
+    return columns
 
-    def __init__(
-        self,
-        table: Measurements,
-        names: Mapping[str, str],
-        units: Mapping[str, str],
-        worn: Sequence[str],
-        sd: str | None,
-        templates: Mapping[str, list[Mapping[str, Any]]],
-    ) -> None:
-        self._table, self._units, self._worn = table, units, worn
-        self._sd, self._templates = sd, templates
-        #: each with the line or the column
-        self.faults = [
-            fault for role, name in names.items() if (fault := missing_column(table, name, role))
-        ]
-        chosen = {name: role for role, name in names.items()}
-        self._columns = [
-            column
-            for place, name in enumerate(table.columns)
-            if (column := self._column(place, chosen.get(name) or self._role(place)))
-        ]
-        self._names = next((c.place for c in self._columns if c.role == "name"), 0)
-        self._refuse_twins()
+
+def _role(column: Measurements, names: Mapping[str, str], worn: Sequence[str]) -> str:
+    """Return the role that the name of a column tells, "" for none or that of a named column."""
+    (name,) = column.columns
+    bare = bare_name(name)
+    if known := next((text for text in (name, bare) if key_of(text) is not None), ""):
+        return "" if known in names else known
+    if bare.partition(".")[0] in _TABLES and "." in bare:
+        return bare  # the case does not know it, and tells the nearest key
+    taken = {*names} | (_LOADS if _LOADS & {*names} else set())
+    bodies = _bodies(name) or worn
+    roles = roles_by_name(column, _WORDS, _base)
+    return next((r for r in roles if not taken & {r, *(f"{r}.{body}" for body in bodies)}), "")
+
+
+def _bodies(name: str) -> list[str]:
+    """Return the bodies that the name of a column has."""
+    words = {word.lower() for word in re.findall(r"[^\W\d_]+", name)}
+    return [body for body in BODIES if body in words]
+
+
+def _base(role: str) -> str:
+    """Return a unit of what a role is of, "" for none."""
+    key = key_of(role)
+    unit = _UNITS.get(role.partition(".")[0], "") if key is None else key.unit
+    return "" if unit in ("-", "1") else unit
+
+
+def _column(
+    table: Measurements,
+    place: int,
+    role: str,
+    unit: str | None,
+    worn: Sequence[str],
+    faults: list[str],
+) -> _Column | None:
+    """Return a column with its unit and body; None, and a fault, where they are wrong."""
+    name, base = table.columns[place], _base(role)
+    if not base:
+        return _Column(place, role)
+    try:
+        if unit is not None:
+            factor(unit, base)
+        else:
+            hint = f', or tests.units."{role}" must be given'
+            unit = unit_by_name(table.column(place), name, base, hint)
+    except RejectedError:
+        faults.append(f"units.{role} = {shortened(unit)}: must be a unit of {base}")
+        return None
+    except InputError as error:
+        faults += error.faults
+        return None
+    if unit is None and not (role == name and key_of(role)):
+        faults.append(
+            f"{table.name}: {legible(name)}: no unit; name it {legible(name)} / {base}, "
+            f"or tests.units must have {role}"
+        )
+        return None
+    kind, _, body = role.partition(".")
+    if kind not in _MASSES:
+        return _Column(place, role, unit or "")
+    bodies = [body] if body else _bodies(name) or worn
+    if len(bodies) == 1:
+        return _Column(place, kind, unit or "", bodies[0])
+    if worn:  # else the case has faults, or nothing wears, which is told
+        faults.append(
+            f"{table.name}: {legible(name)}: must tell whose mass it is: name it lower "
+            f'{legible(name)}, or tests.columns = {{ "{kind}.lower" = ... }}'
+        )
+    return None
+
+
+def _refuse_twins(table: Measurements, columns: Sequence[_Column], faults: list[str]) -> None:
+    """Refuse columns of the same, but of masses, whose mean counts."""
+    known: dict[tuple[str, str], int] = {}
+    for column in columns:
+        first = known.setdefault((column.role, column.body), column.place)
+        if first != column.place and column.role not in KINDS:
+            names = (legible(table.columns[i]) for i in (first, column.place))
+            faults.append(
+                f"{table.name}: the columns {' and '.join(names)} may both be of "
+                f"{column.role}; tests.columns must tell which one is"
+            )
+
+
+def _name_unused(
+    table: Measurements,
+    columns: Sequence[_Column],
+    templates: Mapping[str, list[Mapping[str, Any]]],
+) -> None:
+    """Warn of columns that neither are of something nor stand in a template."""
+    used = {table.columns[column.place] for column in columns}
+    for template in (template for tables in templates.values() for template in tables):
+        used |= {name for text in template.values() for name in _PLACE.findall(str(text))}
+    if unused := [name for name in table.columns if name and name not in used]:
+        log.warning("%s: %s", table.name, unused_columns(unused))
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """The rows of a table as tests."""
+
+    table: Measurements
+    columns: Sequence[_Column]
+    #: of one weighing, a text with its unit; None: unknown
+    sd: str | None
+    #: of ``[[tests.data]]`` and ``[[tests.input]]``
+    templates: Mapping[str, list[Mapping[str, Any]]]
+    #: each with the line or the column
+    faults: list[str]
 
     def tests(self) -> dict[str, dict[str, Any]]:
         """Return the tests without faults by the places of their rows."""
+        place = next(column.place for column in self.columns if column.role == "name")
         rows: dict[str, list[int]] = {}
-        for number, row in enumerate(self._table.rows if not self.faults else ()):
-            if row[self._names]:
-                rows.setdefault(row[self._names], []).append(number)
+        for number, row in enumerate(self.table.rows):
+            if row[place]:
+                rows.setdefault(row[place], []).append(number)
             else:
                 self._fault(number, "names no test; must begin with a name")
         tests = {}
         for name, numbers in rows.items():
             before, test = len(self.faults), self._test(name, numbers)
             if len(self.faults) == before:
-                tests[f"{self._table.name}: line {self._table.lines[numbers[0]]}"] = test
-        used = {self._names, *(column.place for column in self._columns)}
-        texts = [
-            str(t) for tables in self._templates.values() for one in tables for t in one.values()
-        ]
-        placed = {name for text in texts for name in _PLACE.findall(text)}
-        unused = [
-            name for i, name in enumerate(self._table.columns)
-            if name and i not in used and name not in placed
-        ]  # fmt: skip
-        if unused and self._worn and not self.faults:
-            log.warning("%s: %s", self._table.name, unused_columns(unused))
+                tests[f"{self.table.name}: line {self.table.lines[numbers[0]]}"] = test
         return tests
 
     def _fault(self, number: int, sentence: str) -> None:
-        self.faults.append(f"{self._table.name}: line {self._table.lines[number]}: {sentence}")
-
-    def _role(self, place: int) -> str:
-        """Return the role that the name of a column tells, "" for none."""
-        name = self._table.columns[place]
-        bare = bare_name(name)
-        if known := next((one for one in (name, bare) if key_of(one) is not None), ""):
-            return known
-        if bare.partition(".")[0] in _TABLES and "." in bare:
-            return bare  # the case does not know it, and tells the nearest key
-        words = re.findall(r"[^\W\d_]+", bare)
-        known_words = {word.lower() for word in words if len(word) > 1} | {*words[:1]}
-        roles = [role for role, usual in _WORDS.items() if known_words & usual]
-        label = self._table.column(place).label(name)
-        in_its_unit = [role for role in roles if unit_of_column(label, self._base(role))]
-        return next(iter([*in_its_unit, *roles]), "")
-
-    def _base(self, role: str) -> str:
-        """Return a unit of what a role is of, "" for none."""
-        key = key_of(role)
-        unit = _UNITS.get(role.partition(".")[0], "") if key is None else key.unit
-        return "" if unit in ("-", "1") else unit
-
-    def _column(self, place: int, role: str) -> _Column | None:
-        """Return a column with its unit and body; None for one that is not used, or has faults."""
-        name, base, column = self._table.columns[place], self._base(role), self._table.column(place)
-        unit = self._units.get(role)
-        if not role or not base:
-            return _Column(place, role) if role else None
-        try:
-            if unit is not None:
-                factor(unit, base)
-            else:
-                unit = unit_by_name(column, name, base, f', or tests.units."{role}" must be given')
-        except RejectedError:
-            self.faults.append(f"units.{role} = {shortened(unit)}: must be a unit of {base}")
-            return None
-        except InputError as error:
-            self.faults += error.faults
-            return None
-        if unit is None and role != name:
-            self.faults.append(
-                f"{self._table.name}: {legible(name)}: no unit; name it {legible(name)} / {base}, "
-                f"or tests.units must have {role}"
-            )
-            return None
-        kind, _, body = role.partition(".")
-        if kind not in _MASSES:
-            return _Column(place, role, unit or "")
-        words = {word.lower() for word in re.findall(r"[^\W\d_]+", name)}
-        bodies = [body] if body else [b for b in BODIES if b in words] or self._worn
-        if len(bodies) == 1:
-            return _Column(place, kind, unit or "", bodies[0])
-        if self._worn:  # else the case has faults, or nothing wears, which is told
-            self.faults.append(
-                f"{self._table.name}: {legible(name)}: must tell whose mass it is: name it lower "
-                f'{legible(name)}, or tests.columns = {{ "{kind}.lower" = ... }}'
-            )
-        return None
-
-    def _refuse_twins(self) -> None:
-        """Refuse columns of the same, but of masses, whose mean counts."""
-        known: dict[tuple[str, str], int] = {}
-        for column in self._columns:
-            first = known.setdefault((column.role, column.body), column.place)
-            if first != column.place and column.role not in KINDS:
-                names = (legible(self._table.columns[i]) for i in (first, column.place))
-                self.faults.append(
-                    f"{self._table.name}: the columns {' and '.join(names)} may both be of "
-                    f"{column.role}; tests.columns must tell which one is"
-                )
+        self.faults.append(f"{self.table.name}: line {self.table.lines[number]}: {sentence}")
 
     def _test(self, name: str, numbers: list[int]) -> dict[str, Any]:
         """Return the keys of a test, of its rows."""
         test: dict[str, Any] = {"name": name, "set": {}}
-        for column in self._columns:
+        for column in self.columns:
             if column.role in ("name", "at", *_MASSES):
                 continue
             value = self._value(column, numbers[0])
             for number in numbers[1:]:
-                if (other := self._value(column, number)) not in (None, value):
-                    place = f"{legible(self._table.columns[column.place])} = {shortened(other)}"
+                if (repeated := self._value(column, number)) not in (None, value):
+                    place = f"{legible(self.table.columns[column.place])} = {shortened(repeated)}"
                     self._fault(
                         number,
                         f"{place}: must be that of the first row of {legible(name)}, or empty",
                     )
             if value is not None:
                 (test if column.role in _TEXTS else test["set"])[column.role] = value
-        for key, templates in self._templates.items():
+        for key, templates in self.templates.items():
             tables = [self._completed(template, numbers[0]) for template in templates]
             test[key] = [table for table in tables if table is not None]
         for body in BODIES:
-            columns = [column for column in self._columns if column.body == body]
+            columns = [column for column in self.columns if column.body == body]
             test["data"] += [
                 reading
                 for n in numbers
-                if columns and (reading := self._weighed(columns, body, n, numbers[0]))
+                if columns and (reading := self._weighed(columns, body, n, numbers[0], name))
             ]
         if not test["data"]:
             self._fault(numbers[0], f"{legible(name)}: has no reading; must have a mass at least")
         return test
 
     def _weighed(
-        self, columns: Sequence[_Column], body: str, number: int, first: int
+        self, columns: Sequence[_Column], body: str, number: int, first: int, name: str
     ) -> dict[str, Any] | None:
         """Return the mass lost by a body since the start as ``[[experiment.data]]`` has it."""
         masses: dict[str, list[float]] = {}
-        unit, sd = "", self._sd
-        for column in columns:
-            row = number
-            if column.role == "before" and first != number:
-                row = first
-                if self._value(column, number) not in (None, self._value(column, first)):
-                    self._fault(
-                        number,
-                        f"{legible(self._table.columns[column.place])}: must be the mass before "
-                        "the test, as in its first row, or empty",
-                    )
+        unit, digit = "", 0.0
+        for column in (column for column in columns if column.role in KINDS):
+            row = first if column.role == "before" else number
+            if row != number and self._value(column, number) not in (
+                None, self._value(column, first),
+            ):  # fmt: skip
+                self._fault(
+                    number,
+                    f"{legible(self.table.columns[column.place])}: must be the mass before the "
+                    "test, as in its first row, or empty",
+                )
             value = self._value(column, row)
-            if value is None:
-                continue
-            if column.role == "sd":
-                sd = value
-                continue
-            mass, unit = number_and_unit(value)
-            masses.setdefault(column.role, []).append(mass * factor(unit, "g"))
+            if value is not None:
+                mass, unit = number_and_unit(value)
+                grams = factor(unit, "g")
+                masses.setdefault(column.role, []).append(mass * grams)
+                digit = max(digit, grams * last_digit(self.table.rows[row][column.place]))
         if not {"after", "loss"} & masses.keys():
             return None
         try:
-            weighing = Weighing.of(masses)
+            weighing = Weighing.of(masses, digit)
         except InputError as error:
             self._fault(number, str(error))
             return None
+        sd = next((self._value(c, number) for c in columns if c.role == "sd"), None)
+        if sd is None and self.sd is not None:
+            of_weighing, unit_of_sd = number_and_unit(self.sd)
+            sd = f"{weighing.u(of_weighing):.12g} {unit_of_sd}"
         if sd is None:
             self._fault(
                 number,
@@ -330,17 +376,16 @@ class _Reader:
                 "tests.sd",
             )
             return None
-        if sd is self._sd:
-            one, unit_of_sd = number_and_unit(sd)
-            sd = f"{weighing.u(one):.12g} {unit_of_sd}"
         reading = {
             "quantity": f"mass.{body}",
             "value": f"{round(weighing.loss, _DIGITS) / factor(unit, 'g'):.12g} {unit}", "sd": sd,
         }  # fmt: skip
-        at = next((self._value(c, number) for c in self._columns if c.role == "at"), None)
+        at = next((self._value(c, number) for c in self.columns if c.role == "at"), None)
         if at is None and number != first:
-            name = legible(self._table.rows[number][self._names])
-            self._fault(number, f"has no time; several weighings of {name} must have a column at")
+            self._fault(
+                number,
+                f"has no time; several weighings of {legible(name)} must have a column at",
+            )
         return reading if at is None else {**reading, "at": at}
 
     def _completed(self, template: Mapping[str, Any], number: int) -> dict[str, Any] | None:
@@ -348,10 +393,10 @@ class _Reader:
         completed = dict(template)
         for key, text in template.items():
             for name in _PLACE.findall(text) if isinstance(text, str) else ():
-                if fault := missing_column(self._table, name, f"{key} = {shortened(text)}"):
+                if fault := missing_column(self.table, name, f"{key} = {shortened(text)}"):
                     self.faults.append(fault)
                     return None
-                cell = self._table.rows[number][self._table.columns.index(name)]
+                cell = self.table.rows[number][self.table.columns.index(name)]
                 if cell.lower() in EMPTY:
                     return None
                 number_cell = cell.replace(",", ".")
@@ -361,8 +406,8 @@ class _Reader:
 
     def _value(self, column: _Column, number: int) -> Any:
         """Return the raw value of a cell, with its unit; None for none."""
-        one = self._table.column(column.place)
-        cell = one.rows[number][0]
+        cells = self.table.column(column.place)
+        cell = cells.rows[number][0]
         if cell.lower() in EMPTY:
             return None
         if column.role in _TEXTS:
@@ -370,9 +415,9 @@ class _Reader:
         if not column.unit and not NUMBER.fullmatch(cell.replace(",", ".")):
             return parse_value(cell)
         try:
-            (value,) = one.numbers(one.columns[0], np.arange(len(one.rows)) == number)
+            (value,) = cells.numbers(cells.columns[0], np.arange(len(cells.rows)) == number)
         except InputError as error:
-            self.faults += [fault for fault in error.faults if fault not in self.faults]
+            self.faults.extend(fault for fault in error.faults if fault not in self.faults)
             return None
         if column.unit:
             return f"{float(value)!r} {column.unit}"

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
@@ -11,7 +11,8 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.columns import unit_by_name
-from ringwear_par.cases.units import factor
+from ringwear_par.cases.units import bare_name, factor, unit_of_column
+from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, read_measurements, unused_columns
 from ringwear_par.files.table_text import EMPTY
@@ -22,6 +23,10 @@ KINDS = {
     "after": {"after", "nach", "nachher", "final"},
     "loss": {"loss", "verlust", "massenverlust"},
 }
+#: these and the standard deviation, which may be that of a loss: "sd loss"
+MASSES = {"sd": {"sd", "u"}, **KINDS}
+#: in names of columns beside the words that tell what these are of
+_BESIDE = {*BODIES, "mass", "masse", "m", "id", "no", "nr"}
 
 
 @dataclass(frozen=True)
@@ -35,14 +40,25 @@ class Weighing:
     after: int
 
     @classmethod
-    def of(cls, masses: Mapping[str, Sequence[float]]) -> "Weighing":
+    def of(cls, masses: Mapping[str, Sequence[float]], digit: float) -> "Weighing":
         """Return the weighing of masses (g) by what they are of, see ``KINDS``.
+
+        Parameters
+        ----------
+        digit : g, the last digit of the coarsest of them.
 
         Raises
         ------
-        InputError : some are missing.
+        InputError : some are missing, or a loss is not that of the masses beside it.
         """
         before, after, loss = (masses.get(kind, ()) for kind in KINDS)
+        if loss and before and after:
+            difference = float(np.mean(before) - np.mean(after))
+            if abs(float(np.mean(loss)) - difference) > digit * (1.0 + 1e-6):
+                raise InputError(
+                    f"has a loss of {1e3 * float(np.mean(loss)):.6g} mg beside before - after = "
+                    f"{1e3 * difference:.6g} mg; must be the same, or one of both empty"
+                )
         if loss:
             return cls(float(np.mean(loss)), len(loss), len(loss))
         if before and after:
@@ -119,12 +135,17 @@ def read_weighings(path: Path) -> Weighings:
             ]
             for wanted in KINDS
         }
+        digits = [
+            grams * last_digit(row[place])
+            for place, (_, grams) in columns.items()
+            if np.isfinite(readings[place][number])
+        ]
         for kind, values in masses.items():
             if len(values) > 1:
                 squares += float(np.var(values)) * len(values) / (2 if kind == "loss" else 1)
                 freedom += len(values) - 1
         try:
-            specimens[name] = Weighing.of(masses)
+            specimens[name] = Weighing.of(masses, max(digits, default=0.0))
         except InputError as error:
             faults.append(f"{place_words}: {legible(name)}: {error}")
     if faults:
@@ -141,50 +162,75 @@ def _readings(
     """Return the masses of all rows by the places of columns, g; NaN where nothing was read."""
     readings = {}
     for place, (_, grams) in columns.items():
-        one = table.column(place)
-        filled = one.filled(one.columns[0])
+        column = table.column(place)
+        filled = column.filled(column.columns[0])
         readings[place] = np.full(len(table.rows), np.nan)
         try:
-            readings[place][filled] = grams * one.numbers(one.columns[0], filled)
+            readings[place][filled] = grams * column.numbers(column.columns[0], filled)
         except InputError as error:
             faults += error.faults
     return readings
 
 
+def last_digit(cell: str) -> float:
+    """Return the value of the last digit of a number as it is written."""
+    return 10.0 ** int(Decimal(cell.replace(",", ".")).as_tuple().exponent)
+
+
 def _resolution(table: Measurements, columns: Mapping[int, tuple[str, float]]) -> float:
     """Return the finest last digit of masses, g: zeros there may be dropped."""
-    digits = []
-    for place, (_, grams) in columns.items():
-        for row in table.rows:
-            if row[place].lower() not in EMPTY:
-                exponent = int(Decimal(row[place].replace(",", ".")).as_tuple().exponent)
-                digits.append(grams * 10.0**exponent)
-    return min(digits)
+    return min(
+        grams * last_digit(row[place])
+        for place, (_, grams) in columns.items()
+        for row in table.rows
+        if row[place].lower() not in EMPTY
+    )
+
+
+def roles_by_name(
+    column: Measurements, words: Mapping[str, set[str]], base: Callable[[str], str]
+) -> list[str]:
+    """Return the roles that a column may have: with a unit that fits, a word of its name tells.
+
+    Else the name must be that word, so that a unit that is missing or wrong is told.
+
+    Parameters
+    ----------
+    column : a table of one column.
+    words : of names by what columns are of; letters alone are as they are.
+    base : returns a unit of that, "" for none.
+    """
+    (name,) = column.columns
+    label, every = column.label(name), re.findall(r"[^\W\d_]+", bare_name(name))
+    in_name = {word.lower() if len(word) > 1 else word for word in every}
+    known = {word for word in in_name if len(word) > 1} | {*every[:1]}
+    roles = [role for role, usual in words.items() if known & usual]
+    fitting = [role for role in roles if base(role) and unit_of_column(label, base(role))]
+    roles = fitting or [role for role in roles if in_name - _BESIDE <= words[role]]
+    return roles if len(KINDS.keys() & {*roles}) < 2 else []  # "before - after" is neither
 
 
 def _columns(table: Measurements, faults: list[str]) -> dict[int, tuple[str, float]]:
     """Return the kind of each column of masses, and grams of its unit, by place."""
     columns: dict[int, tuple[str, float]] = {}
     for place in range(1, len(table.columns)):
-        one = table.column(place)
-        name = one.columns[0]
-        words = {word.lower() for word in re.findall(r"[^\W\d_]+", name)}
-        kinds = [kind for kind, known in KINDS.items() if words & known]
-        if len(kinds) != 1:
+        column, name = table.column(place), table.columns[place]
+        role = next(iter(roles_by_name(column, MASSES, lambda _: "g")), "")
+        if role not in KINDS:
             continue
         try:
-            unit = unit_by_name(one, name, "g")
+            unit = unit_by_name(column, name, "g")
         except InputError as error:
             faults += error.faults
             continue
         if unit is None:
             faults.append(f"{table.name}: {legible(name)}: no unit; name it {legible(name)} / g")
             continue
-        columns[place] = kinds[0], factor(unit, "g")
+        columns[place] = role, factor(unit, "g")
     kinds_read = {kind for kind, _ in columns.values()}
     if not faults and not ("loss" in kinds_read or kinds_read >= {"before", "after"}):
         faults.append(
             f"{table.name}: has the columns {legible(', '.join(table.columns), 200)}; must have "
-            "masses before (vor, initial) and after (nach, final), or the loss"
+            "masses before (vor, initial) and after (nach, final), or the loss, with their units"
         )
     return columns

@@ -50,7 +50,7 @@ class Readings:
     #: of the data, and how much it is in the units of a case.
     unit: str
     factor: float
-    #: sentences about columns whose unit nobody names.
+    #: sentences about columns whose unit nobody names, and about times of day.
     assumptions: tuple[str, ...] = ()
     #: the table and which of its rows have readings; None of others.
     data: Measurements | None = None
@@ -186,6 +186,7 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
         column_names[role], units_by_role[role], factors[role] = column, unit, scale
     if len(column_names) < len(roles):
         return None
+    sentences: list[str] = []
     rows = data.filled(*column_names.values())
     if "time" in column_names:
         rows = data.first_stamps(column_names["time"], rows)
@@ -197,13 +198,18 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
         and x[0] > end
         and has_hours(data.first_cell(column_names["time"]))
     ):
-        x = x - x[0]  # times of day
+        x = x - x[0]
+        first = legible(data.first_cell(column_names["time"]))
+        sentences.append(
+            f"the times begin with {first}, after the end of the test; they are taken as times of "
+            "day, that of the first reading as 0"
+        )
     value = factors["value"] * _column(reader, data, column_names["value"], rows)
     if "time" in assumed and data.names_seconds(column_names["time"], rows):
         assumed.remove("time")
+    sentences += [assumption(column_names[role], units_by_role[role]) for role in assumed]
     return Readings(
-        x, value, units_by_role["value"], factors["value"],
-        tuple(assumption(column_names[role], units_by_role[role]) for role in assumed), data, rows,
+        x, value, units_by_role["value"], factors["value"], tuple(sentences), data, rows,
         data.lines[rows], data.name,
     )  # fmt: skip
 

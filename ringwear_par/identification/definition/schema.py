@@ -350,6 +350,7 @@ KEYS: tuple[Key, ...] = (
         "them: a row a test, whose first column is its name; columns of conditions, texts and "
         "masses, with their units in their names (F / N) or in a row below. Several rows of one "
         "name are weighings of one test, each with its time (at)"),
+    *file_keys("tests"),
     Key("tests.columns", *anything("texts for name, specimen, batch, lab, at, before, after, loss, "
         "sd (of a body: loss.lower) and case keys"), "-",
         "names of the columns of file; default: usual names, such as force, load, F, Last; "

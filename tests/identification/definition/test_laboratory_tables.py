@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from laboratory import fit_tables
+from laboratory import fit_tables, refused
 
 import ringwear_par as rw
 from ringwear_par.errors import InputError
@@ -95,6 +95,44 @@ def test_columns_and_units_may_be_named(folder):
     assert second.case.load.force == pytest.approx(2000.0)
 
 
+@pytest.mark.parametrize("columns", [{}, {"name": "Versuch", "load.pressure": "p"}])
+def test_columns_whose_names_have_a_word_by_chance_are_not_used_and_are_named(
+    columns, folder, caplog
+):
+    chance = [
+        "Test date", "load step", "last calibration", "final temperature / degC", "speed m/s",
+        "initial roughness / um", "lab 7 am", "max speed / (m/s)", "before - after / mg",
+    ]  # fmt: skip
+    endings = ["", "".join(f";{name}" for name in chance), *[";" * len(chance)] * 4]
+    endings[3] = ";12" * len(chance)
+    text = "\n".join(map("".join, zip(TABLE.splitlines(), endings, strict=True)))
+    tests = read_fit(in_table(folder, text, columns=columns)).experiments
+    plain = read_fit(in_table(folder)).experiments
+    assert [test.case.text for test in tests] == [test.case.text for test in plain]
+    assert f"columns not used: Bemerkung, {', '.join(chance)}" in caplog.text
+
+
+def test_columns_that_are_named_leave_no_other_of_theirs(folder, caplog):
+    """And lines above the names, and cells that are no readings, may be left out."""
+    text = (
+        "Rig;F;n\nRig 7;3;5\n"
+        "Test;F / N;load / kN;p / MPa;max load / N;loss / mg;loss of both / mg;sd / mg\n"
+        "A;9;1;9;8;3.2;OVL;0.1\nB;9;2;9;8;4.1;9;0.1\n"
+    )
+    columns = {"load.force": "load / kN", "loss.lower": "loss / mg"}
+    tables = in_table(folder, text, columns=columns, data=[], skip=2, drop=["OVL"])
+    tables["case"] = rw.read_case(str(folder / "case.toml"), {"lower.density": 0.002})
+    tests = read_fit(tables).experiments
+    assert [test.case.load.force for test in tests] == [1000.0, 2000.0]
+    assert [test.series[0].value.tolist() for test in tests] == [
+        pytest.approx([3.2e-3]),
+        pytest.approx([4.1e-3]),
+    ]
+    assert "columns not used: F / N, p / MPa, max load / N, loss of both / mg" in caplog.text
+    tables["tests"] |= {"columns": {**columns, "loss.lower": "loss of both / mg"}}
+    assert "A: has no reading" in str(refused(tables))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -108,7 +146,8 @@ def test_columns_and_units_may_be_named(folder):
         ("10992,1;0,2", "10992,1;-", "line 6: the sd of its mass is unknown; must be in a column"),
         ("10992,1;0,2", "10992,1;0", 'sd = "0.0 mg": must be a finite number > 0'),
         ("MPa;rad/s", "MPa;-", "tests.csv: n: no unit; name it n / rad/s, or tests.units"),
-        ("MPa;rad/s", "MPa;m/s", "the column n is in m/s by its name; must be in the unit of an"),
+        ("MPa;rad/s", "MPa;U/min", "the column n is in U/min by its name; must be in the unit of"),
+        ("sd Verlust;", "loss;", "line 4: has a loss of 0.1 mg beside before - after = 0.8 mg; mu"),
         ("lower.density", "lower.densty", "set lower.densty: unknown key (did you mean lower.dens"),
         ("Probe", "load.pressure", "the columns load.pressure and p may both be of load.pressure"),
         ("Schrieb", "Datei", 'has no column Schrieb for file = "'),
@@ -129,6 +168,10 @@ def test_rows_that_are_refused(old, new, said, folder):
         ({"columns": {"mas": "vor"}}, "tests: columns.mas: must be name, specimen, batch, lab, at"),
         ({"columns": {"loss": "x"}}, "tests.csv: has no column x for loss; must be one of Versuch"),
         ({"units": {"load.omega": "m"}}, 'units.load.omega = "m": must be a unit of rad/s'),
+        (
+            {"units": {"loss": "g"}},
+            "tests: units.loss: no column is known to be of loss; tests.col",
+        ),
         ({"data": 1}, "tests: data = 1: must be tables, [[tests.data]]"),
         ({"fil": 1}, "tests: fil: unknown key (did you mean file?)"),
     ],

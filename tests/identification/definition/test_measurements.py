@@ -91,6 +91,18 @@ def test_what_is_no_table(text, said, tmp_path):
     assert "a.csv" in str(caught.value)
 
 
+def test_lines_that_are_left_out(tmp_path):
+    """Advised where a user can say so, not where a file is read without such a key."""
+    path = tmp_path / "a.csv"
+    path.write_text("1,2\n3,4\nt,z\n5,6\n")
+    assert read_measurements(path, skip=2).columns == ("t", "z")
+    advice = "skip = 3 leaves out three lines"
+    for skip in (None, 0):
+        with pytest.raises(InputError) as caught:
+            read_measurements(path, skip=skip)
+        assert (advice in str(caught.value)) == (skip == 0)
+
+
 def test_units_of_columns():
     found = [
         unit_of_column(name, "mm")
