@@ -207,7 +207,7 @@ class Rounds(Histories):
         self._of_all(partial(super().change_cases, experiments))
 
     def _of_all(self, action: Callable[[], T]) -> list[T]:
-        """Return what an action returns on each rank, to the first one, which raises its errors.
+        """Return the outcomes of an action on all ranks, or raise their error: on the first rank.
 
         The others go on to serve, as the first one ends the job. Collective.
         """

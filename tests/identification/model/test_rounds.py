@@ -77,7 +77,7 @@ def test_an_error_of_the_first_rank_ends_all(tables, comm, monkeypatch):
 
 def test_a_result_that_cannot_be_sent_ends_all(tables, comm):
     rounds = Rounds(read_fit(tables()), comm, StopSignals())
-    with pytest.raises(Exception, match="[Pp]ickl"):
+    with pytest.raises(Exception, match=r"[Pp]ickl"):
         rounds.lead(lambda: lambda: None)
 
 
