@@ -219,12 +219,14 @@ class ContactProblem:
         p = self._pressure if recall and whole else None
         if p is None:
             p = self.pressures(q, rows)
-        self._pressure = p if whole else None
+        self._pressure = None  # where a law raises, nothing is known of these unknowns
+        self.is_known[rows] &= recall
         gradient = np.subtract(self.gaps[rows], self.approaches[rows, None], out=out)
         if wear is not None:
             gradient += wear.depth(p)
         gradient *= self.weights[rows]
         gradient += self._product[rows] if recall else self._products_of(q)
+        self._pressure = p if whole else None
         return gradient
 
     def last_pressures(self, q: FloatArray) -> FloatArray:
@@ -239,6 +241,7 @@ class ContactProblem:
     def objective(self, q: FloatArray) -> float:
         """Return the sum of the objectives, N mm."""
         rows, wear = self.rows, self._increment()
+        self._pressure = None
         linear = self.weights[rows] * (self.gaps[rows] - self.approaches[rows, None])
         objectives = inner(q, 0.5 * self._products_of(q) + linear)
         if wear is not None:

@@ -44,8 +44,8 @@ class Batch:
         self._ensemble, self.numbers = ensemble, numbers
         #: None before the start
         self._present: Present | None = None
-        #: (B,) s, end of the present try, and where its contacts start, and those of the next one
-        #: if it fails; None: there is no try
+        #: (B,) s, end of the present try, and from where contacts were solved in it, put back if it
+        #: fails; None: there is no try
         self._end: FloatArray | None = None
         self._warm: WarmStart | None = None
         #: whether a history steps alone until it has made a step, and why its last try failed

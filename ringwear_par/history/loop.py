@@ -50,7 +50,7 @@ def simulate(
     pair: ContactPair | Sequence[ContactPair] | None = None,
     start: Start | None = None,
     observers: Sequence[Observer] = (),
-    most: int | None = None,
+    most_together: int | None = None,
     derivatives: Sequence[str] = (),
     step_times: Sequence[Sequence[float]] | None = None,
     paces: Sequence[FloatArray] | None = None,
@@ -67,7 +67,8 @@ def simulate(
         first.
     start : where an interrupted history continues, of one case.
     observers : called with all new states, in this order.
-    most : histories that step at a time: where half of them have ended, others begin. None: all.
+    most_together : histories that step at a time: where half of them have ended, others begin.
+        None: all.
     derivatives : keys that states have derivatives with respect to; not of one that continues.
     step_times : s, ends of the steps of each history, its last one that of its case; None: each
         steps as its case says.
@@ -88,11 +89,11 @@ def simulate(
         METHODS[cases[0].time.scheme],
     )  # fmt: skip
     batches: list[Batch] = []
-    begun, most = 0, most or len(cases)
+    begun, most = 0, most_together or len(cases)
     try:
         while (batches or begun < len(cases)) and not ensemble.interrupted:
             stepping = sum(len(batch.numbers) for batch in batches)
-            if begun < len(cases) and 2 * stepping <= most:
+            if begun < len(cases) and 2 * stepping <= most:  # half have ended
                 count = min(most - stepping, len(cases) - begun)
                 batches.append(Batch(ensemble, np.arange(begun, begun + count)))
                 begun += count

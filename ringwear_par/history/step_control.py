@@ -169,8 +169,8 @@ class FixedSteps:
 class ErrorControl:
     """Steps whose estimated errors of wear, pressure and energy are within tolerances.
 
-    The error of wear is that of the history: a step may miss what the error that is left of the
-    steps before it leaves of the tolerance. Steps end at the times at which a schedule or a
+    The error of wear is that of the history: a step may make an error of the tolerance less the
+    propagated error of the steps before it. Steps end at the times at which a schedule or a
     parameter bends, and while elements follow the wear they wear about the tolerance of the
     geometry at most.
     """

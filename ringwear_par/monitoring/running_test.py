@@ -17,6 +17,7 @@ from ringwear_par.files.writing import read_bytes
 from ringwear_par.identification.definition.fit_file import experiment_tables, read_fit
 from ringwear_par.identification.definition.problem import Problem, Series
 from ringwear_par.identification.definition.scatter import check_scatter
+from ringwear_par.identification.model.readings import AT_STEPS
 
 #: blocks of equal time of a test, in which the readings of a record are averaged
 BLOCKS = 500
@@ -26,7 +27,6 @@ NOT_KNOWN = (
     'scatter = "fit" with repeats, a known scatter, or process is needed'
 )
 _MARKS = b"\xff\xfe", b"\xfe\xff"
-_READ = ("penetration", "approach", "torque", "mass", "volume")
 
 
 class GrowingFiles(FileStore):
@@ -171,10 +171,10 @@ def _faults(series: Series) -> list[str]:
     faults = [
         f"{series.file or series.name}: {a}; its unit must be given" for a in series.assumptions
     ]
-    if series.quantity.partition(".")[0] not in _READ:
+    if series.kind not in AT_STEPS:
         faults.append(
-            f"{series.name}: must be one of {', '.join(_READ)} while a test runs; the fit after it "
-            "reads profiles and layers"
+            f"{series.name}: must be one of {', '.join(AT_STEPS)} while a test runs; the fit after "
+            "it reads profiles and layers"
         )
     if series.sd_fitted:
         faults.append(

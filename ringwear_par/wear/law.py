@@ -129,7 +129,8 @@ class Law:
 
     #: averaging length, mm; 0 for a local law
     length: float = 0.0
-    #: whether the rate depends on the pressure, the speed, friction and parameters alone
+    #: whether the rate depends on the pressure, the speed, friction and parameters alone; each
+    #: class says so itself, as one that overrides a rate may read the time
     steady: ClassVar[bool] = False
 
     @property
@@ -145,7 +146,7 @@ class Law:
     @property
     def is_steady(self) -> bool:
         """Whether the rate at a pressure stays while speed and friction do."""
-        return self.steady and not self.breakpoints
+        return vars(type(self)).get("steady", False) and not self.breakpoints
 
     @property
     def breakpoints(self) -> tuple[float, ...]:
@@ -166,7 +167,10 @@ class Law:
         raise NotImplementedError
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to pressure, mm/s/MPa, >= 0."""
+        """Return the derivative of the rate with respect to pressure, mm/s/MPa, >= 0.
+
+        The same array as before only where its values are the same.
+        """
         d_rate = derivative(lambda p: self.rate(p, local), p, _SMALL_PRESSURE)
         return np.maximum(d_rate, 0.0)
 

@@ -146,7 +146,7 @@ def run(cases, pair, size=None, order=None, most=None):
                 )  # fmt: skip
 
         outcome = simulate(
-            [cases[i] for i in part], ALONE, pair=pair, observers=[observe], most=most
+            [cases[i] for i in part], ALONE, pair=pair, observers=[observe], most_together=most
         )
         assert outcome.failures == {}
     return seen

@@ -175,8 +175,6 @@ def test_flags_are_those_of_single_cases(case):
 class Raising(ThresholdLaw):
     """A law that fails in one case of many, and in time."""
 
-    steady = False
-
     def rate(self, p, at):
         """Raise where the coefficient is that of the bad case."""
         if (np.asarray(self._line(at)[0] / at.power) > 5e-7).any() and np.max(at.time) > 2.0:

@@ -1,6 +1,6 @@
 """Wear laws: values, derivatives by Taylor remainders, implicit steps with memory and averages."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -69,6 +69,19 @@ LAWS = {
     "non-local": NonLocalLaw(1e-7, 40.0, length=0.8),
     "user": UserLaw("law.py", USER, (("k", 1e-7),)),
 }
+
+
+def test_steady_laws_know_neither_time_nor_wear():
+    """What steps do not compute again; a law derived from one may know them."""
+    here, later = (
+        replace(sliding(POWER, time=time), wear=np.full(5, time * 1e-3), slid=np.full(5, time))
+        for time in (0.5, 7.0)
+    )
+    steady = {name for name, law in LAWS.items() if law.is_steady}
+    assert steady == {"threshold", "threshold, profile", "archard", "power", "table", "non-local"}
+    for name in steady:
+        assert np.array_equal(LAWS[name].rate(P, here), LAWS[name].rate(P, later)), name
+    assert not type("Fading", (ArchardLaw,), {})(1e-8).is_steady
 
 
 def test_threshold_law_is_equation_4():

@@ -23,8 +23,8 @@ _REACH = 2.0
 _MOST = 0.25
 #: least of what a stage counts more: wear never falls
 _LEAST = -0.9
-#: measured shares of the pressure at stake that elements are off by after they have entered, in a
-#: step of their own and in the stages of all others
+#: error of pressure of an element after it has entered, measured, as a part of
+#: p * elastic * most / size (see ``entry_error``): in a closing step, and in an ordinary stage
 _ENTRY_ERROR, _STAGE_ERROR = 0.33, 0.67
 
 
@@ -89,9 +89,10 @@ def find_closing_elements(
 ) -> ClosingElements | None:
     """Return the elements that wear may bring into contact; None where there are none.
 
-    Where an element that wears yields more elastically than it wears, its gap is not closed by
-    wear; many elements that enter at once change all pressures; and non-local laws wear them before
-    they touch. In these cases stages do as for all others, and ``entry_error`` judges.
+    Elements whose elastic displacement is more than their wear in the step are left out:
+    deflection, not wear, closes their gaps. So are many elements that enter at once, which change
+    all pressures, and those that non-local laws wear before they touch. Stages do with these as
+    with all others, and ``entry_error`` judges.
     """
     p, gap = state.contact.pressure, state.contact.gap
     if not physics.inputs.wears_locally or p.min() > 0.0:

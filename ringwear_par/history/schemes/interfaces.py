@@ -98,8 +98,8 @@ def next_to_cross(physics: Physics, state: State) -> str:
 class Passage:
     """How elements come to the ends of their layers in a step, (2, B, n) of lower and upper."""
 
-    #: of the layers that elements are in, and of the next ones of those that get there, and of all
-    #: others that have one
+    #: with the laws of the layers that elements are in, and with those of the layers below, where
+    #: there are any
     physics: Physics
     following: Physics
     #: int, that elements are in

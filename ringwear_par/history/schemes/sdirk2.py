@@ -3,13 +3,13 @@
 Both stages are implicit in the same way (L-stable, stiffly accurate, all coefficients positive, so
 that wear never falls and the last stage is the contact with the worn profile). The error of a step
 is the difference to the integral of the quadratic through the rates at the start and the two
-stages, and what that integral is off itself: the stages are of first order, of which the quadratic
-knows nothing. Its stiff part, which the formula damps but the estimate does not, is filtered by
-(I + gamma h W C^-1)^-1, with what the last stage knows (Hosea and Shampine, Appl. Numer. Math. 20
-(1996) 21-37); the pressure that the filter takes away is the error of the pressure. The error of
-the history is what the step makes of the one before it, as of any small change of depth, and its
-own. Elements that wear brings into contact within a step are dealt with apart, see
-``closing_elements``.
+stages, with an estimate of the error of that integral itself: values of stages are of first order,
+which the quadratic does not see. Its stiff part, which the formula damps but the estimate does not,
+is filtered by (I + gamma h W C^-1)^-1, with what the last stage knows (Hosea and Shampine, Appl.
+Numer. Math. 20 (1996) 21-37); the pressure that the filter takes away is the error of the pressure.
+The error of a history is its error at the start of the step, propagated to its end as any small
+change of depth is, and that of the step. Elements that wear brings into contact within a step are
+dealt with apart, see ``closing_elements``.
 """
 
 import math
@@ -41,8 +41,8 @@ _DEFECT = np.array([_AT_START, _AT_STAGE, 1.0 - _AT_START - _AT_STAGE]) - _WEIGH
 _LACKING = 1.0 / 6.0 - (
     _AT_STAGE * GAMMA**2 + (1.0 - _AT_START - _AT_STAGE) * ((1.0 - GAMMA) * GAMMA + GAMMA)
 )
-#: what the first stage wears off counts (1 - gamma) h, the stage itself was gamma h long
-_SHARE = (1.0 - GAMMA) / GAMMA
+#: the first stage is solved over gamma h, and its wear enters with the weight (1 - gamma) h
+_FIRST_STAGE_FACTOR = (1.0 - GAMMA) / GAMMA
 
 
 def step(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
@@ -65,9 +65,9 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     )
     worn_first = first.depth_if_always_in_contact(stage.pressure)
     weights = 1.0 if closing is None else closing.stage_weights(stage.pressure, 0.0)
-    carried = state.wear + (_SHARE * weights) * worn_first
+    carried = state.wear + (_FIRST_STAGE_FACTOR * weights) * worn_first
     if step_tangent is not None:
-        step_tangent.first_stage(stage.pressure, weights, _SHARE)
+        step_tangent.first_stage(stage.pressure, weights, _FIRST_STAGE_FACTOR)
     last, contact, weights_last = _last_stage(
         physics, contacts, closing, end, sliding[2], carried, length, stage.pressure, step_tangent
     )
@@ -120,7 +120,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
     feedback = _Feedback(
         last, last.slope(contact.pressure), last.memory(contact.pressure, worn_last)
     )
-    # the wear that the defect undoes by the pressure that it takes away
+    # the filter: the pressure that a depth too many takes away, times d depth / d p
     respond = contacts.engine.derivatives.response
     growth = errors
     if not isinstance(feedback.memory, float):
@@ -158,7 +158,7 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
 
 @dataclass(frozen=True)
 class _Feedback:
-    """Wear of a stage for a depth change: (I - gamma h J)^-1 - I, J = d rate / d depth."""
+    """Wear of a stage for a depth d at its start, ((I - gamma h J)^-1 - I) d; J: d rate/d depth."""
 
     #: the increment of the last stage
     last: WearIncrement
@@ -187,7 +187,7 @@ def _closing(p: FloatArray, losses: FloatArray) -> BoolArray:
 
 
 def _weighted(weights: FloatArray | float, values: FloatArray) -> FloatArray:
-    """Return values that count so many times; a number is 1."""
+    """Return weights times values; a number stands for 1, where no elements close."""
     return values if isinstance(weights, float) else weights * values
 
 
@@ -225,7 +225,7 @@ def _last_stage(
             physics.contact_inputs(end, carried, last), pressure_guess, tangents=step_tangent
         )
         return last, contact, 1.0
-    weights = np.where(closing.mask, 1.0 + _SHARE, 1.0)
+    weights = np.where(closing.mask, 1.0 + _FIRST_STAGE_FACTOR, 1.0)
     last = physics.increment(end, sliding, carried, step, closing.closing(step, weights))
     contact = contacts.solve(
         physics.contact_inputs(end, carried, last), pressure_guess, tangents=step_tangent

@@ -40,8 +40,8 @@ class Step:
     #: (B,), estimated error of the pressure at the end, of the worst element, over the mean
     #: pressure (force over the area in contact); 0 from a scheme that does not know it
     pressure_error: Any = 0.0
-    #: (B,), mm, what is left at the end of the step of the error of the history before it; 0 from a
-    #: scheme that does not carry it
+    #: (B,), mm, the error of the history at the start of the step, propagated to its end; 0 from a
+    #: scheme that does not propagate it
     carried_error: Any = 0.0
     #: (B,), whether elements came into contact within the step, which errors of wear do not know of
     closing: Any = False

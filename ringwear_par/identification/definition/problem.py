@@ -22,11 +22,34 @@ Quantity = Literal[
     "penetration", "approach", "torque", "profile.lower", "profile.upper", "mass.lower",
     "mass.upper", "volume.lower", "volume.upper", "through.lower", "through.upper",
 ]  # fmt: skip
-#: what readings are in here; forces of a compliance are in kN
+
+
+class ReadingKind(NamedTuple):
+    """What readings of a kind are, whose quantity is its name or begins with it and a point."""
+
+    #: that they are in here
+    unit: str
+    #: that they may have
+    nuisances: tuple[str, ...]
+    #: whether they are of what is worn off: of the body that the quantity names, or of both
+    of_wear: bool = True
+
+
+_OF_RIGS = ("offset", "drift", "compliance", "thermal")
+#: each is read of histories in ``model/readings.py``
+READING_KINDS = {
+    "penetration": ReadingKind("mm", _OF_RIGS),
+    "approach": ReadingKind("mm", _OF_RIGS),
+    "torque": ReadingKind("N mm", ("offset", "drift"), of_wear=False),
+    "profile": ReadingKind("mm", ("level", "tilt")),
+    "mass": ReadingKind("g", ("offset",)),
+    "volume": ReadingKind("mm^3", ("offset",)),
+    "through": ReadingKind("s", ()),
+}
+#: what readings and numbers of tests are in here; forces of a compliance are in kN
 BASE = {
-    "time": "s", "r": "mm", "penetration": "mm", "approach": "mm", "torque": "N mm",
-    "profile": "mm", "mass": "g", "volume": "mm^3", "density": "g/mm^3", "through": "s",
-    "force": "N", "pressure": "MPa", "omega": "rad/s",
+    "time": "s", "r": "mm", "density": "g/mm^3", "force": "N", "pressure": "MPa", "omega": "rad/s",
+    **{name: kind.unit for name, kind in READING_KINDS.items()},
 }  # fmt: skip
 Method = Literal["brgn", "lm"]
 Loss = Literal["gaussian", "student"]
@@ -212,9 +235,14 @@ class Series:
         return len(self.x)
 
     @property
+    def kind(self) -> str:
+        """A name in ``READING_KINDS``."""
+        return self.quantity.partition(".")[0]
+
+    @property
     def profile(self) -> bool:
         """Whether it is read along the radius."""
-        return self.quantity.startswith("profile")
+        return self.kind == "profile"
 
     @property
     def body(self) -> Literal["lower", "upper"]:
@@ -223,8 +251,8 @@ class Series:
 
     def tells_wear(self, body: str) -> bool:
         """Tell whether it is of what is worn off a body."""
-        of_both = self.quantity in ("penetration", "approach")
-        return of_both or (self.quantity != "torque" and self.body == body)
+        of_both = "." not in self.quantity
+        return READING_KINDS[self.kind].of_wear and (of_both or self.body == body)
 
 
 @dataclass(frozen=True, eq=False)

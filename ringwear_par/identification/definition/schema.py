@@ -24,6 +24,7 @@ from ringwear_par.cases.values import (
 )
 from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.problem import (
+    READING_KINDS,
     Criterion,
     DesignSpace,
     Loss,
@@ -34,16 +35,6 @@ from ringwear_par.identification.definition.problem import (
 )
 
 QUANTITIES = get_args(Quantity)
-#: nuisances that a quantity may have
-NUISANCES = {
-    "penetration": ("offset", "drift", "compliance", "thermal"),
-    "approach": ("offset", "drift", "compliance", "thermal"),
-    "torque": ("offset", "drift"),
-    "profile": ("level", "tilt"),
-    "mass": ("offset",),
-    "volume": ("offset",),
-    "through": (),
-}
 #: case keys that a rig measures in time, and fewest readings of them
 INPUT_KEYS, FEWEST_READINGS = (
     ("contact.friction", "load.force", "load.pressure", "load.omega"), 10,
@@ -167,7 +158,7 @@ _VARIED = {
 
 
 def _quantities_with(kind: str) -> str:
-    return ", ".join(quantity for quantity, kinds in NUISANCES.items() if kind in kinds)
+    return ", ".join(name for name, of in READING_KINDS.items() if kind in of.nuisances)
 
 
 def _range_of(name: str) -> Values:

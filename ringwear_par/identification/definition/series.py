@@ -19,6 +19,7 @@ from ringwear_par.identification.definition.data_sources import (
 )
 from ringwear_par.identification.definition.problem import (
     GROWTH_TIME,
+    READING_KINDS,
     Nuisance,
     Quantity,
     Series,
@@ -28,7 +29,6 @@ from ringwear_par.identification.definition.schema import (
     DATA,
     DENSITIES,
     NUISANCE,
-    NUISANCES,
     THERMAL,
     THERMAL_TIME,
 )
@@ -126,7 +126,7 @@ def read_series(
             check_profile(reader, series, case)
         else:
             check_times(reader, series.x, _lines(series), case.time.end)
-        if series.quantity != "torque":
+        if READING_KINDS[series.kind].unit == "mm":
             _check_depths(reader, series, case)
     if series.n <= len(free):
         reader.fault(
@@ -144,13 +144,14 @@ def rounded_end(x: FloatArray, end: float) -> FloatArray:
 
 def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisance, ...]:
     table = reader.raw("nuisance", {})
+    known = READING_KINDS[kind].nuisances
     if not isinstance(table, Mapping):
-        reader.wrong("nuisance", f"must be a table of {', '.join(NUISANCES[kind])}")
+        reader.wrong("nuisance", f"must be a table of {', '.join(known)}")
         return ()
     nuisances = []
     for name, entry in table.items():
-        if name not in NUISANCES[kind]:
-            reader.fault(f"nuisance.{legible(name)}: must be one of {', '.join(NUISANCES[kind])}")
+        if name not in known:
+            reader.fault(f"nuisance.{legible(name)}: must be one of {', '.join(known)}")
             continue
         place = f"{reader.place}: nuisance.{name}"
         if name == "thermal":
@@ -287,8 +288,6 @@ def check_profile(reader: TableReader, series: Series, case: Case) -> None:
 
 def _check_depths(reader: TableReader, series: Series, case: Case) -> None:
     """Refuse depths that no body has."""
-    if series.quantity.startswith(("mass", "volume", "through")):
-        return
     highest = min(ring.z[1] - ring.z[0] for ring in case.rings)
     i = int(np.argmax(np.abs(series.value)))
     if abs(series.value[i]) > highest:

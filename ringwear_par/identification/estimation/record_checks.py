@@ -8,7 +8,13 @@ from scipy.stats import f as f_distribution
 from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.errors import InputError, ValidityWarning, legible
 from ringwear_par.files.smoothing import MOST_POINTS
-from ringwear_par.identification.definition.problem import GROWTH_TIME, Experiment, Nuisance, Series
+from ringwear_par.identification.definition.problem import (
+    GROWTH_TIME,
+    READING_KINDS,
+    Experiment,
+    Nuisance,
+    Series,
+)
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.estimation.starts import case_points
 from ringwear_par.identification.model.histories import HistoryError
@@ -54,7 +60,7 @@ def _oppositions(misfit: Misfit, model: FloatArray) -> Iterator[ValidityWarning]
     """Yield warnings about records that fall where the model's, without nuisances, rise."""
     for experiment, series, rows in misfit.records:
         record = _Record(experiment, series, misfit.sd[rows], model[rows])
-        if series.quantity == "torque" or series.profile or not record.opposes():
+        if not READING_KINDS[series.kind].of_wear or series.profile or not record.opposes():
             continue
         kinds = " and ".join(n.kind for n in series.nuisances if n.kind != GROWTH_TIME)
         beside = f"apart from {kinds}, " if kinds else ""
@@ -226,7 +232,7 @@ def refuse_reversed(misfit: Misfit, start: FloatArray) -> None:
     faults = []
     for experiment, series, part in misfit.records:
         record = _Record(experiment, series, misfit.sd[part], model[part])
-        if series.quantity == "torque" or record.follows:
+        if not READING_KINDS[series.kind].of_wear or record.follows:
             continue
         if record.opposes() and record.opposes(harmless=True):
             faults.append(

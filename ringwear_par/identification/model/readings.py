@@ -5,7 +5,7 @@ no contact solution. Where a schedule bends, one spline ends and another begins.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,6 +56,20 @@ class Trajectory:
     mass: FloatArray
     #: (2, q) s, at which the first layers of lower and upper are worn through; NaN without layers
     through: FloatArray
+
+
+def _mass(trajectory: Trajectory, body: int, density: float | None) -> FloatArray:
+    return trajectory.mass[body] if density is None else density * trajectory.volume[body]
+
+
+#: what instruments read at the ends of steps, (s, q), by the kind of their readings
+AT_STEPS: dict[str, Callable[[Trajectory, int, float | None], FloatArray]] = {
+    "penetration": lambda trajectory, *_: trajectory.approach - trajectory.approach[0],
+    "approach": lambda trajectory, *_: trajectory.approach,
+    "torque": lambda trajectory, *_: trajectory.torque,
+    "mass": _mass,
+    "volume": lambda trajectory, body, _: trajectory.volume[body],
+}
 
 
 class TimeInterpolation:
@@ -136,22 +150,12 @@ class Reader:
     def _of(
         self, series: Series, trajectory: Trajectory, in_steps: TimeInterpolation
     ) -> FloatArray:
-        body = ("lower", "upper").index(series.body)
+        body = BODIES.index(series.body)
         if series.profile:
             return self._radial[series.name] @ in_steps(trajectory.wear[body])[0]
-        if series.quantity.startswith("through"):
+        if series.kind == "through":
             return trajectory.through[[body]]
-        if series.quantity in ("penetration", "approach"):
-            values = trajectory.approach
-            if series.quantity == "penetration":
-                values = values - values[0]
-        elif series.quantity == "torque":
-            values = trajectory.torque
-        elif series.density is None:
-            values = trajectory.mass[body]
-        else:
-            values = series.density * trajectory.volume[body]
-        return in_steps(values)
+        return in_steps(AT_STEPS[series.kind](trajectory, body, series.density))
 
 
 def _radial(series: Series, case: Case) -> FloatArray:

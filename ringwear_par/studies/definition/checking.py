@@ -19,9 +19,9 @@ from ringwear_par.cases.numbers import needs_reading
 from ringwear_par.errors import InputError
 from ringwear_par.history.elastic.bodies import operator_key, young
 from ringwear_par.history.refusals.cases import check_memory, check_mesh
-from ringwear_par.studies.definition.case_columns import by_kind
 from ringwear_par.studies.definition.designs import Draft
 from ringwear_par.studies.definition.identities import identities_of
+from ringwear_par.studies.definition.varied_columns import by_kind
 
 #: bad cases that are looked at; those of them whose own sentences are listed
 LOOKED_AT, _LISTED = 200, 5

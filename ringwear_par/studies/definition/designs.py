@@ -23,7 +23,6 @@ from ringwear_par.files.text import (
     read_text,
     shortened,
 )
-from ringwear_par.studies.definition.case_columns import CaseColumns
 from ringwear_par.studies.definition.samples import MOST_AXES, latin_hypercube, sobol
 from ringwear_par.studies.definition.schema import DESIGN, MOST_CASES
 from ringwear_par.studies.definition.variations import (
@@ -36,6 +35,7 @@ from ringwear_par.studies.definition.variations import (
     split_key,
     whole_name,
 )
+from ringwear_par.studies.definition.varied_columns import CaseColumns
 
 SAMPLED = ("sobol", "latin-hypercube", "random")
 #: faults of a table that are named one by one

@@ -19,7 +19,7 @@ from ringwear_par.cases.layers import LAYERS, entries_of
 from ringwear_par.cases.numbers import Number
 from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.files.text import read_text
-from ringwear_par.studies.definition.case_columns import CaseColumns, by_kind
+from ringwear_par.studies.definition.varied_columns import CaseColumns, by_kind
 
 #: cases whose ids are made at once
 _WINDOW = 2**14

@@ -16,7 +16,6 @@ from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.numbers import with_numbers
 from ringwear_par.elasticity.bem.boundary import count_elements
 from ringwear_par.files.text import toml_value
-from ringwear_par.studies.definition.case_columns import CaseColumns, Frame, Groups, by_kind
 from ringwear_par.studies.definition.checking import (
     CheckedCases,
     add_larger,
@@ -24,6 +23,7 @@ from ringwear_par.studies.definition.checking import (
     refuse_bad_cases,
 )
 from ringwear_par.studies.definition.designs import Draft, read_draft
+from ringwear_par.studies.definition.varied_columns import CaseColumns, Frame, Groups, by_kind
 
 if TYPE_CHECKING:
     from mpi4py import MPI

@@ -132,7 +132,7 @@ def computed(
             )  # fmt: skip
             outcome = simulate(
                 block, MPI.COMM_SELF, pair=[pairs[n] for n in part],
-                observers=[recorder, lambda _: stop()], most=most, derivatives=derivatives,
+                observers=[recorder, lambda _: stop()], most_together=most, derivatives=derivatives,
                 step_times=None if step_times is None else [step_times[n] for n in part],
                 paces=None if paces is None else [paces[n] for n in part],
             )  # fmt: skip

@@ -16,8 +16,8 @@ from ringwear_par.cases.case import Case
 from ringwear_par.errors import InputError
 from ringwear_par.files.folders import refuse_others
 from ringwear_par.history.refusals.cases import memory_needed
-from ringwear_par.studies.definition.case_columns import Groups
 from ringwear_par.studies.definition.study import Study
+from ringwear_par.studies.definition.varied_columns import Groups
 from ringwear_par.studies.storage.blocks import DONE, FAILED
 from ringwear_par.studies.storage.case_index import EMPTY, CaseIndex
 from ringwear_par.studies.storage.folder import SweepFolder, locked

@@ -36,6 +36,7 @@ class NonLocalLaw(ThresholdLaw):
 
     name = "non-local"
     formula = "<k mu max(0, <p> - p0) V> (<> averages over length)"
+    steady = True
 
     length: Annotated[
         float,
