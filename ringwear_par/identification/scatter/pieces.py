@@ -34,6 +34,8 @@ _WIDTH, _APART = 0.45, 0.675
 _PROBABLE = -7.0
 #: most keys along which pieces lie: of three more pieces are needed than there may be
 _MOST_SHARED = 2
+#: weight of pieces of which tests move more, up to which the others are as good
+_UNSETTLED = 0.01
 #: most pieces; most rounds until tests stay, and sd that they may still move
 _MOST, _ROUNDS, _STILL = 80, 5, 0.05
 
@@ -55,8 +57,8 @@ class _Place:
 def posterior_in_pieces(misfit: Misfit, material: Material) -> tuple[Piece, ...]:
     """Return the pieces of a material's posterior. Not collective.
 
-    ``()`` where all keys scatter, wear is random, there would be too many of them, or the
-    linearisation of tests about one that is probable does not settle.
+    ``()`` where all keys scatter, wear is random, there would be too many of them, or tests do not
+    settle of pieces that weigh.
     """
     pieces = _Pieces(misfit, material)
     if not 0 < len(pieces.shared) <= _MOST_SHARED or material.wear.shares or not material.converged:
@@ -70,12 +72,10 @@ def posterior_in_pieces(misfit: Misfit, material: Material) -> tuple[Piece, ...]
         if not computed:
             return ()
         least = max(place.log_mass for place in computed.values()) + _PROBABLE
-        probable = {number: p for number, p in computed.items() if p.log_mass > least}
-        if any(place.moved > _STILL for place in probable.values()):
-            return ()
         neighbours = {
             (*number[:axis], number[axis] + step, *number[axis + 1 :])
-            for number in probable
+            for number, place in computed.items()
+            if place.log_mass > least
             for axis in range(len(number))
             for step in (-1, 1)
         }
@@ -84,9 +84,12 @@ def posterior_in_pieces(misfit: Misfit, material: Material) -> tuple[Piece, ...]
         return ()
     logs = np.array([place.log_mass for place in computed.values()])
     weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    if weights[[place.moved > _STILL for place in computed.values()]].sum() > _UNSETTLED:
+        return ()
     return tuple(
         Piece(place.posterior, weight)
-        for place, weight in zip(computed.values(), (weights / weights.sum()).tolist(), strict=True)
+        for place, weight in zip(computed.values(), weights.tolist(), strict=True)
     )
 
 

@@ -52,6 +52,6 @@ def test_there_are_none_along_three_keys(pieces):
     assert pieces(shared=3) == ()
 
 
-def test_there_are_none_where_a_probable_one_does_not_settle(pieces):
+def test_there_are_none_where_one_that_weighs_does_not_settle(pieces):
     assert pieces(unsettled=[2]) == ()
     assert len(pieces(possible=range(-9, 10), unsettled=[4])) == 9  # nobody notices
