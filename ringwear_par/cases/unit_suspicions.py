@@ -55,7 +55,7 @@ def deep_forecasts(cases: Sequence[Case]) -> list[list[Forecast]]:
         return [[] for _ in cases]
     try:
         return _forecast(cases)
-    except Exception:  # a law that does not serve many at once, as those of histories are tried
+    except (TypeError, ValueError):  # of NumPy, for a law that takes one history only
         if len(cases) == 1:
             raise
         return [_forecast([case])[0] for case in cases]
@@ -152,12 +152,12 @@ def _rates(
     kind = type(laws[0])
     if kind not in LAWS.values() or kind is UserLaw:
         return np.zeros(len(cases))
-    law = stack_laws([_steady(case, law) for case, law in zip(cases, laws, strict=True)])
+    law = stack_laws([_with_means(case, law) for case, law in zip(cases, laws, strict=True)])
     assert law is not None
     return np.broadcast_to(law.rate(pressure, local), pressure.shape)[:, 0]
 
 
-def _steady(case: Case, law: Law) -> Law:
+def _with_means(case: Case, law: Law) -> Law:
     """Return a law with the means of those parameters that are tables."""
     for name, quantity in vars(law).items():
         if isinstance(quantity, Table):

@@ -112,7 +112,7 @@ class Drawing:
                 for of, other in self.references.items()
                 for curve in run_panels.history([other], [""], name, end).curves
             ]
-        except InputError as error:  # p V without friction
+        except InputError as error:  # no layers
             unit, _ = time_unit(end)
             label = HISTORY_PANELS[name].label
             reason = str(error).rpartition(": ")[2]

@@ -177,10 +177,11 @@ class Page:
         wanted, started = self._wanted, time.perf_counter()
         self._computing, self._progress_time = wanted, started
         outcome: Explored | tuple[str, ...] | None
-        references = self._references
+        outcome, references = None, self._references
         try:
-            references = self._compared(wanted)
-            outcome = self._history(wanted["values"])
+            compared = self._compared(wanted)
+            if compared is not None:
+                references, outcome = compared, self._history(wanted["values"])
         except InputError as error:
             outcome = error.faults
         except RingwearError as error:
@@ -201,8 +202,11 @@ class Page:
 
     def _compared(
         self, wanted: dict[str, Any]
-    ) -> dict[str, tuple[dict[str, str], Explored | None]]:
-        """Return the histories that a wish is compared with. In the main thread."""
+    ) -> dict[str, tuple[dict[str, str], Explored | None]] | None:
+        """Return the histories that a wish is compared with, None if one was stopped.
+
+        In the main thread.
+        """
         numbers = {CASE_FILE: {}, PINNED: wanted["pinned"]}
         references = {}
         for name, values in numbers.items():
@@ -211,9 +215,12 @@ class Page:
             old = self._references.get(name)
             if old is None or old[0] != values:
                 try:
-                    old = values, self._history(values)
+                    explored = self._history(values)
+                    if explored is None:
+                        return None
                 except RingwearError:  # there is nothing to compare with
-                    old = values, None
+                    explored = None
+                old = values, explored
             references[name] = old
         return references
 

@@ -19,7 +19,11 @@ from ringwear_par.results.key_numbers import (
     stages,
     time_unit,
 )
-from ringwear_par.results.laboratory_numbers import schedule_of
+from ringwear_par.results.laboratory_numbers import (
+    course_of,
+    laboratory_numbers,
+    schedule_of,
+)
 from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import layer_ends_near_wear
 from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, edge_elements
@@ -66,23 +70,6 @@ def _rates(result: Result) -> dict[str, FloatArray]:
     return {body: 1e3 * np.diff(v) / area / hours for body, v in _volumes(result).items()}
 
 
-def _p_v(result: Result) -> dict[str, FloatArray]:
-    """Return pressure times speed, meaned over the nominal area and between states, MPa m/s."""
-    friction, reason = result.attributes.get("friction"), "is 0"
-    if friction is None:
-        reason = "was stored without it"
-    elif "friction_table" in result.attributes:  # energy between states does not tell the work
-        friction, reason = 0.0, "is a table"
-    if not friction:
-        raise InputError(
-            f"{result.name}: pv needs the friction coefficient, which {reason}; "
-            "must be one number > 0"
-        )
-    seconds = np.diff(result.histories["time"])
-    power = np.diff(result.histories["dissipated_energy"]) / seconds
-    return {"": 1e-3 * power / friction / nominal_area(result)}
-
-
 def _friction(result: Result) -> dict[str, FloatArray]:
     """Return the friction coefficient at stored states."""
     return {"": in_time(schedule_of(result.attributes, "friction"), result.histories["time"])}
@@ -111,7 +98,10 @@ HISTORY_PANELS = {
     "volume": HistoryPanel("worn volume (mm\N{SUPERSCRIPT THREE})", _volumes),
     "rate": HistoryPanel("wear rate, mean depth (\N{MICRO SIGN}m/h)", _rates),
     "through": HistoryPanel("worn through (% of area)", _through, whole=100.0),
-    "pv": HistoryPanel("pressure \N{MULTIPLICATION SIGN} speed, mean (MPa m/s)", _p_v),
+    "pv": HistoryPanel(
+        "p V at the mean radius (MPa m/s)",
+        lambda result: {"": laboratory_numbers(course_of(result))["pressure_velocity"]},
+    ),
 }
 
 
@@ -156,7 +146,7 @@ def histories(result: Result) -> dict[str, Panel]:
     for name in HISTORY_PANELS:
         try:
             panels[name] = history([result], [""], name)
-        except InputError:  # p V without friction
+        except InputError:  # no layers
             continue
     return panels
 

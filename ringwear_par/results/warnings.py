@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -108,7 +109,10 @@ class Warnings:
 
     def _calm(self) -> BoolArray:
         """Return which histories need not be looked at one by one: the worst of many is well."""
-        calm, case = np.zeros(len(self._cases), dtype=bool), self._cases[0]
+        calm = np.zeros(len(self._cases), dtype=bool)
+        # the load of one would excuse what others are to be warned of
+        first = self._cases[0]
+        case = replace(first, load=replace(first.load, force=0.0, displacement=None))
         alike = np.array([other.rings == case.rings for other in self._cases])
         for numbers in np.array_split(np.flatnonzero(alike), -(-len(calm) // _TOGETHER)):
             if len(numbers) > 1:

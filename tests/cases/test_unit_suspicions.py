@@ -5,8 +5,9 @@ from mpi4py import MPI
 from paths import CASES, PAPER
 
 import ringwear_par as rw
-from ringwear_par.cases.unit_suspicions import unit_suspicions
+from ringwear_par.cases.unit_suspicions import deep_forecasts, unit_suspicions
 from ringwear_par.history.loop import simulate_one
+from ringwear_par.wear.laws.archard import ArchardLaw
 
 LAYERED = CASES / "wear_through.toml"
 
@@ -207,3 +208,14 @@ def test_what_a_study_varies_is_not_doubted(tmp_path):
     updated = {"mesh.geometry": "updated"}  # one by one
     assert flags("alone", thin, **updated) == [False, False]
     assert flags("alone_set", load, **{key: 5e-5}, **updated) == [True, True]
+
+
+def test_laws_that_take_one_history_only_are_forecast_one_by_one(monkeypatch):
+    cases = [rw.read_case(PAPER, washer(k, 1.0)) for k in (1e-6, 2e-6)]
+    expected, rate = deep_forecasts(cases), ArchardLaw.rate
+    assert all(expected)
+    monkeypatch.setattr(ArchardLaw, "rate", lambda law, p, local: rate(law, p.item(), local))
+    assert deep_forecasts(cases) == expected
+    monkeypatch.setattr(ArchardLaw, "rate", lambda law, p, local: p / local.missing)
+    with pytest.raises(AttributeError, match="missing"):  # a fault of ours is not hidden
+        deep_forecasts(cases)

@@ -221,6 +221,24 @@ def test_a_pinned_variant_stands_beside_the_present_one(comm):
     assert "Wear history of a test" in report
 
 
+def test_what_is_compared_is_computed_though_a_slider_has_come_back(comm):
+    visited = Visited(comm)
+    visited.work()
+    stops, wish = visited.page._stops, ({"load.omega": "9"}, {"load.omega": "6"})
+
+    def away(share):
+        visited.page._stops = stops
+        visited.ask(2, **{"load.omega": "8"})
+        stopped = stops(share)
+        visited.wish(3, *wish)
+        return stopped
+
+    visited.page._stops = away
+    visited.wish(1, *wish)
+    told = visited.work()
+    assert (told["n"], told["compared"]) == (3, ["case file", "pinned"])
+
+
 def test_a_history_is_stopped_by_its_visitor(comm):
     visited = Visited(comm)
     visited.work()

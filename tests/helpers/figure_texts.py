@@ -1,8 +1,9 @@
-"""The texts of a figure as they are drawn: which cover each other, and which are keys of files."""
+"""The texts and legends of a figure as drawn: which cover each other, which are keys of files."""
 
 import itertools
 import re
 
+from matplotlib.legend import Legend
 from matplotlib.text import Text
 
 #: pixels by which boxes of texts may reach into each other, as they are larger than the letters
@@ -29,15 +30,17 @@ def drawn_texts(figure):
 
 
 def check_texts(figure):
-    """Check that no text covers another, leaves the figure, or is a key of a case."""
+    """Check that texts and legends cover no others and stay within, and that no text is a key."""
     texts = drawn_texts(figure)
+    frames = [("legend", legend.get_window_extent()) for legend in figure.findobj(Legend)]
     covered = [
         (first, second)
-        for (first, a), (second, b) in itertools.combinations(texts, 2)
+        for boxes in (texts, frames)
+        for (first, a), (second, b) in itertools.combinations(boxes, 2)
         if min(a.x1, b.x1) - max(a.x0, b.x0) > _CLOSE and min(a.y1, b.y1) - max(a.y0, b.y0) > _CLOSE
     ]
     assert covered == []
     whole = figure.bbox.padded(_CLOSE)
-    ends = [(text, (a.x0, a.y0), (a.x1, a.y1)) for text, a in texts]
+    ends = [(text, (a.x0, a.y0), (a.x1, a.y1)) for text, a in texts + frames]
     assert [t for t, *corners in ends if not all(whole.contains(*end) for end in corners)] == []
     assert [text for text, _ in texts if _KEY.search(text)] == []

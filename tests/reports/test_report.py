@@ -399,8 +399,8 @@ def test_a_run_with_little_stored_has_a_page(tmp_path):
     told = rw.report(result, tmp_path / "page.html")
     page = Read((tmp_path / "page.html").read_text())
     assert "No profiles are stored" in page.text
-    assert HISTORY_PANELS.keys() - page.charts.keys() == {"pv", "through"}  # no friction, no layers
-    assert told.endswith(f"{len(HISTORY_PANELS) - 1} figures")
+    assert HISTORY_PANELS.keys() - page.charts.keys() == {"through"}  # no layers
+    assert told.endswith(f"{len(HISTORY_PANELS)} figures")
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """Drawing cases: each exactly once, whoever draws."""
 
+import math
+
 import pytest
 
 from ringwear_par.studies.execution import case_queue
@@ -97,29 +99,44 @@ def test_teams_take_groups_before_they_share_one():
     assert board.draw(2) == Stretch(1, 1, 1)  # the most are left there
 
 
-def draws(board, seconds):
-    """Draw everything, two teams in turns; return how much at once, after the first."""
-    drawn = []
+def draws(size, estimate, seconds, **kinds):
+    """Draw all cases of a group, two teams in turns, and return how many at once.
+
+    By what one took of late, they take 0.5 s, or up to 2 s where they are at most twice as many as
+    before. In a round, a team has at most three quarters of its share of what is left, but not
+    less than 0.1 s takes.
+    """
+    board, drawn, left, late = CaseQueue([size], 2, [estimate], **kinds), [], [size], [estimate]
     while (cases := board.draw(len(drawn) % 2)) is not None:
-        drawn.append(cases.number)
-        board.count(0, cases.number, 0, seconds(cases.number))
-    assert sum(drawn) == board.done
-    return drawn[1:]
+        count, began = cases.number, len(drawn) - len(drawn) % 2  # of the round
+        assert cases == Stretch(0, sum(drawn), count)
+        share, least = math.ceil(left[began] / 2), int(case_queue._LEAST_SECONDS / late[began])
+        assert count <= max(0.75 * share, min(share, least), 1)
+        if drawn:
+            longest, busy = case_queue._LONGEST_SECONDS, case_queue._BUSY_SECONDS
+            assert count <= max(busy / late[-1], min(2 * drawn[-1], longest / late[-1]), 1)
+            assert count >= min(share, least, left[-1])
+        assert seconds(count) <= case_queue._LONGEST_SECONDS
+        drawn.append(count)
+        left.append(left[-1] - count)
+        late.append(seconds(count) / count)
+        board.count(0, count, 0, seconds(count))
+    assert (left[-1], board.done) == (0, size)
+    return drawn
 
 
 def test_what_is_drawn_at_once_keeps_a_team_busy_and_shrinks_towards_the_end():
-    drawn = draws(CaseQueue([1001], 2, [1.0]), lambda count: 0.01 * count)
+    first, *drawn = draws(1001, 1.0, lambda count: 0.01 * count)
+    assert first == 1  # nothing is known of its time
     assert drawn[0] == round(case_queue._BUSY_SECONDS / 0.01)
     assert max(drawn) == round(case_queue._LONGEST_SECONDS / 0.01)
     shrinking = drawn[drawn.index(max(drawn)) :]
     assert shrinking == sorted(shrinking, reverse=True)
-    assert min(drawn[:-2]) >= case_queue._LEAST_SECONDS / 0.01
 
 
 def test_cases_that_go_side_by_side_are_drawn_as_many_as_that_takes():
-    """Where many start in the time of one, each team draws few times."""
-    drawn = draws(
-        CaseQueue([4096], 2, [1e-2], side_by_side=True), lambda count: 0.05 + 4e-4 * count
-    )
-    assert len(drawn) <= 9
-    assert min(drawn[:-2]) >= 128
+    """Where many start in the time of one, each team draws few times; or one takes long."""
+    assert len(draws(4096, 1e-2, lambda n: 0.05 + 4e-4 * n, side_by_side=True)) <= 10
+    drawn = draws(10_000, 1.0, lambda count: 0.6 + 0.005 * count)
+    assert drawn[:4] == [1, 2, 4, 8]
+    assert max(drawn) > 256

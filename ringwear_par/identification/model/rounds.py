@@ -7,16 +7,18 @@ histories are wanted runs on the first rank alone, so that ranks cannot part way
 it until it is done. Responses keep the readings of a search as long as it may ask for them.
 """
 
+import pickle
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from functools import partial
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.errors import ComputationError
+from ringwear_par.errors import ComputationError, RingwearError
 from ringwear_par.identification.definition.problem import Experiment, Problem
 from ringwear_par.identification.model.histories import (
     ROUGH_STEPS,
@@ -138,13 +140,13 @@ class Rounds(Histories):
         Raises StoppedError by a signal, and what the job or the histories of any rank raise.
         """
         comm = self._comm
-        result = None
+        content = b""
         with together(comm):
             if comm.rank == 0:
                 self._leads = True
                 try:
                     with closing(FitProgress()) as self._progress:
-                        result = job()
+                        content = pickle.dumps(job(), pickle.HIGHEST_PROTOCOL)
                 finally:
                     self._leads, self._progress = False, None
                     comm.bcast(None)
@@ -152,7 +154,8 @@ class Rounds(Histories):
                 while (request := comm.bcast(None)) is not None:
                     method, arguments = request
                     getattr(self, method)(*arguments)
-        answer: T = comm.bcast(result)
+        with together(comm):
+            answer: T = pickle.loads(comm.bcast(content))
         if received := comm.allreduce(self._signals.received, MPI.MAX):
             raise self._stopped(received)
         return answer
@@ -176,34 +179,45 @@ class Rounds(Histories):
         count = self.count + len(pairs)
         order = sorted(pairs, key=lambda p: (self._order[p[1]], p[1]))
         _, request = self._comm.bcast(("_share", (points, order, steps, derivatives, exact)))
-        responses = dict(self._share(*request))
+        responses = dict(zip(request[1], self._share(*request), strict=True))
         self.count = count
         if self._progress is not None:
             self._progress(count)
         return [responses[pair] for pair in pairs]
 
-    def renew_inputs(self, values: FloatArray) -> tuple[Experiment, ...]:
-        """Return the experiments with other friction, on all ranks where this one leads."""
-        experiments = super().renew_inputs(values)
-        if self._leads:
-            self._comm.bcast(("change_cases", (experiments,)))
-        return experiments
+    def change_cases(self, experiments: tuple[Experiment, ...]) -> None:
+        """Take the experiments with other cases, on all ranks where this one leads."""
+        if not self._leads:
+            return super().change_cases(experiments)
+        self._comm.bcast(("_change", (experiments,)))
+        return self._change(experiments)
 
     def _share(
         self, points: FloatArray, pairs: Sequence[Pair], *how: Any
-    ) -> list[tuple[Pair, FloatArray | HistoryError]]:
-        """Compute this rank's share of what the first one asks, which is told all. Collective."""
+    ) -> list[FloatArray | HistoryError]:
+        """Return to the first rank what it asks, of which each computes a share. Collective."""
         rank, size = self._comm.rank, self._comm.size
         share = pairs[rank * len(pairs) // size : (rank + 1) * len(pairs) // size]
-        responses: list[FloatArray | HistoryError] = []
+        read = partial(super().read, points, share, *how)
+        parts = self._of_all(lambda: read() if share and not self._signals.received else [])
+        return [response for part in parts for response in part]
+
+    def _change(self, experiments: tuple[Experiment, ...]) -> None:
+        """Take the experiments with other cases. Collective."""
+        self._of_all(partial(super().change_cases, experiments))
+
+    def _of_all(self, action: Callable[[], T]) -> list[T]:
+        """Return the outcomes of an action on all ranks, or raise their error: on the first rank.
+
+        The others go on to serve, as the first one ends the job. Collective.
+        """
+        outcome: Any = None
         error: Exception | None = None
         try:
-            if share and not self._signals.received:
-                responses = super().read(points, share, *how)
+            outcome = action()
         except Exception as failure:
             error = failure if self._comm.size == 1 else as_ours(failure)
-        parts = list(zip(share, responses, strict=False))
-        gathered = self._comm.gather((parts, self._signals.received, error))
+        gathered = self._comm.gather((outcome, self._signals.received, error))
         if gathered is None:
             return []
         if received := max(number for _, number, _ in gathered):
@@ -211,7 +225,7 @@ class Rounds(Histories):
         for _, _, failed in gathered:
             if failed is not None:
                 raise failed
-        return [entry for part, _, _ in gathered for entry in part]
+        return [outcome for outcome, _, _ in gathered]
 
     def _stopped(self, received: int) -> StoppedError:
         return StoppedError(f"stopped by {name_of(received)}{self._hint()}{remark(received)}")
@@ -227,9 +241,19 @@ class Responses:
     """
 
     def __init__(self, problem: Problem, histories: Histories) -> None:
-        self._problem, self._histories = problem, histories
+        self._problem = problem
+        self._engines: Histories | None = histories
         self.steps, self.exact = STEPS, True
         self.known: dict[tuple[int, bytes], FloatArray | HistoryError] = {}
+
+    @property
+    def _histories(self) -> Histories:
+        if self._engines is None:
+            raise RingwearError(
+                "a result of a fit keeps the readings at its estimate only, and computes none "
+                "elsewhere: fit again, or run the case with other values"
+            )
+        return self._engines
 
     def _values(self, point: FloatArray) -> FloatArray:
         return self._problem.values(point[: len(self._problem.parameters)])
@@ -287,7 +311,7 @@ class Responses:
     def keep_only(self, values: Sequence[FloatArray]) -> None:
         """Keep the readings at values of each test, and no engines. Not collective."""
         self.of_tests(values)
-        del self._histories
+        self._engines = None
         remaining = {(test, of_test.tobytes()) for test, of_test in enumerate(values)}
         self.known = {key: response for key, response in self.known.items() if key in remaining}
 

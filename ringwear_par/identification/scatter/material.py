@@ -243,9 +243,9 @@ class Material:
                     warnings.append(
                         ValidityWarning("few-specimens", text, (parameter.key,), (), values)
                     )
-        return (*warnings, *self._bent(), *self.wear.warnings(self.process))
+        return (*warnings, *self._nonlinear_intervals(), *self.wear.warnings(self.process))
 
-    def _bent(self) -> Iterator[ValidityWarning]:
+    def _nonlinear_intervals(self) -> Iterator[ValidityWarning]:
         """Yield a doubt for each key whose linear interval is off, by what is known in pieces."""
         weights = [piece.weight * piece.posterior.weights for piece in self.pieces]
         for place, key in enumerate(self.free if self.pieces else ()):

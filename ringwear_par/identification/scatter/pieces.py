@@ -32,6 +32,10 @@ from ringwear_par.identification.scatter.search import (
 _WIDTH, _APART = 0.45, 0.675
 #: logarithm of the probability over the largest: pieces beyond such ones are looked at
 _PROBABLE = -7.0
+#: most keys along which pieces lie: of three more pieces are needed than there may be
+_MOST_SHARED = 2
+#: weight of pieces of which tests move more, up to which the others are as good
+_UNSETTLED = 0.01
 #: most pieces; most rounds until tests stay, and sd that they may still move
 _MOST, _ROUNDS, _STILL = 80, 5, 0.05
 
@@ -53,12 +57,14 @@ class _Place:
 def posterior_in_pieces(misfit: Misfit, material: Material) -> tuple[Piece, ...]:
     """Return the pieces of a material's posterior. Not collective.
 
-    None where all keys scatter, wear is random, or there would be too many of them.
+    ``()`` where all keys scatter, wear is random, there would be too many of them, or tests do not
+    settle of pieces that weigh.
     """
     pieces = _Pieces(misfit, material)
-    if not pieces.shared or material.wear.shares or not material.converged:
+    if not 0 < len(pieces.shared) <= _MOST_SHARED or material.wear.shares or not material.converged:
         return ()
     done: dict[tuple[int, ...], _Place | None] = {}
+    computed: dict[tuple[int, ...], _Place] = {}
     wanted = pieces.first()
     while wanted and len(done) + len(wanted) <= _MOST:
         done |= pieces.at(wanted)
@@ -66,21 +72,24 @@ def posterior_in_pieces(misfit: Misfit, material: Material) -> tuple[Piece, ...]
         if not computed:
             return ()
         least = max(place.log_mass for place in computed.values()) + _PROBABLE
-        beyond = {
+        neighbours = {
             (*number[:axis], number[axis] + step, *number[axis + 1 :])
             for number, place in computed.items()
             if place.log_mass > least
             for axis in range(len(number))
             for step in (-1, 1)
         }
-        wanted = [number for number in sorted(beyond - {*done}) if pieces.may_be(number)]
-    if wanted:
+        wanted = [number for number in sorted(neighbours - {*done}) if pieces.may_be(number)]
+    if wanted or not computed:
         return ()
     logs = np.array([place.log_mass for place in computed.values()])
     weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    if weights[[place.moved > _STILL for place in computed.values()]].sum() > _UNSETTLED:
+        return ()
     return tuple(
         Piece(place.posterior, weight)
-        for place, weight in zip(computed.values(), (weights / weights.sum()).tolist(), strict=True)
+        for place, weight in zip(computed.values(), weights.tolist(), strict=True)
     )
 
 
@@ -172,12 +181,12 @@ class _Pieces:
         """Return the piece of tests as they are linearised."""
         problem, material, free = self._misfit.problem, self._material, self._free
         precision, mean = (part[free] for part in prior_of_keys(problem.parameters, x))
-        more, shared = (_WIDTH * self._sd) ** -2, self.shared
-        both = precision[shared] + more
+        piece, shared = (_WIDTH * self._sd) ** -2, self.shared
+        product = precision[shared] + piece
         # of the product of the prior and the normal density of the piece
-        apart = precision[shared] * more / both * (mean[shared] - centre) ** 2
-        mean[shared] = (precision[shared] * mean[shared] + more * centre) / both
-        precision[shared] = both
+        loss = precision[shared] * piece / product * (mean[shared] - centre) ** 2
+        mean[shared] = (precision[shared] * mean[shared] + piece * centre) / product
+        precision[shared] = product
         at_bounds = {j: float(material.x[j]) for j in range(self._m) if j not in free}
         models = partial(
             models_at_shares, linear, material.wear, at_bounds, self._levels, (precision, mean)
@@ -191,6 +200,6 @@ class _Pieces:
             moved = max(moved, float(np.abs((new - of_tests[test, free]) / sds).max()))
             of_tests[test, free] = new
         log_mass = posterior.log_mass - 0.5 * (
-            float(apart.sum()) + loss_beyond_squares(self._misfit, evaluation)
+            float(loss.sum()) + loss_beyond_squares(self._misfit, evaluation)
         )
         return _Place(centre, of_tests, moved, posterior, log_mass)

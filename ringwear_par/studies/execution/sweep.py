@@ -140,13 +140,15 @@ def _compute(
 ) -> tuple[Summary, RingwearError | None]:
     load_kernels_of(plan, comm)
     timings, begun = Timings(), time.perf_counter()
-    groups = plan.left if plan.all_assemble else []
+    left = plan.left
+    groups = left if plan.all_assemble else []
     pairs = {group: pair_of(plan.first_case(group), comm) for group in groups}
     timings.operators = len(pairs)
     timings.assembly = time.perf_counter() - begun
     work, todo = plan.study.work, plan.todo
     seconds = [float(work[todo[group][:1]].sum()) for group in range(len(todo))]
-    side_by_side = team.size == 1 and all(map(is_batchable, map(plan.first_case, plan.left[:1])))
+    # the first group decides for all: cases of others are read as they are drawn
+    side_by_side = team.size == 1 and bool(left) and is_batchable(plan.first_case(left[0]))
     queue = SharedQueue(todo.sizes, comm, plan.request.teams, seconds, side_by_side=side_by_side)
     trouble: RingwearError | None = None
     with StopSignals() as signals, ExitStack() as at_end:

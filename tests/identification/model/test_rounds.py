@@ -75,6 +75,28 @@ def test_an_error_of_the_first_rank_ends_all(tables, comm, monkeypatch):
         fit(tables(), comm)
 
 
+def test_a_result_that_cannot_be_sent_ends_all(tables, comm):
+    rounds = Rounds(read_fit(tables()), comm, StopSignals())
+    with pytest.raises(Exception, match=r"[Pp]ickl"):
+        rounds.lead(lambda: lambda: None)
+
+
+def test_cases_that_one_rank_cannot_take_end_all(tables, comm, monkeypatch):
+    """Where friction of tests is renewed."""
+    problem = read_fit(tables())
+    rounds = Rounds(problem, comm, StopSignals())
+    change = Histories.change_cases
+
+    def failing(histories, experiments):
+        if comm.rank == comm.size - 1:
+            raise MemoryError("no room")
+        change(histories, experiments)
+
+    monkeypatch.setattr(Histories, "change_cases", failing)
+    with pytest.raises(MemoryError if comm.size == 1 else RingwearError, match="no room"):
+        rounds.lead(lambda: rounds.renew_inputs(np.array([1e-7, 0.0])))
+
+
 def test_a_signal_to_any_rank_stops_all(tables, comm):
     with StopSignals() as signals:
         rounds = Rounds(read_fit(tables()), comm, signals)
@@ -102,6 +124,14 @@ def test_any_number_of_ranks_finds_the_same(tables, comm):
     )  # fmt: skip
     assert found.band.tobytes() == alone.band.tobytes()
     assert 0 < found.histories_of_profiles <= 50 * len(found.profiles)
+
+
+@pytest.mark.serial
+def test_a_result_tells_that_it_computes_no_more(tables, comm):
+    found = expected_result(read_fit(tables()), comm)
+    found.misfit.evaluate(found.x)
+    with pytest.raises(RingwearError, match="keeps the readings at its estimate only"):
+        found.misfit.evaluate(1.01 * found.x)
 
 
 @pytest.mark.serial
