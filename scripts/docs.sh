@@ -16,3 +16,4 @@ fi
 rm -rf docs/_build docs/generated
 python -m sphinx -q -n -W --keep-going -b html docs docs/_build/html
 python docs/extensions/check_links.py docs/_build/html
+echo "docs/_build/html/index.html"

@@ -189,7 +189,10 @@ def is_plain(text: str) -> bool:
 
 def has_unit(value: Any) -> bool:
     """Tell whether a raw value is a text that begins with a number and goes on with a unit."""
-    return isinstance(value, str) and _WITH_UNIT.fullmatch(value) is not None
+    # 2e-6 is a number without one, not 2 of the unit e-6
+    return (
+        isinstance(value, str) and not is_plain(value) and _WITH_UNIT.fullmatch(value) is not None
+    )
 
 
 def number_and_unit(value: str) -> tuple[float, str]:

@@ -86,7 +86,10 @@ def run_follow(
     followed = followed_test(running, after, comm)
     problem, name = followed.problem, legible(running.name)
     plan = replace(problem, experiments=(planned(problem.experiments[0]),))
-    files = AnswerFiles(folder, shlex.join(["ringwear", "follow", str(source), "-o", str(folder)]))
+    options = {"after": after, "test": test, "to": to, "depth": depth, "draws": draws, "seed": seed}
+    words = [w for name, v in options.items() if v is not None for w in (f"--{name}", str(v))]
+    command = ["ringwear", "follow", str(source), "-o", str(folder), *words]
+    files = AnswerFiles(folder, shlex.join(command))
     with StopSignals() as signals:
         rounds = Rounds(plan, comm, signals)
 

@@ -50,13 +50,15 @@ def prediction_page(folder: Path) -> Page:
         command = (
             f"ringwear predict {shlex.quote(outcome['fit'])} case.toml -o DIR "
             f"--of {shlex.quote(outcome['of'])} --draws {outcome['draws'] + outcome['failed']} "
-            f"--seed {outcome['seed']}\n"
+            f"--seed {outcome['seed']}"
         )
+        if outcome.get("depth") is not None:
+            command += f" --depth '{1e3 * outcome['depth']['depth']:g} um'"
         sections = [
             Section("Summary", [Lines(answer), *([Lines(warnings, warning=True)] * bool(warnings)),
                                 Table("Quantiles of the draws", header, rows)]),
             Section("Penetration", [Charts([Chart("band", band, label, wide=True)])]),
-            reproduced("Save the case file as case.toml, then type:", command,
+            reproduced("Save the case file as case.toml, then type:", f"{command}\n",
                        [Source("Case file", outcome["case"])], outcome["versions"]),
         ]  # fmt: skip
     return Page("Prediction", f"Predicted: {legible(folder.resolve().name)}", sections)

@@ -426,6 +426,17 @@ def test_the_volume_of_a_straight_record_is_that_of_its_ends(tmp_path):
     assert [doubt.code for doubt in result.tests[0].doubts] == ["not-steady"]
 
 
+def test_readings_a_thousand_times_too_large_or_small_are_asked_about(tmp_path):
+    rows = [f"{60 * i};{40e3 * i / 1200.0};0.009" for i in range(1201)]
+    record(tmp_path, "units", rows)
+    (tmp_path / "masses.csv").write_text("specimen;loss_mg\nunits;50\n")
+    result = rw.measure(tmp_path / "units.csv", case=EXAMPLE / "rig.toml",
+                        masses=tmp_path / "masses.csv")  # fmt: skip
+    told = {doubt.code: doubt.text for doubt in result.tests[0].doubts}
+    assert "the unit of the torque" in told["implausible-friction"]
+    assert told["displacement-against-weighing"].endswith("look at their units")
+
+
 @pytest.mark.parametrize(
     ("exclude", "known"), [([0, 0.2], True), ([19.8, 20], True), ([0, 4], False), ([16, 20], False)]
 )

@@ -1,6 +1,7 @@
 """Fit files: a base case, the keys sought, and experiments with their measurements."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,8 @@ from ringwear_par.identification.definition.scatter import (
 )
 
 _TABLES = ("case", "fit", "experiment", "tests", "compare", "design")
+#: how faults begin of a test that is a row of a table
+_ROW = re.compile(r'.*?: line \d+: experiment "(?:[^"\\]|\\.)*": ')
 _LOADS = ("load.pressure", "load.force")
 
 
@@ -74,7 +77,9 @@ def read_fit(
     files = FileStore(folder) if files is None else files
     reader = ExperimentReader(name, folder, base, files, plans)
     tests = experiment_tables(name, tables, base, files, faults)
+    before = len(faults)
     experiments = reader.all(tests, parameters, faults, test)
+    faults[before:] = _said_once(faults[before:])
     design = _read_design_space(f"{name}: design", tables.get("design", {}), case_units, faults)
     laws = _read_alternatives(f"{name}: compare", tables.get("compare", {}), case_units, faults)
     if faults:
@@ -130,6 +135,18 @@ def experiment_tables(
         return tables
     tests = laboratory_tests(f"{name}: tests", file["tests"], schema.TESTS, base, files, faults)
     return [*tables, *tests.items()]
+
+
+def _said_once(faults: Sequence[str]) -> list[str]:
+    """Return faults of which those that all rows of a table have stand at the first one alone."""
+    rows: dict[str, list[str]] = {}
+    for fault in faults:
+        row = _ROW.match(fault)
+        rows.setdefault(fault[row.end() :] if row else fault, []).append(fault)
+    return [
+        first + f" (so in {len(others) + 1} tests)" * bool(others)
+        for first, *others in rows.values()
+    ]
 
 
 def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:

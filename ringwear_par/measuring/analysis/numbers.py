@@ -38,6 +38,9 @@ RATE = "mm/s"
 #: share by which volumes may differ whatever their uncertainties; blocks that a gap may last;
 #: share of the test below which a steady part is short; share by which loads may differ
 _DIFFERENT, _GAP, _SHORT, _OTHER_LOAD = 0.05, 10.0, 0.3, 0.02
+#: friction coefficients of sliding contacts, lubricated or dry; volumes of which one is so many
+#: times the other were read in another unit
+_FRICTIONS, _OTHER_UNIT = (0.002, 3.0), 300.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,6 +215,13 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[ValidityWarning]:
         if share < _SHORT:
             text = f"the steady part is only {100 * share:.0f} % of the test; test for longer"
             doubts.append(ValidityWarning("steady-part-short", text))
+    friction, (low, high) = numbers.friction, _FRICTIONS
+    if friction is not None and not low <= abs(friction.value) <= high:
+        text = (
+            f"friction {friction.value:.3g} is far from those of sliding contacts ({low:g} to "
+            f"{high:g}): look at the unit of the torque, and at the force"
+        )
+        doubts.append(ValidityWarning("implausible-friction", text))
     whole = numbers.whole
     if (
         whole.volume is not None
@@ -221,9 +231,16 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[ValidityWarning]:
         balance, depth = whole.volume, whole.volume_by_displacement
         apart = abs(balance.value - depth.value)
         if apart > max(2.0 * np.hypot(balance.u, depth.u), _DIFFERENT * abs(balance.value)):
+            ratio = abs(depth.value / balance.value) if balance.value else 1.0
+            of_units = not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT
             text = (
                 f"over the whole test the displacement gives {depth.value:.4g} mm3 and the balance "
-                f"{balance.value:.4g} mm3: look for thermal growth of the rings, debris or drift"
+                f"{balance.value:.4g} mm3: look "
+                + (
+                    "at their units"
+                    if of_units
+                    else "for thermal growth of the rings, debris or drift"
+                )
             )
             doubts.append(ValidityWarning("displacement-against-weighing", text))
     before = problem.tests[: problem.tests.index(numbers.test)]

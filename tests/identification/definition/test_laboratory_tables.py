@@ -180,3 +180,13 @@ def test_keys_that_are_refused(keys, said, folder):
     with pytest.raises(InputError) as caught:
         read_fit(in_table(folder, **keys))
     assert said in str(caught.value)
+
+
+def test_a_fault_of_all_rows_is_said_once(folder):
+    tables = in_table(folder)
+    tables["tests"]["data"][0]["sd"] = -0.2
+    with pytest.raises(InputError) as refusal:
+        read_fit(tables)
+    (fault,) = refusal.value.faults
+    assert 'experiment "A"' in fault
+    assert fault.endswith(" (so in 2 tests)")
