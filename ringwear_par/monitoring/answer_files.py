@@ -2,6 +2,7 @@
 
 import logging
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from ringwear_par.errors import InputError
@@ -33,7 +34,8 @@ class AnswerFiles:
     def __init__(self, folder: Path, command: str) -> None:
         self._folder, self._command = folder, command
         self.answer: Answer | None = None
-        self._record: Panel | None = None
+        #: makes the chart of the readings that the answer is of
+        self._record: Callable[[], Panel | None] = lambda: None
         self._paged, self._printed, self._alarmed = -_PAUSE, -_PAUSE, False
         self._has_page = True
 
@@ -50,8 +52,8 @@ class AnswerFiles:
         content = {**answer.to_dict(), "versions": versions()}
         write_outcome(self._folder, "follow", {FOLLOW: lambda: json_bytes(content)})
         now = time.monotonic()
+        self._record = lambda: state.record(problem)
         if last or now - self._paged > _PAUSE:
-            self._record = state.record(problem)
             self.write_page()
         alarm = answer.alarm is not None and not self._alarmed
         if not last and (alarm or now - self._printed > _PAUSE):
@@ -73,7 +75,7 @@ class AnswerFiles:
             self._has_page = False
             log.warning("%s", error)
             return
-        write_page(self.answer.page(self._record, self._command, versions()), path)
+        write_page(self.answer.page(self._record(), self._command, versions()), path)
 
     def closing_words(self) -> str:
         """Return the last answer in words, and the names of its files."""

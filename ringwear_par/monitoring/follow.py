@@ -121,7 +121,7 @@ def _follow(
     stopped: Callable[[], bool],
 ) -> None:
     """Answer whenever the files change, until the end of the test."""
-    stamps, warned = None, ""
+    stamps, warned, waiting = None, "", False
     while not stopped():
         if (present := followed.running.file_stamps) != stamps:
             stamps = present
@@ -139,6 +139,10 @@ def _follow(
                 files.write(answer, state, problem, last=ended)
                 if ended:
                     return
+                if not waiting:
+                    waiting = True
+                    end = problem.experiments[0].case.time.end
+                    log.info("waiting for readings up to %g s, the end of the test", end)
         time.sleep(_LOOK)
     files.write_page()
 
