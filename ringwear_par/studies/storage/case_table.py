@@ -1,4 +1,4 @@
-"""The table of cases: a number or a word of each in a column, ``cases.csv`` and its meanings."""
+"""``cases.csv`` and its meanings: a number, defined in ``end_values``, or a word of each case."""
 
 import csv
 import json
