@@ -152,7 +152,7 @@ def end():
 
 atexit.register(end)
 from ringwear_par.cli import main
-sys.exit(main(["info", "--schema"]))
+sys.exit(main(["info", "--schema", "wear"]))
 """
     with started([sys.executable, "-c", program], tmp_path) as process:
         wait_for((tmp_path / "waits_1").exists, process)

@@ -105,7 +105,8 @@ class Chunks:
             return zlib.compress(data, 1)
         bytes_of_numbers = np.frombuffer(data, np.uint8).reshape(-1, np.dtype(self.kind).itemsize)
         planes = np.ascontiguousarray(bytes_of_numbers.T)
-        if self.name in LINE:  # which repeats from case to case: that is no run
+        # the line repeats from case to case: that is no run, nor is one number
+        if self.name in LINE or planes.shape[1] < 2:
             return zlib.compress(planes.data, 1)
         repeated = (planes[:, 1:] == planes[:, :-1]).mean(axis=1) > _REPEATED
         stream, first = [_HEADER], 0
