@@ -144,8 +144,8 @@ def _said_once(faults: Sequence[str]) -> list[str]:
         row = _ROW.match(fault)
         rows.setdefault(fault[row.end() :] if row else fault, []).append(fault)
     return [
-        first + f" (so in {len(others) + 1} tests)" * bool(others)
-        for first, *others in rows.values()
+        first + f" (so in {len(repeats) + 1} tests)" * bool(repeats)
+        for first, *repeats in rows.values()
     ]
 
 
