@@ -232,15 +232,12 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[ValidityWarning]:
         apart = abs(balance.value - depth.value)
         if apart > max(2.0 * np.hypot(balance.u, depth.u), _DIFFERENT * abs(balance.value)):
             ratio = abs(depth.value / balance.value) if balance.value else 1.0
-            of_units = not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT
+            look = "for thermal growth of the rings, debris or drift"
+            if not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
+                look = "at their units"
             text = (
                 f"over the whole test the displacement gives {depth.value:.4g} mm3 and the balance "
-                f"{balance.value:.4g} mm3: look "
-                + (
-                    "at their units"
-                    if of_units
-                    else "for thermal growth of the rings, debris or drift"
-                )
+                f"{balance.value:.4g} mm3: look {look}"
             )
             doubts.append(ValidityWarning("displacement-against-weighing", text))
     before = problem.tests[: problem.tests.index(numbers.test)]
