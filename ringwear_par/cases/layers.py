@@ -104,9 +104,11 @@ def with_entries(path: str, layers: Any, changes: Mapping[str, Any]) -> Any:
             table = table["wear"]
             if last == "law" and isinstance(value, str) and value in LAYER_LAWS:
                 known = {"law", *parameters_of(LAYER_LAWS[value])}
-                for other in [other for other in table if other not in known]:
-                    if f"[{i}].wear.{other}" not in changes:
-                        del table[other]
+                for foreign_key in [
+                    foreign_key for foreign_key in table if foreign_key not in known
+                ]:
+                    if f"[{i}].wear.{foreign_key}" not in changes:
+                        del table[foreign_key]
         if value is None:
             table.pop(last, None)
         else:

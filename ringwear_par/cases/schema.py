@@ -90,7 +90,7 @@ def _values(parameter: Parameter) -> Values:
     return text("the name of a Python file") if parameter.kind == "file" else parameters()
 
 
-def _wear_keys(table: str, of: str, absent: str, laws: Mapping[str, type[Law]]) -> list[Key]:
+def _wear_keys(table: str, owner: str, absent: str, laws: Mapping[str, type[Law]]) -> list[Key]:
     """Return the keys of a table of wear: ``law``, and what the laws declare.
 
     Parameters
@@ -100,7 +100,7 @@ def _wear_keys(table: str, of: str, absent: str, laws: Mapping[str, type[Law]]) 
     laws : that it may wear by.
     """
     formulas = "; ".join(f"{name}: {law.formula}" for name, law in laws.items())
-    meaning = f"rate of wear of {of}: {formulas}; no table {absent}"
+    meaning = f"rate of wear of {owner}: {formulas}; no table {absent}"
     keys = [Key(f"{table}.law", *choice(*laws), "-", meaning, None)]
     declared = [parameters_of(law) for law in laws.values()]
     for name in dict.fromkeys(itertools.chain(*declared)):
@@ -120,12 +120,12 @@ def _wear_key(path: str, users: Mapping[str, Parameter]) -> Key:
     """
     first, *rest = users.values()
     values = _values(first)
-    if any(_values(other).allowed != values.allowed for other in rest):
+    if any(_values(variant).allowed != values.allowed for variant in rest):
         raise ValueError(f"{path}: must allow the same in all laws that have it")
     meaning = first.meaning + "".join(
-        f" ({law}: {other.meaning}, {other.unit})"
-        for law, other in users.items()
-        if (other.meaning, other.unit) != (first.meaning, first.unit)
+        f" ({law}: {variant.meaning}, {variant.unit})"
+        for law, variant in users.items()
+        if (variant.meaning, variant.unit) != (first.meaning, first.unit)
     )
     default = None if first.default in (..., ()) else first.default
     return Key(path, *values, first.unit, f"{meaning} (law = {' or '.join(users)})", default)

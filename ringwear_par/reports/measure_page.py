@@ -71,7 +71,7 @@ def measure_page(folder: Path) -> Page:
 
 def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
     tests = outcome["tests"]
-    sentences = [f"Specific wear rate {repeats_text(one)}" for one in outcome["repeats"]]
+    sentences = [f"Specific wear rate {repeats_text(repeats)}" for repeats in outcome["repeats"]]
     if not sentences:
         sentences = ["Numbers of these specimens only: repeats of a material scatter more"]
     yield _tiles(outcome)
@@ -104,10 +104,14 @@ def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
 def _tiles(outcome: Mapping[str, Any]) -> Tiles:
     """Return the specific wear rates: means of repeats, and tests that are none."""
     rates = [
-        (", ".join(one["tests"]), one["specific_wear_rate"]["mean"], one["specific_wear_rate"])
-        for one in outcome["repeats"]
+        (
+            ", ".join(repeats["tests"]),
+            repeats["specific_wear_rate"]["mean"],
+            repeats["specific_wear_rate"],
+        )
+        for repeats in outcome["repeats"]
     ]
-    repeated = {name for one in outcome["repeats"] for name in one["tests"]}
+    repeated = {name for repeats in outcome["repeats"] for name in repeats["tests"]}
     for name, entry in outcome["tests"].items():
         if name not in repeated and (rate := entry["specific_wear_rate"]) is not None:
             rates.append((name, rate["value"], rate))

@@ -214,8 +214,8 @@ def _laboratory(result: Result) -> dict[str, KeyNumber]:
     numbers = laboratory_numbers(course_of(result))
     entries = [(LABORATORY[name], float(values[-1])) for name, values in numbers.items()]
     return {
-        of.key: KeyNumber(of.key, of.group, of.label, value, of.variable.unit, ".4g")
-        for of, value in entries
+        n.key: KeyNumber(n.key, n.group, n.label, value, n.variable.unit, ".4g")
+        for n, value in entries
     }
 
 

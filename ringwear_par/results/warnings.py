@@ -113,7 +113,7 @@ class Warnings:
         # the load of one would excuse what others are to be warned of
         first = self._cases[0]
         case = replace(first, load=replace(first.load, force=0.0, displacement=None))
-        alike = np.array([other.rings == case.rings for other in self._cases])
+        alike = np.array([member.rings == case.rings for member in self._cases])
         for numbers in np.array_split(np.flatnonzero(alike), -(-len(calm) // _TOGETHER)):
             if len(numbers) > 1:
                 worst = self.worst(numbers)

@@ -229,9 +229,9 @@ def _read_alternatives(
 def _check_counts(problem: Problem, faults: list[str]) -> None:
     """Refuse what has fewer readings than are sought."""
     readings = sum(experiment.n for experiment in problem.experiments)
-    series = [one for experiment in problem.experiments for one in experiment.series]
+    series = [record for experiment in problem.experiments for record in experiment.series]
     free = sum(p.prior is None for p in problem.parameters) + sum(
-        n.free for one in series for n in one.nuisances
+        n.free for record in series for n in record.nuisances
     )
     if readings < free:
         faults.append(

@@ -317,7 +317,7 @@ class Experiment:
     @property
     def torque_input(self) -> MeasuredInput | None:
         """The measured friction, if there is one."""
-        return next((one for one in self.inputs if one.of_torque), None)
+        return next((entry for entry in self.inputs if entry.of_torque), None)
 
     @property
     def conditions(self) -> str:
@@ -438,9 +438,11 @@ class Problem:
     @property
     def factors(self) -> tuple[str, ...]:
         """Schedules of cases with respect to factors on which there must be derivatives."""
-        inputs = [one for experiment in self.experiments for one in experiment.inputs]
-        scaled = {one.key.replace("pressure", "force") for one in inputs if one.scale is not None}
-        if scaled & {"load.force"} and any(one.of_torque for one in inputs):
+        inputs = [entry for experiment in self.experiments for entry in experiment.inputs]
+        scaled = {
+            entry.key.replace("pressure", "force") for entry in inputs if entry.scale is not None
+        }
+        if scaled & {"load.force"} and any(entry.of_torque for entry in inputs):
             scaled.add("contact.friction")  # of which the torque tells less where the load is more
         return tuple(sorted(scaled))
 

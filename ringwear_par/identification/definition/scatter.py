@@ -122,11 +122,11 @@ def check_scatter(problem: Problem, faults: list[str]) -> None:
     for group, place in (("batch", 1), ("lab", 2)):
         seen: dict[str, str] = {}
         for experiment in experiments:
-            specimen, of = experiment.groups[0], experiment.groups[place]
-            if seen.setdefault(specimen, of) != of:
+            specimen, label = experiment.groups[0], experiment.groups[place]
+            if seen.setdefault(specimen, label) != label:
                 faults.append(
-                    f'{name}: specimen "{legible(specimen)}" is of {group} "{legible(of)}" and of '
-                    f'"{legible(seen[specimen])}"; must be of one {group}'
+                    f'{name}: specimen "{legible(specimen)}" is of {group} "{legible(label)}" and '
+                    f'of "{legible(seen[specimen])}"; must be of one {group}'
                 )
     for key, group in fitted:
         if group_numbers(experiments, group).max() == 0:
@@ -210,11 +210,13 @@ def check_process(problem: Problem, faults: list[str]) -> None:
         return
     for key in process:
         body = body_of_wear(key)
-        if all(one.case.laws[BODIES.index(body)] is None for one in experiments):
+        if all(experiment.case.laws[BODIES.index(body)] is None for experiment in experiments):
             faults.append(
                 f"{name}: fit.process.{key}: {body} does not wear; must be a body with a wear law"
             )
-        elif not any(series.tells_wear(body) for one in experiments for series in one.series):
+        elif not any(
+            series.tells_wear(body) for experiment in experiments for series in experiment.series
+        ):
             faults.append(
                 f"{name}: fit.process.{key}: no reading is of a depth, mass, volume or profile of "
                 f"{body}; must have one at least"

@@ -164,18 +164,18 @@ class Misfit:
         for experiment in self.problem.experiments:
             rows = slice(start, start + experiment.n)
             start = rows.stop
-            for one in experiment.inputs:
-                if one.scale is None:
+            for measured in experiment.inputs:
+                if measured.scale is None:
                     continue
-                prior = Prior(0.0, one.scale.sd / one.scale.mean)
-                key, place = one.key.replace("pressure", "force"), len(self.names) - self._m
+                prior = Prior(0.0, measured.scale.sd / measured.scale.mean)
+                key, place = measured.key.replace("pressure", "force"), len(self.names) - self._m
                 taken = np.array([float(factor == key) for factor in self._factors])
                 if key == "load.force" and experiment.torque_input is not None:
                     taken[self._factors.index("contact.friction")] = -1.0
                 self._scales.append((rows, place, taken))
                 columns.append(np.zeros(self.n))
                 priors.append((len(self.names), prior))
-                self.names.append((experiment.name, one.key, SCALE))
+                self.names.append((experiment.name, measured.key, SCALE))
                 limits.append([-np.inf, np.inf])
                 nuisances.append(Nuisance(SCALE, prior))
         self.lower, self.upper = np.array(limits).T

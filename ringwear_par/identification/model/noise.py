@@ -75,7 +75,8 @@ def censored_rows(
     root = np.sqrt(np.maximum(-2.0 * log_probability, 0.0))
     # both vanish where the model is far on the right side
     over_curvature, over_root = (
-        np.divide(ratio, of, out=np.zeros_like(ratio), where=of > 0.0) for of in (curvature, root)
+        np.divide(ratio, divisor, out=np.zeros_like(ratio), where=divisor > 0.0)
+        for divisor in (curvature, root)
     )
     return -side * over_curvature, curvature, -side * root, over_root
 

@@ -158,9 +158,9 @@ def confounded_with_drift(problem: Problem) -> dict[str, str]:
     for of_wear in problem.settings.process:
         body = body_of_wear(of_wear)
         tests = [
-            (one.name, series)
-            for one in problem.experiments
-            if (series := [s for s in one.series if s.tells_wear(body)])
+            (experiment.name, series)
+            for experiment in problem.experiments
+            if (series := [s for s in experiment.series if s.tells_wear(body)])
         ]
         # a test without one series that does not drift
         drifting = [(name, s[0].name) for name, s in tests if all(map(_drifts, s))]

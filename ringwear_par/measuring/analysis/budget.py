@@ -72,7 +72,7 @@ class Estimate:
             return True
         most = _AGREEMENT * COVERAGE * self.u
         ends = zip(self.interval, self.shortest, strict=True)
-        return all(abs(end - other) <= most for end, other in ends)
+        return all(abs(end - limit) <= most for end, limit in ends)
 
     def share(self, source: Source) -> float:
         """Return the share of a source in the square of the uncertainty."""
