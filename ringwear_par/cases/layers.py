@@ -24,7 +24,7 @@ _ENTRY = re.compile(r"\[([0-9]{1,3})\]\.(.+)")
 def expanded(keys: Mapping[str, Any]) -> dict[str, Any]:
     """Return dotted keys with the entries of layers in the place of their lists.
 
-    Lists that are none of tables stay, for who reads them.
+    Lists of anything but tables stay, for their reader to refuse.
     """
     keys_by_entry: dict[str, Any] = {}
     for path, value in keys.items():

@@ -46,7 +46,7 @@ _BAD_WISH = "the page sent a wish that cannot be read; load it again"
 
 
 class Talk(DataModel):  # type: ignore[misc]
-    """What a page and its server tell each other, in JSON.
+    """The messages between a page and its server, in JSON.
 
     ``request`` (numbers by the names of controls and whether one is moving, those that are pinned,
     the time and chart chosen), ``order`` (to stop what is computed, or to make a report) and

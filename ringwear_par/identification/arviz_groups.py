@@ -34,7 +34,7 @@ _SMALL = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class _FitDraws:
-    """Draws of what a fit knows."""
+    """Draws of the unknowns of a fit."""
 
     #: of what the draws are
     kind: str

@@ -1,4 +1,4 @@
-"""Reasons not to take the numbers of a fit as they are."""
+"""Warnings about a fit: reasons not to trust its numbers as they are."""
 
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
@@ -18,15 +18,15 @@ from ringwear_par.identification.scatter.linearisation import Linearisation
 if TYPE_CHECKING:
     from ringwear_par.identification.fit_result import FitResult
 
-#: of chi2 over its readings, of a series that stands out
+#: chi2 over the number of readings from which on a series stands out
 _HIGH = 2.0
 #: sd, from which on readings do not belong to the others; what share of these they may be
 _FAR, _SHARE, _LISTED = 6.0, 0.1, 4
 #: of the sd with another key free, below which an interval depends on the bound of that
 _NARROWED = 0.5
-#: probability below which what tests differ by is no chance
+#: probability below which differences between tests are not due to chance
 _NO_CHANCE = 0.01
-#: of the largest information of a test: less is none
+#: share of the largest information of a test below which a test has none
 _INFORMED = 1e-6
 #: keys of rates: other numbers are the machine's
 _RATES = ("wear.", "contact.friction")
@@ -103,7 +103,7 @@ def _outliers(fit: "FitResult") -> Iterator[ValidityWarning]:
             continue
         share = far[worst] @ far[worst] / (far @ far)
         if share < 0.5 and np.count_nonzero(far > _FAR) > len(worst):
-            continue  # most of them are off
+            continue  # most readings are off
         if series.n == 1:
             text = f"{name}: is {far[0]:.3g} sd off the model; check its unit"
             yield ValidityWarning("outliers", text, (), (experiment.name,))

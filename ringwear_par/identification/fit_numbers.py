@@ -1,4 +1,4 @@
-"""The contents of fit.json, with each key as who reads it knows it: in his unit, as a wear rate."""
+"""The contents of fit.json, with each key in its user's unit and as a specific wear rate."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -30,7 +30,7 @@ Entry = Mapping[str, Any]
 
 
 def unit_scale(parameter: FittedParameter) -> float:
-    """Return how much the user's unit of a fitted key is in the case's; 1 where it is that."""
+    """Return the size of the user's unit of a fitted key in the case's unit, 1 for the same."""
     return factor(parameter.unit, base_unit(parameter.key)) if parameter.unit else 1.0
 
 

@@ -199,7 +199,7 @@ class FitResult(Outcome, Solution):
 
     @property
     def band(self) -> FloatArray:
-        """(n,) sd of the model's readings, with nuisances; nothing of what nobody knows."""
+        """(n,) sd of the model's readings, with nuisances; unknowns without sd count as known."""
         if self.material is not None:
             return self.material.band
         rows = self.misfit.columns(self.x)

@@ -1,4 +1,4 @@
-"""What a fit knows of its keys, as predictions draw it: kept in the fit's folder, whole."""
+"""Distributions of a fit's keys, from which predictions draw, stored in the fit's folder."""
 
 import hashlib
 from collections.abc import Mapping, Sequence

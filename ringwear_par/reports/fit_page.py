@@ -73,7 +73,7 @@ def fit_page(folder: Path) -> Page:
 
 @contextmanager
 def stored_outcome(path: Path, kind: str) -> Iterator[dict[str, Any]]:
-    """Yield the content of a JSON file; whoever misses something in it says that it is damaged."""
+    """Yield the content of a JSON file; an error while it is used means that it is damaged."""
     fault, text = f"{path}: is not {kind}, or is damaged", read_file(path)
     try:
         content = parse_json(text)
@@ -131,7 +131,7 @@ def _summary(outcome: Mapping[str, Any]) -> list[Block]:
 
 
 def _tiles(outcome: Mapping[str, Any]) -> Tiles:
-    """Return the answers of a fit."""
+    """Return the tiles of a fit: its estimates, and whether it has doubts."""
     percent, tiles = f"{100 * outcome['level']:g} %", []
     for key, entry in outcome["parameters"].items():
         row = key_rows(key, entry)[0]

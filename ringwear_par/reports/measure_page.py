@@ -38,9 +38,9 @@ from ringwear_par.reports.blocks import (
 from ringwear_par.reports.fit_page import stored_outcome
 
 _DASH = "\N{EN DASH}"
-#: what the forms of standards have and no file of a rig tells
+#: entries of the standards' forms that no file of a rig has
 _OPEN = "not in the files; to be added by hand"
-#: more of a page are no answer
+#: most tiles of a page
 _MOST_TILES = 6
 _BUDGETS = {
     "specific_wear_rate": "specific wear rate of the steady part",

@@ -97,7 +97,7 @@ def sweep_sheets(ensemble: Ensemble) -> list[Sheet]:
 
 
 def _states(ensemble: Ensemble) -> Iterator[Sequence[Any]]:
-    """Give the histories of all cases, a row a stored state."""
+    """Yield the histories of all cases, a row a stored state."""
     every = np.arange(len(ensemble.ids))
     tables = [ensemble.histories(name, every) for name in HISTORIES]
     for case, (identity, count) in enumerate(zip(ensemble.ids, ensemble.steps_stored, strict=True)):

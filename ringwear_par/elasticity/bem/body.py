@@ -47,7 +47,7 @@ class BodyCost:
 
 @dataclass(frozen=True)
 class Response:
-    """Boundary values for each load, on every rank, those of one zone after those of another."""
+    """Boundary values for each load, on every rank, zone after zone."""
 
     #: (wanted nodes, 3, n_loads) float, mm at E = 1
     displacement: FloatArray
@@ -188,7 +188,7 @@ def solve_assembled(bodies: Sequence[Assembled], comm: MPI.Comm) -> list[Respons
 def _wanted(
     body: Assembled, normal: Solution, torsion: Solution, comm: MPI.Comm
 ) -> tuple[FloatArray, FloatArray]:
-    """Return displacements and tractions that are wanted of a solution. Collective on comm."""
+    """Return the displacements and tractions that a problem asks for. Collective on comm."""
     nodes, elements = body.problem.nodes, body.problem.elements
     columns = [
         np.concatenate([dofs.displacement[at] for dofs, at in zip(body.dofs, nodes, strict=True)]),

@@ -123,7 +123,7 @@ class StressState:
 
     @property
     def of_both(self) -> Largest:
-        """The larger of the largest."""
+        """The largest von Mises stress of both bodies."""
         return max(self.largest, key=lambda x: -math.inf if math.isnan(x.mises) else x.mises)
 
 

@@ -52,7 +52,7 @@ class Influence:
 
 @dataclass(frozen=True)
 class Located:
-    """Where points are to a boundary."""
+    """Where points lie relative to a boundary."""
 
     #: (p,) int, the nearest
     element: IntArray

@@ -55,7 +55,7 @@ class ExperimentReader:
         self._name, self._folder, self._base, self._files = name, folder, base, files
         self._plans = plans
         self._keys: dict[str, dict[str, Any]] = {}
-        #: what was wrong with cases; of fitted keys the same need not be said of every experiment
+        #: faults that were reported: those of fitted keys are said once, not of every experiment
         self._reported: set[str] = set()
 
     def all(
@@ -99,7 +99,7 @@ class ExperimentReader:
         refuse_known(said, measured, parameters, changes, faults)
         case: Case | None = None
         inputs: tuple[MeasuredInput, ...] = ()
-        if self._base is not None and len(faults) < MOST_FAULTS:  # no more are told
+        if self._base is not None and len(faults) < MOST_FAULTS:  # more are not shown
             keys = override(override(self._base, _STEPPING), changes)
             keys = override(with_places(keys, measured), {**_STEPPING, **_OUTPUT})
             self._keys[name] = keys
@@ -162,7 +162,7 @@ class ExperimentReader:
         return case
 
     def _refuse_twin(self, experiment: Experiment, earlier: Experiment, faults: list[str]) -> None:
-        """Refuse an experiment that is there already."""
+        """Refuse an experiment with the name or the readings of an earlier one."""
         said = f'{self._name}: experiment "{legible(experiment.name)}"'
         if experiment.name == earlier.name:
             faults.append(f"{said}: is there twice; names must differ")

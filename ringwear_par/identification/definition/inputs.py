@@ -23,7 +23,7 @@ from ringwear_par.identification.definition.series import check_times, lines_of,
 from ringwear_par.schedules import in_time, points_of
 from ringwear_par.studies.definition.variations import split_key
 
-#: of the test, that an input must cover
+#: share of the test that an input must cover
 _COVERED = 0.95
 #: coefficients of friction, from rolling to clean metals; others are likely in another unit
 _FRICTIONS = 1e-3, 2.0
@@ -38,7 +38,7 @@ def input_keys(tables: Any) -> list[str]:
 
 
 def with_places(keys: Mapping[str, Any], measured: Sequence[str]) -> dict[str, Any]:
-    """Return the keys of a case with numbers in the places of what was measured."""
+    """Return the keys of a case, with plain numbers in place of what was measured."""
     changed = dict(keys)
     for key in measured:
         if key in _LOADS:
@@ -118,7 +118,7 @@ def _input(
         if scale is not None and scale.mean <= 0.0:
             of_scale.wrong("prior", "must have a mean > 0")
     if key is None:
-        for name in ("file", "columns", "units"):  # of which it depends what they must be
+        for name in ("file", "columns", "units"):  # what they must be depends on the key
             reader.raw(name)
         reader.finish()
         return None
@@ -132,7 +132,7 @@ def _input(
         kind = "torque" if of_torque else key.partition(".")[2]
         readings = read_readings(reader, kind, None, end, files, plans=False)
     else:
-        reader.read("file")  # which says what is missing
+        reader.read("file")  # reports what is missing
     reader.finish()
     if readings is None or len(faults) > before:
         return None

@@ -1,4 +1,4 @@
-"""What is random of tests: ``scatter`` of fitted keys, and ``fit.process``, of the wear itself.
+"""Random parts of tests: ``scatter`` of fitted keys, and ``fit.process``, of the wear itself.
 
 Values of keys differ between specimens, batches and laboratories.
 """
@@ -36,7 +36,7 @@ _MOST_FITTED = 3
 _SETTINGS = ("load.",)
 #: of the names of groups
 PLURALS = {"specimen": "specimens", "batch": "batches", "lab": "laboratories"}
-#: what may be random of wear
+#: tables of wear that may be random
 _RANDOM = tuple(f"wear.{body}" for body in BODIES)
 #: of a record: noise that is correlated for longer looks like that of wear
 _LONGEST_CORRELATION = 0.1

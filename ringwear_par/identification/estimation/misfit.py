@@ -112,9 +112,9 @@ class Misfit:
         self._lay_out_unknowns()
 
     def renew_inputs(self, x: FloatArray) -> bool:
-        """Let friction be as torques tell it by the histories at unknowns; tell if any does.
+        """Update friction by torques and histories at unknowns; tell whether any input changed.
 
-        What factors on inputs do is then that at these unknowns. Not collective.
+        Factors on inputs are linearised at these unknowns. Not collective.
         """
         by_torque = any(e.torque_input is not None for e in self.problem.experiments)
         if by_torque:
@@ -126,14 +126,14 @@ class Misfit:
         return by_torque or bool(self._scales)
 
     def linearise_inputs(self, x: FloatArray) -> None:
-        """Let what factors on inputs do be that at unknowns. Not collective."""
+        """Linearise the effect of factors on inputs at unknowns. Not collective."""
         if self._scales:
             by_factors = self._response(x)[:, 1 + self._m :]
             for rows, place, taken in self._scales:
                 self.nuisance_columns[rows, place] = by_factors[rows, : len(taken)] @ taken
 
     def _lay_out_unknowns(self) -> None:
-        """Lay the unknowns out."""
+        """Number the unknowns, and set their bounds, priors and columns."""
         self.names: list[str | tuple[str, str, str]] = list(self.problem.keys)
         limits = [[p.unknown(b) for b in p.bounds] for p in self.problem.parameters]
         priors: list[tuple[int, Prior]] = [

@@ -28,7 +28,7 @@ from ringwear_par.identification.model.rounds import WaitFor, side_by_side
 _CLOSE = 0.01
 #: points on a side; where readings are limits nothing says how far away these are
 _MOST_POINTS, _MOST_OF_LIMITS = 8, 24
-#: decrease of the sum of squares that is a better optimum, and no rest of the minimiser's
+#: decrease of the sum of squares that means a better optimum, not what a minimiser leaves
 _BETTER = 1e-2
 
 

@@ -32,7 +32,7 @@ _NO_RESPONSE = 1e-6
 #: of the noise of all readings: a key by which they change less is not felt, over a factor of e
 #: where its logarithm is sought, else over ten times the whole of its bounds
 _NOT_FELT, _WIDTHS = 0.5, 10.0
-#: points that are asked at least
+#: fewest points at which responses are looked for
 _POINTS = 8
 #: correlation of readings with the model below which they have the wrong sign, and at how many sd
 _OPPOSITE, _SURE = -0.5, 5.0

@@ -1,9 +1,9 @@
 """Tests of a fit linearised at their own values of the keys, and the clocks of random wear.
 
 All series of a test share the clock of a body's wear, its mean worn depth S, which grows in
-increments of variance size times dS. A reading at S_i answers to what is worn too much by g_i a
-millimetre, so that two readings have a covariance of size g_i g_j min(S_i, S_j). Long records are
-averaged in blocks for it.
+increments of variance size times dS. If a body has worn a millimetre more than its mean at S_i, the
+reading there changes by g_i, so that two readings have a covariance of size g_i g_j min(S_i, S_j).
+Long records are averaged in blocks for it.
 """
 
 import itertools

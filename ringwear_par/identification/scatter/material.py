@@ -33,7 +33,7 @@ _LIMIT = 2.8
 _NEAR = 1e-3
 #: sd, from which on the end of a linear interval is doubted
 _MOST_BENT = 0.2
-#: groups of which the prior says more than they do
+#: number of groups up to which the prior says more than they do
 _FEW = 2
 #: relative half width of the material's interval for which specimens are counted
 _WANTED, _MOST_SPECIMENS = 0.10, 10_000
@@ -104,7 +104,7 @@ class Material:
     band: FloatArray
     #: -2 log likelihood of the readings with the priors' squares, nuisances at their best
     deviance: float
-    #: whether the values of tests have come to stay
+    #: whether the values of tests have converged
     converged: bool
     #: bodies whose wear is random
     wear: RandomWear

@@ -1,4 +1,4 @@
-"""Sizes of the random part of wear: as shares of depths while they are sought, and as reported."""
+"""Sizes of the random part of wear: as shares of depths while they are fitted, and as reported."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

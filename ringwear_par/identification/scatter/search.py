@@ -35,7 +35,7 @@ from ringwear_par.identification.scatter.random_wear import RandomWear, confound
 
 #: sd by which no test's unknowns move any more, and most rounds until then
 _STILL, _MOST_ROUNDS = 1e-3, 60
-#: rounds after which the depth stays that shares are of
+#: rounds after which the depths that shares refer to stay fixed
 _SETTLING = 3
 #: in a round, most of a logarithm, and of the width of the bounds; least share of a move
 _LOG_MOVE, _MOVE, _LEAST_SHARE = 1.0, 0.25, 0.05

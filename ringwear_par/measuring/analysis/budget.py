@@ -136,7 +136,7 @@ def shortest_interval(
 def source_of(
     known: Mapping[str, Uncertainty], name: str, value: float, unit: str, sensitivity: float
 ) -> list[Source]:
-    """Return the source of type B of an input, none where nobody says how well it is known."""
+    """Return the source of type B of an input, none where its uncertainty is not given."""
     if name not in known:
         return []
     return [Source(name, "B", known[name].of(value), unit, sensitivity)]

@@ -275,7 +275,7 @@ def _known_column(
             )
         if known:
             return known[0]
-    # in the unit of something else, which is told
+    # in the unit of something else, which is reported
     return next((column for columns in candidates for column in columns), None)
 
 

@@ -1,4 +1,4 @@
-"""Preparation of ``ringwear run``: a case, an output to write, and the run that it goes on with."""
+"""Preparation of ``ringwear run``: a case, an output to write, and the run that it continues."""
 
 from collections.abc import Sequence
 from dataclasses import replace
