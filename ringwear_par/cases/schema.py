@@ -30,6 +30,7 @@ from ringwear_par.cases.values import (
     which_times,
     whole,
 )
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.sections import SHAPE_UNITS
 from ringwear_par.wear.law import Law, Parameter, parameters_of
 from ringwear_par.wear.laws import LAWS
@@ -190,15 +191,16 @@ KEYS: tuple[Key, ...] = (
         "largest estimated error that one adaptive step makes in the pressure of an element, "
         "divided by the mean pressure in contact", 0.1,
     ),
-    Key("mesh.contact_elements", *whole(4), "-", "number of contact elements", 64),
+    Key("mesh.contact_elements", *whole(4), "-", "number of contact elements",
+        Mesh.contact_elements),
     Key(
         "mesh.grading", *number(1.0, 6.0, ends=True), "1",
         "grading of the contact elements towards the edges of contact: larger is finer there; 1: "
-        "equal elements", 2.5,
+        "equal elements", Mesh.grading,
     ),
     Key(
         "mesh.quadrature_tolerance", *number(1e-10, 1e-2, ends=True), "1",
-        "relative error of the integrals over boundary elements", 1e-7,
+        "relative error of the integrals over boundary elements", Mesh.quadrature_tolerance,
     ),
     Key(
         "mesh.contact", *pair(0.0), "mm",
@@ -208,13 +210,12 @@ KEYS: tuple[Key, ...] = (
     Key(
         "mesh.geometry", *choice("fixed", "updated"), "-",
         "fixed: elements stay on the unworn bodies, and wear changes the gap alone; updated: "
-        "elements follow the worn profile",
-        "fixed",
+        "elements follow the worn profile", Mesh.geometry,
     ),
     Key(
         "mesh.geometry_tolerance", *number(0.0), "mm",
         "wear depth after which the elements are moved and assembled again (geometry = updated)",
-        0.005,
+        Mesh.geometry_tolerance,
     ),
     Key("output.every", *whole(1), "steps", "store every so many steps, and the last one", 1),
     Key(

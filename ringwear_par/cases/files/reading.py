@@ -179,11 +179,11 @@ def _read_layers(
     return tuple(layers)
 
 
-def _of_keys(kind: type[T], table: str, values: Mapping[str, Any], **others: Any) -> T:
-    """Return a dataclass whose fields are called as the keys of a table, and ``others``."""
+def _of_keys(kind: type[T], table: str, values: Mapping[str, Any], **more: Any) -> T:
+    """Return a dataclass whose fields are called as the keys of a table, and ``more``."""
     keys = {field.name: f"{table}.{field.name}" for field in fields(kind)}  # type: ignore[arg-type]
     read = {name: values[key] for name, key in keys.items() if key in values}
-    return kind(**{**read, **others})
+    return kind(**{**read, **more})
 
 
 def _build(
@@ -192,9 +192,9 @@ def _build(
     faces: Mapping[str, Polyline],
     layers: Mapping[str, tuple[RingLayer, ...]],
 ) -> Case:
-    def ring(body: str, **others: Any) -> Ring:
+    def ring(body: str, **grip: Any) -> Ring:
         body_layers = layers[f"{body}.layers"]
-        return _of_keys(Ring, body, values, face=faces[body], layers=body_layers, **others)
+        return _of_keys(Ring, body, values, face=faces[body], layers=body_layers, **grip)
 
     case = Case(
         lower=ring("lower", grip="clamped"),
@@ -225,8 +225,9 @@ def _stress(values: Mapping[str, Any]) -> Stress:
 
 
 def _stepping(values: Mapping[str, Any]) -> Stepping:
-    scheme, step, steps = (values[f"time.{key}"] for key in ("scheme", "step", "steps"))
-    if not SCHEMES[scheme]:
-        return Stepping(scheme, step, steps)
-    end = step * steps if values["time.end"] is None else values["time.end"]
+    if not SCHEMES[values["time.scheme"]]:
+        return _of_keys(Stepping, "time", values)
+    end = values["time.end"]
+    if end is None:
+        end = values["time.step"] * values["time.steps"]
     return _of_keys(Stepping, "time", values, step=0.0, steps=0, until=end)
