@@ -1,18 +1,31 @@
-"""The numbers of a measurement as people read them: what its summary, table and page share.
+"""The numbers of a measurement as people read them: its summary, table, page and folder.
 
 Entries of tests are those of measure.json (``MeasureResult.to_dict``).
 """
 
+import csv
+import io
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from ringwear_par.cases.units import CUSTOMARY, SPECIFIC
 from ringwear_par.errors import warning_lines
+from ringwear_par.files.folders import (
+    MEASURE,
+    MEASURED_ROWS,
+    RECORDS,
+    json_bytes,
+    write_outcome,
+)
 from ringwear_par.measuring.analysis.budget import COVERAGE
 from ringwear_par.measuring.measure_result import MeasureResult
+from ringwear_par.pictures.style import picture
 
+#: of the folder of a measurement, the one that says that it is whole first
+FILES = (MEASURE, MEASURED_ROWS, RECORDS)
 #: digits of an expanded uncertainty (JCGM 100, 7.2.6), and of numbers that have none
 _DIGITS, _ALONE = 2, 4
 #: powers of ten from which on numbers have one, and most digits behind the point of a number
@@ -181,3 +194,30 @@ def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
     if skipped := skipped_text(entry):
         yield f"skipped: {skipped}"
     yield from entry["notes"]
+
+
+def save(result: MeasureResult, folder: Path) -> None:
+    """Write all files, see ``write_outcome``."""
+    contents: dict[str, Callable[[], bytes | None]] = {
+        RECORDS: lambda: picture(result.plot, str(folder / RECORDS)),
+        MEASURED_ROWS: lambda: table(result).encode(),
+        MEASURE: lambda: json_bytes(result.to_dict()),
+    }
+    write_outcome(folder, "measure", contents)
+
+
+def table(result: MeasureResult) -> str:
+    """Return the contents of measure.csv: a row a test; empty cells for what was not measured."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    columns = [
+        (q, part) for q in QUANTITIES for part in (("value", "u") if q.measured else ("value",))
+    ]
+    header = [f"{'u of ' * (part == 'u')}{q.name} / {q.unit}" for q, part in columns]
+    rows.writerow(["test", "steady", *header, "doubts"])
+    for name, entry in result.to_dict()["tests"].items():
+        numbers = [quantity.of(entry, part) for quantity, part in columns]
+        cells = ["" if number is None else f"{number:.6g}" for number in numbers]
+        codes = " ".join(doubt["code"] for doubt in entry["doubts"])
+        rows.writerow([name, "yes" if entry["steady"] else "no", *cells, codes])
+    return text.getvalue()

@@ -38,7 +38,7 @@ class MeasureResult(Outcome):
 
     functions: ClassVar = {
         "summary": "ringwear_par.measuring.measure_numbers",
-        "save": "ringwear_par.measuring.measure_folder", "plot": "ringwear_par.measuring.figures",
+        "save": "ringwear_par.measuring.measure_numbers", "plot": "ringwear_par.measuring.figures",
     }  # fmt: skip
 
     problem: Problem

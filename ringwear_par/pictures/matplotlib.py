@@ -269,19 +269,18 @@ def _label_decades(axis: Any) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def legend_shape(panel: Panel, letters: int = _LETTERS, most: int | None = None) -> tuple[int, int]:
+def legend_shape(panel: Panel, letters: int) -> tuple[int, int]:
     """Return the columns of a panel's legend, as even as may be, and its lines with its title.
 
     Parameters
     ----------
     letters : that a line has room for.
-    most : columns, None for as many as there is room for.
     """
     labels = {curve.legend or curve.name for curve in panel.curves}
     labels |= {mark.name for marks in (panel.bands, panel.points, panel.bars) for mark in marks}
     labels -= {""}
     widest = max(map(len, labels), default=0) + _GLYPH
-    columns = max(1, min(most or len(labels), letters // widest))
+    columns = max(1, min(len(labels), letters // widest))
     lines = -(-len(labels) // columns)
     return -(-len(labels) // max(lines, 1)), lines + len(panel.legend.splitlines())
 

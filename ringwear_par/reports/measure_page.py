@@ -204,7 +204,7 @@ def _method() -> Lines:
             "counts; type B: otherwise (JCGM 100:2008)",
             "steadiness: what the rate or the level may change by within the part",
             "Monte Carlo: the shortest interval of 95 % of 200 000 draws (JCGM 101:2008)",
-            "what nobody tells is in no budget: measure.uncertainty of the measure file",
+            "no budget has uncertainties that are not in measure.uncertainty of the measure file",
         ]
     )
 

@@ -25,6 +25,7 @@ from ringwear_par.reports.blocks import (
     Tiles,
     checks_tile,
     reproduced,
+    stored_versions,
 )
 from ringwear_par.reports.case_words import case_words
 from ringwear_par.results.key_numbers import (
@@ -222,9 +223,7 @@ def _reproduced(result: Result) -> Section:
         for name, value in about.items()
         if name.startswith("seconds_")
     }
-    names = [name for name in about if name == "version" or name.endswith("_version")]
-    used = {name: str(about[name]) for name in [*names, "mpi_library"] if name in about}
     rows = [("MPI ranks", str(ranks)), *((f"{k}, s", v) for k, v in seconds.items())]
     caption = "Ranks, and seconds that it took"
     table = Table(caption, ("what", "value"), rows, folded=True)
-    return reproduced(f"{first}, then type:", commands, [], used, [table])
+    return reproduced(f"{first}, then type:", commands, [], stored_versions(about), [table])

@@ -24,6 +24,7 @@ from ringwear_par.reports.blocks import (
     Tiles,
     checks_tile,
     reproduced,
+    stored_versions,
 )
 from ringwear_par.results.key_numbers import number_words
 from ringwear_par.studies.analysis.responses import done_cases
@@ -106,7 +107,7 @@ def _summary(ensemble: Ensemble) -> list[Block]:
             if np.isfinite(values[done]).any()
         ]
         header = ("at the end", "unit", "least", "median", "largest")
-        blocks.append(Table("What the cases come to", header, rows))
+        blocks.append(Table("Final values of all cases", header, rows))
     return blocks
 
 
@@ -282,6 +283,4 @@ def _reproduced(ensemble: Ensemble) -> Section:
     sources = [Source("Study", str(about["study"]))]
     if len(ensemble.ids):
         sources.append(Source(f"Case {ensemble.ids[0]} of the study", ensemble.text(0)))
-    names = [name for name in about if name == "version" or name.endswith("_version")]
-    versions = {name: str(about[name]) for name in [*names, "mpi_library"] if name in about}
-    return reproduced(first, commands, sources, versions)
+    return reproduced(first, commands, sources, stored_versions(about))

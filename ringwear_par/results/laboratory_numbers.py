@@ -71,14 +71,6 @@ def _ratio(volume: FloatArray, divisor: FloatArray) -> FloatArray:
     return np.divide(volume, divisor, out=np.full(volume.shape, np.nan), where=divisor > 0.0)
 
 
-def _distance(course: Course) -> FloatArray | None:
-    return 1e-3 * course.angle * course.mean_radius
-
-
-def _p_v(course: Course) -> FloatArray | None:
-    return 1e-3 * course.force / course.area * course.omega * course.mean_radius
-
-
 @dataclass(frozen=True)
 class LaboratoryNumber:
     """A number that laboratories report: its variable, and its name among the key numbers."""
@@ -130,14 +122,14 @@ LABORATORY = {
         ),
         LaboratoryNumber(
             Variable("sliding_distance", ("step",), "m", "sliding distance at the mean radius"),
-            "distance", SLIDING, "distance", _distance,
+            "distance", SLIDING, "distance", lambda c: 1e-3 * c.angle * c.mean_radius,
         ),
         LaboratoryNumber(
             Variable(
                 "pressure_velocity", ("step",), "MPa m/s",
                 "p V: mean pressure on the nominal area times speed at the mean radius",
             ),
-            "p_v", SLIDING, "p V", _p_v,
+            "p_v", SLIDING, "p V", lambda c: 1e-3 * c.force / c.area * c.omega * c.mean_radius,
         ),
     )
 }  # fmt: skip

@@ -218,14 +218,9 @@ LAYER_VOLUMES = _of_both(
     "volume lost by each layer of the {} ring, and by the ring itself",
 )  # fmt: skip
 #: of a history, s; an attribute of its file
-TIMES_THROUGH = variable_table(
-    *(
-        Variable(
-            f"time_through_{body}", (), "s",
-            f"when wear first got through all layers of the {body} ring; none if it has not",
-        )
-        for body in BODIES
-    )
+TIMES_THROUGH = _of_both(
+    "time_through_{}", (), "s",
+    "when wear first got through all layers of the {} ring; none if it has not",
 )  # fmt: skip
 #: all of them
 LAYERS = {**LAYER_HISTORIES, **LAYER_VOLUMES, **LAYER_PROFILES}
@@ -355,7 +350,9 @@ def _of_interfaces(body: str) -> InterfaceVariables:
 
 
 INTERFACES = tuple(map(_of_interfaces, BODIES))
-EXCLUDE = Variable("stress_exclude", (), "mm", "radius round edges in which it is not looked for")
+EXCLUDE = Variable(
+    "stress_exclude", (), "mm", "radius round edges, within which no largest stress is looked for"
+)
 
 
 def _largest(suffix: str, bodies: str) -> tuple[Variable, ...]:

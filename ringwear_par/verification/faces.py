@@ -14,13 +14,14 @@ from ringwear_par.elasticity.bem.body import boundary_conditions, solve_body
 from ringwear_par.elasticity.bem.boundary import boundary_mesh
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
-from ringwear_par.elasticity.sections import Body, Section
+from ringwear_par.elasticity.sections import Body
 from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.observers.trace import Trace, trace
 from ringwear_par.history.start import first_contact
 from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, checks_of, converging, identity
+from ringwear_par.verification.elasticity import torsion_error
 from ringwear_par.verification.fine import (
     CONTACT,
     FORCE,
@@ -224,7 +225,7 @@ _CONE = SORTS["cones of 5 degrees"]
 def slope_checks(comm: MPI.Comm) -> Iterator[Check]:
     """Check matched cones, unworn and worn. Collective on comm."""
     yield converging("torsion of a ring with a conical top of 10 degrees: u_theta",
-                     partial(torsion_error, comm=comm), 1e-3)  # fmt: skip
+                     partial(torsion_error, comm=comm, degrees=10.0), 1e-3)  # fmt: skip
     bathed = [bathed_errors(n, comm) for n in SIZES]
     said = "cones of 5 degrees bathed in their pressure"
     rows = ((f"{said}: approach", 1e-6), (f"{said}: uniform pressure, worst element", 1e-6))
@@ -329,22 +330,3 @@ def _bath(body: Body, case: Case, slope: FloatArray, comm: MPI.Comm) -> FloatArr
     )  # fmt: skip
     radial, axial = response.displacement[:, 0, 0], response.displacement[:, 1, 0]
     return slope * radial - axial
-
-
-def torsion_error(n: int, comm: MPI.Comm) -> float:
-    """Return the error of u_theta = twist r (z + h) on a conical top of a hollow cylinder.
-
-    Its traction per true area is shear x twist x r cos alpha.
-    """
-    alpha, (a, b), height = math.radians(10.0), (20.0, 40.0), 20.0
-    section = Section((a, b), height, ((a, -(b - a) * math.tan(alpha)), (b, 0.0)))
-    mesh = Mesh(n)
-    line = contact_line((a, b), mesh)
-    boundary = boundary_mesh(section, line, mesh)
-    conditions = boundary_conditions(boundary, "clamped", np.full(n, math.tan(alpha)))
-    middle = boundary.elements[boundary.contact, 1]
-    response = solve_body(boundary, conditions, NU, 1e-8, middle, boundary.contact, comm)
-    r, z = boundary.nodes[middle].T
-    shear = 0.5 / (1.0 + NU)
-    u = response.displacement[:, 2] @ (shear * r * math.cos(alpha))
-    return float(np.abs(u / (r * (z + height)) - 1.0).max())

@@ -251,7 +251,7 @@ def known_sizes(problem: Problem, specimens: int) -> list[str]:
         return []
     sentence = f"the scatter of {', '.join(fitted)} is taken as known"
     if specimens < 2:
-        return [f"{sentence}; one specimen does not tell it"]
+        return [f"{sentence}; one specimen does not determine it"]
     wider = student_t.ppf(0.975, specimens - 1) / norm.ppf(0.975)
     return [
         f"{sentence}; of {specimens} specimens a fit knows it so little that intervals of 95 % are "

@@ -131,7 +131,7 @@ def read_series(
     if series.n <= len(free):
         reader.fault(
             f"has {counted(series.n, 'reading')}; must have more than nuisances "
-            f"without prior or bounds, {', '.join(free)}, which take all that they tell"
+            f"without prior or bounds, {', '.join(free)}, which fit so few exactly"
         )
     return series if len(faults) == before else None
 

@@ -155,14 +155,12 @@ class Material:
         """Return the estimate of the material's value of a key."""
         parameter, mixture, unknown = self.parameters[key], self.material(key), self.best_fit.x[key]
         value, sd, (low, high) = parameter.value(unknown), mixture.sd, mixture.interval(self.level)
-        natural = sd * parameter.slope(value)
+        natural, direction = sd * parameter.slope(value), ""
         if parameter.key in self.confounded_with_drift:
             direction = f"{parameter.key} against {self.confounded_with_drift[parameter.key]}"
-            return ParameterEstimate(
-                parameter.key, value, natural, (None, None), "not identified", direction
-            )
-        if is_vague(parameter, 0.5 * (high - low)) or is_mere_prior(parameter, natural):
+        elif is_vague(parameter, 0.5 * (high - low)) or is_mere_prior(parameter, natural):
             direction = f"these tests hardly determine {parameter.key} of the material"
+        if direction:
             return ParameterEstimate(
                 parameter.key, value, natural, (None, None), "not identified", direction
             )

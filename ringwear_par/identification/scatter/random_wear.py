@@ -129,8 +129,8 @@ class RandomWear:
                 yield ValidityWarning("coarse-wear", text, (key,), (), values)
             if entry["verdict"] == "not identified":
                 text = (
-                    f"the readings hardly tell the noise of the wear of {body_of_wear(key)}: the "
-                    "intervals of the keys hold what was assumed of it (fit.process, prior)"
+                    f"the readings hardly determine the random wear of {body_of_wear(key)}: "
+                    "intervals of the keys depend on what was assumed of it (fit.process, prior)"
                 )
                 yield ValidityWarning("process-from-prior", text, (key,))
 

@@ -187,8 +187,8 @@ def summary(design: DesignResult) -> str:
     lines.append(f"{where}: {about}{spread}")
     if scattering := [p.key for p in problem.parameters if p.scatter is not None]:
         lines.append(
-            f"each test is of a new specimen, between which {', '.join(scattering)} scatters; "
-            "what follows is of the material"
+            f"each test is of a new specimen, and {', '.join(scattering)} differs between "
+            "specimens; numbers below are of the material"
         )
     if not design.after:  # or earlier specimens tell it too
         lines += known_sizes(problem, count)
@@ -212,10 +212,10 @@ def summary(design: DesignResult) -> str:
     return "\n".join(lines)
 
 
-def name_of_tests(design: DesignResult, candidate: Design, separator: str = " + ") -> str:
+def name_of_tests(design: DesignResult, candidate: Design) -> str:
     """Return the tests of a design in a few words."""
     units = design.problem.design.units
-    return separator.join(name_of(design.candidates[i], units) for i in candidate.tests)
+    return " + ".join(name_of(design.candidates[i], units) for i in candidate.tests)
 
 
 def name_of(test: Candidate, units: Mapping[str, str]) -> str:

@@ -279,7 +279,7 @@ _STATE_ARRAYS = {
         "shape", ("body", "element"), "mm", "wear depth that the elements have followed"
     ),
     "state.gap_offset": Variable(
-        "fit", ("element",), "mm", "what elements are nearer since their slopes turned"
+        "fit", ("element",), "mm", "by how much elements are nearer since their slopes turned"
     ),
     "state.through": Variable(
         "through", ("body",), "s", "when wear first got through all layers, or infinite"
