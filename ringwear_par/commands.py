@@ -221,7 +221,7 @@ COMMANDS = {
                   help="folder of the fit of earlier tests (default: fit the file's other tests)"),
         _argument("--test", metavar="NAME", help="experiment that runs (default: the last one)"),
         _argument("--to", default="10%", metavar="PERCENT",
-                  help="half width of the interval of k that is wished (default: 10%%)"),
+                  help="half width of the interval of k that is asked for (default: 10%%)"),
         _DEPTH,
         _argument("--draws", type=int, default=10_000, metavar="N",
                   help="number of draws (default: %(default)s)"),

@@ -92,15 +92,15 @@ class MeasuredColumn:
         if kind != "mass":
             return cast(FloatArray, values)
         densities, place = _densities(case, result, body), f"{self.file}: {legible(self.column)}"
-        known = {key: density for key, density in densities.items() if density is not None}
-        if missing := ", ".join(key for key in densities if key not in known):
+        given = {key: density for key, density in densities.items() if density is not None}
+        if missing := ", ".join(key for key in densities if key not in given):
             raise InputError(
                 f"{place}: a mass needs the density of what is lost; the case must have {missing} "
                 "(g/mm^3)"
             )
-        density, *more = set(known.values())
+        density, *more = set(given.values())
         if more:
-            densities_words = ", ".join(f"{key} = {density:g}" for key, density in known.items())
+            densities_words = ", ".join(f"{key} = {density:g}" for key, density in given.items())
             raise InputError(
                 f"{place}: a mass cannot be drawn as a volume where what is lost has several "
                 f"densities ({densities_words} g/mm^3); must be a volume"
@@ -126,11 +126,11 @@ class MeasuredColumn:
 
 def _densities(case: Case, result: Result, body: str) -> dict[str, float | None]:
     """Return the densities (g/mm^3), by key, of what of a body is lost: of its face at least."""
-    known = getattr(case, body).densities
-    keys = density_keys(body, len(known) - 1)
+    densities = getattr(case, body).densities
+    keys = density_keys(body, len(densities) - 1)
     volumes = result.layers.get(f"worn_volume_{body}_layers")
     lost = np.ones(1) if volumes is None else volumes[-1]
-    parts = enumerate(zip(keys, known, lost, strict=True))
+    parts = enumerate(zip(keys, densities, lost, strict=True))
     return {key: density for i, (key, density, volume) in parts if i == 0 or volume > 0.0}
 
 

@@ -118,10 +118,10 @@ def storing(case: Case, outputs: Sequence[Output]) -> dict[str, Any]:
     """
     changes: dict[str, Any] = {"output.fields": [], "output.boundary": None, "stress": None}
     times = {o.time for o in outputs if 0.0 < o.time < math.inf}
-    whole = next((o.text for o in outputs if o.whole), "")
-    if times and whole and not case.output.times:
+    field = next((o.text for o in outputs if o.whole), "")
+    if times and field and not case.output.times:
         raise InputError(
-            f"function: outputs: {whole}: needs output.times in the case, beside outputs at times"
+            f"function: outputs: {field}: needs output.times in the case, beside outputs at times"
         )
     end = case.time.end * (1.0 + SAME_TIME)
     if late := [o for o in outputs if end < o.time < math.inf]:
@@ -133,8 +133,8 @@ def storing(case: Case, outputs: Sequence[Output]) -> dict[str, Any]:
             )
         )
     if times:
-        times |= {*case.output.times} if whole else set()
+        times |= {*case.output.times} if field else set()
         changes["output.times"] = sorted(times)
-    elif not whole:
+    elif not field:
         changes["output.every"] = _RARELY
     return changes

@@ -155,14 +155,14 @@ def _of_readings(
         [whitened(record.series, roots[part]) for record, part in zip(records, parts, strict=True)]
     )
     unroot, m = np.linalg.inv(root), test.jacobian.shape[1]
-    rest = np.tile(np.concatenate([test.readings, test.prior_values]), (len(draws.keys), 1))
-    rest[:, :n] -= draws.tests[:, number] @ test.jacobian.T
-    likelihood, replica = np.empty((len(rest), n)), np.empty((len(rest), n))
+    residuals = np.tile(np.concatenate([test.readings, test.prior_values]), (len(draws.keys), 1))
+    residuals[:, :n] -= draws.tests[:, number] @ test.jacobian.T
+    likelihood, replica = np.empty((len(residuals), n)), np.empty((len(residuals), n))
     sizes, of_draw = np.unique(draws.sizes, axis=0, return_inverse=True)
     for place, size in enumerate(sizes):
         chosen = of_draw.ravel() == place
         precision = projected_precision(test, size, np.zeros((m, m)))
-        noise = rest[chosen] @ precision[:, :n]  # its mean by the readings
+        noise = residuals[chosen] @ precision[:, :n]  # its mean by the readings
         information, slope = ((root.T @ precision[:n, :n]) * root.T).sum(axis=1), noise @ root
         likelihood[chosen] = 0.5 * (np.log(information / (2.0 * np.pi)) - slope**2 / information)
         values, axes = np.linalg.eigh(np.eye(n) - precision[:n, :n])

@@ -318,11 +318,11 @@ class FitResult(Outcome, Solution):
     def correlations(self) -> list[tuple[str, str, float]]:
         """Return pairs of fitted keys and nuisances and their correlation, the strongest first."""
         sds, names = self.standard_deviations, self.misfit.names
-        known = [i for i in range(len(names)) if 0 < sds[i] < np.inf]
+        determined = [i for i in range(len(names)) if 0 < sds[i] < np.inf]
         pairs = [
             (name_of(names[i]), name_of(names[j]), float(self.covariance[i, j] / (sds[i] * sds[j])))
-            for i in known
-            for j in known
+            for i in determined
+            for j in determined
             if i < j and i < len(self.parameters)
         ]
         return sorted(pairs, key=lambda pair: -abs(pair[2]))

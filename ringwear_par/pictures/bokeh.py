@@ -357,10 +357,10 @@ def _cells(cells: Cells) -> Iterator[tuple[float, ...]]:
 
 def _add_colours(plot: Any, cells: Cells, drawn: Any) -> None:
     """Colour cells by their values, with a bar of the colours, and show these at the pointer."""
-    known = cells.values[np.isfinite(cells.values)]
+    finite = cells.values[np.isfinite(cells.values)]
     shades = matplotlib.colormaps[CELL_COLOURS](np.linspace(0.0, 1.0, _SHADES))
     mapper = (LogColorMapper if cells.log else LinearColorMapper)(
-        palette=[to_hex(shade) for shade in shades], low=known.min(), high=known.max()
+        palette=[to_hex(shade) for shade in shades], low=finite.min(), high=finite.max()
     )
     drawn.glyph.fill_color = {"field": "value", "transform": mapper}
     plot.add_layout(ColorBar(color_mapper=mapper, title=PlainText(text=cells.label)), "right")

@@ -299,8 +299,8 @@ def _at_times(result: Result, times: str) -> list[int]:
 def _labels(results: Sequence[Result]) -> list[str]:
     """Name each result by what sets its case apart, or by its file where that is too much."""
     cases = [expanded(read_keys(result.case, result.name)) for result in results]
-    known = dict.fromkeys(path for case in cases for path in case if path != "title")
-    paths = [path for path in known if len({str(c.get(path)) for c in cases}) > 1]
+    every_path = dict.fromkeys(path for case in cases for path in case if path != "title")
+    paths = [path for path in every_path if len({str(c.get(path)) for c in cases}) > 1]
     if not 1 <= len(paths) <= 2 or any(path not in case for path in paths for case in cases):
         return [
             f"result {number}" if result.path is None else plain(result.path.stem)

@@ -192,15 +192,15 @@ def residuals(series: Series) -> Panel:
     )  # fmt: skip
 
 
-def single_readings(every: Sequence[Series]) -> Panel:
+def single_readings(drawn: Sequence[Series]) -> Panel:
     """Return series of one reading, a line each: how far it is off the model, and both numbers."""
-    level, quantile = f"{100 * every[0].level:g} %", every[0].quantile
-    places = np.arange(len(every), dtype=float)
-    residuals = np.array([series.residuals[0] for series in every])
-    model = quantile * np.array([(series.band / series.sd)[0] for series in every])
-    both = np.hypot(model, quantile)
+    level, quantile = f"{100 * drawn[0].level:g} %", drawn[0].quantile
+    places = np.arange(len(drawn), dtype=float)
+    residuals = np.array([series.residuals[0] for series in drawn])
+    model = quantile * np.array([(series.band / series.sd)[0] for series in drawn])
+    spread = np.hypot(model, quantile)
     words = []
-    for series in every:
+    for series in drawn:
         unit, (sd, band) = in_signs(series.unit), (quantile * series.sd, quantile * series.band)
         reading, of_model = (
             f"{value[0]:.4g} {unit}"
@@ -211,18 +211,18 @@ def single_readings(every: Sequence[Series]) -> Panel:
             reading = f"{'at least' if side > 0 else 'at most'} {series.data[0]:.4g} {unit}"
         words.append("\n".join([legible(series.title), reading, f"model {of_model}"]))
     reach = max(_REACH, 1.1 * float(np.abs(residuals).max()), 1.1 * float(model.max()))
-    ends = np.array([-0.6, len(every) - 0.4])
+    ends = np.array([-0.6, len(drawn) - 0.4])
     return Panel(
         Axis("(data - model) / sd", ends=(-reach, reach)),
         Axis("", reversed=True, categories=tuple(words)),
         bars=[
-            Bars(places, both, f"{level} of readings", COLOURS[0], None, -both, 0.7, 0.15),
+            Bars(places, spread, f"{level} of readings", COLOURS[0], None, -spread, 0.7, 0.15),
             Bars(places, model, f"{level} of the model", COLOURS[1], None, -model, 0.7, 0.35),
         ],
         curves=[Curve(np.zeros(2), ends, "model", COLOURS[1])],
         points=[
             points
-            for series, place in zip(every, places, strict=True)
+            for series, place in zip(drawn, places, strict=True)
             for points in _data(series, series.residuals, np.array([place]), 6.0)
         ],
     )  # fmt: skip

@@ -48,8 +48,8 @@ _DARK, _PALE = "#666666", "#808080"
 def highest(states: Sequence[StressState]) -> float:
     """Return the end of the scale of maps of some states, MPa."""
     values = np.concatenate([mises(state.grid).ravel() for state in states])
-    known = values[np.isfinite(values)]
-    return float(np.quantile(known, _SHARE)) if len(known) else 1.0
+    finite = values[np.isfinite(values)]
+    return float(np.quantile(finite, _SHARE)) if len(finite) else 1.0
 
 
 def draw_map(axes: Any, result: Result, label: str, state: StressState, top: float) -> None:
@@ -65,10 +65,10 @@ def draw_map(axes: Any, result: Result, label: str, state: StressState, top: flo
     levels = MaxNLocator(_LEVELS).tick_values(0.0, top or 1.0)
     drawn = None
     for inside, band in _materials(sections, r, z):  # each by itself, and up to its contour
-        known = inside & np.isfinite(values)
-        if known.any():
-            filled = _spread(values, known)
-            filled[under & inside.any(axis=1) & ~known.any(axis=1)] = np.nan  # worn through
+        finite = inside & np.isfinite(values)
+        if finite.any():
+            filled = _spread(values, finite)
+            filled[under & inside.any(axis=1) & ~finite.any(axis=1)] = np.nan  # worn through
             drawn = axes.contourf(r, z, filled.T, levels, cmap="viridis", extend="max")
             drawn.set_clip_path(Polygon(band, transform=axes.transData))
     if drawn is None:
@@ -129,11 +129,11 @@ def _materials(
             yield of_layer & beside, band
 
 
-def _spread(values: FloatArray, known: BoolArray) -> FloatArray:
+def _spread(values: FloatArray, finite: BoolArray) -> FloatArray:
     """Return values of which those that are not known are those of the nearest that are."""
     from scipy.ndimage import distance_transform_edt
 
-    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    nearest = distance_transform_edt(~finite, return_distances=False, return_indices=True)
     return values[tuple(nearest)]
 
 
@@ -305,8 +305,8 @@ def _worn_through(
     r: FloatArray, values: FloatArray, ends: tuple[float, float], height: float
 ) -> list[Label]:
     """Return words in the widest part of an interface that has no stress, if it is wide."""
-    known = np.isfinite(values).all(axis=0)
-    gone = np.ma.clump_masked(np.ma.array(r, mask=~known))
+    finite = np.isfinite(values).all(axis=0)
+    gone = np.ma.clump_masked(np.ma.array(r, mask=~finite))
     first, last = max(((r[part][0], r[part][-1]) for part in gone), key=np.ptp, default=(0.0, 0.0))
     if last - first < _WIDE * (ends[1] - ends[0]):
         return []

@@ -77,8 +77,8 @@ def sweep_sheets(ensemble: Ensemble) -> list[Sheet]:
     columns["error"] = "", "why the case failed", ensemble.error
     for name, values in ensemble.final.items():
         final, entry = end_value_of(name)
-        which = f"; {entry_label(final.stored, entry)}" if entry else ""
-        columns[name] = final.stored.unit, f"{final.stored.meaning}{which}", values
+        at_entry = f"; {entry_label(final.stored, entry)}" if entry else ""
+        columns[name] = final.stored.unit, f"{final.stored.meaning}{at_entry}", values
     columns["seconds"] = "s", "wall time of the case", ensemble.seconds
     flags = [join_flags(flags) for flags in ensemble.flags]
     columns["flags"] = "", "what makes the answer doubtful", flags

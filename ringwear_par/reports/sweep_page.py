@@ -113,8 +113,8 @@ def _summary(ensemble: Ensemble) -> list[Block]:
 
 def _meaning(name: str) -> str:
     final, entry = end_value_of(name)
-    which = f"; {entry_label(final.stored, entry)}" if entry else ""
-    return f"{final.stored.meaning.removesuffix(', at the last stored step')}{which}"
+    at_entry = f"; {entry_label(final.stored, entry)}" if entry else ""
+    return f"{final.stored.meaning.removesuffix(', at the last stored step')}{at_entry}"
 
 
 def _quantiles(values: FloatArray) -> FloatArray:

@@ -75,8 +75,8 @@ def stages(time: FloatArray) -> list[int]:
     ----------
     time : (s,) float, s, of the stored states.
     """
-    wished = [time[min(1, len(time) - 1)], *(time[-1] * q / _QUARTERS for q in range(1, 5))]
-    return sorted({int(np.abs(time - t).argmin()) for t in wished})
+    instants = [time[min(1, len(time) - 1)], *(time[-1] * q / _QUARTERS for q in range(1, 5))]
+    return sorted({int(np.abs(time - t).argmin()) for t in instants})
 
 
 def pressure_limit(area: FloatArray, pressure: FloatArray, force: FloatArray) -> float:

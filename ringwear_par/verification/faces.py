@@ -178,14 +178,14 @@ def both_wear(name: str, rings: Rings, pair: ContactPair, comm: MPI.Comm) -> Ite
     n = pair.line.n
     history = trace(ring_case(rings, Mesh(n), k=BOTH), comm, pair=pair)
     worst, states = history.balances, history.states[1:]
-    said, split = f"{name}, both wear", 0.0
+    label, split = f"{name}, both wear", 0.0
     for lower, upper in (state.wear for state in states):
         off = np.abs(upper * BOTH[0] / BOTH[1] - lower)
         split = max(split, float((off / np.maximum(lower, np.finfo(float).tiny)).max()))
-    yield identity(f"{said}: worn volumes = k1, k2 x energy, all steps", n, worst.energy, 1e-12)
-    yield identity(f"{said}: depths split k1 : k2, all steps", n, split, 1e-12)
-    yield identity(f"{said}: volume balance, all steps", n, worst.volume, 1e-12)
-    yield identity(f"{said}: force balance, all steps", n, worst.force, 1e-12)
+    yield identity(f"{label}: worn volumes = k1, k2 x energy, all steps", n, worst.energy, 1e-12)
+    yield identity(f"{label}: depths split k1 : k2, all steps", n, split, 1e-12)
+    yield identity(f"{label}: volume balance, all steps", n, worst.volume, 1e-12)
+    yield identity(f"{label}: force balance, all steps", n, worst.force, 1e-12)
 
 
 def steady_rows(
@@ -214,9 +214,9 @@ def steady_rows(
                 abs(torque / (oblique * math.pi * (b * b - a * a)) - 1.0),
             )
         )
-    said = f"{name}, both wear, steady"
+    label = f"{name}, both wear, steady"
     texts = "pressure c/r", "approach rate", "torque"
-    yield from checks_of(errors, [(f"{said}: {text}", 1e-6, 1e-9) for text in texts])
+    yield from checks_of(errors, [(f"{label}: {text}", 1e-6, 1e-9) for text in texts])
 
 
 _CONE = SORTS["cones of 5 degrees"]
@@ -227,8 +227,8 @@ def slope_checks(comm: MPI.Comm) -> Iterator[Check]:
     yield converging("torsion of a ring with a conical top of 10 degrees: u_theta",
                      partial(torsion_error, comm=comm, degrees=10.0), 1e-3)  # fmt: skip
     bathed = [bathed_errors(n, comm) for n in SIZES]
-    said = "cones of 5 degrees bathed in their pressure"
-    rows = ((f"{said}: approach", 1e-6), (f"{said}: uniform pressure, worst element", 1e-6))
+    label = "cones of 5 degrees bathed in their pressure"
+    rows = ((f"{label}: approach", 1e-6), (f"{label}: uniform pressure, worst element", 1e-6))
     yield from checks_of(bathed, rows)
     for degrees in reference.CONE_APPROACH:
         yield from _cone_rows(degrees, comm)
@@ -254,10 +254,10 @@ def _cone_rows(degrees: float, comm: MPI.Comm) -> Iterator[Check]:
         first = first_contact(case, comm)
         errors.append(cone_errors(degrees, case.line, first.pressure, first.approach))
     way = {0.0: "flat", 1.0: "rising"}.get(degrees, "falling")
-    said = f"matched cones of {abs(degrees):g} degree, {way}" if degrees else "flat flush rings"
+    label = f"matched cones of {abs(degrees):g} degree, {way}" if degrees else "flat flush rings"
     rows = (
-        (f"{said}, finite elements: approach", 1e-4, 5e-6),
-        (f"{said}, finite elements: p, worst of 5 radii", 2e-3, 2e-4),
+        (f"{label}, finite elements: approach", 1e-4, 5e-6),
+        (f"{label}, finite elements: p, worst of 5 radii", 2e-3, 2e-4),
     )
     yield from checks_of([list(error.values()) for error in errors], rows[: len(errors[0])])
 

@@ -261,10 +261,11 @@ def paper_rings(
     return layered(below, lower), layered(above, upper)
 
 
-def _coated(both: tuple[Body, Body], n: int, comm: MPI.Comm) -> _Coated:
+def _coated(coated: tuple[Body, Body], n: int, comm: MPI.Comm) -> _Coated:
     case = paper_case(Mesh(n), pressure=50.0)
     line, force = case.line, case.area * 50.0
-    pair = assemble_pair(both, line, case.mesh, comm).compliance((both[0].young, both[1].young))
+    young_moduli = (coated[0].young, coated[1].young)
+    pair = assemble_pair(coated, line, case.mesh, comm).compliance(young_moduli)
     unit = np.linalg.solve(pair.matrix, line.area)
     approach = force / float(line.area @ unit)
     p = approach * unit
@@ -282,12 +283,12 @@ def coating_checks(comm: MPI.Comm) -> Iterator[Check]:
     base, plain = Material(case.lower.young, NU), {}
     for n in _COARSE:
         plain[n] = _coated(paper_rings(), n, comm).approach
-    for said, rings in (
+    for label, rings in (
         *((f"{h:g} mm below", paper_rings([(h, base)])) for h in (0.005, 0.05, 0.5)),
         ("0.05 mm above", paper_rings([], [(0.05, Material(case.upper.young, NU))])),
     ):
         errors = tuple(abs(_coated(rings, n, comm).approach / plain[n] - 1.0) for n in _COARSE)
-        yield Check(f"paper, {said} of the same material: approach", _COARSE, errors, 1e-5)
+        yield Check(f"paper, {label} of the same material: approach", _COARSE, errors, 1e-5)
     hard = paper_rings([(0.05, Material(100e3, NU))])
     solutions = [_coated(hard, n, comm) for n in SIZES]
     exact = reference.COATED_APPROACH
@@ -346,9 +347,9 @@ def thin_disc_checks(comm: MPI.Comm) -> Iterator[Check]:
     sizes = 32, 64
     for height, poisson in _THIN:
         errors = thin_disc_errors(height, poisson, sizes, comm)
-        said = f"soft disc of {height:g} mm, nu {poisson:g}, under a narrower ring"
+        label = f"soft disc of {height:g} mm, nu {poisson:g}, under a narrower ring"
         rows = (
-            (f"{said}: approach", 3e-4, 4e-5),
-            (f"{said}: p 0.7 mm inside edges, p(mid)", 1e-3, 1e-4),
+            (f"{label}: approach", 3e-4, 4e-5),
+            (f"{label}: p 0.7 mm inside edges, p(mid)", 1e-3, 1e-4),
         )
         yield from checks_of(errors, rows, sizes)

@@ -121,11 +121,11 @@ def _texts(reader: TableReader, key: str) -> Mapping[str, str]:
     if not isinstance(table, Mapping) or not all(isinstance(v, str) for v in table.values()):
         reader.wrong(key, "must be a table of texts")
         return {}
-    known = (*_TEXTS, "at", *_MASSES)
+    roles = (*_TEXTS, "at", *_MASSES)
     for role in table:
-        if role not in known and role.partition(".")[0] not in _MASSES and key_of(role) is None:
+        if role not in roles and role.partition(".")[0] not in _MASSES and key_of(role) is None:
             reader.fault(
-                f"{key}.{legible(role)}: must be {', '.join(known)}, a mass with its body "
+                f"{key}.{legible(role)}: must be {', '.join(roles)}, a mass with its body "
                 "(loss.lower) or a key of a case"
             )
     return table
@@ -181,8 +181,8 @@ def _role(column: Measurements, names: Mapping[str, str], worn: Sequence[str]) -
     """Return the role that the name of a column tells, "" for none or that of a named column."""
     (name,) = column.columns
     bare = bare_name(name)
-    if known := next((text for text in (name, bare) if key_of(text) is not None), ""):
-        return "" if known in names else known
+    if key := next((text for text in (name, bare) if key_of(text) is not None), ""):
+        return "" if key in names else key
     if bare.partition(".")[0] in _TABLES and "." in bare:
         return bare  # the case does not know it, and tells the nearest key
     taken = {*names} | (_LOADS if _LOADS & {*names} else set())
@@ -250,9 +250,9 @@ def _column(
 
 def _refuse_twins(table: Measurements, columns: Sequence[_Column], faults: list[str]) -> None:
     """Refuse two columns of one role; of masses the mean counts."""
-    known: dict[tuple[str, str], int] = {}
+    first_places: dict[tuple[str, str], int] = {}
     for column in columns:
-        first = known.setdefault((column.role, column.body), column.place)
+        first = first_places.setdefault((column.role, column.body), column.place)
         if first != column.place and column.role not in KINDS:
             names = (legible(table.columns[i]) for i in (first, column.place))
             faults.append(

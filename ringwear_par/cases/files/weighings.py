@@ -201,9 +201,9 @@ def roles_by_name(
     base : returns a unit of that, "" for none.
     """
     (name,) = column.columns
-    label, every = column.label(name), re.findall(r"[^\W\d_]+", bare_name(name))
-    in_name = {word.lower() if len(word) > 1 else word for word in every}
-    known = {word for word in in_name if len(word) > 1} | {*every[:1]}
+    label, words_of_name = column.label(name), re.findall(r"[^\W\d_]+", bare_name(name))
+    in_name = {word.lower() if len(word) > 1 else word for word in words_of_name}
+    known = {word for word in in_name if len(word) > 1} | {*words_of_name[:1]}
     roles = [role for role, usual in words.items() if known & usual]
     fitting = [role for role in roles if base(role) and unit_of_column(label, base(role))]
     roles = fitting or [role for role in roles if in_name - _BESIDE <= words[role]]

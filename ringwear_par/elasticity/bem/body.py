@@ -180,8 +180,8 @@ def solve_assembled(bodies: Sequence[Assembled], comm: MPI.Comm) -> list[Respons
     evaluations = [comm.allreduce(body.rows.kernel_evaluations) for body in bodies]
     seconds = (time.perf_counter() - started) / len(bodies)
     return [
-        Response(*wanted, BodyCost(count, body.seconds, seconds))
-        for body, wanted, count in zip(bodies, values, evaluations, strict=True)
+        Response(*response, BodyCost(count, body.seconds, seconds))
+        for body, response, count in zip(bodies, values, evaluations, strict=True)
     ]
 
 
@@ -200,8 +200,8 @@ def _wanted(
     for c, (x, start) in enumerate((normal, normal, torsion)):
         for target, dofs in zip((displacement, traction), columns, strict=True):
             local = dofs[:, c] - start
-            here = (dofs[:, c] >= 0) & (local >= 0) & (local < len(x))
-            target[here, c] = x[local[here]]
+            computed = (dofs[:, c] >= 0) & (local >= 0) & (local < len(x))
+            target[computed, c] = x[local[computed]]
     for array in (displacement, traction):  # each entry is known to one rank: the sum is exact
         comm.Allreduce(MPI.IN_PLACE, array, MPI.SUM)
     return displacement, traction * sign[:, None, None]

@@ -32,8 +32,8 @@ _LOADS = ("load.force", "load.pressure", "load.displacement")
 
 def input_keys(tables: Any) -> list[str]:
     """Return the keys of the inputs of an experiment, as far as they are right."""
-    every = tables if isinstance(tables, list) else []
-    keys = [entry.get("key") for entry in every if isinstance(entry, Mapping)]
+    entries = tables if isinstance(tables, list) else []
+    keys = [entry.get("key") for entry in entries if isinstance(entry, Mapping)]
     return [key for key in keys if key in INPUT_KEYS]
 
 
@@ -48,7 +48,7 @@ def with_places(keys: Mapping[str, Any], measured: Sequence[str]) -> dict[str, A
 
 
 def refuse_known(
-    said: str,
+    place: str,
     measured: Sequence[str],
     parameters: Sequence[FittedParameter],
     changes: Mapping[str, Any],
@@ -58,14 +58,14 @@ def refuse_known(
     for key in dict.fromkeys(measured):
         same = set(_LOADS if key in _LOADS else (key,))
         fitted = {split_key(parameter.key)[0] for parameter in parameters}
-        faults += [f"{said}: set: {_of_input(name, key)}; cannot be set too"
+        faults += [f"{place}: set: {_of_input(name, key)}; cannot be set too"
                    for name in sorted(same & changes.keys())]  # fmt: skip
-        faults += [f"{said}: {_of_input(name, key)}; cannot be fitted too"
+        faults += [f"{place}: {_of_input(name, key)}; cannot be fitted too"
                    for name in sorted(same & fitted)]  # fmt: skip
     loads = [key for key in measured if key in _LOADS]
     twice = [*loads[1:], *(key for key in ("contact.friction", "load.omega")
                            if list(measured).count(key) > 1)]  # fmt: skip
-    faults += [f"{said}: input: {key}: is there twice; must be once" for key in twice]
+    faults += [f"{place}: input: {key}: is there twice; must be once" for key in twice]
 
 
 def _of_input(name: str, key: str) -> str:
@@ -74,17 +74,17 @@ def _of_input(name: str, key: str) -> str:
 
 
 def read_inputs(
-    said: str, tables: Any, case: Case, files: FileStore, faults: list[str]
+    place: str, tables: Any, case: Case, files: FileStore, faults: list[str]
 ) -> tuple[tuple[MeasuredInput, ...], dict[str, Any]]:
     """Return the inputs of an experiment, and the keys of its case that they are.
 
     None, and faults, where one is wrong. The case has numbers in the places of what was measured.
     """
     if not isinstance(tables, list):
-        faults.append(f"{said}: input: must be tables, [[experiment.input]]")
+        faults.append(f"{place}: input: must be tables, [[experiment.input]]")
         return (), {}
     before, curves = len(faults), dict[str, Any]()
-    read = [_input(f"{said}: input {i}", table, case, files, faults)
+    read = [_input(f"{place}: input {i}", table, case, files, faults)
             for i, table in enumerate(tables, start=1)]  # fmt: skip
     inputs = [entry for entry in read if entry is not None]
     inputs.sort(key=lambda entry: entry.of_torque)  # its friction needs the load
@@ -92,7 +92,7 @@ def read_inputs(
         if len(faults) > before:
             return (), {}
         if entry.of_torque:
-            _check_friction(said, entry, case, faults)
+            _check_friction(place, entry, case, faults)
         if len(faults) > before:
             return (), {}
         entry = replace(entry, radius=0.5 * sum(case.contact))
@@ -103,12 +103,12 @@ def read_inputs(
 
 
 def _input(
-    said: str, table: Any, case: Case, files: FileStore, faults: list[str]
+    place: str, table: Any, case: Case, files: FileStore, faults: list[str]
 ) -> MeasuredInput | None:
     before = len(faults)
-    reader = TableReader(said, table, faults, INPUT)
+    reader = TableReader(place, table, faults, INPUT)
     key, quantity, end = reader.read("key"), reader.read("quantity"), case.time.end
-    reader.place = said if key is None else f"{said} ({key})"
+    reader.place = place if key is None else f"{place} ({key})"
     excluded, smooth = read_intervals(reader, "exclude", "s"), reader.read("smooth")
     scale = None
     if (entry := reader.raw("scale")) is not None:
@@ -181,14 +181,14 @@ def _suspicions(entry: MeasuredInput, case: Case) -> tuple[str, ...]:
     )
 
 
-def _check_friction(said: str, entry: MeasuredInput, case: Case, faults: list[str]) -> None:
+def _check_friction(place: str, entry: MeasuredInput, case: Case, faults: list[str]) -> None:
     """Refuse a torque whose load is not known, or 0."""
     force = case.load.force
     if force is None:
-        faults.append(f'{said}: input ({entry.key}): needs load.control = "force"')
+        faults.append(f'{place}: input ({entry.key}): needs load.control = "force"')
     elif (np.asarray(in_time(force, entry.time)) <= 0.0).any():
         first = entry.time[np.asarray(in_time(force, entry.time)) <= 0.0][0]
         faults.append(
-            f"{said}: input ({entry.key}): the load is 0 at {first:g} s; exclude must leave out "
+            f"{place}: input ({entry.key}): the load is 0 at {first:g} s; exclude must leave out "
             "readings without load"
         )

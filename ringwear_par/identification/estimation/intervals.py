@@ -61,9 +61,9 @@ def without_nuisances(matrix: FloatArray, m: int) -> FloatArray:
     size = np.sqrt(np.diag(matrix))
     size = np.where(size > 0.0, size, 1.0)
     scaled = matrix / np.outer(size, size)
-    rest = scaled[:m, m:] @ np.linalg.pinv(scaled[m:, m:], rcond=_UNINFORMED, hermitian=True)
-    alone: FloatArray = scaled[:m, :m] - rest @ scaled[m:, :m]
-    return 0.5 * (alone + alone.T) * np.outer(size[:m], size[:m])
+    weights = scaled[:m, m:] @ np.linalg.pinv(scaled[m:, m:], rcond=_UNINFORMED, hermitian=True)
+    remaining: FloatArray = scaled[:m, :m] - weights @ scaled[m:, :m]
+    return 0.5 * (remaining + remaining.T) * np.outer(size[:m], size[:m])
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +87,10 @@ class Spectrum:
     @property
     def covariance(self) -> FloatArray:
         """(u, u) inverse; infinite variances of what nothing is known of."""
-        known = self.values > _UNINFORMED
-        part = self.vectors[:, known] / np.sqrt(self.values[known]) / self.size[:, None]
+        determined = self.values > _UNINFORMED
+        part = self.vectors[:, determined] / np.sqrt(self.values[determined]) / self.size[:, None]
         covariance: FloatArray = part @ part.T
-        lost = (np.abs(self.vectors[:, ~known]) > 1e-3).any(axis=1)
+        lost = (np.abs(self.vectors[:, ~determined]) > 1e-3).any(axis=1)
         covariance[lost, lost] = np.inf
         return covariance
 
@@ -218,8 +218,9 @@ def direction(misfit: Misfit, spectrum: Spectrum, j: int) -> str:
             return f"only {_product(misfit, keys, strong[:, 0] * spectrum.size[keys])}"
         return f"only products of {', '.join(sorted(str(names[i]) for i in keys))}"
     mine = str(names[j])
-    rest = [name_of(names[i]) for i in taking if i != j]
-    return f"{mine} against {' and '.join([', '.join(rest[:-1]), rest[-1]] if rest[1:] else rest)}"
+    others = [name_of(names[i]) for i in taking if i != j]
+    listed = [", ".join(others[:-1]), others[-1]] if others[1:] else others
+    return f"{mine} against {' and '.join(listed)}"
 
 
 def _product(misfit: Misfit, keys: Sequence[int], powers: FloatArray) -> str:

@@ -65,7 +65,7 @@ def minimise(
     new_points: list[FloatArray] = []
 
     def evaluate(x: FloatArray) -> Evaluation:
-        if not misfit.responses.are_known(x):
+        if not misfit.responses.are_computed(x):
             new_points.append(x)
             if wait_for is not None:
                 wait_for(x)

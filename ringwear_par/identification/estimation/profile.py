@@ -74,7 +74,7 @@ def likelihood_profiles(
     All limits are searched side by side, from the covariance (u, u) on. Not collective.
     """
     level = misfit.problem.settings.level
-    limited, known, covariance = list(estimates), covariance.copy(), covariance.copy()
+    limited, profiled, covariance = list(estimates), covariance.copy(), covariance.copy()
     keys: list[int] = []
     for j, estimate in enumerate(estimates):
         if estimate.verdict != "identified" and misfit.censored.any():
@@ -85,7 +85,7 @@ def likelihood_profiles(
         elif estimate.verdict != "not identified":
             keys += [j] * ("profile" in misfit.problem.settings.intervals)
     if not keys:
-        return Profiles(tuple(estimates), {}, known)
+        return Profiles(tuple(estimates), {}, profiled)
     tables: dict[int, dict[float, float]] = {}
     searched = []
     two_sided = math.sqrt(float(chi2.ppf(level, 1)))
@@ -113,7 +113,7 @@ def likelihood_profiles(
         better = [search.better for search in of_searches if search.better is not None]
         if better:
             best = min(better, key=lambda candidate: candidate.evaluation.objective)
-            return Profiles(tuple(estimates), {}, known, better=best.x)
+            return Profiles(tuple(estimates), {}, profiled, better=best.x)
         limits |= {
             (j, side): limit for (j, side, _), limit in zip(searched, of_searches, strict=True)
         }
@@ -132,7 +132,7 @@ def likelihood_profiles(
         if limited[j].verdict == "not identified":
             if ends == [None, None]:
                 continue
-            known[j], known[:, j], known[j, j] = 0.0, 0.0, math.inf
+            profiled[j], profiled[:, j], profiled[j, j] = 0.0, 0.0, math.inf
             limited[j] = replace(limited[j], verdict="at bound", direction="", sd=None)
             if low is not None and high is not None:
                 half = 0.5 * (parameter.unknown(high) - parameter.unknown(low))
@@ -140,14 +140,14 @@ def likelihood_profiles(
                 if is_vague(parameter, half) or is_mere_prior(parameter, sd):
                     limited[j] = estimates[j]
                     continue
-                known[j, j] = (half / two_sided) ** 2
+                profiled[j, j] = (half / two_sided) ** 2
                 limited[j] = replace(limited[j], verdict="identified", sd=sd)
         limited[j] = replace(limited[j], interval=(low, high))
         table = np.array(sorted(points.items())).T
         table[0] = [parameter.value(u) for u in table[0]]
         profiles[parameter.key] = table
     inexact = tuple(misfit.problem.keys[j] for j in sorted(inexact_limits))
-    return Profiles(tuple(limited), profiles, known, inexact)
+    return Profiles(tuple(limited), profiles, profiled, inexact)
 
 
 def _limit(

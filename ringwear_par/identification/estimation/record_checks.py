@@ -64,19 +64,19 @@ def _oppositions(misfit: Misfit, model: FloatArray) -> Iterator[ValidityWarning]
             continue
         kinds = " and ".join(n.kind for n in series.nuisances if n.kind != GROWTH_TIME)
         beside = f"apart from {kinds}, " if kinds else ""
-        said = f"{series.name} ({experiment.name}): {beside}readings fall where the model rises"
+        place = f"{series.name} ({experiment.name}): {beside}readings fall where the model rises"
         exclude = record.exclude
         if exclude is None:
-            said += "; check their sign and the record of the test"
+            place += "; check their sign and the record of the test"
         else:
             first, last = exclude
-            said += (
+            place += (
                 f", because of the readings from {first:.10g} to {last:.10g} s; if these show "
                 "something else than wear, leave them out: "
                 f"exclude = [[{first:.10g}, {last:.10g}]]"
             )
         values = {"series": series.name, "exclude": exclude and list(exclude)}
-        yield ValidityWarning("readings-oppose", said, (), (experiment.name,), values)
+        yield ValidityWarning("readings-oppose", place, (), (experiment.name,), values)
 
 
 def _trends(misfit: Misfit, evaluation: Evaluation) -> Iterator[ValidityWarning]:
@@ -92,7 +92,7 @@ def _trends(misfit: Misfit, evaluation: Evaluation) -> Iterator[ValidityWarning]
         if probability >= _NO_NOISE:
             continue
         differences = "the differences are not noise with the given sd"
-        said = (
+        place = (
             f"readings of {experiment.name}, {series.name}, trend away from the model "
             f"(p = {probability:.1g}): "
             f"{'the fitted sd is not noise alone' if series.sd_fitted else differences}; intervals "
@@ -100,7 +100,7 @@ def _trends(misfit: Misfit, evaluation: Evaluation) -> Iterator[ValidityWarning]
             "narrow"
         )
         values = {"series": series.name, "p": probability}
-        yield ValidityWarning("residuals-trend", said, (), (experiment.name,), values)
+        yield ValidityWarning("residuals-trend", place, (), (experiment.name,), values)
 
 
 def input_trends(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
@@ -134,12 +134,12 @@ def _alike(misfit: Misfit, x: FloatArray) -> Iterator[ValidityWarning]:
         time = float(x[misfit.names.index((experiment.name, series.name, GROWTH_TIME))])
         last = float(series.x.max())
         if last < _ALIKE * time:
-            said = (
+            place = (
                 f"{series.name} ({experiment.name}): readings until {last:.4g} s hardly tell a "
                 f"drift from thermal growth with a time constant of {time:.4g} s; give one a prior"
             )
             values = {"series": series.name, "time": time, "last": last}
-            yield ValidityWarning("drift-or-growth", said, (), (experiment.name,), values)
+            yield ValidityWarning("drift-or-growth", place, (), (experiment.name,), values)
 
 
 def trend(residuals: FloatArray, n_nuisances: int = 0, least: float = 0.0) -> float:

@@ -246,7 +246,7 @@ def _solved(misfit: Misfit, number: int, unknowns: FloatArray, wait_for: WaitFor
         wait_for(x)
 
     try:
-        if not misfit.responses.are_known(first):
+        if not misfit.responses.are_computed(first):
             count_and_wait(first)
         optimum = minimise(misfit, misfit.with_best_nuisances(values), count_and_wait)
         misfit.responses.forget([first], optimum.x)

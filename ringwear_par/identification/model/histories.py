@@ -226,12 +226,12 @@ class Histories:
         One after another, (n, 1 + m), with derivatives by the values, or (n, 1) without. Operators
         may be interpolated unless ``exact``. Not collective.
         """
-        every, m = range(len(self._experiments)), len(self._keys)
-        pairs = [(i, e) for i in range(len(points)) for e in every]
+        experiments, m = range(len(self._experiments)), len(self._keys)
+        pairs = [(i, e) for i in range(len(points)) for e in experiments]
         parts = dict(zip(pairs, self.read(points, pairs, steps, derivatives, exact), strict=True))
         responses: list[FloatArray | HistoryError] = []
         for i in range(len(points)):
-            parts_of_point = [parts[i, e] for e in every]
+            parts_of_point = [parts[i, e] for e in experiments]
             failed = [part for part in parts_of_point if isinstance(part, HistoryError)]
             arrays = [part for part in parts_of_point if not isinstance(part, HistoryError)]
             responses.append(failed[0] if failed else np.concatenate(arrays)[:, : 1 + m])

@@ -297,22 +297,22 @@ def integrate(
     a second one covers that. LinAlgError where tests and priors together do not determine the
     material.
     """
-    every = [*sizes, *shares]
-    unknown = sum(size.known is None for size in every)
-    axes = [axis(size, _POINTS.get(unknown, 1)) for size in every]
+    names = [*sizes, *shares]
+    unknown = sum(size.known is None for size in names)
+    axes = [axis(size, _POINTS.get(unknown, 1)) for size in names]
     posterior = _posterior(models_at, axes, len(sizes), shares)
     restricted = posterior.solutions.restricted
     values = np.concatenate([posterior.solutions.tau, posterior.shares], axis=1)
     near = values[restricted < restricted.min() + _NEAR]
     coarse = [
         size.known is None and (unknown > 2 or len(np.unique(v)) < _FEW)
-        for v, size in zip(near.T, every, strict=True)
+        for v, size in zip(near.T, names, strict=True)
     ]
     if not any(coarse):
         return posterior
     finer = [
         axis(size, _POINTS[unknown], _widened(before, near[:, i])) if coarse[i] else before
-        for i, (size, before) in enumerate(zip(every, axes, strict=True))
+        for i, (size, before) in enumerate(zip(names, axes, strict=True))
     ]
     return _posterior(models_at, finer, len(sizes), shares)
 

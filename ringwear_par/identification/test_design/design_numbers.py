@@ -61,7 +61,8 @@ def to_dict(design: DesignResult) -> dict[str, Any]:
         "draws": design.draws,
         "candidates": len(design.candidates),
         "failed": [
-            {"experiment": test.to_dict(), "error": why} for test, why in design.failed.items()
+            {"experiment": test.to_dict(), "error": reason}
+            for test, reason in design.failed.items()
         ],
         "histories": design.histories,
         "measured_as": design.problem.experiments[0].name,
@@ -204,10 +205,10 @@ def summary(design: DesignResult) -> str:
     planned = f"the fit file's{' again' if design.after else ''}, {time_words(seconds, seconds)}"
     lines.append(f"  {planned.ljust(width)}  {spreads(design, design.planned)}")
     if design.failed:
-        test, why = next(iter(design.failed.items()))
+        test, reason = next(iter(design.failed.items()))
         lines.append(
             f"{len(design.failed)} tests cannot be computed and are left out: "
-            f"{name_of(test, problem.design.units)}: {why}"
+            f"{name_of(test, problem.design.units)}: {reason}"
         )
     return "\n".join(lines)
 

@@ -229,8 +229,8 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[ValidityWarning]:
         and record.has_both_ends
     ):
         balance, depth = whole.volume, whole.volume_by_displacement
-        apart = abs(balance.value - depth.value)
-        if apart > max(2.0 * np.hypot(balance.u, depth.u), _DIFFERENT * abs(balance.value)):
+        difference = abs(balance.value - depth.value)
+        if difference > max(2.0 * np.hypot(balance.u, depth.u), _DIFFERENT * abs(balance.value)):
             ratio = abs(depth.value / balance.value) if balance.value else 1.0
             look = "for thermal growth of the rings, debris or drift"
             if not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:

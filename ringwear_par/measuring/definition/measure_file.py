@@ -121,7 +121,7 @@ def _read_uncertainty(reader: TableReader) -> dict[str, Uncertainty]:
         reader.faults += [f"{reader.place}.{fault}" for fault in error.faults]
         return {}
     entries = TableReader(f"{reader.place}.uncertainty", table, reader.faults, schema.UNCERTAINTY)
-    known = {}
+    uncertainties = {}
     for name, unit in schema.UNCERTAIN.items():
         entry = entries.raw(name)
         if entry is None:
@@ -137,11 +137,11 @@ def _read_uncertainty(reader: TableReader) -> dict[str, Uncertainty]:
         except RejectedError as reason:
             entries.wrong(name, f"{rule}{f' ({reason})' if str(reason) else ''}")
             continue
-        known[name] = Uncertainty(float(size), relative)
-    if {"load.force", "load.pressure"} <= known.keys():
+        uncertainties[name] = Uncertainty(float(size), relative)
+    if {"load.force", "load.pressure"} <= uncertainties.keys():
         entries.wrong("load.pressure", "must be absent beside load.force")
     entries.finish()
-    return known
+    return uncertainties
 
 
 def _flat(table: Mapping[str, Any]) -> dict[str, Any]:

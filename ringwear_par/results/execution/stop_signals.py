@@ -9,7 +9,7 @@ from types import FrameType
 from typing import Any
 
 SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT, signal.SIGHUP)
-#: after so long a signal is another wish, not the same one told twice
+#: after so long a signal is a new request, not the same one sent twice
 _AGAIN_SECONDS = 1.0
 #: how long to wait until what cannot be stopped is over
 _LATER_SECONDS = 0.05

@@ -91,10 +91,10 @@ class Key:
         if self.categories:
             return [self.categories[int(code)] for code in self.values]
         values = [float(value) for value in self.values]
-        apart = len(set(values))
+        distinct = len(set(values))
         for digits in range(3, 18):
             words = [number_text(v, digits) if math.isfinite(v) else "none" for v in values]
-            if len(set(words)) >= apart:
+            if len(set(words)) >= distinct:
                 break
         return words
 

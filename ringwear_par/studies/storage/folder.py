@@ -169,8 +169,8 @@ def locked(folder: Path, part: str) -> Iterator[None]:
     The whole, "", excludes every slice. InputError where another sweep is at work.
     """
     with ExitStack() as locks:
-        whole = locks.enter_context(_opened(folder / "lock"))
-        _lock(whole, fcntl.LOCK_SH if part else fcntl.LOCK_EX, folder)
+        lock = locks.enter_context(_opened(folder / "lock"))
+        _lock(lock, fcntl.LOCK_SH if part else fcntl.LOCK_EX, folder)
         if part:  # only now: who has the whole may remove it
             of_slice = locks.enter_context(_opened(folder / f"lock{part}"))
             _lock(of_slice, fcntl.LOCK_EX, folder)
