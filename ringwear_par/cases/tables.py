@@ -16,7 +16,7 @@ from ringwear_par.elasticity.sections import SHAPE_UNITS
 from ringwear_par.errors import MOST_FAULTS, legible
 from ringwear_par.files.text import shortened, toml_value
 
-#: of a file that are left out
+#: most lines of a file that may be left out
 _MOST_LINES = 1_000_000
 #: a number as it may not be written, perhaps with a unit
 _COMMA = re.compile(r"[-+]?\d+,\d+(?!,)", re.ASCII)

@@ -29,7 +29,7 @@ Polyline = tuple[tuple[float, float], ...]
 Grip = Literal["clamped", "platen"]
 #: turn of a face (rad) from which on a vertex is a corner rather than a sample of a smooth curve
 CORNER_ANGLE = math.radians(5.0)
-#: fewest vertices of about the same curvature that are samples of a smooth face
+#: fewest vertices of about the same curvature that count as samples of a smooth face
 _DENSE = 6
 
 

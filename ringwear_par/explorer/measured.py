@@ -48,7 +48,7 @@ class MeasuredColumn:
     x: FloatArray
     #: (n,) as the table has them
     raw: FloatArray
-    #: sentence about the column of x where nobody names its unit, else ""
+    #: sentence about the column of x where its name has no unit, else ""
     x_assumption: str = ""
 
     @property
@@ -63,12 +63,12 @@ class MeasuredColumn:
 
     @property
     def unit(self) -> str:
-        """Its unit, told by its name or else that of the quantity in a case."""
+        """Its unit: the one in its name, else that of the quantity in a case."""
         return unit_of_column(self.column, self._base) or self._base
 
     @property
     def assumptions(self) -> list[str]:
-        """Sentences about columns whose unit nobody names."""
+        """Sentences about columns whose names have no unit."""
         sentences = [self.x_assumption] if self.x_assumption else []
         if unit_of_column(self.column, self._base) is None:
             sentences.append(f"{self.file}: {assumption(self.column, self._base)}")

@@ -88,7 +88,7 @@ class Page:
         self._wanted: dict[str, Any] = dict(_START)
         self._computing = self._wanted
         self._document, self._busy, self._gone = document, False, False
-        #: when the page was last told how far a history is
+        #: time of the last message on how far a history is
         self._progress_time = 0.0
         #: what is drawn, the request that it answers, and what it is compared with: numbers and
         #: their history, None where they have none
@@ -125,7 +125,7 @@ class Page:
         return self._gone or (session is not None and not session.connection_count)
 
     def _stops(self, fraction: float) -> bool:
-        """Tell how far a history is; return whether it is of no use. In the main thread."""
+        """Tell the page how far a history is; return whether to stop it. In the main thread."""
         # what the page shows of the same history needs no other
         another = self._wanted["values"] != self._computing["values"]
         if self._stopped or self._left_alone or (another and not self._wanted["moving"]):

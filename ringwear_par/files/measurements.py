@@ -29,7 +29,7 @@ from ringwear_par.files.table_text import (
 )
 from ringwear_par.files.writing import read_bytes
 
-#: columns of a table: loggers have hundreds of channels, files with more are something else
+#: most columns of a table: loggers have hundreds of channels, files with more are something else
 MOST_COLUMNS = 1000
 #: numbers whose digits are perhaps in groups of three
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?", re.ASCII)
@@ -235,7 +235,7 @@ def unused_columns(names: Sequence[str]) -> str:
 
 
 def and_more(count: int, noun: str) -> str:
-    """Return how many have a fault beside the one that is told, in brackets; "" for none."""
+    """Return how many more have the fault of the one that is named, in brackets; "" for none."""
     return "" if count == 1 else f" (and {count - 1} more {noun}{'s' if count > 2 else ''})"
 
 

@@ -22,7 +22,7 @@ from ringwear_par.results.variables import (
     layer_names,
 )
 
-#: steps between stored states where only the last is wanted
+#: steps between stored states where only the last state is needed
 _RARELY = 10**9
 
 

@@ -26,9 +26,9 @@ from ringwear_par.identification.scatter.linearisation import (
 if TYPE_CHECKING:
     import arviz
 
-#: draws where there are no samples, and their seed
+#: number of draws where there are no samples, and their seed
 DRAWS, _SEED = 4000, 0
-#: of a variance, for round-off
+#: smallest variance, for round-off
 _SMALL = 1e-12
 
 

@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _ROOM = "ringwear_par.identification"
-#: of the p-value: below it a model does not fit
+#: p-value below which a model does not fit
 IMPROBABLE = 1e-3
-#: relative difference of sums of squares that are one optimum
+#: relative difference below which sums of squares belong to one optimum
 _SAME = 1e-3
-#: singular values below it, over unit columns, are of unknowns that depend on others
+#: singular value, over unit columns, below which unknowns depend on others
 _DEPENDENT = 1e-8
 
 

@@ -44,9 +44,9 @@ class KeyRow:
     unit: str
     #: its ends, None where there is no limit
     interval: Interval
-    #: on the key, "" beside another number
+    #: verdict on the key, "" of a number that has none
     verdict: str = ""
-    #: what else is to be said of the number
+    #: a remark on the number
     note: str = ""
     #: median and ends of an interval of samples; () for none
     posterior: tuple[float, ...] = ()

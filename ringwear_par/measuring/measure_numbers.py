@@ -24,11 +24,12 @@ from ringwear_par.measuring.analysis.budget import COVERAGE
 from ringwear_par.measuring.measure_result import MeasureResult
 from ringwear_par.pictures.style import picture
 
-#: of the folder of a measurement, the one that says that it is whole first
+#: files of the folder of a measurement; the first one is written last, when the folder is complete
 FILES = (MEASURE, MEASURED_ROWS, RECORDS)
-#: digits of an expanded uncertainty (JCGM 100, 7.2.6), and of numbers that have none
+#: digits of an expanded uncertainty (JCGM 100, 7.2.6), and of numbers without one
 _DIGITS, _ALONE = 2, 4
-#: powers of ten from which on numbers have one, and most digits behind the point of a number
+#: powers of ten below and above which numbers are written with an exponent, and most decimals of a
+#: number
 _SMALL, _LARGE, _MOST_DIGITS = -3, 5, 6
 
 
@@ -67,7 +68,7 @@ TEMPERATURES = (
     Quantity("temperature, mean", "degC", ("temperature", "mean")),
     Quantity("temperature, largest", "degC", ("temperature", "max")),
 )
-#: of each test, as measure.csv and the page have them
+#: numbers of each test, in the order of measure.csv and of the page
 QUANTITIES = (
     LOAD, Quantity("mean pressure", "MPa", ("conditions", "pressure")), SPEED,
     Quantity("pV", "MPa m/s", ("pv", "MPa m/s")),

@@ -48,20 +48,20 @@ KINDS = {
     "points": ("x", "y", "label", "colour", "fill", "size", "opacity", "marker", "case", "words"),
     "labels": ("x", "y", "text", "baseline", "align"),
 }
-#: those with an entry in the legend, in its order
+#: kinds with an entry in the legend, in its order
 _IN_LEGEND = ("lines", "asides", "points", "bars", "ribbons")
-#: those of figures that change
+#: kinds of marks in figures that change
 _CHANGING = ("asides", "lines", "dots", "points", "labels")
-#: of an axis, beyond what is drawn
+#: share of an axis that is left beyond what is drawn
 _ROOM = 0.04
-#: colours of cells
+#: number of colours of cells
 _SHADES = 256
-#: decades from which on numbers beside an axis have an exponent
+#: decades above which numbers beside an axis have an exponent
 _LARGE = 7
-#: letters of the labels in a line of a legend, and of what is beside a label
+#: letters of labels in a line of a legend, and letters that the mark beside a label takes
 _LETTERS, _GLYPH = 60, 6
 _MOST_COLUMNS = 4
-#: digits that a screen shows
+#: digits that a screen can show
 _DIGITS = 7
 _POINTER = (
     '<div style="max-width: 26em; white-space: pre-line">@words</div>'

@@ -39,16 +39,17 @@ from ringwear_par.results.storage.result_files import result_of
 log = logging.getLogger(__name__)
 
 Source = Result | str | Path
-#: panels of profiles, which have one scale
+#: panels of profiles over the radius, whose axes have one scale
 _PROFILES = ("wear", "pressure")
 #: panels with the same scale along both axes and a bar of colours, and how much larger they are
 _SECTIONS, _LARGER = {"section", "stress"}, 1.15
-#: drawn by default
+#: panels that are drawn by default
 DEFAULT = "wear,penetration"
 _MOST_COLUMNS = 3
-#: inches of a panel; mm of one at least, and of a figure at most
+#: inches of a panel; mm: narrowest panel, widest figure
 _PANEL, _NARROWEST, _WIDEST = (3.6, 3.3), 65, 1000
-#: of a time that is asked for: how far off that of the state shown may be unsaid
+#: relative difference between a time that is asked for and that of the state shown that needs no
+#: remark
 _NOTICED = 0.01
 
 

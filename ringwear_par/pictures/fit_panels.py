@@ -16,25 +16,25 @@ from ringwear_par.pictures.panel import GREY, Axis, Band, Bars, Curve, Label, Pa
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.key_numbers import time_unit
 
-#: of the median distance between radii: where they are further apart nothing was read
+#: median distances between radii: where they are further apart nothing was read
 _GAP = 3.0
 #: relative distance within which a radius is that of an edge
 _CLOSE = 1e-9
-#: standard deviations that axes of residuals have at least
+#: least sd that axes of residuals show
 _REACH = 4.0
-#: from the middle of a specimen, its values by its own readings and with the others
+#: distance of a specimen's values, by its own readings and by all, from its middle
 _ASIDE = 0.12
-#: specimens whose names have room
+#: most specimens whose names have room
 _NAMED = 12
-#: readings whose noise has a bar each
+#: most readings whose noise has a bar each
 _FEW = 60
 #: what readings are called, by the first part of their quantity, if not by that
 _WORDS = {"profile": "worn depth", "mass": "mass loss", "volume": "volume loss"}
-#: of ellipses
+#: probabilities of ellipses
 _LEVELS = (0.68, 0.95)
-#: sd to both sides of an estimate that an axis of a key shows, and points of a curve over it
+#: sd on both sides of an estimate that an axis of a key shows, and points of a curve over it
 _WIDTH_SD, _FINE = 4.0, 161
-#: of a limit, which an axis shows to both sides of it
+#: share of a limit that an axis shows on both sides of it
 _AROUND = 0.5
 _LINE, _DIGITS = "#808080", str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074"
                                           "\u2075\u2076\u2077\u2078\u2079")  # fmt: skip

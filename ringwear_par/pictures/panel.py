@@ -10,7 +10,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.pictures.style import COLOURS
 
 GREY = "#8c8c8c"
-#: as many points of a curve, or fewer, are marked
+#: most points of a curve that are marked one by one
 FEW_POINTS = 20
 
 

@@ -16,8 +16,8 @@ from ringwear_par.results.key_numbers import pressure_limit, time_words
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.export import boundary_states
 
-#: what the largest displacement is drawn as, over the size of both bodies; and how deep faces and
-#: their wear at most, over the lower one's height
+#: what the largest displacement is drawn as, over the size of both bodies; what the deepest face
+#: with its wear is drawn as at most, over the lower body's height
 _MOVED, _DEEPEST = 0.1, 0.4
 
 

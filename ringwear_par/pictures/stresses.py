@@ -20,14 +20,15 @@ from ringwear_par.results.key_numbers import instants, time_unit
 from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import Interface, interfaces_of, stresses
 
-#: colours of a map, and the share of its values that the scale holds: edges would take them all
+#: colours of a map, numbers beside its scale, and the share of its values that the scale covers:
+#: those at edges would take it all
 _LEVELS, _TICKS, _SHARE = 24, 7, 0.99
 #: share of the map's height that the deepest wear is drawn with, at least
 _WEAR_DRAWN = 0.06
-#: a side of a map that would be a smaller share of the other has a scale of its own, and about
-#: which share then
+#: share of a map's longer side below which the shorter one has a scale of its own, and its share
+#: then
 _LEAST, _STRETCHED = 0.25, 0.5
-#: mm, within which a point of the grid lies on a face
+#: mm within which a point of the grid lies on a face
 _ON_FACE = 1e-9
 _MISES = "von Mises stress (MPa)"
 #: of the components that both sides of an interface share, words for a legend
@@ -36,11 +37,11 @@ _TRACTIONS = {
     "rz": "shear \N{GREEK SMALL LETTER TAU}rz",
     "tz": "friction's \N{GREEK SMALL LETTER TAU}tz",
 }
-#: how far beside the contact interfaces are drawn, over its width
+#: length of interfaces that is drawn beside the contact, over its width
 _BESIDE = 0.5
 #: share of the highest values that is left above and below them
 _ROOM = 0.05
-#: share of the radii drawn from which on a part that is worn through is told in words, and where
+#: share of the radii drawn above which words mark a part that is worn through, and their height
 _WIDE, _TEXT_HEIGHT = 0.2, 0.6
 _DARK, _PALE = "#666666", "#808080"
 

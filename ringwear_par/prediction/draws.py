@@ -6,11 +6,11 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.fitted_values import FittedValues
 
-#: of whom predictions are
+#: what a prediction is for
 NEXT, MATERIAL = "next specimen", "material"
 #: how often values beyond the bounds are drawn anew
 _ROUNDS = 200
-#: of a step's mean wear over the size of the noise: below it a step wears nothing, or almost never
+#: mean wear of a step over the size of the noise below which a step wears nothing, or almost never
 _LEAST_SHAPE = 1e-12
 
 

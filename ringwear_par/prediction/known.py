@@ -27,7 +27,7 @@ from ringwear_par.prediction.draws import MATERIAL, NEXT
 from ringwear_par.results.storage.hdf5 import reading
 from ringwear_par.results.variables import SOFTWARE
 
-#: share by which conditions are the same
+#: relative difference below which conditions are the same
 _SAME = 0.02
 _A_FIT = "must be the folder of a fit that is done (ringwear fit -o)"
 

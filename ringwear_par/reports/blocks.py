@@ -35,7 +35,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class Tiles:
-    """The key numbers at the top of a page, beside each other."""
+    """The key numbers at the top of a page, in a row."""
 
     tiles: Sequence[Tile]
     kind = "tiles"

@@ -38,7 +38,7 @@ from ringwear_par.reports.blocks import (
 from ringwear_par.reports.fit_page import stored_outcome
 
 _DASH = "\N{EN DASH}"
-#: entries of the standards' forms that no file of a rig has
+#: entry of a standard's form for what no file of a rig has
 _OPEN = "not in the files; to be added by hand"
 #: most tiles of a page
 _MOST_TILES = 6

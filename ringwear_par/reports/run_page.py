@@ -39,9 +39,9 @@ from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import nearest_states
 from ringwear_par.results.summary import checks
 
-#: most instants of a slider
+#: most times on a slider
 _SLIDER = 120
-#: rows of a table that is not folded
+#: most rows of a table that is not folded
 _SHORT = 21
 
 

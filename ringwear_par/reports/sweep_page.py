@@ -43,9 +43,9 @@ from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.storage.results_file import count_flags
 from ringwear_par.studies.storage.stored_variables import entry_label
 
-#: cases of the table
+#: most cases of the table
 _MOST = 1000
-#: and of the one of the worst
+#: most cases of the table of the worst
 _WORST = 10
 #: digits of a number in a table
 _DIGITS = 4

@@ -24,17 +24,17 @@ from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import worn_layers
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
 
-#: s, up to which times are told in a unit, and its seconds
+#: longest time, s, that is written in a unit, the unit, and its seconds
 _UNITS_OF_TIME = ((7200.0, "s", 1.0), (7 * 86400.0, "h", 3600.0), (np.inf, "days", 86400.0))
 _QUARTERS = 4
-#: numbers from here on have an exponent in texts
+#: numbers from which on texts have an exponent
 _LARGE = 1e6
-#: of the highest pressure that is drawn, where a scale ends
+#: end of a scale of pressures over the highest one that is drawn
 _ROOM = 1.1
 
 
 def time_unit(end: float) -> tuple[str, float]:
-    """Return the unit in which times up to an end, s, are told, and its seconds."""
+    """Return the unit in which times up to an end, s, are written, and its seconds."""
     return next((name, seconds) for most, name, seconds in _UNITS_OF_TIME if end <= most)
 
 

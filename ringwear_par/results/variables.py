@@ -18,7 +18,7 @@ from ringwear_par.errors import InputError
 if TYPE_CHECKING:
     import xarray
 
-#: what files say they were written by
+#: name of the program in files
 SOFTWARE = "ringwear-par"
 
 
@@ -160,7 +160,7 @@ PROFILES = variable_table(
         "depth worn off the upper ring at the element's mid-point, along the axis",
     ),
 )  # fmt: skip
-#: by which the pressure of such an element may be off, relative to the largest (docs/accuracy.md)
+#: largest error of the pressure of such an element, relative to the largest (docs/accuracy.md)
 EDGE_ERROR = 0.28
 #: of every pressure that is stored, see ``edge_elements``
 EDGE_ELEMENT = Variable(

@@ -38,7 +38,7 @@ from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, checks_of, converging
 from ringwear_par.verification.histories import paper_case
 
-#: radius and height of the disc, over that of the contact
+#: radius and height of the disc, over the radius of the contact
 _BIG = 200.0
 _TRUNCATION = 3.0 / _BIG**2
 #: where fields are compared: radii and depths, from the axis to under the edge

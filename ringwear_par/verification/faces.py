@@ -38,11 +38,11 @@ from ringwear_par.verification.fine import (
 )
 from ringwear_par.verification.half_space import pressure_at
 
-#: mm, from an edge: farther inside, the shape of the pressure at the edge is resolved
+#: beyond this distance from an edge, mm, the shape of the pressure at the edge is resolved
 INSIDE = 0.02
 #: long steps, to the steady state
 _STEADY = Stepping("implicit", 1000.0, 8)
-#: of both bodies where both wear, 1/MPa
+#: specific wear rates of both bodies, 1/MPa, where both wear
 BOTH = (1e-7, 3e-7)
 
 
@@ -110,14 +110,14 @@ def finite_element_errors(
     }
 
 
-#: what is checked of a history: error, text, the largest allowed at 128 elements, key of digits
+#: checks of a history: error, text, the largest error allowed at 128 elements, key of digits
 ROWS = (
     ("approach", "approach", 1e-5, "approach"),
     ("pressure", "pressure, worst of all elements", 8e-2, "pressure"),
     ("inside", "pressure, worst from 0.02 mm on", 5e-3, "inside"),
     *((f"wear {t:g}", f"wear after {t:g} s, worst element, mm", 1e-5, "wear") for t in TIMES),
 )
-#: where pressure is regular up to the edge, and the largest error of any element there
+#: faces whose pressure is regular up to the edge, and the largest error of any element there
 _REGULAR, _REGULAR_ERROR = ("flush", "flush, equal moduli"), 1e-4
 
 

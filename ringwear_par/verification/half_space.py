@@ -129,11 +129,11 @@ def half_space_checks(comm: MPI.Comm) -> Iterator[Check]:
                 yield row(f"decay {i + 1}, given approach", rates, exact, 1e-3, 2e-4)
 
 
-#: radius of the sphere and slope of the cone, their approaches make the contact radius 1
+#: radius of the sphere and slope of the cone; the approaches make the contact radius 1
 _SPHERE, _CONE = 10.0, 0.1
-#: radius of these bodies. Errors depend on where in an element the contact ends
+#: radius of these bodies; errors depend on where in an element the contact ends
 _REACH = 1.6
-#: of the order of (a/R)^2, what the extrapolation to R = infinity leaves
+#: error of the extrapolation to R = infinity, of the order of (a/R)^2
 _EXTRAPOLATION = 3e-5
 
 

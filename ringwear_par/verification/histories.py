@@ -26,7 +26,7 @@ from ringwear_par.wear.laws.threshold import ThresholdLaw
 #: our reading of the paper's speed, rad/s
 OMEGA = 85.0 / 24.0
 _PAPER_STEPPING = Stepping("implicit", 1.0, 200)
-#: of contacts that all methods of TAO solve: elements, s of wear in the step, heights (mm) of
+#: contacts that all methods of TAO solve: elements, s of wear in the step, heights (mm) of
 #: roughness
 _ELEMENTS, _WEAR_STEP, _HEIGHTS = 64, 20.0, (0.0, 0.01, 0.05)
 
@@ -115,7 +115,7 @@ def tao_checks(comm: MPI.Comm) -> Iterator[Check]:
 #: contact elements of the paper's rings
 _N = 64
 _LONG = Stepping("implicit", 40.0, 200)
-#: of both bodies where both wear, 1/MPa
+#: specific wear rates of both bodies, 1/MPa, where both wear
 _BOTH = (1e-7, 3e-7)
 
 

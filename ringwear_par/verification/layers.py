@@ -30,14 +30,14 @@ from ringwear_par.verification.half_space import GRADED, pressure_at, without_tr
 from ringwear_par.verification.histories import paper_case
 from ringwear_par.verification.reference import LayeredHalfSpace
 
-#: numbers of elements where much is to be solved, or 128 show but the quadrature
+#: numbers of elements where solutions are expensive, or where 128 show only the quadrature
 _COARSE = 16, 32, 64
 _HALF_SPACE = Material(1.0, NU)
 #: layers on it
 _HARD, _SOFT = Material(10.0, 0.2), Material(0.1, 0.4)
-#: radii of the discs that stand for it
+#: radii of the discs that stand for a half-space
 _DISCS = 200.0, 400.0
-#: of the element integrals
+#: tolerance of the element integrals
 _TOLERANCE = 1e-8
 
 
@@ -307,7 +307,7 @@ def coating_checks(comm: MPI.Comm) -> Iterator[Check]:
 
 #: thin soft discs under a stiff ring: height (mm) and Poisson's ratio, and the ring's radii
 _THIN, _NARROWER = ((2.0, 0.4), (1.5, 0.499)), (10.0, 20.0)
-#: elements of the solution that they are compared with
+#: elements of the solution that the others are compared with
 _FINE = 128
 
 

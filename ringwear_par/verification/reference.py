@@ -194,7 +194,7 @@ def bathed_approach(apexes: Iterable[float], young: Iterable[float], nu: float, 
     return (1.0 - 2.0 * nu) * p * sum(h / e for h, e in zip(apexes, young, strict=True))
 
 
-#: of the wave number times the thickness, from which on a layer hides what is below to 1e-15
+#: wave number times thickness above which a layer hides what is below to 1e-15
 _DEEP = 22.0
 
 

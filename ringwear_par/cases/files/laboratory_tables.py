@@ -46,7 +46,7 @@ _TEXTS, _MASSES = ("name", "specimen", "batch", "lab"), (*KINDS, "sd")
 _LOADS = {"load.force", "load.pressure"}
 #: units of roles that are no key of a case
 _UNITS = {"at": "s", **dict.fromkeys(_MASSES, "g")}
-#: of masses in g: differences have the digits that were typed, and no more
+#: decimals of masses in g: differences have the digits that were typed, and no more
 _DIGITS = 12
 #: of a case
 _TABLES = {path.partition(".")[0] for path in BY_PATH}
@@ -240,7 +240,7 @@ def _column(
     bodies = [body] if body else _bodies(name) or worn
     if len(bodies) == 1:
         return _Column(place, kind, unit or "", bodies[0])
-    if worn:  # else the case has faults, or nothing wears, which is told
+    if worn:  # else the case has faults, or nothing wears, which is reported elsewhere
         faults.append(
             f"{table.name}: {legible(name)}: must tell whose mass it is: name it lower "
             f'{legible(name)}, or tests.columns = {{ "{kind}.lower" = ... }}'

@@ -25,7 +25,7 @@ KINDS = {
 }
 #: these and the standard deviation, which may be that of a loss: "sd loss"
 MASSES = {"sd": {"sd", "u"}, **KINDS}
-#: in names of columns beside the words that tell what these are of
+#: words that names of columns may have besides those that tell what is weighed
 _BESIDE = {*BODIES, "mass", "masse", "m", "id", "no", "nr"}
 
 
@@ -192,7 +192,7 @@ def roles_by_name(
 ) -> list[str]:
     """Return the roles that a column may have: with a unit that fits, a word of its name tells.
 
-    Else the name must be that word, so that a unit that is missing or wrong is told.
+    Else the name must be that word, so that a missing or wrong unit is reported.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-#: more than there are compiled functions, each for all types that it is called with
+#: most attempts to store compiled functions: more than there are functions times types of arguments
 _COMPILATIONS = 20
 
 

@@ -159,7 +159,7 @@ class StressHistory:
 
 #: in the order of the last axis of stresses; tension is positive, z points upwards
 COMPONENTS = ("rr", "tt", "zz", "rz", "rt", "tz")
-#: of an interface, in the order of the axis of stresses there
+#: sides of an interface, in the order of the axis of stresses there
 SIDES = ("above", "below")
 
 

@@ -26,11 +26,11 @@ from ringwear_par.identification.definition.problem import (
 )
 from ringwear_par.identification.definition.schema import PROCESS, SCATTER
 
-#: scale of the prior of sizes that are fitted, of logarithms
+#: scale of the prior of fitted sizes of scatter, of keys whose logarithms scatter
 _LOG_SCALE = 0.3
-#: of a logarithm: a factor of 20 is no scatter of one material
+#: largest size of scatter of a logarithm: a factor of 20 is no scatter of one material
 _LARGEST = 3.0
-#: sizes that one fit may estimate: the grid of more is too coarse
+#: most sizes that one fit may estimate: with more its grid would be too coarse
 _MOST_FITTED = 3
 #: what the machine is set to is the same for all specimens
 _SETTINGS = ("load.",)
@@ -38,7 +38,8 @@ _SETTINGS = ("load.",)
 PLURALS = {"specimen": "specimens", "batch": "batches", "lab": "laboratories"}
 #: tables of wear that may be random
 _RANDOM = tuple(f"wear.{body}" for body in BODIES)
-#: of a record: noise that is correlated for longer looks like that of wear
+#: largest correlation time, as a share of a record: noise that is correlated for longer looks like
+#: wear
 _LONGEST_CORRELATION = 0.1
 
 

@@ -33,13 +33,14 @@ from ringwear_par.identification.definition.schema import (
     THERMAL_TIME,
 )
 
-#: of the test: noise that is correlated for longer is an offset
+#: largest correlation time, in lengths of the test: noise correlated for longer is an offset
 _LONGEST_CORRELATION = 100.0
-#: readings of a record, and the share of the test: one that ends before may be in another unit
+#: fewest readings of a record, and the share of the test that it covers at least: a shorter one may
+#: be in another unit
 _RECORD, _SHORT_RECORD = 3, 0.1
-#: of the test: times that are rounded, in minutes, say, may be so much later than its end
+#: share of the test by which times may be later than its end, as when rounded to minutes
 _ROUNDED = 2e-4
-#: sd of a prior, from its mean, between which a time constant is sought
+#: a time constant is fitted within so many sd of its prior about the prior's mean
 _PRIOR_REACH = 4.0
 #: units of densities, in g/mm3
 _OTHER_UNITS = {"g/cm3": 1e-3, "kg/m3": 1e-6, "kg/mm3": 1e3, "t/mm3": 1e6}

@@ -15,17 +15,18 @@ from ringwear_par.identification.model.noise import information_share
 
 Verdict = Literal["identified", "at bound", "not identified"]
 
-#: of the information matrix with a unit diagonal: below it nothing is known of a direction
+#: eigenvalue of the information matrix with a unit diagonal below which nothing is known of a
+#: direction
 _UNINFORMED = 1e-10
-#: of such a direction: others up to it are as weak
+#: factor on the eigenvalue of such a direction up to which others are as weak
 _AS_WEAK = 10.0
-#: share of the largest component of a direction from which on keys are mentioned
+#: share of the largest component of a direction above which keys are mentioned
 _MENTIONED = 0.15
-#: largest half interval of a logarithm
+#: largest half width of an interval of a logarithm
 _WIDEST_LOG = 1.5
-#: correlation with keys of which nothing is known, from which on a key counts as such too
+#: correlation with keys of which nothing is known above which nothing is known of a key either
 _FULLY_CORRELATED = 0.999
-#: share of a prior's sd: an sd above it says no more than the prior
+#: share of a prior's sd above which an sd says no more than the prior
 _MERE_PRIOR = 0.95
 
 

@@ -24,17 +24,18 @@ from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.model.histories import HistoryError
 from ringwear_par.identification.model.rounds import WaitFor, side_by_side
 
-#: of the root of the growth of the sum of squares, at which a limit is found
+#: relative error of the root of the growth of the sum of squares at which a limit is found
 _CLOSE = 0.01
 #: points on a side; where readings are limits nothing says how far away these are
 _MOST_POINTS, _MOST_OF_LIMITS = 8, 24
-#: decrease of the sum of squares that means a better optimum, not what a minimiser leaves
+#: decrease of the sum of squares that means a better optimum, rather than one that is not quite
+#: found
 _BETTER = 1e-2
 
 
-#: of the wanted root: less is no response, as of readings that are but limits
+#: share of the root that is searched for: less is no response, as of readings that are but limits
 _FLAT = 0.05
-#: of the width of the bounds: first step of a key of which readings give but limits
+#: share of the width of the bounds: first step of a key that only readings that are limits restrict
 _FIRST_STEP = 0.05
 
 

@@ -24,13 +24,13 @@ from ringwear_par.identification.definition.problem import (
 from ringwear_par.results.result import Result
 from ringwear_par.schedules import in_time
 
-#: of a segment's length: within it steps are equal, beyond it their logarithms
+#: share of a segment's length within which steps are equal; beyond it their logarithms are
 _EARLY = 5e-4
 #: grids of steps whose weights are kept
 _GRIDS = 4
-#: relative, for times that are one
+#: relative difference below which times are the same
 _CLOSE = 1e-9
-#: of the test: a layer that lasts longer is not worn through
+#: lengths of the test: a layer that lasts longer is not worn through
 _NEVER = 1e6
 
 

@@ -24,9 +24,9 @@ from ringwear_par.identification.scatter.likelihood import (
     uncorrelated,
 )
 
-#: readings of a series from which on it is averaged, in as many blocks of equal time
+#: most readings of a series that is not averaged; longer ones are, in as many blocks of equal time
 MOST_READINGS = 500
-#: of a reading without weight, instead of 0
+#: weight of a reading without one, instead of 0
 _NO_WEIGHT = 1e-12
 
 

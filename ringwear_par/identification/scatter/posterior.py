@@ -25,16 +25,16 @@ _REACH, _BISECTIONS = 40.0, 80
 DEGREES = 4.0
 #: points of the grid along each axis, by the number of axes
 _POINTS = {1: 120, 2: 60, 3: 20}
-#: ends of the grid over the scale of the prior
+#: ends of the grid of a size, over the scale of its prior
 _GRID = (0.007, 17.0)
-#: of -2 log likelihood: a finer grid covers what is as near as this to the best
+#: difference of -2 log likelihood from the best that a finer grid covers
 _NEAR = 8.0
-#: points of an axis there, fewer of which are too coarse
+#: fewest points of an axis there; with fewer it is too coarse
 _FEW = 10
-#: points whose solutions are made at once, and -2 log likelihood over the best from which on they
-#: are not kept: their weights are round-off
+#: points whose solutions are computed together, and -2 log likelihood over the best above which
+#: they are dropped: their weights are round-off
 _CHUNK, _IMPROBABLE = 256, 75.0
-#: of -2 log likelihood, by which a size of 0 is worse than the best where it is excluded at 90 %
+#: growth of -2 log likelihood at size 0 over the best that excludes it at 90 %
 _AT_BOUND = 2.71
 
 

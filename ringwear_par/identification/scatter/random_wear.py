@@ -19,7 +19,7 @@ from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.scatter.linearisation import MOST_READINGS
 from ringwear_par.identification.scatter.posterior import DEGREES, ScatterPosterior, Size
 
-#: of the logarithm of the prior's interval: a narrower one is told by the readings
+#: share of the length of the prior's interval, in its logarithm: readings make a narrower one
 _NARROW = 0.5
 
 

@@ -33,13 +33,14 @@ from ringwear_par.identification.scatter.material import BestFit, Material, Mixe
 from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size, integrate
 from ringwear_par.identification.scatter.random_wear import RandomWear, confounded_with_drift
 
-#: sd by which no test's unknowns move any more, and most rounds until then
+#: sd below which the moves of all tests' unknowns end the search, and most rounds until then
 _STILL, _MOST_ROUNDS = 1e-3, 60
 #: rounds after which the depths that shares refer to stay fixed
 _SETTLING = 3
-#: in a round, most of a logarithm, and of the width of the bounds; least share of a move
+#: largest move in a round, of a logarithm, and as a share of the width of the bounds; least share
+#: of a move
 _LOG_MOVE, _MOVE, _LEAST_SHARE = 1.0, 0.25, 0.05
-#: how often tests go half as far, where there is no history
+#: how often the move of a test is halved where there is no history
 _HALVINGS = 6
 
 

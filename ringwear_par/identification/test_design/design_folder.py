@@ -25,7 +25,7 @@ from ringwear_par.pictures.style import picture
 
 FILES = (DESIGN, NEXT, MAP)
 
-#: of a step: within it distances are equal
+#: share of a step within which distances are equal
 _EQUAL = 1e-6
 
 

@@ -25,9 +25,9 @@ _CRITERIA = {
     "A": "smallest mean variance over the widths of the bounds (A)",
     "eig": "largest expected gain of information (eig)",
 }
-#: inches of a panel, and of a test of a design that bars show
+#: inches: width and height of a panel, height of a test of a design in bars
 _WIDTH, _HEIGHT, _LINE = 4.6, 4.2, 0.2
-#: designs that a summary shows
+#: number of designs that a summary shows
 _LISTED = 5
 
 

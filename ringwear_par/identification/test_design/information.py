@@ -28,10 +28,10 @@ from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.identification.scatter.likelihood import of_new_specimen
 from ringwear_par.results.execution.stop_signals import StopSignals
 
-#: draws of the keys, and their seed
+#: number of draws of the keys, and their seed
 _DRAWS, _SEED = 8, 0
-#: information over the widths of bounds: below the one nothing is known of a direction, below the
-#: other it is not drawn along; most standard deviations that are, over these widths
+#: information by the widths of bounds below which nothing is known of a direction, and below which
+#: it is not drawn along; largest sd that is drawn, over these widths
 _UNINFORMED, _WEAK, _WIDEST = 1e-6, 1.0, 0.25
 _ALLOWED = "must be the folder of a fit of the same keys that is done (ringwear fit -o)"
 

@@ -27,7 +27,7 @@ from ringwear_par.measuring.definition.problem import Limits, Problem, Test, Unc
 from ringwear_par.measuring.definition.records import CHANNELS, Record, read_record
 
 _TABLES = ("case", "measure", "test")
-#: of a test: a record may end so much before it, and be so much longer
+#: share of a test by which a record may end before it, or be longer
 _SHORTER = 0.1
 _HOUR = 3600.0
 

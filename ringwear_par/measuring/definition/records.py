@@ -34,9 +34,9 @@ _WORDS: dict[str, tuple[set[str], ...]] = {
 _TEMPERATURE = re.compile(r"(?:\N{DEGREE SIGN}|deg)?\s*([CFK])\s*[\])]?$")
 #: clocks that count from the start of a test
 _ZERO = re.compile(r"0?0:00(?::|$)")
-#: readings that a record has at least: of fewer no steady part can be told
+#: fewest readings of a record: in fewer no steady part can be found
 FEWEST_READINGS = 60
-#: of a record, at its start and its end: readings whose means tell whether it falls
+#: share of a record at its start and at its end, whose means show whether it falls
 _ENDS = 0.05
 
 Sense = Literal["rising", "falling"]

@@ -11,7 +11,7 @@ from typing import Any
 SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT, signal.SIGHUP)
 #: after so long a signal is a new request, not the same one sent twice
 _AGAIN_SECONDS = 1.0
-#: how long to wait until what cannot be stopped is over
+#: time between attempts to stop what cannot be stopped at once
 _LATER_SECONDS = 0.05
 #: variables that launchers set: mpirun of Open MPI and MPICH, and srun
 _LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID")
@@ -105,7 +105,7 @@ class StopAtOnce(StopSignals):
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         super().__exit__()
         sys.unraisablehook = self._hook
-        if self.received:  # the program ends: if it is told so again, with the same status
+        if self.received:  # the program ends: by the same signal again, with the same status
             signal.signal(self.received, signal.SIG_IGN)
             signal.signal(signal.SIGINT, signal.SIG_DFL)  # without a traceback
 

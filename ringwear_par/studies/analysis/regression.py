@@ -24,12 +24,12 @@ from ringwear_par.studies.analysis.responses import SEED, upper_limit
 if TYPE_CHECKING:
     from scipy.interpolate import RBFInterpolator
 
-#: most cases that stretches of the keys are found from
+#: most cases from which stretches of the keys are found
 _MOST_STRETCHED = 150
-#: of places of keys, by which their values are told apart
+#: decimals of the places of keys to which values of a key count as the same
 _DIGITS = 6
-#: values left out of a key leave a hole twice as wide as those of the design, and where a response
-#: has kinks errors go by the width: so much of these errors counts
+#: share of the width of a gap that counts in errors: values that are left out of a key leave a gap
+#: twice as wide as those of the design, and where a response has kinks errors grow with the width
 _HOLE = 0.5
 #: parts that are left out in turn, for the errors and for the search for stretches
 _FOLDS, _FEW_FOLDS = 10, 4

@@ -12,12 +12,12 @@ from ringwear_par.studies.storage.end_values import MAIN_END_VALUES, end_value_o
 from ringwear_par.studies.storage.ensemble import Ensemble
 from ringwear_par.studies.storage.stored_variables import AT_STATES
 
-#: of all random choices: the same results give the same figure
+#: seed of all random choices: the same results give the same figure
 SEED = 1
 #: profiles of wear, and their largest values
 DEPTHS = ("wear_lower", "wear_upper")
 LARGEST = tuple(f"largest_{name}" for name in DEPTHS)
-#: stored states whose profiles are read at once
+#: stored states whose profiles are read together
 _STATES = 4000
 
 

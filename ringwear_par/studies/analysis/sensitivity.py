@@ -28,11 +28,11 @@ from ringwear_par.studies.storage.ensemble import Ensemble
 
 log = logging.getLogger(__name__)
 
-#: fewest and most cases, 95 % confidence from so many resamples
+#: fewest and most cases, and resamples for 95 % confidence
 _FEWEST, _MOST, _RESAMPLES = 100, 4000, 100
-#: so many cases differ from the others at least, in so many digits
+#: fewest cases that must differ from the others, in so many digits
 _FEWEST_DIFFERING, _DIGITS = 20, 12
-#: of a surrogate, about
+#: about how many evaluations of a surrogate
 _EVALUATIONS = 1e6
 _FIRST = "first order S\N{SUBSCRIPT ONE}"
 _NO_SALIB = (

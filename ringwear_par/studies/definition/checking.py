@@ -23,9 +23,9 @@ from ringwear_par.studies.definition.designs import Draft
 from ringwear_par.studies.definition.identities import identities_of
 from ringwear_par.studies.definition.varied_columns import by_kind
 
-#: bad cases that are looked at; those of them whose own sentences are listed
+#: most bad cases that are read again for their faults, and most whose own sentences are listed
 LOOKED_AT, _LISTED = 200, 5
-#: so many cases of a sentence are named, or one more
+#: cases of a sentence that are named; one more is named too
 _NAMED = 3
 
 

@@ -28,7 +28,7 @@ from ringwear_par.studies.definition.varied_columns import CaseColumns, Frame, G
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-#: most kinds of cases that a rank keeps at hand
+#: most kinds of cases that a rank keeps in memory
 _MOST_KINDS = 64
 
 

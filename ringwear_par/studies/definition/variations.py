@@ -21,7 +21,7 @@ from ringwear_par.errors import MOST_FAULTS, legible
 from ringwear_par.files.text import shortened, toml_value
 from ringwear_par.studies.definition.schema import MOST_CASES
 
-#: samples are not nearer to the ends of a range than this part of it, which may be open ones
+#: share of a range by which samples keep off its ends, which may be open
 _INSIDE = 1e-9
 
 
@@ -261,7 +261,7 @@ def _written_unit(entry: Mapping[str, Any], key: str) -> str:
     unit = next((number_and_unit(value)[1] for value in values if has_unit(value)), "")
     try:
         return "" if not unit or factor(unit, base_unit(key)) == 1.0 else unit
-    except RejectedError:  # which is told where values are read
+    except RejectedError:  # which is reported where values are read
         return ""
 
 

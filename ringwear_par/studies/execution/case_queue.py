@@ -26,9 +26,9 @@ from ringwear_par.arrays import IntArray
 #: how long the cases that a team draws are to take, s; it may be so much longer with twice as many
 #: as before: cases that step side by side take less time each; and how short they may become
 _BUSY_SECONDS, _LONGEST_SECONDS, _LEAST_SECONDS = 0.5, 2.0, 0.1
-#: s that a case takes at least: all that are drawn at once are held in memory
+#: least time of a case, s: all cases that are drawn together are held in memory
 _QUICKEST = 2.5e-4
-#: how much less time one of many cases side by side takes than one alone, at least
+#: factor by which each of many cases side by side is faster than one alone, at least
 _QUICKER = 8.0
 #: part of the cases left that all teams share in a round; the rest evens out what they differ by
 _ROUND = 0.75
@@ -38,7 +38,7 @@ _QUESTION_TAG, _ANSWER_TAG = 1, 2
 
 
 class _Question(IntEnum):
-    """A question to rank 0: more cases, nobody to draw any more."""
+    """A question to rank 0: for more cases, or that no rank shall draw any more."""
 
     DRAW = auto()
     STOP = auto()
@@ -163,7 +163,7 @@ class SharedQueue:
         self._seconds += seconds
 
     def stop(self) -> None:
-        """Let nobody draw any more. Not collective."""
+        """Let no rank draw any more. Not collective."""
         if not self._stopped or self._done + self._failed:
             self._ask(_Question.STOP)
 

@@ -20,15 +20,15 @@ from ringwear_par.studies.definition.designs import SAMPLED
 from ringwear_par.studies.storage.end_values import display_of, figure_columns
 from ringwear_par.studies.storage.ensemble import Ensemble
 
-#: keys that are drawn: with more of them the figure is of no use
+#: most keys that are drawn: with more the figure cannot be read
 _MOST_KEYS = 8
 #: most curves with a legend
 _MOST_CURVES = 8
-#: values beside each other span so much before their axis is logarithmic; those of keys
+#: largest over smallest value above which an axis is logarithmic: of values, of keys
 LOG_VALUE, _LOG_KEY = 100.0, 20.0
 #: values of a key along which medians of cases are drawn
 _MOST_LEVELS = 50
-#: curves of a list show so much of its cases at least, the others as points
+#: share of the cases that curves of a list show at least; the others are points
 _SHARE = 0.25
 
 

@@ -32,7 +32,7 @@ from ringwear_par.studies.storage.ensemble import Ensemble
 
 log = logging.getLogger(__name__)
 
-#: panels of final values beside each other, and of indices
+#: panels in a row: of final values, of indices
 _COLUMNS, _BARS = 4, 3
 #: inches of a panel of final values, and of the figure at least
 _PANEL, _WIDTH = (2.3, 2.1), 7.2

@@ -34,7 +34,7 @@ def reporting_unreadable() -> Iterator[None]:
         raise ComputationError(str(error)) from error
 
 
-#: how names of shards end
+#: ending of names of shards
 SHARD = ".blocks"
 _FOLDERS = ("shards", "inflight")
 

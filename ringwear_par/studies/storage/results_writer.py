@@ -59,7 +59,7 @@ from ringwear_par.studies.storage.stored_variables import (
     over_cases,
 )
 
-#: cases that a rank fills at once, at least
+#: fewest cases that a rank fills together
 _LEAST_WINDOW = 1024
 #: of the longest name of a point's side
 _SIDE_BYTES = max(map(len, POINT_SIDES))
