@@ -92,15 +92,17 @@ class MeasuredColumn:
         if kind != "mass":
             return cast(FloatArray, values)
         densities, place = _densities(case, result, body), f"{self.file}: {legible(self.column)}"
-        given = {key: density for key, density in densities.items() if density is not None}
-        if missing := ", ".join(key for key in densities if key not in given):
+        with_density = {key: density for key, density in densities.items() if density is not None}
+        if missing := ", ".join(key for key in densities if key not in with_density):
             raise InputError(
                 f"{place}: a mass needs the density of what is lost; the case must have {missing} "
                 "(g/mm^3)"
             )
-        density, *more = set(given.values())
+        density, *more = set(with_density.values())
         if more:
-            densities_words = ", ".join(f"{key} = {density:g}" for key, density in given.items())
+            densities_words = ", ".join(
+                f"{key} = {density:g}" for key, density in with_density.items()
+            )
             raise InputError(
                 f"{place}: a mass cannot be drawn as a volume where what is lost has several "
                 f"densities ({densities_words} g/mm^3); must be a volume"

@@ -129,6 +129,12 @@ def elasticity_checks(comm: MPI.Comm) -> Iterator[Check]:
     )
 
 
+def cone_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Compare a ring with a conical top with its exact solution. Collective on comm."""
+    yield converging("torsion of a ring with a conical top of 10 degrees: u_theta",
+                     partial(torsion_error, comm=comm, degrees=10.0), 1e-3)  # fmt: skip
+
+
 def stress_checks(comm: MPI.Comm) -> Iterator[Check]:
     """Compare stresses inside with exact and with converged ones. Collective on comm."""
     load_stress_kernels(comm)

@@ -104,7 +104,7 @@ class Assembly:
 
 def number_dofs(zones: Sequence[Zone]) -> list[DofMap]:
     """Return the numbering of the unknowns of zones, each bonded to the next. Not collective."""
-    given, collocated = [], []
+    prescribed, collocated = [], []
     for zone in zones:
         boundary, elements, fixed = zone.boundary, zone.boundary.elements, zone.conditions.fixed
         of_zone = np.zeros((len(boundary.nodes), 3), dtype=bool)
@@ -113,7 +113,7 @@ def number_dofs(zones: Sequence[Zone]) -> list[DofMap]:
         of_zone[np.ix_(boundary.nodes[:, 0] == 0.0, [0, 2])] = True
         rows = ~of_zone
         rows[elements[:, 1]] |= fixed
-        given.append(of_zone)
+        prescribed.append(of_zone)
         collocated.append(rows)
     pairs = list(itertools.pairwise(range(len(zones))))
     # of each interface the stiffer zone, which is collocated at the ends of elements too
@@ -130,7 +130,7 @@ def number_dofs(zones: Sequence[Zone]) -> list[DofMap]:
             np.where(zone.conditions.fixed, equation[zone.boundary.elements[:, 1]], -1),
             np.ones(len(zone.boundary.elements)),
         )
-        for zone, of_zone, equation in zip(zones, given, numbers, strict=True)
+        for zone, of_zone, equation in zip(zones, prescribed, numbers, strict=True)
     ]  # fmt: skip
     for (outer, inner), stiff in zip(pairs, stiffer, strict=True):
         of_outer, of_inner = zones[outer].boundary, zones[inner].boundary

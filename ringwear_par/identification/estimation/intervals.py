@@ -219,8 +219,8 @@ def direction(misfit: Misfit, spectrum: Spectrum, j: int) -> str:
             return f"only {_product(misfit, keys, strong[:, 0] * spectrum.size[keys])}"
         return f"only products of {', '.join(sorted(str(names[i]) for i in keys))}"
     mine = str(names[j])
-    others = [name_of(names[i]) for i in taking if i != j]
-    listed = [", ".join(others[:-1]), others[-1]] if others[1:] else others
+    opposed = [name_of(names[i]) for i in taking if i != j]
+    listed = [", ".join(opposed[:-1]), opposed[-1]] if opposed[1:] else opposed
     return f"{mine} against {' and '.join(listed)}"
 
 
