@@ -206,5 +206,5 @@ def _quantity(column: str, along: bool, case: Case) -> str:
         return f"{kind}.{body}"
     if kind in OVER_TIME:
         return kind
-    of_its_unit = (q for q in OVER_TIME if unit_of_column(column, BASE[q.partition(".")[0]]))
-    return next(of_its_unit, "penetration")
+    fitting = (q for q in OVER_TIME if unit_of_column(column, BASE[q.partition(".")[0]]))
+    return next(fitting, "penetration")

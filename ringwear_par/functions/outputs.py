@@ -70,8 +70,8 @@ def read_outputs(case: Case, texts: Sequence[str], derivatives: bool) -> tuple[O
             f"function: outputs = {shortened(texts)}: must be a list of names, as ['penetration']"
         )
     lower, upper = (bool(ring.layers) for ring in case.rings)
-    of_layers = [name for name in layer_names((lower, upper)) if name in LAYER_HISTORIES]
-    variables = HISTORIES | {name: LAYER_HISTORIES[name] for name in of_layers}
+    layer_histories = [name for name in layer_names((lower, upper)) if name in LAYER_HISTORIES]
+    variables = HISTORIES | {name: LAYER_HISTORIES[name] for name in layer_histories}
     if derivatives:
         variables = {n: v for n, v in variables.items() if derivative_of(v).name in D_HISTORIES}
     outputs: list[Output] = []

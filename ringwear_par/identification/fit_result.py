@@ -272,13 +272,13 @@ class FitResult(Outcome, Solution):
                 continue
             known = not idle[i] and np.isfinite(sds[i])
             entry = {"estimate": float(self.x[i]), "sd": float(sds[i]) if known else None}
-            of_series = nuisances.setdefault(experiment, {}).setdefault(series, {})
+            series_entries = nuisances.setdefault(experiment, {}).setdefault(series, {})
             if (experiment, series) in with_power and kind == "thermal":
                 entry["power"] = True
             if kind == GROWTH_TIME:
-                of_series["thermal"]["time"] = entry
+                series_entries["thermal"]["time"] = entry
             else:
-                of_series[kind] = entry
+                series_entries[kind] = entry
         return nuisances
 
     @property

@@ -246,7 +246,7 @@ def _range(axis: Axis, values: FloatArray) -> list[float]:
 def columns_of(panel: Panel) -> dict[str, dict[str, list[Any]]]:
     """Return the columns of the sources of all kinds of marks."""
     marked = [curve for curve in panel.curves if curve.marked and curve.cases is None]
-    of_cases = [
+    case_points = [
         Points(c.x, c.y, c.legend or c.name, c.colour, cases=c.cases)
         for c in panel.curves
         if c.cases is not None
@@ -276,7 +276,7 @@ def columns_of(panel: Panel) -> dict[str, dict[str, list[Any]]]:
             for curve in marked
             for x, y in zip(curve.x.tolist(), curve.y.tolist(), strict=True)
         ],
-        "points": [row for points in (*of_cases, *panel.points) for row in _points(points)],
+        "points": [row for points in (*case_points, *panel.points) for row in _points(points)],
         "labels": [
             (
                 label.x,

@@ -198,7 +198,7 @@ def _drawn_panels(
         kind = KINDS[panel]
         scope = items if kind.shared else profiled
         faults = {id(item): kind.faults(item.result) for item in scope}
-        left_out += [(panel, fault) for of_item in faults.values() for fault in of_item]
+        left_out += [(panel, fault) for item_faults in faults.values() for fault in item_faults]
         good = [item for item in scope if not faults[id(item)]]
         if good and (kind.apart or len(good) == len(scope)):
             drawings += [(panel, drawing) for drawing in kind.drawings(good)]

@@ -202,14 +202,14 @@ def single_readings(drawn: Sequence[Series]) -> Panel:
     words = []
     for series in drawn:
         unit, (sd, band) = in_signs(series.unit), (quantile * series.sd, quantile * series.band)
-        reading, of_model = (
+        reading, modelled = (
             f"{value[0]:.4g} {unit}"
             + f" from {(value - reach)[0]:.4g} to {(value + reach)[0]:.4g}" * bool(reach[0])
             for value, reach in ((series.data, sd), (series.model, band))
         )
         if side := int(series.censored[0]):
             reading = f"{'at least' if side > 0 else 'at most'} {series.data[0]:.4g} {unit}"
-        words.append("\n".join([legible(series.title), reading, f"model {of_model}"]))
+        words.append("\n".join([legible(series.title), reading, f"model {modelled}"]))
     reach = max(_REACH, 1.1 * float(np.abs(residuals).max()), 1.1 * float(model.max()))
     ends = np.array([-0.6, len(drawn) - 0.4])
     return Panel(

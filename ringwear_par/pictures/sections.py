@@ -48,8 +48,8 @@ def _factor(bodies: Sequence[BoundaryFields], planes: Sequence[float]) -> float:
 
 def _face_nodes(body: BoundaryFields) -> IntArray:
     """Return the nodes of the face that looks to the other body, the contact line and beside it."""
-    of_face = [FACES.index(name) for name in ("contact", "free")]
-    return np.unique(body.elements[np.isin(body.face, of_face)])
+    face_numbers = [FACES.index(name) for name in ("contact", "free")]
+    return np.unique(body.elements[np.isin(body.face, face_numbers)])
 
 
 def _drawn(body: BoundaryFields, plane: float, upward: float, factor: float) -> FloatArray:

@@ -120,14 +120,14 @@ def _materials(
         face = np.interp(r, *outline.contour[:-2].T)[:, None]
         ends = np.append(outline.interfaces, outline.contour[-1, 1])
         for number, end in enumerate(ends):
-            of_layer = down * z >= down * end - _ON_FACE
+            in_layer = down * z >= down * end - _ON_FACE
             if number:
-                of_layer = of_layer & (down * z < down * ends[number - 1] - _ON_FACE)
+                in_layer = in_layer & (down * z < down * ends[number - 1] - _ON_FACE)
             low, high = sorted((end, ends[number - 1] if number else down * np.inf))
             band = outline.contour.copy()
             band[:, 1] = np.clip(band[:, 1], low, high)
             beside = z <= face + _ON_FACE if down > 0.0 else z > face + _ON_FACE
-            yield of_layer & beside, band
+            yield in_layer & beside, band
 
 
 def _spread(values: FloatArray, finite: BoolArray) -> FloatArray:
@@ -267,7 +267,7 @@ def _along(
     scaled = (r >= low) & (r <= high)
     for end in free:
         scaled &= np.abs(r - end) >= exclude
-    extent = np.concatenate([of_state[:, scaled].ravel() for of_state in values])
+    extent = np.concatenate([state_values[:, scaled].ravel() for state_values in values])
     extent = np.append(extent[np.isfinite(extent)], 0.0)
     room = _ROOM * float(np.ptp(extent)) or 1.0
     bottom, top = float(extent.min()) - room, float(extent.max()) + room
@@ -287,10 +287,10 @@ def _along(
     note = f"shaded: {exclude:g} mm beside free edges, where stress is infinite"
     note = note if exclude and free else ""
     end_time = float(result.histories["time"][-1])
-    for state, of_state in zip(states, values, strict=True):
+    for state, state_values in zip(states, values, strict=True):
         curves = [
             Curve(r, curve, name, COLOURS[number], number)
-            for number, (curve, name) in enumerate(zip(of_state, names, strict=True))
+            for number, (curve, name) in enumerate(zip(state_values, names, strict=True))
         ]
         (time,) = instants([state.time], end_time)
         lines = [": ".join(filter(None, (label, time))), interface.name, note]
@@ -298,7 +298,9 @@ def _along(
             Axis(RADIUS, ends=(low, high)), Axis("", ends=(bottom, top)),
             f"{interface.name}, {time}", note, curves=[*curves, edges, zero], bands=shades,
             legend="\n".join(filter(None, lines)),
-            labels=_worn_through(r, of_state, (low, high), bottom + _TEXT_HEIGHT * (top - bottom)),
+            labels=_worn_through(
+                r, state_values, (low, high), bottom + _TEXT_HEIGHT * (top - bottom)
+            ),
         )  # fmt: skip
 
 

@@ -43,9 +43,9 @@ def draw_parts(
     low, high = values.bounds.T
     drawn, parts = np.zeros((0, len(values.keys))), np.zeros(0, dtype=np.int64)
     for _ in range(_ROUNDS):
-        more, of_part = _values(values, of, draws, random)
+        more, part_values = _values(values, of, draws, random)
         inside = ((more >= low) & (more <= high)).all(axis=1)
-        drawn, parts = np.vstack([drawn, more[inside]]), np.append(parts, of_part[inside])
+        drawn, parts = np.vstack([drawn, more[inside]]), np.append(parts, part_values[inside])
         if len(drawn) >= draws:
             return drawn[:draws], parts[:draws]
     raise ComputationError(

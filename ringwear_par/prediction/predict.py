@@ -168,8 +168,8 @@ def _predicted(job: _Job, comm: MPI.Comm) -> Prediction:
 
     def compute(paces: Mapping[int, FloatArray] | None) -> dict[int, Result]:
         left = [draw for draw in cases if draw not in failures]
-        of_left = None if paces is None else [paces[draw] for draw in left]
-        outcomes = results_of([cases[d] for d in left], comm, step_times=ends, paces=of_left)
+        left_paces = None if paces is None else [paces[draw] for draw in left]
+        outcomes = results_of([cases[d] for d in left], comm, step_times=ends, paces=left_paces)
         results = {}
         for draw, outcome in zip(left, outcomes, strict=True):
             if isinstance(outcome, Result):

@@ -87,11 +87,11 @@ def answers(numbers: Iterable[KeyNumber]) -> list[Tile]:
     bodies = [body for body in BODIES if f"{body}_worn_volume" in known]
     labels = [("penetration", "penetration")]
     for body in bodies:
-        of_body = f" of {body}" if len(bodies) > 1 else ""
-        labels += [(f"{body}_worn_volume", f"worn volume{of_body}"),
-                  (f"{body}_mass", f"mass lost{of_body}"),
-                  (f"{body}_last_rate", f"wear rate{of_body}, at the end"),
-                  (f"{body}_specific_rate", f"specific wear rate{of_body}")]  # fmt: skip
+        suffix = f" of {body}" if len(bodies) > 1 else ""
+        labels += [(f"{body}_worn_volume", f"worn volume{suffix}"),
+                  (f"{body}_mass", f"mass lost{suffix}"),
+                  (f"{body}_last_rate", f"wear rate{suffix}, at the end"),
+                  (f"{body}_specific_rate", f"specific wear rate{suffix}")]  # fmt: skip
     labels += [("mean_pressure", "mean pressure"), ("largest_pressure", "largest pressure"),
               ("torque", "torque")]  # fmt: skip
     for name, label in labels:

@@ -60,10 +60,10 @@ def instants(times: Sequence[float], end: float) -> list[str]:
     Where that is too round, as ``time_words``.
     """
     unit, seconds = time_unit(end)
-    of_end = 2 - math.floor(math.log10(end / seconds)) if end > 0.0 else 0
+    end_digits = 2 - math.floor(math.log10(end / seconds)) if end > 0.0 else 0
     words = []
     for time in times:
-        digits = max(of_end, 1 - math.floor(math.log10(time / seconds)), 0) if time > 0.0 else 0
+        digits = max(end_digits, 1 - math.floor(math.log10(time / seconds)), 0) if time > 0.0 else 0
         words.append(f"{number_words(round(time / seconds, digits))} {unit}")
     return words if len(set(words)) == len(words) else [time_words(time, end) for time in times]
 

@@ -193,11 +193,11 @@ def _of_both(
     name: str, dimensions: tuple[str, ...], units: str, meaning: str
 ) -> dict[str, Variable]:
     """Return the variables of lower and upper, whose names and meanings have the body's."""
-    of_bodies = (dimensions, tuple("layer_upper" if d == "layer" else d for d in dimensions))
+    axes_of_bodies = (dimensions, tuple("layer_upper" if d == "layer" else d for d in dimensions))
     return variable_table(
         *(
             Variable(name.format(body), axes, units, meaning.format(body))
-            for body, axes in zip(BODIES, of_bodies, strict=True)
+            for body, axes in zip(BODIES, axes_of_bodies, strict=True)
         )
     )
 

@@ -88,12 +88,12 @@ def pressure_at(line: ContactLine, p: FloatArray, r: float) -> float:
 _CYLINDER = 1.0, 1.0 / math.sqrt(3.0)
 
 
-def without_truncation(of_two: Iterable[float]) -> float:
+def without_truncation(stiffnesses: Iterable[float]) -> float:
     """Return a stiffness for R = infinity from two R, one twice the other.
 
     Its inverse is linear in 1/R.
     """
-    first, second = of_two
+    first, second = stiffnesses
     return 1.0 / (2.0 / second - 1.0 / first)
 
 

@@ -367,8 +367,8 @@ class _Rows:
             return None
         sd = next((self._value(c, number) for c in columns if c.role == "sd"), None)
         if sd is None and self.sd is not None:
-            of_weighing, unit_of_sd = number_and_unit(self.sd)
-            sd = f"{weighing.u(of_weighing):.12g} {unit_of_sd}"
+            weighing_sd, unit_of_sd = number_and_unit(self.sd)
+            sd = f"{weighing.u(weighing_sd):.12g} {unit_of_sd}"
         if sd is None:
             self._fault(
                 number,

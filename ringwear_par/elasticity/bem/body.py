@@ -338,8 +338,8 @@ def body_zones(
     meshes = zone_meshes(body.section, line, mesh, worn, fine=fine)
     slopes = slope, *(None for _ in body.layers)  # the first zone alone has the contact
     return tuple(
-        Zone(boundary, boundary_conditions(boundary, body.grip, of_zone), material)
-        for boundary, of_zone, material in zip(meshes, slopes, body.relative, strict=True)
+        Zone(boundary, boundary_conditions(boundary, body.grip, zone_slope), material)
+        for boundary, zone_slope, material in zip(meshes, slopes, body.relative, strict=True)
     )
 
 

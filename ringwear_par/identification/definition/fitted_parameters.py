@@ -83,8 +83,8 @@ def _parameter(
 ) -> FittedParameter | None:
     path, entry = split_key(key)
     allowed = None if isinstance(entry, int) else interval_of((path, entry))
-    if layer_entry(key) is not None and (of_layer := key_of(key)) is not None:
-        allowed = of_layer.numbers
+    if layer_entry(key) is not None and (layer_key := key_of(key)) is not None:
+        allowed = layer_key.numbers
     if allowed is None or path.startswith("time."):
         near = ""
         if path not in BY_PATH and len(faults) < MOST_FAULTS:

@@ -112,24 +112,24 @@ def _input(
     excluded, smooth = read_intervals(reader, "exclude", "s"), reader.read("smooth")
     scale = None
     if (entry := reader.raw("scale")) is not None:
-        of_scale = TableReader(f"{reader.place}: scale", entry, faults, INPUT_SCALE)
-        scale = of_scale.read("prior")
-        of_scale.finish()
+        scale_reader = TableReader(f"{reader.place}: scale", entry, faults, INPUT_SCALE)
+        scale = scale_reader.read("prior")
+        scale_reader.finish()
         if scale is not None and scale.mean <= 0.0:
-            of_scale.wrong("prior", "must have a mean > 0")
+            scale_reader.wrong("prior", "must have a mean > 0")
     if key is None:
         for name in ("file", "columns", "units"):  # what they must be depends on the key
             reader.raw(name)
         reader.finish()
         return None
-    of_torque = key == "contact.friction"
-    if of_torque != (quantity == "torque") and "quantity" in reader:
+    is_friction = key == "contact.friction"
+    if is_friction != (quantity == "torque") and "quantity" in reader:
         reader.wrong("quantity", "must be absent: a load or a speed is its own quantity")
-    elif of_torque and quantity is None:
+    elif is_friction and quantity is None:
         reader.wrong("quantity", 'must be "torque"')
     readings = None
     if "file" in reader:
-        kind = "torque" if of_torque else key.partition(".")[2]
+        kind = "torque" if is_friction else key.partition(".")[2]
         readings = read_readings(reader, kind, None, end, files, plans=False)
     else:
         reader.read("file")  # reports what is missing
@@ -152,14 +152,14 @@ def _input(
         )
     if smooth == "none" and len(x) > MOST_POINTS:
         reader.wrong("smooth", f'must be "auto" or a time with more than {MOST_POINTS} readings')
-    low = value <= 0.0 if of_torque else value < 0.0
+    low = value <= 0.0 if is_friction else value < 0.0
     if low.any():
         i = int(np.flatnonzero(low)[0])
         written = value[i] / readings.factor
         hint = "look at its sign" if low.all() else "exclude leaves out times of stops, say"
         reader.fault(
             f"{lines_of(readings.where, lines, len(x))[i]}{written:g} {readings.unit}"
-            f"{and_more(int(low.sum()), 'reading')}: must be {'>' if of_torque else '>='} 0; "
+            f"{and_more(int(low.sum()), 'reading')}: must be {'>' if is_friction else '>='} 0; "
             f"{hint}"
         )
     if len(faults) > before:

@@ -27,8 +27,8 @@ def ordered_keys(parameters: Sequence[FittedParameter]) -> list[tuple[int, int]]
     for i, parameter in enumerate(parameters):
         table, _, name = parameter.key.rpartition(".")
         j = places.get(f"{table}.{least.get(name, '')}")
-        of_law = key_of(parameter.key) is not None  # not a parameter of a user's law
-        if of_law and j is not None and parameter.log == parameters[j].log:
+        is_law_key = key_of(parameter.key) is not None  # not a parameter of a user's law
+        if is_law_key and j is not None and parameter.log == parameters[j].log:
             pairs.append((i, j))
     return pairs
 

@@ -110,13 +110,13 @@ def likelihood_profiles(
             partial(_limit, misfit, optimum, covariance, j, (-1.0, 1.0)[side], root, tables[j])
             for j, side, root in searched
         ]
-        of_searches = side_by_side(searches, misfit.responses.compute)
-        better = [search.better for search in of_searches if search.better is not None]
+        found_limits = side_by_side(searches, misfit.responses.compute)
+        better = [search.better for search in found_limits if search.better is not None]
         if better:
             best = min(better, key=lambda candidate: candidate.evaluation.objective)
             return Profiles(tuple(estimates), {}, profiled, better=best.x)
         limits |= {
-            (j, side): limit for (j, side, _), limit in zip(searched, of_searches, strict=True)
+            (j, side): limit for (j, side, _), limit in zip(searched, found_limits, strict=True)
         }
         # an interval with two ends has them at another level than one with one end
         searched = [

@@ -158,8 +158,8 @@ def trend(residuals: FloatArray, n_nuisances: int = 0, least: float = 0.0) -> fl
     between = sum(float(block.sum()) ** 2 / len(block) for block in blocks)
     freedom = max(_BLOCKS - n_nuisances, 1)
     # degrees of freedom of the mean square of successive differences of white noise
-    of_noise = 2.0 * (n - 1) ** 2 / (3 * n - 4)
-    return float(f_distribution.sf(between / (freedom * noise), freedom, of_noise))
+    noise_freedom = 2.0 * (n - 1) ** 2 / (3 * n - 4)
+    return float(f_distribution.sf(between / (freedom * noise), freedom, noise_freedom))
 
 
 def refuse_idle(misfit: Misfit, start: FloatArray) -> None:
@@ -198,11 +198,11 @@ def _responding(misfit: Misfit, start: FloatArray) -> BoolArray:
 
     def at(x: FloatArray) -> BoolArray:
         try:
-            of_priors = misfit.evaluate(x).jacobian[misfit.n :]
+            prior_rows = misfit.evaluate(x).jacobian[misfit.n :]
         except HistoryError:
             return np.ones(m, dtype=bool)
         # limits that hold by far respond, but their likelihood does not
-        rows = np.concatenate([misfit.whitened(misfit.columns(x)), of_priors])
+        rows = np.concatenate([misfit.whitened(misfit.columns(x)), prior_rows])
         columns, nuisances = rows[:, :m], rows[:, m:]
         columns = NuisanceProjection(nuisances).rest(columns)
         return np.linalg.norm(columns[: misfit.n], axis=0) * reach > _NOT_FELT
@@ -252,8 +252,8 @@ class _Record:
     ) -> None:
         self._series = series
         columns, self._nuisances = [], []
-        of_series = nuisance_columns(series, experiment.case).T
-        for nuisance, column in zip(series.nuisances, of_series, strict=True):
+        series_columns = nuisance_columns(series, experiment.case).T
+        for nuisance, column in zip(series.nuisances, series_columns, strict=True):
             if nuisance.kind == GROWTH_TIME:  # growth with any of some time constants
                 low, high = nuisance.bounds
                 for time in (nuisance.start, low, 0.5 * (low + high), high):

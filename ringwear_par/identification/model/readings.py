@@ -300,6 +300,6 @@ def trajectory(result: Result, case: Case, keys: Sequence[str]) -> Trajectory:
         both("torque", histories["torque"]),
         np.stack([both(f"worn_volume_{b}", histories[f"worn_volume_{b}"]) for b in BODIES]),
         wear,
-        np.stack([lost_mass(case, i, of_body, keys) for i, of_body in enumerate(wear)]),
+        np.stack([lost_mass(case, i, body_wear, keys) for i, body_wear in enumerate(wear)]),
         np.stack([time_through(case, i, histories["time"], w, keys) for i, w in enumerate(wear)]),
     )

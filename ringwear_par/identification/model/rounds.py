@@ -290,8 +290,8 @@ class Responses:
         requests = list(enumerate(values))
         self.prepare(requests)
         responses = []
-        for test, of_test in requests:
-            response = self.stored[test, of_test.tobytes()]
+        for test, test_values in requests:
+            response = self.stored[test, test_values.tobytes()]
             if isinstance(response, HistoryError):
                 raise response
             responses.append(response)
@@ -312,7 +312,7 @@ class Responses:
         """Keep the readings at values of each test, and no engines. Not collective."""
         self.of_tests(values)
         self._engines = None
-        remaining = {(test, of_test.tobytes()) for test, of_test in enumerate(values)}
+        remaining = {(test, test_values.tobytes()) for test, test_values in enumerate(values)}
         self.stored = {key: response for key, response in self.stored.items() if key in remaining}
 
     def renew_inputs(self, values: FloatArray) -> tuple[Experiment, ...]:

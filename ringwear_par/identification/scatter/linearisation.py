@@ -109,8 +109,8 @@ def _responses(
     even = np.arange(series.n) % 2 == 0
     present = whitened(series, answer * even) * even + whitened(series, answer * ~even) * ~even
     following = np.cumsum(blocks.share * white[:, 0])
-    of_step = np.repeat(following[last], blocks.counts) - following + blocks.share * roots * present
-    uneven = (of_step - np.repeat(within, blocks.counts)) ** 2 * np.diff(depth, prepend=depth[0])
+    steps = np.repeat(following[last], blocks.counts) - following + blocks.share * roots * present
+    uneven = (steps - np.repeat(within, blocks.counts)) ** 2 * np.diff(depth, prepend=depth[0])
     return _Responses(low, high, before, within, np.add.reduceat(uneven, blocks.first))
 
 
@@ -139,11 +139,11 @@ class TestClocks:
         self._ends = np.cumsum([len(blocks.first) for blocks in self._blocks])[:-1]
         self._responses = []
         for answer, depth in zip((answers / sd[:, None]).T, depths.T, strict=True):
-            of_series = [
+            columns = [
                 _responses(record, blocks, roots[part], answer[part], depth[part])
                 for record, blocks, part in zip(series, self._blocks, self._parts, strict=True)
             ]
-            self._responses.append(_Responses(*map(np.concatenate, zip(*of_series, strict=True))))
+            self._responses.append(_Responses(*map(np.concatenate, zip(*columns, strict=True))))
 
     def combine(self, rows: FloatArray) -> FloatArray:
         """Return the rows of blocks of those (n, ...) of readings, both in units of noise."""

@@ -198,14 +198,14 @@ class _Pieces:
             models_at_shares, linear, material.wear, at_bounds, self._levels, (precision, mean)
         )
         posterior = integrated(problem.name, models, self._scatters, ())
-        of_tests, moved = test_unknowns.copy(), 0.0
-        for test in range(len(of_tests)):
+        updated, moved = test_unknowns.copy(), 0.0
+        for test in range(len(updated)):
             unknowns = posterior.unknowns(test)
             new = np.clip(unknowns, self._low[free], self._high[free])
             sds = [posterior.of_test(test, place).sd for place in range(len(free))]
-            moved = max(moved, float(np.abs((new - of_tests[test, free]) / sds).max()))
-            of_tests[test, free] = new
+            moved = max(moved, float(np.abs((new - updated[test, free]) / sds).max()))
+            updated[test, free] = new
         log_mass = posterior.log_mass - 0.5 * (
             float(loss.sum()) + loss_beyond_squares(self._misfit, evaluation)
         )
-        return _Place(centre, of_tests, moved, posterior, log_mass)
+        return _Place(centre, updated, moved, posterior, log_mass)

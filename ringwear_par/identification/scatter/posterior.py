@@ -339,7 +339,7 @@ def _posterior(
         null[:, body] = 0.0
         nulls.append(np.unique(null, axis=0) if size.known is None else null[:0])
     models = models_at(np.concatenate([points, *nulls]))
-    probable, weighted, of_model = [], [], []
+    probable, weighted, model_numbers = [], [], []
     least = np.inf
     for number, model in enumerate(models[: len(points)]):
         for first in range(0, len(tau), _CHUNK):
@@ -349,7 +349,7 @@ def _posterior(
             near = np.flatnonzero(solutions.restricted < least + _IMPROBABLE)
             probable.append(take(solutions, near))
             weighted.append(prior[number] * weights[part][near])
-            of_model.append(np.full(len(near), number))
+            model_numbers.append(np.full(len(near), number))
     ends = len(points) + np.cumsum([0, *map(len, nulls)])
     without = [
         min((model.solve(tau).restricted.min() for model in models[low:high]), default=np.nan)
@@ -359,6 +359,6 @@ def _posterior(
     posterior = np.exp(-0.5 * (solutions.restricted - least)) * np.concatenate(weighted)
     return ScatterPosterior(
         tuple(models[: len(points)]), solutions, posterior / posterior.sum(),
-        points[np.concatenate(of_model)], np.array(without),
+        points[np.concatenate(model_numbers)], np.array(without),
         float(np.log(posterior.sum()) - 0.5 * least + sum(a.log_factor for a in axes)),
     )  # fmt: skip

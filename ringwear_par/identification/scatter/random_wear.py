@@ -95,20 +95,20 @@ class RandomWear:
         if share.known is not None:
             size = {"known": share.known**2 * depth}
             return {"size": size, "share": {"known": share.known}, "depth": depth}
-        of_share = posterior.share(body, level)
-        low, high = of_share.interval
+        estimate = posterior.share(body, level)
+        low, high = estimate.interval
         verdict = "not identified"
-        if of_share.at_bound:
+        if estimate.at_bound:
             verdict = "at bound"
         elif np.log(high / low) < _NARROW * _prior_width(level):
             verdict = "identified"
         # increments are not normal where single events are larger than they
-        coarse = of_share.median**2 * depth > self.steps[body]
+        coarse = estimate.median**2 * depth > self.steps[body]
         ends = None if coarse else [low**2 * depth, high**2 * depth]
         return {
-            "size": {"estimate": of_share.median**2 * depth, "interval": ends},
-            "share": {"estimate": of_share.median, "interval": None if coarse else [low, high],
-                      "reml": of_share.restricted},
+            "size": {"estimate": estimate.median**2 * depth, "interval": ends},
+            "share": {"estimate": estimate.median, "interval": None if coarse else [low, high],
+                      "reml": estimate.restricted},
             "depth": depth,
             "verdict": verdict,
         }  # fmt: skip

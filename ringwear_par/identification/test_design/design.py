@@ -142,7 +142,7 @@ def design(
         return problem, prior, tuple(candidates(problem.design, problem.experiments[0]))
 
     problem, prior, tests = on_first_rank(comm, read)
-    of_file, failures, more = information_of_tests(
+    information_of_file, failures, more = information_of_tests(
         problem, problem.experiments, prior.draws, prior.scatter, comm
     )
     if failures:
@@ -170,7 +170,7 @@ def design(
     failed = {tests[number]: reason for number, reason in failures.items()}
     return DesignResult(
         problem, tuple(tests[number] for number in left), single, single_scores,
-        tuple(best), search.design_of_file(of_file), prior.nominal, prior.information,
+        tuple(best), search.design_of_file(information_of_file), prior.nominal, prior.information,
         len(prior.draws), prior.after, pairs, scores, failed, histories + more, versions(),
     )  # fmt: skip
 

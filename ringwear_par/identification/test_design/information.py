@@ -228,8 +228,8 @@ def information_of_tests(
                     continue
                 by_series = _series_information(problem, test, response[:, 1 : 1 + m] * slopes)
                 for number in group:
-                    of_readings = sum(by_series[id(series)] for series in tests[number].series)
-                    matrices[d, number] = of_new_specimen(np.asarray(of_readings), scatter)
+                    test_information = sum(by_series[id(series)] for series in tests[number].series)
+                    matrices[d, number] = of_new_specimen(np.asarray(test_information), scatter)
         return matrices, failures, rounds.count
 
     return rounds.lead(compute)

@@ -93,13 +93,13 @@ class CaseQueue:
         number = max(int(busy), twice, 1)
         # as long as there are other groups to take, teams need not share this one
         if self._untaken == len(self._sizes) and self._teams > 1:
-            of_team, least = math.ceil(self._all_left / self._teams), int(_LEAST_SECONDS / seconds)
+            share, least = math.ceil(self._all_left / self._teams), int(_LEAST_SECONDS / seconds)
             if not self._in_round:
                 self._in_round = self._teams
-                self._share = min(of_team, max(int(_ROUND * of_team), least, 1))
+                self._share = min(share, max(int(_ROUND * share), least, 1))
             self._in_round -= 1
             # less of cases whose time is not known yet
-            known = self._share if self._ended[group] else max(of_team // 2, min(of_team, least))
+            known = self._share if self._ended[group] else max(share // 2, min(share, least))
             number = max(min(number, known), 1)
         number = min(number, left)
         self._left[group] -= number

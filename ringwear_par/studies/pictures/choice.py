@@ -272,8 +272,8 @@ def choose(ensemble: Ensemble, surrogate: Surrogate | None, indices: Sequence[In
 def most_important(keys: Sequence[str], indices: Sequence[Indices], most: int) -> list[str]:
     """Return so many keys of the largest indices, in their order; without indices the first."""
     weights = dict.fromkeys(keys, 2.0 if indices else 0.0)  # of texts, which have none
-    for number, of_output in enumerate(indices):
-        for key, value in zip(of_output.keys, of_output.influence.tolist(), strict=True):
+    for number, output_indices in enumerate(indices):
+        for key, value in zip(output_indices.keys, output_indices.influence.tolist(), strict=True):
             if key in weights:
                 weights[key] = max(value, weights[key] if number else value)
     chosen = sorted(keys, key=lambda key: -weights[key])[:most]

@@ -172,8 +172,8 @@ def locked(folder: Path, part: str) -> Iterator[None]:
         lock = locks.enter_context(_opened(folder / "lock"))
         _lock(lock, fcntl.LOCK_SH if part else fcntl.LOCK_EX, folder)
         if part:  # only now: who has the whole may remove it
-            of_slice = locks.enter_context(_opened(folder / f"lock{part}"))
-            _lock(of_slice, fcntl.LOCK_EX, folder)
+            slice_lock = locks.enter_context(_opened(folder / f"lock{part}"))
+            _lock(slice_lock, fcntl.LOCK_EX, folder)
         yield
 
 
