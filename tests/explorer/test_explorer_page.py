@@ -59,7 +59,7 @@ class Visited:
         self.talk.table = json.dumps({"name": name, "content": content})
 
 
-def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
+def test_a_page_computes_the_last_request_and_goes_on_after_faults(comm):
     visited = Visited(comm)
     exploration, talk, work, ask = visited.exploration, visited.talk, visited.work, visited.ask
     computed, compute = [], exploration.compute
@@ -154,7 +154,7 @@ def test_faults_stay_until_numbers_can_be_computed(comm):
     assert "Infinity" not in visited.talk.answer
 
 
-def test_only_answers_have_the_number_of_a_wish(comm):
+def test_only_answers_have_the_number_of_a_request(comm):
     visited = Visited(comm)
     visited.work()
     visited.ask(1, **{"wear.lower.k": "3e-8"})
