@@ -164,10 +164,10 @@ class Measurements:
 
     def _refuse_groups(self, name: str, row: int) -> None:
         cell = self.rows[row][self.columns.index(name)]
-        mark, other = ("comma", "points") if "," in cell else ("point", "commas")
+        mark, usual = ("comma", "points") if "," in cell else ("point", "commas")
         raise InputError(
             f"{self.name}: line {self.lines[row]}: {legible(name)} = {legible(cell)}: has a {mark} "
-            f"where other numbers have decimal {other}; must be without separators of thousands, "
+            f"where other numbers have decimal {usual}; must be without separators of thousands, "
             "or with the same decimal mark"
         )
 
