@@ -1,5 +1,6 @@
 """``[[experiment.input]]``: what a rig measured of a test's case, as tables in time of its keys."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -74,11 +75,12 @@ def _of_input(name: str, key: str) -> str:
 
 
 def read_inputs(
-    said: str, tables: Any, case: Case, files: FileStore, faults: list[str]
+    said: str, tables: Any, case: Case | None, files: FileStore, faults: list[str]
 ) -> tuple[tuple[MeasuredInput, ...], dict[str, Any]]:
     """Return the inputs of an experiment, and the keys of its case that they are.
 
-    None, and faults, where one is wrong. The case has numbers in the places of what was measured.
+    None, and faults, where one is wrong, or without a case, which has numbers in the places of what
+    was measured.
     """
     if not isinstance(tables, list):
         faults.append(f"{said}: input: must be tables, [[experiment.input]]")
@@ -86,6 +88,8 @@ def read_inputs(
     before, curves = len(faults), dict[str, Any]()
     read = [_input(f"{said}: input {i}", table, case, files, faults)
             for i, table in enumerate(tables, start=1)]  # fmt: skip
+    if case is None:
+        return (), {}
     inputs = [one for one in read if one is not None]
     inputs.sort(key=lambda one: one.of_torque)  # its friction needs the load
     for i, one in enumerate(inputs):
@@ -103,11 +107,12 @@ def read_inputs(
 
 
 def _input(
-    said: str, table: Any, case: Case, files: FileStore, faults: list[str]
+    said: str, table: Any, case: Case | None, files: FileStore, faults: list[str]
 ) -> MeasuredInput | None:
     before = len(faults)
     reader = TableReader(said, table, faults, INPUT)
-    key, quantity, end = reader.read("key"), reader.read("quantity"), case.time.end
+    key, quantity = reader.read("key"), reader.read("quantity")
+    end = math.inf if case is None else case.time.end
     reader.place = said if key is None else f"{said} ({key})"
     excluded, smooth = read_intervals(reader, "exclude", "s"), reader.read("smooth")
     scale = None
@@ -134,7 +139,7 @@ def _input(
     else:
         reader.read("file")  # which says what is missing
     reader.finish()
-    if readings is None or len(faults) > before:
+    if readings is None or case is None or len(faults) > before:
         return None
     keep = np.ones(len(readings.x), dtype=bool)
     x = rounded_end(readings.x, end)
