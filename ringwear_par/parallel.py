@@ -88,6 +88,7 @@ def with_help_of_all(comm: "MPI.Comm", action: Callable[[], T]) -> T:
             for rank in range(1, comm.size):
                 comm.send(None, rank)
 
+    result: bytes | RingwearError
     while comm.rank and (task := comm.recv(source=0)) is not None:
         try:
             result = pickle.dumps(task(), pickle.HIGHEST_PROTOCOL)
