@@ -26,6 +26,7 @@ from rig_records import record as readings
 
 import ringwear_par as rw
 from ringwear_par.measuring.analysis.repeats import repeats_of
+from ringwear_par.reports.spreadsheets import export
 
 pytestmark = pytest.mark.serial
 EXAMPLE = ROOT / "scripts/measure"
@@ -253,6 +254,15 @@ def test_a_folder_holds_numbers_a_table_and_a_picture(laboratory, tmp_path):
     assert value == pytest.approx(stored["tests"]["W1"]["specific_wear_rate"]["value"], rel=1e-5)
     assert rows[0]["temperature, mean / degC"]
     assert not rows[1]["temperature, mean / degC"]
+    export(tmp_path / "out", tmp_path / "out.csv", "comma")
+    header, first, second, *_ = csv.reader(
+        (tmp_path / "out.csv").read_text().splitlines(), delimiter=";"
+    )
+    assert header == list(rows[0])
+    assert float(first[header.index("friction / 1")].replace(",", ".")) == pytest.approx(
+        float(rows[0]["friction / 1"]), rel=1e-5
+    )
+    assert second[header.index("temperature, mean / degC")] == ""
 
 
 def test_a_test_with_one_channel(laboratory, tmp_path):
