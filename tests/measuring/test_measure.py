@@ -165,13 +165,19 @@ def test_only_equal_conditions_are_repeats(laboratory):
     assert repeats_of([]) == ()
 
 
-def test_doubts(laboratory):
+def test_doubts(laboratory, tmp_path):
     folder, _, result = laboratory
     codes = {t.name: [doubt.code for doubt in t.doubts] for t in result.tests}
     assert codes["W1"] == ["displacement-against-weighing"]  # of rings that grow
     assert "gap" in codes["W2"]
     assert "not-steady" in codes["W4"]
     case = folder / "rig.toml"
+    rows = [row.split(";") for row in (folder / "W4.csv").read_text().splitlines()]
+    half = len(rows) // 2
+    stuck = rows[:half] + [[time, "999.9", *others] for time, _, *others in rows[half:]]
+    (tmp_path / "stuck.csv").write_text("\n".join(map(";".join, stuck)))
+    (test,) = rw.measure(tmp_path / "stuck.csv", case=case).tests
+    assert [doubt.code for doubt in test.doubts] == ["not-steady", "stands-still"]
     tables = {"case": str(case), "test": [{"name": "W1", "file": str(folder / "W1.csv")}]}
     tables["measure"] = {"steady": {"from": "16 h"}}
     (test,) = rw.measure(tables).tests

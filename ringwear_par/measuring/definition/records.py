@@ -360,7 +360,8 @@ def _times(table: Measurements, column: str, unit: str | None) -> tuple[FloatArr
         raise InputError(
             f"{table.name}: line {table.lines[fallen]}: {legible(column)} = "
             f"{legible(table.rows[fallen][cell])}{and_more(len(back), 'line')}: goes back, line "
-            f"{table.lines[before]} has {legible(table.rows[before][cell])}; must not fall"
+            f"{table.lines[before]} has {legible(table.rows[before][cell])}; must not fall, "
+            "also where a test that was stopped goes on"
         )
     first = np.concatenate([[True], np.diff(times) > 0.0])[: len(times)]
     rows = np.zeros(len(filled), dtype=bool)
