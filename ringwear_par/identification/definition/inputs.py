@@ -100,7 +100,7 @@ def read_inputs(
         if len(faults) > before:
             return (), {}
         one = replace(one, radius=0.5 * sum(case.contact))
-        inputs[i] = one = replace(one, suspicions=_suspicions(one, case))
+        inputs[i] = one = replace(one, suspicions=one.suspicions + _suspicions(one, case))
         curves[one.key] = points_of(one.curve(case))
         case = case.replace(curves)
     return (tuple(inputs), curves) if len(faults) == before else ((), {})
@@ -171,7 +171,7 @@ def _input(
         return None
     return MeasuredInput(
         key, x, value, smooth, scale, file=readings.where, file_unit=readings.unit,
-        assumptions=readings.assumptions,
+        assumptions=readings.assumptions, suspicions=readings.suspicions,
     )  # fmt: skip
 
 
