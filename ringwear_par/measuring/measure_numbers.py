@@ -82,7 +82,8 @@ def estimate_text(value: float, u: float, unit: str = "") -> str:
 
     Two digits of 2 u are shown (JCGM 100, 7.2.6).
     """
-    power = math.floor(math.log10(abs(value))) if value else 0
+    largest = max(abs(value), COVERAGE * u)
+    power = math.floor(math.log10(largest)) if largest else 0
     power = 0 if _SMALL < power < _LARGE else power
     scale, exponent = 10.0**power, f"e{power:+03d}" if power else ""
     expanded, suffix = COVERAGE * u / scale, f" {unit}" if unit not in ("", "1") else ""
