@@ -228,7 +228,9 @@ def _instead(unit: str, base: str | None) -> str:
     """Return the rule for a unit that is wrong, and the unit that is likely meant."""
     if base is None:
         return " that is known"
-    hint = "; turns are rpm or turn/s" if base == "rad/s" else ""
+    hint = ""
+    if base == "rad/s":
+        hint = "; turns are rpm or turn/s, and v in m/s at a radius r is omega = v/r"
     if base == "N" and unit in _FORCES:
         hint = f", but of a mass: did you mean {_FORCES[unit]}?"
     return f" of {base}{hint}"

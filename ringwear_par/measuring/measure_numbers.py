@@ -96,7 +96,8 @@ def estimate_text(value: float, u: float, unit: str = "") -> str:
 
     Two digits of 2 u are shown (JCGM 100, 7.2.6).
     """
-    power = math.floor(math.log10(abs(value))) if value else 0
+    largest = max(abs(value), COVERAGE * u)
+    power = math.floor(math.log10(largest)) if largest else 0
     power = 0 if _SMALL < power < _LARGE else power
     scale, exponent = 10.0**power, f"e{power:+03d}" if power else ""
     expanded, suffix = COVERAGE * u / scale, f" {unit}" if unit not in ("", "1") else ""
@@ -210,15 +211,29 @@ def save(result: MeasureResult, folder: Path) -> None:
 def table(result: MeasureResult) -> str:
     """Return the contents of measure.csv: a row a test; empty cells for what was not measured."""
     text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
+    header, rows = table_of(result.to_dict())
+    digits = [
+        ["" if v is None else f"{v:.6g}" if isinstance(v, float) else v for v in row]
+        for row in rows
+    ]
+    csv.writer(text, lineterminator="\n").writerows([header, *digits])
+    return text.getvalue()
+
+
+def table_of(outcome: Mapping[str, Any]) -> tuple[list[str], list[list[Any]]]:
+    """Return names of columns and rows of tests; None for what was not measured.
+
+    Parameters
+    ----------
+    outcome : the contents of measure.json.
+    """
     columns = [
         (q, part) for q in QUANTITIES for part in (("value", "u") if q.measured else ("value",))
     ]
     header = [f"{'u of ' * (part == 'u')}{q.name} / {q.unit}" for q, part in columns]
-    rows.writerow(["test", "steady", *header, "doubts"])
-    for name, entry in result.to_dict()["tests"].items():
+    rows = []
+    for name, entry in outcome["tests"].items():
         numbers = [quantity.of(entry, part) for quantity, part in columns]
-        cells = ["" if number is None else f"{number:.6g}" for number in numbers]
         codes = " ".join(doubt["code"] for doubt in entry["doubts"])
-        rows.writerow([name, "yes" if entry["steady"] else "no", *cells, codes])
-    return text.getvalue()
+        rows.append([name, "yes" if entry["steady"] else "no", *numbers, codes])
+    return ["test", "steady", *header, "doubts"], rows

@@ -134,10 +134,12 @@ def read_law(
         without those that a misspelt one means.
     faults : what is wrong with the case.
     """
-    if not any(path.startswith(f"{table}.") for path in keys):
+    first = next((path for path in keys if path.startswith(f"{table}.")), None)
+    if first is None:
         return None
     if values.get(f"{table}.law", "") is None:
-        faults.append(f"{name}: {table}.law is missing: {_rule(f'{table}.law')}")
+        rule = _rule(f"{table}.law")
+        faults.append(f"{name}: {table}.law is missing: {rule} where {first} is given")
     law = values.get(f"{table}.law")
     if law is None:
         return None

@@ -107,7 +107,8 @@ def laboratory_tests(
         return {}
     in_table: list[str] = []
     columns = _columns(table, names, units, worn, in_table)
-    tests = {} if in_table else _Rows(table, columns, sd, templates, in_table).tests()
+    rows = _Rows(table, columns, sd, templates, in_table)
+    tests = rows.check() if in_table else rows.tests()
     if worn and not in_table:
         _name_unused(table, columns, templates)
     for fault in in_table:
@@ -303,6 +304,13 @@ class _Rows:
                 tests[f"{self.table.name}: line {self.table.lines[numbers[0]]}"] = test
         return tests
 
+    def check(self) -> dict[str, dict[str, Any]]:
+        """Check all cells of the columns that are right; return no tests."""
+        for column in self.columns:
+            for number in range(len(self.table.rows)):
+                self._value(column, number)
+        return {}
+
     def _fault(self, number: int, sentence: str) -> None:
         self.faults.append(f"{self.table.name}: line {self.table.lines[number]}: {sentence}")
 
@@ -415,10 +423,22 @@ class _Rows:
         if not column.unit and not NUMBER.fullmatch(cell.replace(",", ".")):
             return parse_value(cell)
         try:
-            (value,) = cells.numbers(cells.columns[0], np.arange(len(cells.rows)) == number)
+            (read,) = cells.numbers(cells.columns[0], np.arange(len(cells.rows)) == number)
         except InputError as error:
-            self.faults.extend(fault for fault in error.faults if fault not in self.faults)
+            self._add(error.faults)
             return None
+        value = parse_value(cell) if cell.isdigit() else float(read)
         if column.unit:
-            return f"{float(value)!r} {column.unit}"
-        return parse_value(cell) if cell.isdigit() else float(value)
+            value = f"{float(read)!r} {column.unit}"
+        if key := key_of(column.role):
+            try:
+                key.value(value)
+            except RejectedError:
+                name, line = legible(cells.columns[0]), cells.lines[number]
+                self._add([f"{cells.name}: line {line}: {name} = {legible(cell)}: {key.rule}"])
+                return None
+        return value
+
+    def _add(self, faults: Sequence[str]) -> None:
+        """Add faults that are not there."""
+        self.faults.extend(fault for fault in faults if fault not in self.faults)

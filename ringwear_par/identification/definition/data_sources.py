@@ -34,6 +34,8 @@ from ringwear_par.identification.definition.schema import SD
 
 #: window of the running median that smooths data, in readings
 _SMOOTH = 9
+#: s; records that begin so late, but within a day, may have times of day
+_HOUR = 3600.0
 #: share of the largest reading below which a relative error means nothing
 _NEAR_ZERO = 0.05
 #: by word: the true value is at most the reading (-1), at least (1), or equal to it (0)
@@ -50,8 +52,10 @@ class Readings:
     #: unit of the data, and its size in the unit of a case
     unit: str
     factor: float
-    #: sentences about columns whose names have no unit, and about times of day.
+    #: sentences about columns whose names have no unit.
     assumptions: tuple[str, ...] = ()
+    #: sentences about times that are of the day, or may be.
+    suspicions: tuple[str, ...] = ()
     #: the table and which of its rows have readings; None of others.
     data: Measurements | None = None
     rows: BoolArray | None = None
@@ -186,31 +190,32 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
         column_names[role], units_by_role[role], factors[role] = column, unit, scale
     if len(column_names) < len(roles):
         return None
-    sentences: list[str] = []
     rows = data.filled(*column_names.values())
     if "time" in column_names:
         rows = data.first_stamps(column_names["time"], rows)
     hour = factor("h", "s") / factors["time"] if "time" in roles else None
     x = factors[roles[0]] * _column(reader, data, column_names[roles[0]], rows, hour)
-    if (
-        hour is not None
-        and len(x)
-        and x[0] > end
-        and has_hours(data.first_cell(column_names["time"]))
-    ):
-        x = x - x[0]
+    doubts: list[str] = []
+    if hour is not None and len(x) and has_hours(data.first_cell(column_names["time"])):
         first = legible(data.first_cell(column_names["time"]))
-        sentences.append(
-            f"the times begin with {first}, after the end of the test; they are taken as times of "
-            "day, that of the first reading as 0"
-        )
+        if x[0] > end:
+            x = x - x[0]
+            doubts.append(
+                f"the times begin with {first}, after the end of the test; they are taken as times "
+                "of day, that of the first reading as 0"
+            )
+        elif _HOUR <= x[0] < 24.0 * _HOUR:
+            doubts.append(
+                f"the times begin with {first}, taken as elapsed since the start of the test; if "
+                "they are times of day, their column must have the date before them"
+            )
     value = factors["value"] * _column(reader, data, column_names["value"], rows)
     if "time" in assumed and data.names_seconds(column_names["time"], rows):
         assumed.remove("time")
-    sentences += [assumption(column_names[role], units_by_role[role]) for role in assumed]
+    sentences = [assumption(column_names[role], units_by_role[role]) for role in assumed]
     return Readings(
-        x, value, units_by_role["value"], factors["value"], tuple(sentences), data, rows,
-        data.lines[rows], data.name,
+        x, value, units_by_role["value"], factors["value"], tuple(sentences), tuple(doubts),
+        data, rows, data.lines[rows], data.name,
     )  # fmt: skip
 
 

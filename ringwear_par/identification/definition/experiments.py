@@ -108,6 +108,8 @@ class ExperimentReader:
                 inputs, curves = read_inputs(place, tables, case, self._files, faults)
                 case = case.replace(curves) if curves else None
                 self._keys[name] = override(keys, curves)
+            elif tables:
+                read_inputs(place, tables, None, self._files, faults)
         groups = read_groups(reader, name)
         data = reader.raw("data")
         reader.finish()

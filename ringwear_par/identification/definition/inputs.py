@@ -1,5 +1,6 @@
 """``[[experiment.input]]``: what a rig measured of a test's case, as tables in time of its keys."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -74,11 +75,12 @@ def _of_input(name: str, key: str) -> str:
 
 
 def read_inputs(
-    place: str, tables: Any, case: Case, files: FileStore, faults: list[str]
+    place: str, tables: Any, case: Case | None, files: FileStore, faults: list[str]
 ) -> tuple[tuple[MeasuredInput, ...], dict[str, Any]]:
     """Return the inputs of an experiment, and the keys of its case that they are.
 
-    None, and faults, where one is wrong. The case has numbers in the places of what was measured.
+    None, and faults, where one is wrong, or without a case, which has numbers in the places of what
+    was measured.
     """
     if not isinstance(tables, list):
         faults.append(f"{place}: input: must be tables, [[experiment.input]]")
@@ -86,6 +88,8 @@ def read_inputs(
     before, curves = len(faults), dict[str, Any]()
     read = [_input(f"{place}: input {i}", table, case, files, faults)
             for i, table in enumerate(tables, start=1)]  # fmt: skip
+    if case is None:
+        return (), {}
     inputs = [entry for entry in read if entry is not None]
     inputs.sort(key=lambda entry: entry.of_torque)  # its friction needs the load
     for i, entry in enumerate(inputs):
@@ -96,18 +100,19 @@ def read_inputs(
         if len(faults) > before:
             return (), {}
         entry = replace(entry, radius=0.5 * sum(case.contact))
-        inputs[i] = entry = replace(entry, suspicions=_suspicions(entry, case))
+        inputs[i] = entry = replace(entry, suspicions=entry.suspicions + _suspicions(entry, case))
         curves[entry.key] = points_of(entry.curve(case))
         case = case.replace(curves)
     return (tuple(inputs), curves) if len(faults) == before else ((), {})
 
 
 def _input(
-    place: str, table: Any, case: Case, files: FileStore, faults: list[str]
+    place: str, table: Any, case: Case | None, files: FileStore, faults: list[str]
 ) -> MeasuredInput | None:
     before = len(faults)
     reader = TableReader(place, table, faults, INPUT)
-    key, quantity, end = reader.read("key"), reader.read("quantity"), case.time.end
+    key, quantity = reader.read("key"), reader.read("quantity")
+    end = math.inf if case is None else case.time.end
     reader.place = place if key is None else f"{place} ({key})"
     excluded, smooth = read_intervals(reader, "exclude", "s"), reader.read("smooth")
     scale = None
@@ -134,7 +139,7 @@ def _input(
     else:
         reader.read("file")  # reports what is missing
     reader.finish()
-    if readings is None or len(faults) > before:
+    if readings is None or case is None or len(faults) > before:
         return None
     keep = np.ones(len(readings.x), dtype=bool)
     x = rounded_end(readings.x, end)
@@ -166,7 +171,7 @@ def _input(
         return None
     return MeasuredInput(
         key, x, value, smooth, scale, file=readings.where, file_unit=readings.unit,
-        assumptions=readings.assumptions,
+        assumptions=readings.assumptions, suspicions=readings.suspicions,
     )  # fmt: skip
 
 

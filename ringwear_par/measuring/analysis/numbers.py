@@ -215,6 +215,13 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[ValidityWarning]:
         if share < _SHORT:
             text = f"the steady part is only {100 * share:.0f} % of the test; test for longer"
             doubts.append(ValidityWarning("steady-part-short", text))
+    depths = np.zeros(0) if record.wear is None else record.wear[record.time >= part.start]
+    if len(depths) and np.nanmin(depths) == np.nanmax(depths):
+        text = (
+            f"{record.columns['wear']} stands still from {_hours(part.start)} on: is the sensor at "
+            "its end? exclude leaves out a part of the record"
+        )
+        doubts.append(ValidityWarning("stands-still", text))
     friction, (low, high) = numbers.friction, _FRICTIONS
     if friction is not None and not low <= abs(friction.value) <= high:
         text = (
