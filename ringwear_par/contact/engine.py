@@ -116,6 +116,7 @@ class ContactEngine:
             )
         self.compliances, self.which, self._tao_type = compliances, which, tao_type
         self._problem = ContactProblem(compliances, which)
+        self.loops = self._problem.loops
         self._hessians = Hessians(compliances, which)
         #: of the last solutions
         self.derivatives = SolutionDerivatives(self._problem, self._hessians)

@@ -13,6 +13,8 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner, largest, smallest
 from ringwear_par.batched import keep
+from ringwear_par.compiled import contact_rows
+from ringwear_par.compiled.machine_code import load
 from ringwear_par.contact.basis_stack import BROKEN, BasisStack
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
@@ -46,7 +48,7 @@ class Hessians:
         self._compliances, self._matrices, self._which = compliances, compliances.matrices, which
         self._weights = weights = compliances.weights[which]
         count, n = weights.shape
-        self._per_speed = (1.0 / compliances.speed)[which]
+        self._per_speed, self._loops = (1.0 / compliances.speed)[which], load(contact_rows)
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
         #: (B, n) the diagonal
@@ -178,12 +180,11 @@ class Hessians:
         numbers = self._number[rows]
         if numbers.min() < 0:
             valid = numbers >= 0
-            rows, most, numbers = histories[valid], most[valid], numbers[valid]
-        inverse, force = most[:, None] * self._stack.mu[numbers], self._stack.force[numbers]
-        inverse += 1.0
-        np.divide(1.0, inverse, out=inverse)
-        self._inverse[rows], response = inverse, inverse * force
-        self._response[rows], self._stiffness[rows] = response, inner(force, response)
+            histories, most = histories[valid], most[valid]
+        self._loops.invert(
+            len(histories), free.shape[1], histories, self._number, most, self._stack.mu,
+            self._stack.force, self._inverse, self._response, self._stiffness,
+        )  # fmt: skip
 
     def _choose_bases(self, histories: IntArray, free: BoolArray, wearing: BoolArray) -> None:
         """Take the bases of the sets of histories, (h, n)."""
@@ -226,8 +227,7 @@ class Hessians:
             if len(modal) == len(every):
                 places = slice(None)
             numbers = every[places]
-            ours = slice(None) if len(numbers) == len(self._number) else histories[places]
-            rows = _Rows(places, ours, numbers, self._stack.force[numbers], RowProducts(numbers))
+            rows = _Rows(places, histories[places], numbers, RowProducts(numbers))
             known = self._rows[whole] = histories, rows
         return known[1]
 
@@ -273,20 +273,16 @@ class Hessians:
         self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None, tolerance: float
     ) -> tuple[FloatArray, FloatArray]:
         """Return steps in the bases, (..., h, n), and of approaches, (..., h)."""
-        if missing is None:
-            change, solved = np.zeros(modal.shape[:-1]), -modal
-        else:
-            carried = missing + inner(self._response[rows.histories], modal)
-            change = _divided(carried, self._stiffness[rows.histories])
-            solved = change[..., None] * rows.force
-            solved -= modal
-        solved *= self._inverse[rows.histories]
-        irregular = np.flatnonzero(~self._regular[rows.histories])
+        irregular, count = np.flatnonzero(~self._regular[rows.histories]), len(rows.histories)
+        sides = modal[..., irregular, :] if len(irregular) else modal
+        change, solved = np.empty(modal.shape[:-1]), modal
+        self._loops.solve_in_bases(
+            change.size, modal.shape[-1], count, rows.histories, self._number, self._stack.force,
+            self._inverse, self._response, self._stiffness, change if missing is None else missing,
+            missing is not None, solved, change,
+        )  # fmt: skip
         if len(irregular):
-            sides = modal[..., irregular, :]
-            many = np.broadcast_to(
-                np.arange(len(self._number))[rows.histories][irregular], sides.shape[:-1]
-            )
+            many = np.broadcast_to(rows.histories[irregular], sides.shape[:-1])
             x, more = self._iterate(
                 many.ravel(),
                 -sides.reshape(many.size, -1),
@@ -407,12 +403,10 @@ class _Rows(NamedTuple):
 
     #: of these rows among those that are solved
     places: IntArray | slice
-    #: of the rows
-    histories: IntArray | slice
+    #: (h,) int, of the rows
+    histories: IntArray
     #: (h,) int, of their bases
     numbers: IntArray
-    #: (h, n) float, see ``Basis``
-    force: FloatArray
     #: of the rows by basis
     groups: RowProducts
 

@@ -17,6 +17,8 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, inner, largest, short_repr
 from ringwear_par.batched import keep
+from ringwear_par.compiled import contact_rows
+from ringwear_par.compiled.machine_code import load
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.wear.increment import WearIncrement
 
@@ -89,7 +91,7 @@ class ContactProblem:
 
     def __init__(self, compliances: "ScaledCompliances", which: IntArray) -> None:
         self.compliances, self.which = compliances, which
-        self.area = compliances.area
+        self.area, self.loops = compliances.area, load(contact_rows)
         #: (B, n) 1/MPa, pressure times this is the unknown; gap times the weights the gradient
         self.scale, self.weights = compliances.scale[which], compliances.weights[which]
         self._per_scale = (1.0 / compliances.scale)[which]
@@ -221,11 +223,13 @@ class ContactProblem:
             p = self.pressures(q, rows)
         self._pressure = None  # where a law raises, nothing is known of these unknowns
         self.is_known[rows] &= recall
-        gradient = np.subtract(self.gaps[rows], self.approaches[rows, None], out=out)
-        if wear is not None:
-            gradient += wear.depth(p)
-        gradient *= self.weights[rows]
-        gradient += self._product[rows] if recall else self._products_of(q)
+        depths = np.zeros_like(q) if wear is None else wear.depth(p)
+        products = self._product[rows] if recall else self._products_of(q)
+        gradient = np.empty_like(q) if out is None else out
+        self.loops.gradient(
+            *q.shape, self.at_work, self.gaps, self.approaches, depths, self.weights, products,
+            gradient,
+        )  # fmt: skip
         self._pressure = p if whole else None
         return gradient
 
