@@ -79,6 +79,40 @@ def change_sets(
         are_cleared[place] = cleared
 
 
+def shape(
+    count: Count, n: Count, rows: Integers, slopes: Reals, per_speed: Reals, free: Flags,
+    are_valid: Flags, free_before: Flags, wearing_before: Flags, rates: Reals, are_new: Flags,
+    have_new_sets: Flags, are_regular: Flags, round_off: Reals,
+) -> None:  # fmt: skip
+    """Set which histories, compact, need another inverse, and what it is to be of.
+
+    Slopes are regular where they are one rate, compact, times the speed of elements that wear.
+    Elements in contact and those of them that wear become those before.
+    """
+    for place in range(count):
+        history = rows[place]
+        row, same = history * n, True
+        for k in range(row, row + n):
+            same = same and free[k] == free_before[k]
+        are_new[place], have_new_sets[place] = not (same and are_valid[history]), not same
+        if same and are_valid[history]:
+            continue
+        most, least = 0.0, math.inf
+        for k in range(row, row + n):
+            rate = slopes[k] * per_speed[k]
+            if free[k] and rate > 0.0:
+                most = max(most, rate)
+                least = min(least, rate)
+        regular = least >= (1.0 - round_off[0]) * most
+        # without regular wear as if all wore, so as not to need another basis
+        every = most == 0.0 or not regular
+        for k in range(row, row + n):
+            wears = free[k] and (every or slopes[k] > 0.0)
+            same = same and wears == wearing_before[k]
+            free_before[k], wearing_before[k] = free[k], wears
+        rates[place], are_regular[history], have_new_sets[place] = most, regular, not same
+
+
 def invert(
     count: Count, n: Count, rows: Integers, numbers: Integers, rates: Reals, values: Reals,
     forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
