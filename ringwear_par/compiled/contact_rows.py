@@ -166,10 +166,13 @@ def correction_errors(
     Relative to the pressure or to the mean, whichever is larger.
     """
     for history in range(count):
-        row, largest, element = history * n, -1.0, 0
+        row, largest, element, total = history * n, 0.0, 0, 0.0
         for i in range(n):
             k = row + i
             error = abs(after[k] - before[k]) * stiffness[k] / max(pressures[k], means[history])
-            if not error <= largest:  # as much as NaN
+            total += error
+            if error > largest:
                 largest, element = error, i
-        errors[history], elements[history] = largest, element
+        # comparisons do not see what is no number
+        errors[history] = largest if math.isfinite(total) else math.nan
+        elements[history] = element

@@ -269,7 +269,7 @@ class ContactProblem:
         p = self._pressure if recall and isinstance(rows, slice) else None
         if p is None:
             p = self.pressures(q, rows)
-        slope = wear.d_depth_dp(p)
+        slope = np.ascontiguousarray(wear.d_depth_dp(p))
         if self._slopes is None or self._slopes[0] is not slope:
             self._slopes = slope, self.scaled_slopes(slope, rows)
         diagonal = self._slopes[1]

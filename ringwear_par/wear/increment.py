@@ -139,7 +139,7 @@ class WearIncrement:
         p = _not_negative(p)
         if law.remembers:
             at = self.after_step(law, at, p)
-        return averaged_rate(law, at, average, p)
+        return np.ascontiguousarray(averaged_rate(law, at, average, p))
 
     def _bodies_at(self, p: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         """Return rates, mm/s, and depths of those that wear in contact all along, mm.
