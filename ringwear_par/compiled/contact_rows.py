@@ -1,7 +1,8 @@
 """Loops over the rows of B contact problems, see ``contact.problem`` and ``contact.hessians``.
 
 Arrays are (B, n) or (B,), of which ``rows`` (count,) are at work, but for those that are called
-compact: (count, n) or (count,), of these rows one after another.
+compact: (count, n) or (count,), of these rows one after another; and ``weights``, ``per_speed`` and
+``stiffness``, (m, n), of the compliances ``which`` (B,) of the histories.
 """
 
 import math
@@ -10,21 +11,22 @@ from ringwear_par.compiled.machine_code import Count, Flags, Integers, Reals
 
 
 def gradient(
-    count: Count, n: Count, rows: Integers, gaps: Reals, approaches: Reals, depths: Reals,
-    weights: Reals, products: Reals, gradients: Reals,
+    count: Count, n: Count, rows: Integers, which: Integers, gaps: Reals, approaches: Reals,
+    depths: Reals, weights: Reals, products: Reals, gradients: Reals,
 ) -> None:  # fmt: skip
     """Set gradients, the weighted gaps; depths of wear, products A q and gradients are compact."""
     for place in range(count):
-        row, approach, here = rows[place] * n, approaches[rows[place]], place * n
+        history, here = rows[place], place * n
+        row, compliance, approach = history * n, which[history] * n, approaches[history]
         for i in range(n):
             gap = gaps[row + i] - approach + depths[here + i]
-            gradients[here + i] = gap * weights[row + i] + products[here + i]
+            gradients[here + i] = gap * weights[compliance + i] + products[here + i]
 
 
 def judge(
-    count: Count, n: Count, rows: Integers, unknowns: Reals, gradients: Reals, diagonals: Reals,
-    weights: Reals, gaps: Reals, approaches: Reals, forces: Reals, given_forces: Count,
-    free: Flags, residuals: Reals, are_fine: Flags, are_broken: Flags, are_same: Flags,
+    count: Count, n: Count, rows: Integers, which: Integers, unknowns: Reals, gradients: Reals,
+    diagonals: Reals, weights: Reals, gaps: Reals, approaches: Reals, forces: Reals,
+    given_forces: Count, free: Flags, residuals: Reals, are_fine: Flags, are_broken: Flags, are_same: Flags,
     round_off: Reals, gradient_tolerance: Reals, force_tolerance: Reals,
 ) -> None:  # fmt: skip
     """Set which histories, compact, are optimal on their sets, are no numbers, keep their sets.
@@ -35,16 +37,17 @@ def judge(
     """
     for place in range(count):
         history = rows[place]
-        row, approach = history * n, approaches[history]
+        row, compliance, approach = history * n, which[history] * n, approaches[history]
         worst, most, same = 0.0, 0.0, True
         defects, overlaps, carried, total = 0.0, 0.0, 0.0, 0.0
-        for k in range(row, row + n):
+        for i in range(n):
+            k, weight = row + i, weights[compliance + i]
             x, diagonal = unknowns[k], diagonals[k]
             natural = min(x, gradients[k] / diagonal)
-            overlap = max(approach - gaps[k], 0.0) * weights[k]
+            overlap = max(approach - gaps[k], 0.0) * weight
             defects += natural * diagonal * natural * diagonal
             overlaps += overlap * overlap
-            carried += weights[k] * x
+            carried += weight * x
             total += natural
         for k in range(row, row + n):
             x, gradient = unknowns[k], gradients[k]
@@ -80,8 +83,8 @@ def change_sets(
 
 
 def shape(
-    count: Count, n: Count, rows: Integers, slopes: Reals, per_speed: Reals, free: Flags,
-    are_valid: Flags, free_before: Flags, wearing_before: Flags, rates: Reals, are_new: Flags,
+    count: Count, n: Count, rows: Integers, which: Integers, slopes: Reals, per_speed: Reals,
+    free: Flags, are_valid: Flags, free_before: Flags, wearing_before: Flags, rates: Reals, are_new: Flags,
     have_new_sets: Flags, are_regular: Flags, round_off: Reals,
 ) -> None:  # fmt: skip
     """Set which histories, compact, need another inverse, and what it is to be of.
@@ -97,10 +100,10 @@ def shape(
         are_new[place], have_new_sets[place] = not (same and are_valid[history]), not same
         if same and are_valid[history]:
             continue
-        most, least = 0.0, math.inf
-        for k in range(row, row + n):
-            rate = slopes[k] * per_speed[k]
-            if free[k] and rate > 0.0:
+        most, least, compliance = 0.0, math.inf, which[history] * n
+        for i in range(n):
+            rate = slopes[row + i] * per_speed[compliance + i]
+            if free[row + i] and rate > 0.0:
                 most = max(most, rate)
                 least = min(least, rate)
         regular = least >= (1.0 - round_off[0]) * most
@@ -158,18 +161,18 @@ def solve_in_bases(
 
 
 def correction_errors(
-    count: Count, n: Count, before: Reals, after: Reals, stiffness: Reals, pressures: Reals,
-    means: Reals, errors: Reals, elements: Integers,
+    count: Count, n: Count, which: Integers, before: Reals, after: Reals, stiffness: Reals,
+    pressures: Reals, means: Reals, errors: Reals, elements: Integers,
 ) -> None:  # fmt: skip
     """Set the largest errors of pressures for changes of gaps, each element alone, and where.
 
     Relative to the pressure or to the mean, whichever is larger.
     """
     for history in range(count):
-        row, largest, element, total = history * n, 0.0, 0, 0.0
+        largest, element, total, mean = 0.0, 0, 0.0, means[history]
         for i in range(n):
-            k = row + i
-            error = abs(after[k] - before[k]) * stiffness[k] / max(pressures[k], means[history])
+            k, stiff = history * n + i, stiffness[which[history] * n + i]
+            error = abs(after[k] - before[k]) * stiff / max(pressures[k], mean)
             total += error
             if error > largest:
                 largest, element = error, i

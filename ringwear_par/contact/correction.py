@@ -69,8 +69,6 @@ class CorrectedContacts:
         self.engine, self._products = engine, RowProducts(engine.which)
         count = len(engine.which)
         self._every, self._total = np.arange(count), float(engine.compliances.area.sum())
-        #: (B, n) MPa/mm, of each element alone
-        self._stiffness = engine.compliances.stiffness[engine.which]
         #: (B,) the largest errors that were left, and their elements
         self.largest_errors = np.zeros(count), np.zeros(count, dtype=np.int64)
         self._shift_at: tuple[FloatArray, FloatArray] | None = None
@@ -190,7 +188,7 @@ class CorrectedContacts:
         p, area = solution.pressure, self.engine.compliances.area
         largest, elements = np.empty(len(p)), np.empty(len(p), dtype=np.int64)
         self.engine.loops.correction_errors(
-            *p.shape, before, after, self._stiffness, p,
+            *p.shape, self.engine.which, before, after, self.engine.compliances.stiffness, p,
             np.maximum(solution.force / self._total, _TINY), largest, elements,
         )  # fmt: skip
         too_large = largest > largest_allowed
@@ -221,7 +219,7 @@ class CorrectedContacts:
         errors, elements = self.largest_errors
         self.largest_errors = errors[histories], elements[histories]
         self._products, self._shift_at = RowProducts(self.engine.which), None
-        self._every, self._stiffness = np.arange(len(histories)), self._stiffness[histories]
+        self._every = np.arange(len(histories))
 
     def take(self, histories: IntArray) -> "CorrectedContacts":
         """Return the contacts of some of the histories."""

@@ -46,9 +46,8 @@ class Hessians:
 
     def __init__(self, compliances: ScaledCompliances, which: IntArray) -> None:
         self._compliances, self._matrices, self._which = compliances, compliances.matrices, which
-        self._weights = weights = compliances.weights[which]
-        count, n = weights.shape
-        self._per_speed, self._loops = (1.0 / compliances.speed)[which], load(contact_rows)
+        count, n = len(which), len(compliances.area)
+        self._per_speed, self._loops = 1.0 / compliances.speed, load(contact_rows)
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
         #: (B, n) the diagonal
@@ -79,7 +78,7 @@ class Hessians:
         self.coupling = self.coupling[histories] if len(self.coupling) else self.coupling
         keep(
             self,
-            ("_which", "_weights", "_per_speed", "_free", "_valid", "_wearing", "_number",
+            ("_which", "_free", "_valid", "_wearing", "_number",
              "_inverse", "_regular", "_response", "_stiffness"),
             histories,
         )  # fmt: skip
@@ -145,7 +144,7 @@ class Hessians:
         if coupled:
             self._valid[histories] = False
         self._loops.shape(
-            count, n, histories, self.slope, self._per_speed, free, self._valid, self._free,
+            count, n, histories, self._which, self.slope, self._per_speed, free, self._valid, self._free,
             self._wearing, rates, new, new_sets, self._regular, _ROUND_OFF,
         )  # fmt: skip
         if not new.any():
@@ -178,7 +177,8 @@ class Hessians:
 
     def _median_rates(self, histories: IntArray) -> FloatArray:
         """Return the medians of slopes over speeds on elements in contact, (h,)."""
-        rates, free = self.slope[histories] * self._per_speed[histories], self._free[histories]
+        per_speed, free = self._per_speed[self._which[histories]], self._free[histories]
+        rates = self.slope[histories] * per_speed
         ordered = np.sort(np.where(free, rates, np.inf), axis=1)
         return ordered[np.arange(len(ordered)), free.sum(axis=1) // 2]
 
@@ -294,7 +294,8 @@ class Hessians:
     ) -> None:
         """Set steps and changes of approaches of histories that have factors of their own."""
         places = np.flatnonzero(self._number[histories] < 0)
-        weights, sides = self._weights[histories[places]], gradient[..., places, :]
+        weights = self._compliances.weights[self._which[histories[places]]]
+        sides = gradient[..., places, :]
         right = np.concatenate([sides.reshape(-1, *weights.shape), weights[None]])
         solved = np.zeros_like(right)
         whole = self._free[histories[places]].all(axis=1).tolist()

@@ -15,7 +15,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
 from ringwear_par.contact.hessians import NEAR, SOLVED, Hessians
-from ringwear_par.contact.problem import FORCE_TOLERANCE, GRADIENT_TOLERANCE, ContactProblem
+from ringwear_par.contact.problem import FORCE_TOLERANCE, GRADIENT_TOLERANCE, ContactProblem, part
 from ringwear_par.contact.tao import Guard
 from ringwear_par.petsc import PETSc
 
@@ -93,7 +93,7 @@ class ActiveSetNewton:
             hessians.refresh(histories, free)
             missing = None
             if problem.forces is not None:
-                missing = problem.forces[rows] - inner(problem.weights[rows], q[rows])
+                missing = problem.forces[rows] - inner(part(problem.weights, rows), q[rows])
             steps, changes = hessians.steps(histories, g[rows], missing, NEAR)
             problem.approaches[rows] += changes
             q[rows] += steps
@@ -136,8 +136,8 @@ class ActiveSetNewton:
         verdicts = np.empty((3, len(histories)), dtype=bool)
         forces = problem.forces
         problem.loops.judge(
-            len(histories), q.shape[1], histories, q, g, self._hessians.diagonal, problem.weights,
-            problem.gaps, problem.approaches, problem.approaches if forces is None else forces,
+            len(histories), q.shape[1], histories, problem.which, q, g, self._hessians.diagonal,
+            problem.compliances.weights, problem.gaps, problem.approaches, problem.approaches if forces is None else forces,
             forces is not None, free, self.residuals, *verdicts, *_TOLERANCES,
         )  # fmt: skip
         fine, broken, same = verdicts
