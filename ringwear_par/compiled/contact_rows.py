@@ -26,8 +26,8 @@ def gradient(
 def judge(
     count: Count, n: Count, rows: Integers, which: Integers, unknowns: Reals, gradients: Reals,
     diagonals: Reals, weights: Reals, gaps: Reals, approaches: Reals, forces: Reals,
-    given_forces: Count, free: Flags, residuals: Reals, are_fine: Flags, are_broken: Flags, are_same: Flags,
-    round_off: Reals, gradient_tolerance: Reals, force_tolerance: Reals,
+    given_forces: Count, free: Flags, residuals: Reals, are_fine: Flags, are_broken: Flags,
+    are_same: Flags, round_off: Reals, gradient_tolerance: Reals, force_tolerance: Reals,
 ) -> None:  # fmt: skip
     """Set which histories, compact, are optimal on their sets, are no numbers, keep their sets.
 
@@ -84,8 +84,8 @@ def change_sets(
 
 def shape(
     count: Count, n: Count, rows: Integers, which: Integers, slopes: Reals, per_speed: Reals,
-    free: Flags, are_valid: Flags, free_before: Flags, wearing_before: Flags, rates: Reals, are_new: Flags,
-    have_new_sets: Flags, are_regular: Flags, round_off: Reals,
+    free: Flags, are_valid: Flags, free_before: Flags, wearing_before: Flags, rates: Reals,
+    are_new: Flags, have_new_sets: Flags, are_regular: Flags, round_off: Reals,
 ) -> None:  # fmt: skip
     """Set which histories, compact, need another inverse, and what it is to be of.
 

@@ -17,21 +17,21 @@ import os
 import re
 import stat
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Annotated, Any, NoReturn
-
-import llvmlite.binding as llvm
+from typing import Annotated, Any, NoReturn, TypeAlias
 
 log = logging.getLogger(__name__)
 
 #: parameters of loops: a number, and contiguous arrays, with the characters of their dtypes
-Count = Annotated[int, ""]
-Reals, Integers, Flags = Annotated[Any, "d"], Annotated[Any, "l"], Annotated[Any, "?b"]
+Count: TypeAlias = Annotated[int, ""]
+Reals: TypeAlias = Annotated[Any, "d"]
+Integers: TypeAlias = Annotated[Any, "l"]
+Flags: TypeAlias = Annotated[Any, "?b"]
 #: loops compare the places of all their arrays, as these might overlap; LLVM by itself of few
 _OPTION = "-runtime-memory-check-threshold=300"
 #: what this process has loaded
@@ -48,6 +48,8 @@ def load(module: ModuleType) -> Any:
     processors. Arguments are as in the source. Arrays have to be contiguous and writable, or
     TypeError, BufferError or ValueError is raised.
     """
+    import llvmlite.binding as llvm  # not for who only reads results
+
     functions = [
         function
         for function in vars(module).values()
@@ -55,8 +57,8 @@ def load(module: ModuleType) -> Any:
     ]
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    loader = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine())
-    code = _stored_code(Path(inspect.getfile(module)), functions)
+    loader = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine(llvm))
+    code = _stored_code(llvm, Path(inspect.getfile(module)), functions)
     loader.add_object_file(llvm.object_file.ObjectFileRef.from_data(code))
     loader.finalize_object()
     _LOADERS.append(loader)
@@ -103,7 +105,7 @@ def _symbol(function: Callable[..., None]) -> str:
     return f"ringwear_{function.__name__}"
 
 
-def _target_machine() -> Any:
+def _target_machine(llvm: Any) -> Any:
     return llvm.Target.from_default_triple().create_target_machine(
         cpu=llvm.get_host_cpu_name(),
         features=llvm.get_host_cpu_features().flatten(),
@@ -115,7 +117,7 @@ def _target_machine() -> Any:
 # -- the object file -------------------------------------------------------------------------------
 
 
-def _stored_code(source: Path, functions: list[Callable[..., None]]) -> bytes:
+def _stored_code(llvm: Any, source: Path, functions: Sequence[Callable[..., None]]) -> bytes:
     """Return the object file of loops, which is made where there is none."""
     parts = (
         Path(__file__).read_bytes(), source.read_bytes(), version("numba"), version("llvmlite"),
@@ -128,7 +130,7 @@ def _stored_code(source: Path, functions: list[Callable[..., None]]) -> bytes:
             code = place.read_bytes()
             if hashlib.sha256(code[32:]).digest() == code[:32]:
                 return code[32:]
-    code = _compile(functions)
+    code = _compile(llvm, functions)
     for place in places:
         try:
             _write(place, hashlib.sha256(code).digest() + code)
@@ -164,7 +166,7 @@ def _write(path: Path, content: bytes) -> None:
         raise
 
 
-def _compile(functions: list[Callable[..., None]]) -> bytes:
+def _compile(llvm: Any, functions: Sequence[Callable[..., None]]) -> bytes:
     """Return the object file of loops."""
     llvm.set_option("", _OPTION)
     import numba  # takes long
@@ -192,4 +194,4 @@ def _compile(functions: list[Callable[..., None]]) -> bytes:
         else:
             module.link_in(part)
     module.verify()
-    return bytes(_target_machine().emit_object(module))
+    return bytes(_target_machine(llvm).emit_object(module))

@@ -144,8 +144,8 @@ class Hessians:
         if coupled:
             self._valid[histories] = False
         self._loops.shape(
-            count, n, histories, self._which, self.slope, self._per_speed, free, self._valid, self._free,
-            self._wearing, rates, new, new_sets, self._regular, _ROUND_OFF,
+            count, n, histories, self._which, self.slope, self._per_speed, free, self._valid,
+            self._free, self._wearing, rates, new, new_sets, self._regular, _ROUND_OFF,
         )  # fmt: skip
         if not new.any():
             return

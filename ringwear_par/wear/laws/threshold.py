@@ -32,9 +32,7 @@ class AboveThreshold(Law):
 
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s."""
-        rate = self._excess(p, local)
-        rate *= self._line(local)[0]
-        return rate
+        return self._line(local)[0] * self._excess(p, local)
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
