@@ -16,17 +16,17 @@ def gradient(
 ) -> None:  # fmt: skip
     """Set gradients, the weighted gaps; depths of wear, products A q and gradients are compact."""
     for place in range(count):
-        history, here = rows[place], place * n
+        history, start = rows[place], place * n
         row, compliance, approach = history * n, which[history] * n, approaches[history]
         for i in range(n):
-            gap = gaps[row + i] - approach + depths[here + i]
-            gradients[here + i] = gap * weights[compliance + i] + products[here + i]
+            gap = gaps[row + i] - approach + depths[start + i]
+            gradients[start + i] = gap * weights[compliance + i] + products[start + i]
 
 
 def judge(
     count: Count, n: Count, rows: Integers, which: Integers, unknowns: Reals, gradients: Reals,
     diagonals: Reals, weights: Reals, gaps: Reals, approaches: Reals, forces: Reals,
-    given_forces: Count, free: Flags, residuals: Reals, are_fine: Flags, are_broken: Flags,
+    with_forces: Count, free: Flags, residuals: Reals, are_fine: Flags, are_broken: Flags,
     are_same: Flags, round_off: Reals, gradient_tolerance: Reals, force_tolerance: Reals,
 ) -> None:  # fmt: skip
     """Set which histories, compact, are optimal on their sets, are no numbers, keep their sets.
@@ -59,7 +59,7 @@ def judge(
         fine = worst <= round_off[0] * most or math.sqrt(defects) <= (
             gradient_tolerance[0] * math.sqrt(overlaps)
         )
-        if given_forces:
+        if with_forces:
             force = forces[history]
             fine = fine and abs(carried - force) <= force_tolerance[0] * force
         residuals[history] = worst / most if most > 0.0 else math.inf
@@ -138,7 +138,7 @@ def invert(
 
 def solve_in_bases(
     count: Count, n: Count, n_histories: Count, rows: Integers, numbers: Integers, forces: Reals,
-    inverses: Reals, responses: Reals, stiffness: Reals, missing: Reals, given_forces: Count,
+    inverses: Reals, responses: Reals, stiffness: Reals, missing: Reals, with_forces: Count,
     sides: Reals, changes: Reals,
 ) -> None:  # fmt: skip
     """Set steps against gradients (count, n) in bases, in their place, and changes of approaches.
@@ -148,15 +148,15 @@ def solve_in_bases(
     """
     for place in range(count):
         history = rows[place % n_histories]
-        row, basis, here = history * n, numbers[history] * n, place * n
+        row, basis, start = history * n, numbers[history] * n, place * n
         change = 0.0
-        if given_forces and stiffness[history] > 0.0:
+        if with_forces and stiffness[history] > 0.0:
             carried = 0.0
             for i in range(n):
-                carried += responses[row + i] * sides[here + i]
+                carried += responses[row + i] * sides[start + i]
             change = (missing[place] + carried) / stiffness[history]
         for i in range(n):
-            sides[here + i] = (change * forces[basis + i] - sides[here + i]) * inverses[row + i]
+            sides[start + i] = (change * forces[basis + i] - sides[start + i]) * inverses[row + i]
         changes[place] = change
 
 

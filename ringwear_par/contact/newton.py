@@ -134,12 +134,12 @@ class ActiveSetNewton:
         """
         problem, histories = self._problem, self._problem.at_work
         verdicts = np.empty((3, len(histories)), dtype=bool)
-        given = problem.forces is not None
+        with_forces = problem.forces is not None
         forces = problem.approaches if problem.forces is None else problem.forces
         problem.loops.judge(
             len(histories), q.shape[1], histories, problem.which, q, g, self._hessians.diagonal,
-            problem.compliances.weights, problem.gaps, problem.approaches, forces, given, free,
-            self.residuals, *verdicts, *_TOLERANCES,
+            problem.compliances.weights, problem.gaps, problem.approaches, forces, with_forces,
+            free, self.residuals, *verdicts, *_TOLERANCES,
         )  # fmt: skip
         fine, broken, same = verdicts
         return fine, broken, same
