@@ -48,7 +48,7 @@ def judge(
             defects += natural * diagonal * natural * diagonal
             overlaps += overlap * overlap
             carried += weight * x
-            total += natural
+            total += x + gradients[k] + diagonal  # comparisons do not see what is no number
         for k in range(row, row + n):
             x, gradient = unknowns[k], gradients[k]
             worst = max(worst, abs(min(x, gradient / diagonals[k])))
