@@ -1,8 +1,9 @@
 """Machine code of loops over rows: compiled once by numba, kept, and loaded without it.
 
 To import numba takes ten times as long as to load what it has compiled. The code of a module of
-loops is one object file beside the module, or in a folder of the user's own, which the first
-process that needs it makes; LLVM's own loader takes it from there.
+loops is one object file in numba's own cache folder where that has a name, beside the module, or in
+a folder of the user's own, whichever may be written to. The first process that needs it makes it;
+LLVM's own loader takes it from there.
 
 A loop is a function of counts and arrays, whose parameters are annotated as ``Count``, ``Reals``,
 ``Integers`` or ``Flags``; arrays are indexed from their first entry on, whatever their axes. The
@@ -71,8 +72,9 @@ def _call(function: Callable[..., None], address: int) -> Callable[..., None]:
     """Return the compiled loop at an address as a function of what its source is one of."""
     dtypes = _dtypes(function)
     types = [ctypes.c_void_p if dtype else ctypes.c_int64 for dtype in dtypes]
-    # numba's own convention: places of what is returned and raised, neither of which there is
-    native = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, *types)(address)
+    # numba's own convention: places of what is returned and raised, neither of which there is;
+    # loops are so short that to let other threads run takes longer
+    native = ctypes.PYFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, *types)(address)
     place = ctypes.byref(ctypes.c_void_p())
 
     def call(*arguments: Any) -> None:
@@ -142,6 +144,8 @@ def _stored_code(llvm: Any, source: Path, functions: Sequence[Callable[..., None
 
 def _folders() -> Iterator[Path]:
     """Yield folders that nobody may write to who may not write the source, as code is executed."""
+    if named := os.environ.get("NUMBA_CACHE_DIR"):
+        yield Path(named)
     yield Path(__file__).parent / "__pycache__"
     path = Path(tempfile.gettempdir()) / f"ringwear-compiled-{os.getuid()}"
     with suppress(OSError):
