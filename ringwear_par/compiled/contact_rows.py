@@ -132,7 +132,8 @@ def invert(
             inverse = 1.0 / (1.0 + rate * values[basis + i])
             response = inverse * force
             inverses[row + i], responses[row + i] = inverse, response
-            carried += force * response
+        for i in range(n):
+            carried += forces[basis + i] * responses[row + i]
         stiffness[rows[place]] = carried
 
 

@@ -8,6 +8,8 @@ LLVM's own loader takes it from there.
 A loop is a function of counts and arrays, whose parameters are annotated as ``Count``, ``Reals``,
 ``Integers`` or ``Flags``; arrays are indexed from their first entry on, whatever their axes. The
 first parameter is the number of rows. What it computes are the entries of the arrays that it sets.
+Sums are in inner loops that set nothing: others are compiled twice, for arrays that may overlap and
+for those that cannot, and sums of the two differ in their last digits.
 """
 
 import ctypes
@@ -185,7 +187,7 @@ def _compile(llvm: Any, functions: Sequence[Callable[..., None]]) -> bytes:
     module: Any = None
     for function in functions:
         signature = types.void(*[parameter[dtype] for dtype in _dtypes(function)])
-        # sums may be of several at a time, in an order that does not depend on other rows
+        # sums may be of several entries at a time
         compiled = numba.cfunc(signature, error_model="numpy", fastmath={"reassoc"})(function)
         code = compiled.inspect_llvm()
         # of the loop and what calls it for C the former; the latter needs all of numba

@@ -51,19 +51,21 @@ def sum_errors(
 ) -> None:  # fmt: skip
     """Set errors of histories at the ends of steps, mm, and the errors of steps.
 
-    ``largest`` (3, B) are the sizes of those of the step, of the history, and of what was before.
+    The second of those that are ``propagated`` becomes what is left of the errors before. ``largest`` (3, B) are the sizes of those of the step, of the history, and of what was before.
     """
     size = count * n
     for history in range(count):
         of_step, of_history, of_before, total = 0.0, 0.0, 0.0, 0.0
-        for k in range(history * n, (history + 1) * n):
+        first, end = history * n, (history + 1) * n
+        for k in range(first, end):
             more = memory[k] if with_memory else 1.0
-            carried = more * propagated[size + k] + changes[size + k]
-            defect = defects[k] + (more * propagated[k] + changes[k])
-            defects[k], totals[k] = defect, carried + defect
-            of_step, of_before = max(of_step, abs(defect)), max(of_before, abs(carried))
-            of_history = max(of_history, abs(carried + defect))
-            total += carried + defect
+            propagated[size + k] = more * propagated[size + k] + changes[size + k]
+            defects[k] += more * propagated[k] + changes[k]
+            totals[k] = propagated[size + k] + defects[k]
+        for k in range(first, end):
+            of_step, of_history = max(of_step, abs(defects[k])), max(of_history, abs(totals[k]))
+            of_before = max(of_before, abs(propagated[size + k]))
+            total += totals[k]
         if not math.isfinite(total):  # comparisons do not see what is no number
             of_step = of_history = of_before = math.nan
         largest[history] = of_step

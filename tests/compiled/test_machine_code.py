@@ -1,12 +1,14 @@
 """Loops that are compiled ahead: where their code is kept, and what they refuse."""
 
+import ast
+import inspect
 import math
 
 import numpy as np
 import pytest
 from commands import python
 
-from ringwear_par.compiled import machine_code, step_rows
+from ringwear_par.compiled import contact_rows, machine_code, step_rows
 from ringwear_par.compiled.machine_code import load
 
 VALUES, PRESSURES = np.array([[1.0, -3.0], [math.nan, 1.0]]), np.array([[1.0, 2.0], [4.0, 2.0]])
@@ -46,10 +48,23 @@ def test_damaged_code_is_compiled_anew(tmp_path, monkeypatch):
     assert file.read_bytes() != damaged
 
 
+@pytest.mark.parametrize("module", [contact_rows, step_rows], ids=lambda m: m.__name__)
+def test_sums_are_in_loops_that_set_nothing(module):
+    """Digits of others would depend on whether arrays might overlap, so on where they are."""
+    for loop in ast.walk(ast.parse(inspect.getsource(module))):
+        if isinstance(loop, ast.For) and not any(isinstance(part, ast.For) for part in loop.body):
+            parts = [*ast.walk(loop)]
+            sums = {p.target.id for p in parts if isinstance(p, ast.AugAssign)
+                    and isinstance(p.target, ast.Name)}  # fmt: skip
+            sets = [p for p in parts if isinstance(p, ast.Subscript)
+                    and isinstance(p.ctx, ast.Store)]  # fmt: skip
+            assert not sums or not sets, (sums, loop.lineno)
+
+
 def test_kept_code_is_loaded_without_the_compiler():
     load(step_rows)
     program = (
-        "import sys; from ringwear_par.compiled import machine_code, step_rows; "
+        "import sys; from ringwear_par.compiled import contact_rows, machine_code, step_rows; "
         "machine_code.load(step_rows); assert 'numba' not in sys.modules"
     )
     assert not python("-c", program).returncode
