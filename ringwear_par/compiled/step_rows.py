@@ -51,7 +51,8 @@ def sum_errors(
 ) -> None:  # fmt: skip
     """Set errors of histories at the ends of steps, mm, and the errors of steps.
 
-    The second of those that are ``propagated`` becomes what is left of the errors before. ``largest`` (3, B) are the sizes of those of the step, of the history, and of what was before.
+    The second of those that are ``propagated`` becomes what is left of the errors before.
+    ``largest`` (3, B) are the sizes of those of the step, of the history, and of what was before.
     """
     size = count * n
     for history in range(count):
