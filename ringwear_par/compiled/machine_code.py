@@ -123,12 +123,11 @@ def _target_machine(llvm: Any) -> Any:
 
 def _stored_code(llvm: Any, source: Path, functions: Sequence[Callable[..., None]]) -> bytes:
     """Return the object file of loops, which is made where there is none."""
-    parts = (
-        Path(__file__).read_bytes(), source.read_bytes(), version("numba"), version("llvmlite"),
-        llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten(),
-    )  # fmt: skip
-    name = hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
-    places = [folder / f"{source.stem}-{name}.o" for folder in _folders()]
+    processor = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    sources = Path(__file__).read_bytes(), source.read_bytes()
+    stem = f"{source.stem}-{_digest(processor)}"
+    name = f"{stem}-{_digest((*sources, version('numba'), version('llvmlite')))}.o"
+    places = [folder / name for folder in _folders()]
     for place in places:
         with suppress(OSError):
             code = place.read_bytes()
@@ -138,10 +137,16 @@ def _stored_code(llvm: Any, source: Path, functions: Sequence[Callable[..., None
     for place in places:
         try:
             _write(place, hashlib.sha256(code).digest() + code)
+            for older in {*place.parent.glob(f"{stem}-*.o")} - {place}:
+                older.unlink(missing_ok=True)
             break
         except OSError as error:
             log.debug("%s: %s", place, error.strerror)
     return code
+
+
+def _digest(parts: object) -> str:
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
 
 def _folders() -> Iterator[Path]:
@@ -160,7 +165,7 @@ def _folders() -> Iterator[Path]:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Write a file at once, as other processes read it; older ones of other sources stay."""
+    """Write a file at once, as other processes read it."""
     path.parent.mkdir(exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent)
     try:
