@@ -138,7 +138,7 @@ def test_columns_that_are_named_leave_no_other_of_theirs(folder, caplog):
     [
         ("A;S1;40;", "A;S1;-40;", "tests.csv: line 4: p = -40: must be a finite number > 0, or a"),
         ("A;S1;40;", "A;S1;4O;", "line 4: p = 4O: must be a number, or empty"),
-        ("A;S1;40;", "A;S1;1.040;", "line 4: p = 1.040: has a point where other numbers, as in line"),
+        ("A;S1;40;", "A;S1;1.040;", "line 4: p = 1.040: has a point where other numbers, as in l"),
         ("B;S2", "Mean;S2", "line 6: Mean: is no test by its name; must be left out"),
         ("B;S2;85;", "B;S2;1.085,5;", "line 6: p = 1.085,5: must be a number, or empty; thousands"),
         ("B;S2;", ";S2;", "line 6: names no test; must begin with a name"),
