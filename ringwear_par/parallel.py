@@ -163,9 +163,9 @@ def claim_blas_memory(comm: "MPI.Comm") -> None:
             mmap.mmap(-1, _BLAS_BYTES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS).close()
         except OSError as error:
             raise MemoryError(f"{_BLAS_BYTES / 1e9:.1f} GB to begin with") from error
-        one = np.eye(2)
-        np.linalg.solve(one, one)
-        dpotrf(one)
+        identity = np.eye(2)
+        np.linalg.solve(identity, identity)
+        dpotrf(identity)
 
 
 def blas_threads() -> int:

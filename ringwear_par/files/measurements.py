@@ -168,10 +168,10 @@ class Measurements:
 
     def _refuse_groups(self, name: str, row: int, line: int) -> None:
         cell = self.rows[row][self.columns.index(name)]
-        mark, other = ("comma", "points") if "," in cell else ("point", "commas")
+        mark, usual = ("comma", "points") if "," in cell else ("point", "commas")
         raise InputError(
             f"{self.name}: line {self.lines[row]}: {legible(name)} = {legible(cell)}: has a {mark} "
-            f"where other numbers, as in line {line}, have decimal {other}; must be without "
+            f"where other numbers, as in line {line}, have decimal {usual}; must be without "
             "separators of thousands, or with the same decimal mark"
         )
 

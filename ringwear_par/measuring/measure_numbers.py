@@ -137,7 +137,7 @@ def summary(result: MeasureResult) -> str:
     """Return the outcome as the command prints it."""
     outcome = result.to_dict()
     tests: Mapping[str, Any] = outcome["tests"]
-    lines = [f"specific wear rate {repeats_text(one)}" for one in outcome["repeats"]]
+    lines = [f"specific wear rate {repeats_text(repeats)}" for repeats in outcome["repeats"]]
     if not lines:
         count = len(tests)
         lines.append(

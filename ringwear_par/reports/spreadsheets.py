@@ -102,7 +102,7 @@ def sweep_sheets(ensemble: Ensemble) -> list[Sheet]:
 
 
 def _states(ensemble: Ensemble) -> Iterator[Sequence[Any]]:
-    """Give the histories of all cases, a row a stored state."""
+    """Yield the histories of all cases, a row a stored state."""
     every = np.arange(len(ensemble.ids))
     tables = [ensemble.histories(name, every) for name in HISTORIES]
     for case, (identity, count) in enumerate(zip(ensemble.ids, ensemble.steps_stored, strict=True)):
@@ -137,9 +137,11 @@ def fit_sheets(folder: Path) -> list[Sheet]:
         series = stored_readings(folder / READINGS, float(outcome["level"]))[0]
     header = ("key", "estimate", "sd", "from", "to", "unit", "verdict", "note")
     readings = [
-        (one.experiment, one.name, *map(float, values), one.unit)
-        for one in series
-        for values in zip(one.x, one.data, one.sd, one.model, one.band, one.residuals, strict=True)
+        (curve.experiment, curve.name, *map(float, values), curve.unit)
+        for curve in series
+        for values in zip(
+            curve.x, curve.data, curve.sd, curve.model, curve.band, curve.residuals, strict=True
+        )
     ]
     columns = ("test", "series", "time (s) or r (mm)", "data", "sd", "model", "sd of model",
                "residual over noise", "unit")  # fmt: skip

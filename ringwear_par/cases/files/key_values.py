@@ -262,7 +262,7 @@ _ALIASES: dict[str, tuple[str, ...]] = {
 _NEAR, _NEAR_SHORT, _NEAR_ELSEWHERE = 0.6, 0.5, 0.75
 #: entries of a layer
 _LAYER_ENTRIES = tuple(dict.fromkeys(key.path.partition(".")[0] for key in LAYER_KEYS))
-#: what is meant as one
+#: names that are meant as an entry of a layer
 _LIKE_A_LAYER = re.compile(r"(lower|upper)\.layers?(?:[\[.](\d{1,3})\]?|\[[^\]]*\])?\.", re.ASCII)
 #: longer than any key, and slow to compare
 _LONGEST = 100

@@ -34,7 +34,7 @@ from ringwear_par.files.text import parse_value, shortened
 
 log = logging.getLogger(__name__)
 
-#: words in names of columns, by what these are of; letters alone are names as they are
+#: words in names of columns by their role; single letters count with their case
 _WORDS: dict[str, set[str]] = {
     "name": {"name", "test", "versuch"},
     "specimen": {"specimen", "probe"},
@@ -50,7 +50,7 @@ _WORDS: dict[str, set[str]] = {
 _TEXTS, _MASSES = ("name", "specimen", "batch", "lab"), (*KINDS, "sd")
 #: a case has one of them
 _LOADS = {"load.force", "load.pressure"}
-#: units of what is no key of a case
+#: units of roles that are no key of a case
 _UNITS = {"at": "s", **dict.fromkeys(_MASSES, "g")}
 #: of masses in g: differences have the digits that were typed, and no more
 _DIGITS = 12
@@ -127,7 +127,7 @@ def laboratory_tests(
 
 
 def _texts(reader: TableReader, key: str) -> Mapping[str, str]:
-    """Return a table of texts by what columns are of."""
+    """Return a table of texts by the role of columns."""
     table = reader.raw(key, {})
     if not isinstance(table, Mapping) or not all(isinstance(v, str) for v in table.values()):
         reader.wrong(key, "must be a table of texts")
@@ -209,7 +209,7 @@ def _bodies(name: str) -> list[str]:
 
 
 def _base(role: str) -> str:
-    """Return a unit of what a role is of, "" for none."""
+    """Return the unit of a role, "" for none."""
     key = key_of(role)
     unit = _UNITS.get(role.partition(".")[0], "") if key is None else key.unit
     return "" if unit in ("-", "1") else unit
@@ -260,7 +260,7 @@ def _column(
 
 
 def _refuse_twins(table: Measurements, columns: Sequence[_Column], faults: list[str]) -> None:
-    """Refuse columns of the same, but of masses, whose mean counts."""
+    """Refuse two columns of one role; of masses the mean counts."""
     known: dict[tuple[str, str], int] = {}
     for column in columns:
         first = known.setdefault((column.role, column.body), column.place)
@@ -277,7 +277,7 @@ def _name_unused(
     columns: Sequence[_Column],
     templates: Mapping[str, list[Mapping[str, Any]]],
 ) -> None:
-    """Warn of columns that neither are of something nor stand in a template."""
+    """Warn of columns that have no role and stand in no template."""
     used = {table.columns[column.place] for column in columns}
     for template in (template for tables in templates.values() for template in tables):
         used |= {name for text in template.values() for name in _PLACE.findall(str(text))}

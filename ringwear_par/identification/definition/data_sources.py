@@ -32,13 +32,13 @@ from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import BASE, Problem
 from ringwear_par.identification.definition.schema import SD
 
-#: readings of which data are smoothed by their median
+#: window of the running median that smooths data, in readings
 _SMOOTH = 9
 #: s; records that begin so late, but within a day, may have times of day
 _HOUR = 3600.0
-#: of the largest reading: below it a relative error means nothing
+#: share of the largest reading below which a relative error means nothing
 _NEAR_ZERO = 0.05
-#: the true value is at most the reading, at least; else the reading is one
+#: by word: the true value is at most the reading (-1), at least (1), or equal to it (0)
 _SIDES = {"below": -1, "above": 1, "": 0}
 
 
@@ -46,10 +46,10 @@ _SIDES = {"below": -1, "above": 1, "": 0}
 class Readings:
     """Readings and where they are from."""
 
-    #: (n,) as a series has them.
+    #: (n,) times or radii, and values, in the units of a series
     x: FloatArray
     value: FloatArray
-    #: of the data, and how much it is in the units of a case.
+    #: unit of the data, and its size in the unit of a case
     unit: str
     factor: float
     #: sentences about columns whose unit nobody names.
@@ -71,7 +71,7 @@ def read_readings(
 ) -> Readings | None:
     """Return the readings of a table of a fit file at ``at`` (s) or until the end (s) of the test.
 
-    None, and faults, where there are none; ``kind`` is the first part of the quantity.
+    None, and faults, where there are none; ``kind`` is a name in ``READING_KINDS``.
     """
     where, once = ("r", ()) if kind == "profile" else ("times", ("value",))
     single_key = next((key for key in ("file", *once) if key in reader), "")
@@ -110,7 +110,7 @@ def _single(reader: TableReader, kind: str, at: float) -> Readings | None:
 def _planned(
     reader: TableReader, kind: str, at: float | None, end: float, plans: bool
 ) -> Readings | None:
-    """Return readings that are to be taken, or why there are none in words."""
+    """Return readings that are planned; None, and faults, where there are none."""
     where = "r" if kind == "profile" else "times"
     file_keys = {"columns", "units", "skip", "drop"} & reader.keys()
     once = kind in ("mass", "volume", "through") or (at is not None and kind != "profile")
@@ -322,7 +322,7 @@ def _sd_column(reader: TableReader, column: str, readings: Readings) -> FloatArr
 
 
 def _scatter(value: FloatArray) -> float:
-    """Return a guess of the noise of readings: what second differences scatter by."""
+    """Return a guess of the noise of readings, by the scatter of their second differences."""
     second = np.abs(np.diff(value, 2)) / math.sqrt(6.0)
     guess = 1.4826 * float(np.median(second)) if len(second) else 0.0
     return guess or 1e-3 * float(np.abs(value).max(initial=0.0)) or 1e-9

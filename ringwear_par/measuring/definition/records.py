@@ -143,7 +143,7 @@ def read_record(
     inside, duration = np.ones(len(time), dtype=bool), float(time[-1])
     for low, high in exclude:
         inside &= (time < low) | (time > high)
-    time, values = time[inside], {name: one[inside] for name, one in values.items()}
+    time, values = time[inside], {name: column[inside] for name, column in values.items()}
     for channel in ("wear", "torque"):
         if (
             channel in values
@@ -281,7 +281,7 @@ def _known_column(
             )
         if known:
             return known[0]
-    # in the unit of something else, which is told
+    # in the unit of something else, which is reported
     return next((column for columns in candidates for column in columns), None)
 
 

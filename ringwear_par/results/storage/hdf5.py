@@ -54,7 +54,7 @@ class UnreadableError(InputError):
 
 @contextmanager
 def reading(path: Path, software: str, kind: str, must: str = "") -> Iterator[h5py.File]:
-    """Give a file of ours to read; anything that goes wrong meanwhile means that it is none.
+    """Yield a file of this software to read; any error meanwhile means that it is not one.
 
     Not collective.
 
@@ -277,7 +277,7 @@ class _Disk(io.FileIO):
 
 @contextmanager
 def atomic_hdf5(path: Path, sealed: bool = True) -> Iterator[tuple[h5py.File, Callable[[], None]]]:
-    """Give a file to fill, which is there once it is whole. Call on one rank only.
+    """Yield a file to fill, which gets its name once it is complete. Call on one rank only.
 
     With it comes what raises the error of a disk that has failed since: it need not be called, but
     saves the memory and the time of what is written for nothing.
