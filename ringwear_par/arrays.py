@@ -14,7 +14,7 @@ BoolArray = NDArray[np.bool_]
 #: a number of a history: a float, or an array (B,) of B histories
 Numbers = Any
 
-#: so small that its square is nothing
+#: size of a complex step: its square is lost in round-off
 COMPLEX_STEP = 1e-30
 #: relative step of differences: their error is its square, their round-off eps over it
 _STEP = 1e-5

@@ -134,7 +134,7 @@ _CASE = (
 )  # fmt: skip
 _FIT_FILE = _argument("source", type=_path, metavar="FIT.toml", help="fit file")
 _FOLDER = _output("DIR", dest="folder")
-_DEPTH = _argument("--depth", metavar="DEPTH", help="penetration whose time is asked, as '20 um'")
+_DEPTH = _argument("--depth", metavar="DEPTH", help="penetration whose time to predict, '20 um'")
 _NO_CACHE = _flag(
     "--no-cache",
     "assemble every contact pair, neither read nor write stored ones (their folder: ringwear info)",
@@ -221,7 +221,7 @@ COMMANDS = {
                   help="folder of the fit of earlier tests (default: fit the file's other tests)"),
         _argument("--test", metavar="NAME", help="experiment that runs (default: the last one)"),
         _argument("--to", default="10%", metavar="PERCENT",
-                  help="half width of the interval of k that is wished (default: 10%%)"),
+                  help="half width of the interval of k that is asked for (default: 10%%)"),
         _DEPTH,
         _argument("--draws", type=int, default=10_000, metavar="N",
                   help="number of draws (default: %(default)s)"),
@@ -354,7 +354,7 @@ def overview() -> str:
     """Return the tasks of the program, a line each."""
     lines = [f"  {task:10}{line:47}{meaning}" for task, line, meaning in _TASKS]
     return "\n".join([
-        "Wear histories of ring-on-ring and ring-on-disc tests, and what tests tell of wear.", "",
+        "Wear histories of ring-on-ring and ring-on-disc tests, wear laws from measurements.", "",
         *lines, "",
         "ringwear --help names all commands; ringwear COMMAND --help its options, with an example.",
     ])  # fmt: skip

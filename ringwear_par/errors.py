@@ -6,7 +6,7 @@ from typing import Any
 
 #: longest value, key or word of a user, and longest sentence that messages show in full
 _LONGEST_VALUE, LONGEST_SENTENCE = 72, 1000
-#: faults of one input that are told one by one; for more, nobody need look for what is meant
+#: faults of one input that are listed one by one; of more, only their number
 MOST_FAULTS = 100
 
 
@@ -66,7 +66,7 @@ def warning_lines(sentences: Iterable[str]) -> list[str]:
 
 
 class RingwearError(Exception):
-    """A failure that is told to the user in one sentence; exit status 1."""
+    """A failure that the user reads in one sentence; exit status 1."""
 
     exit_status = 1
 
@@ -85,7 +85,7 @@ def reason_of(error: Exception) -> str:
 
 
 class HistoriesError(ComputationError):
-    """Some of many histories that could not go on; why, each is told when it is computed alone.
+    """Some of many histories could not go on; each says why when it is computed alone.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ def results_of_tasks(
                 if isinstance(result, Exception):
                     raise result
                 yield pickle.loads(result)
-        finally:  # nobody is left with a result that he cannot send
+        finally:  # no rank is left with a result that it cannot send
             for rank in at_work:
                 comm.recv(source=rank)
 
@@ -131,7 +131,7 @@ class together:  # noqa: N801  (it reads as a word: with together(comm))
 
 
 def as_ours(error: Exception) -> RingwearError:
-    """Return an error that is told in one sentence, and may be sent to other ranks."""
+    """Return an error of one sentence that can be sent to other ranks."""
     if isinstance(error, RingwearError):
         return error
     if is_shortage(error):

@@ -12,7 +12,8 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, Numbers
 
-#: of the largest size, see ``bends``
+#: share of a schedule's largest size within which a point on the line of its neighbours is no bend,
+#: see ``bends``
 _SLIGHT_BEND = 1e-3
 
 

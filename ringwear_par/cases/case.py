@@ -382,12 +382,12 @@ class Case:
 def _law(ring: Ring, body_law: WearLaw | None) -> Law | None:
     """Return the law of a ring, of its layers and itself."""
     itself = None if body_law is None else complete(body_law)
-    of_layers = [None if layer.wear is None else complete(layer.wear) for layer in ring.layers]
-    if itself is None and not any(of_layers):
+    layer_laws = [None if layer.wear is None else complete(layer.wear) for layer in ring.layers]
+    if itself is None and not any(layer_laws):
         return None
     if not ring.layers:
         return itself
-    return LayeredLaw.of([layer.thickness for layer in ring.layers], of_layers, itself)
+    return LayeredLaw.of([layer.thickness for layer in ring.layers], layer_laws, itself)
 
 
 def need_case(value: object, name: str) -> None:

@@ -103,9 +103,9 @@ def with_entries(path: str, layers: Any, changes: Mapping[str, Any]) -> Any:
                 table["wear"] = {}
             table = table["wear"]
             if last == "law" and isinstance(value, str) and value in LAYER_LAWS:
-                known = {"law", *parameters_of(LAYER_LAWS[value])}
+                own_keys = {"law", *parameters_of(LAYER_LAWS[value])}
                 for foreign_key in [
-                    foreign_key for foreign_key in table if foreign_key not in known
+                    foreign_key for foreign_key in table if foreign_key not in own_keys
                 ]:
                     if f"[{i}].wear.{foreign_key}" not in changes:
                         del table[foreign_key]

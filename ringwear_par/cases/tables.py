@@ -16,7 +16,7 @@ from ringwear_par.elasticity.sections import SHAPE_UNITS
 from ringwear_par.errors import MOST_FAULTS, legible
 from ringwear_par.files.text import shortened, toml_value
 
-#: of a file that are left out
+#: most lines of a file that may be left out
 _MOST_LINES = 1_000_000
 #: a number as it may not be written, perhaps with a unit
 _COMMA = re.compile(r"[-+]?\d+,\d+(?!,)", re.ASCII)
@@ -146,7 +146,7 @@ def keys_of_table(keys: Iterable[Key], table: str) -> dict[str, Key]:
 def name_unknown_keys(
     place: str,
     names: Iterable[str],
-    known: Sequence[str],
+    allowed: Sequence[str],
     faults: list[str],
     fault: str = "unknown key",
 ) -> None:
@@ -157,12 +157,12 @@ def name_unknown_keys(
     place : how the sentences begin: file and table.
     """
     for name in names:
-        if name not in known:
+        if name not in allowed:
             few = len(faults) < MOST_FAULTS  # no more are shown, and looking takes long
-            near = difflib.get_close_matches(name.lower(), known, n=1) if few else []
+            near = difflib.get_close_matches(name.lower(), allowed, n=1) if few else []
             hint = f" (did you mean {near[0]}?)" if near else ""
             faults.append(
-                f"{place}: {legible(name)}: {fault}{hint}; must be one of {', '.join(known)}"
+                f"{place}: {legible(name)}: {fault}{hint}; must be one of {', '.join(allowed)}"
             )
 
 
@@ -231,8 +231,8 @@ class TableReader:
 
     def finish(self, fault: str = "unknown key") -> None:
         """Add a fault for each key that nobody has read."""
-        known = list(dict.fromkeys(self._read))
-        name_unknown_keys(self.place, self._table, known, self.faults, fault)
+        allowed = list(dict.fromkeys(self._read))
+        name_unknown_keys(self.place, self._table, allowed, self.faults, fault)
 
 
 def key_table(keys: Iterable[Key], words: str = "") -> str:

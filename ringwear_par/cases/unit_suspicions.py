@@ -22,7 +22,7 @@ from ringwear_par.wear.laws.threshold import AboveThreshold
 from ringwear_par.wear.laws.user import UserLaw
 from ringwear_par.wear.local_state import LocalState
 
-#: wear, in heights of a body, from which on the unit of its wear coefficient is in question
+#: wear, in heights of a body, above which the unit of its wear coefficient is in question
 DEEP = 0.1
 
 
@@ -174,14 +174,14 @@ def _friction(case: Case) -> float:
 _FLAG = "implausible_numbers"
 #: moduli (MPa) that are those of materials in Pa; smaller ones may be meant, of rigid bodies
 _PASCALS = (1e9, 2e12)
-#: g/mm^3, osmium's and a little more
+#: largest density, g/mm^3: osmium's and a little more
 _DENSEST = 0.025
-#: mm; layers are thicker
+#: thinnest layer, mm
 _THINNEST = 1e-4
 #: 1/MPa, largest specific wear rate: Archard's K = 0.01 of severe dry sliding (0.007 of mild steel
 #: on itself: J. F. Archard and W. Hirst, Proc. R. Soc. A 236 (1956) 397) over a hardness of 100 MPa
 _FASTEST = 1e-4
-#: mm, up to and from which on the largest length of a body is likely in another unit
+#: mm; a body whose largest length is smaller, or larger, is likely in another unit
 _SMALLEST, _LARGEST = 0.3, 5000.0
 #: largest mean pressure, in Young's moduli, of linear elasticity
 MOST_PRESSED = 0.1

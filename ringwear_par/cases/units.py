@@ -8,7 +8,7 @@ from typing import Any
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import legible
 
-#: more is no unit, and slow to look at
+#: longest text of a unit, in characters: more is no unit, and slow to look at
 _LONGEST = 40
 #: characters of a column's name that are looked at for its unit, the last ones
 _TAIL = 2 * _LONGEST
@@ -24,7 +24,7 @@ _WITH_UNIT = re.compile(rf"\s*({_NUMBER})\s*((?:[^\W\d_]|[%°µμ(]|1\s*/).*)", 
 _MICROMETRES = re.compile(r"(?<![^\W\d_])[uµμ]m(?![^\W\d_])")
 _POWERS = re.compile(r"(?<=[^\W\d_])\^?([23])(?![\w.])")
 _RAISED = {"2": "\N{SUPERSCRIPT TWO}", "3": "\N{SUPERSCRIPT THREE}"}
-#: of specific wear rates: the usual unit, and that of bearings
+#: units of specific wear rates: the usual one, and that of bearings
 SPECIFIC, CUSTOMARY = "mm3/(N m)", "in3 min/(ft lbf h)"
 #: units of mass that are typed for forces
 _FORCES = {"kg": "kgf", "lb": "lbf", "lbs": "lbf", "g": "gf", "t": "tf", "oz": "ozf"}
@@ -127,7 +127,7 @@ def named_unit(name: str, base: str) -> str | None:
 
 
 def assumption(column: str, unit: str) -> str:
-    """Return the sentence about a column whose unit nobody names."""
+    """Return the sentence about a column whose name has no unit."""
     return f"the column {legible(column)} names no unit; {unit} is taken"
 
 

@@ -19,7 +19,7 @@ Kind = Literal[
     "names", "text", "parameters", "layers", "places", "counts", "any",
 ]  # fmt: skip
 Reader = Callable[[Any], Any]
-#: more of a word is not compared
+#: characters of a word that are compared with the allowed ones
 _LONGEST = 40
 #: magnitudes of all numbers but 0: far beyond any, and products of many of them are finite
 LEAST, MOST = 1e-60, 1e30

@@ -158,13 +158,13 @@ def _content(path: Path, most: int) -> bytes:
 
 def _check_own(about: os.stat_result, path: Path) -> None:
     """Refuse what another user owns or may write to."""
-    why = ""
+    fault = ""
     if about.st_uid != os.geteuid():
-        why = "belongs to another user"
+        fault = "belongs to another user"
     elif about.st_mode & _OTHERS_WRITE and not stat.S_ISLNK(about.st_mode):
-        why = "other users may write to it"
-    if why:
-        raise PermissionError(errno.EPERM, f"{why}; must be yours alone to write to", path)
+        fault = "other users may write to it"
+    if fault:
+        raise PermissionError(errno.EPERM, f"{fault}; must be yours alone to write to", path)
 
 
 def _checksum(name: str, content: bytes) -> bytes:

@@ -29,7 +29,7 @@ Polyline = tuple[tuple[float, float], ...]
 Grip = Literal["clamped", "platen"]
 #: turn of a face (rad) from which on a vertex is a corner rather than a sample of a smooth curve
 CORNER_ANGLE = math.radians(5.0)
-#: fewest vertices of about the same curvature that are samples of a smooth face
+#: fewest vertices of about the same curvature that count as samples of a smooth face
 _DENSE = 6
 
 
@@ -199,17 +199,17 @@ _SAMPLES, _ARC = 101, 31
 
 def chamfer_faults(chamfer: Pair, r: Pair, z: Pair) -> list[str]:
     """Return the faults of the chamfers of a ring, "key = value: sentence"."""
-    said = f"chamfer = [{chamfer[0]:g}, {chamfer[1]:g}]"
+    entry = f"chamfer = [{chamfer[0]:g}, {chamfer[1]:g}]"
     faults = []
     if r[0] == 0 and chamfer[0] > 0:
-        faults.append(f"{said}: a solid disc has no inner corner; the first must be 0 (mm)")
+        faults.append(f"{entry}: a solid disc has no inner corner; the first must be 0 (mm)")
     if sum(chamfer) >= r[1] - r[0]:
         faults.append(
-            f"{said}: both together must be smaller than the width of the face, "
+            f"{entry}: both together must be smaller than the width of the face, "
             f"{r[1] - r[0]:g} (mm)"
         )
     if max(chamfer) >= z[1] - z[0]:
-        faults.append(f"{said}: must be smaller than the height, {z[1] - z[0]:g} (mm)")
+        faults.append(f"{entry}: must be smaller than the height, {z[1] - z[0]:g} (mm)")
     return faults
 
 
@@ -236,18 +236,18 @@ def shape_faults(shape: Shape, r: Pair, z: Pair) -> list[str]:
     """Return the faults of the shape of a body's face, "key = value: sentence"."""
     (a, b), height = r, z[1] - z[0]
     first, faults = shape.numbers[0], []
-    said = f"profile = {{ {shape.name} = {first:g} }}"
+    entry = f"profile = {{ {shape.name} = {first:g} }}"
     if shape.name == "crown" and first <= 0.5 * (b - a):
-        faults.append(f"{said}: must be > {0.5 * (b - a):g}, half the width of the face (mm)")
+        faults.append(f"{entry}: must be > {0.5 * (b - a):g}, half the width of the face (mm)")
     elif shape.name == "sphere" and first <= b:
-        faults.append(f"{said}: must be > {b:g}, the outer radius (mm)")
+        faults.append(f"{entry}: must be > {b:g}, the outer radius (mm)")
     elif shape.name == "fillet":
         inner, outer = _fillets(shape.numbers, r)
-        said = f"profile = {{ fillet = [{inner:g}, {outer:g}] }}"
+        entry = f"profile = {{ fillet = [{inner:g}, {outer:g}] }}"
         if a == 0 and inner > 0:
-            faults.append(f"{said}: a solid disc has no inner corner; the first must be 0 (mm)")
+            faults.append(f"{entry}: a solid disc has no inner corner; the first must be 0 (mm)")
         if inner + outer >= b - a:
-            faults.append(f"{said}: both together must be < {b - a:g}, the width of the face (mm)")
+            faults.append(f"{entry}: both together must be < {b - a:g}, the width of the face (mm)")
     elif shape.name == "trace":
         ends = shape.numbers[0], shape.numbers[-2]
         if ends[0] > a + CLOSE * b or ends[1] < b - CLOSE * b:
@@ -323,8 +323,8 @@ def _crosses(points: Polyline) -> bool:
         p, q, later = start[i], end[i], slice(i + 2, None)
         a, b = start[later], end[later]
         near = ((low[later] <= high[i]) & (high[later] >= low[i])).all(axis=1)
-        apart = side(p, q, a) * side(p, q, b) > 0
-        if (near & ~apart & (side(a, b, p) * side(a, b, q) <= 0)).any():
+        same_side = side(p, q, a) * side(p, q, b) > 0
+        if (near & ~same_side & (side(a, b, p) * side(a, b, q) <= 0)).any():
             return True
     return False
 
@@ -333,22 +333,22 @@ def profile_faults(ring: str, profile: Polyline, r: Pair, z: Pair) -> list[str]:
     """Return the faults of the profile of "lower" or "upper", "key = value: sentence"."""
     faults = []
 
-    def said(i: int) -> str:
+    def point(i: int) -> str:
         return f"profile[{i}] = [{profile[i][0]:.12g}, {profile[i][1]:.12g}]"
 
     back = next((i for i, (p, q) in enumerate(itertools.pairwise(profile), 1) if q[0] <= p[0]), 0)
     if back and _crosses(profile):
-        faults.append(f"{said(back)}: the profile crosses itself; r must increase along it")
+        faults.append(f"{point(back)}: the profile crosses itself; r must increase along it")
     elif back:
         faults.append(
-            f"{said(back)}: the face does not face the other body where r does not increase; "
+            f"{point(back)}: the face does not face the other body where r does not increase; "
             f"must be > {profile[back - 1][0]:.12g}, the radius before"
         )
     else:
         for i, end, where in ((0, r[0], "inner"), (len(profile) - 1, r[1], "outer")):
             if abs(profile[i][0] - end) > CLOSE * max(1.0, r[1]):
                 faults.append(
-                    f"{said(i)}: the profile must run from the inner to the outer radius; its "
+                    f"{point(i)}: the profile must run from the inner to the outer radius; its "
                     f"{where} end must have r = {end:.12g} (mm)"
                 )
     slack = CLOSE * max(1.0, *map(abs, z))
@@ -357,9 +357,9 @@ def profile_faults(ring: str, profile: Polyline, r: Pair, z: Pair) -> list[str]:
     )
     for i, (_, height) in enumerate(profile):
         if ring == "lower" and not lowest < height <= highest:
-            faults.append(f"{said(i)}: leaves the body; z must be > {z[0]:g} and <= {z[1]:g} (mm)")
+            faults.append(f"{point(i)}: leaves the body; z must be > {z[0]:g} and <= {z[1]:g} (mm)")
         elif ring == "upper" and not lowest <= height < highest:
-            faults.append(f"{said(i)}: leaves the body; z must be >= {z[0]:g} and < {z[1]:g} (mm)")
+            faults.append(f"{point(i)}: leaves the body; z must be >= {z[0]:g} and < {z[1]:g} (mm)")
         else:
             continue
         break  # one sentence for all points outside

@@ -48,7 +48,7 @@ class MeasuredColumn:
     x: FloatArray
     #: (n,) as the table has them
     raw: FloatArray
-    #: sentence about the column of x where nobody names its unit, else ""
+    #: sentence about the column of x where its name has no unit, else ""
     x_assumption: str = ""
 
     @property
@@ -63,12 +63,12 @@ class MeasuredColumn:
 
     @property
     def unit(self) -> str:
-        """Its unit, told by its name or else that of the quantity in a case."""
+        """Its unit: the one in its name, else that of the quantity in a case."""
         return unit_of_column(self.column, self._base) or self._base
 
     @property
     def assumptions(self) -> list[str]:
-        """Sentences about columns whose unit nobody names."""
+        """Sentences about columns whose names have no unit."""
         sentences = [self.x_assumption] if self.x_assumption else []
         if unit_of_column(self.column, self._base) is None:
             sentences.append(f"{self.file}: {assumption(self.column, self._base)}")
@@ -92,15 +92,17 @@ class MeasuredColumn:
         if kind != "mass":
             return cast(FloatArray, values)
         densities, place = _densities(case, result, body), f"{self.file}: {legible(self.column)}"
-        known = {key: density for key, density in densities.items() if density is not None}
-        if missing := ", ".join(key for key in densities if key not in known):
+        with_density = {key: density for key, density in densities.items() if density is not None}
+        if missing := ", ".join(key for key in densities if key not in with_density):
             raise InputError(
                 f"{place}: a mass needs the density of what is lost; the case must have {missing} "
                 "(g/mm^3)"
             )
-        density, *more = set(known.values())
+        density, *more = set(with_density.values())
         if more:
-            densities_words = ", ".join(f"{key} = {density:g}" for key, density in known.items())
+            densities_words = ", ".join(
+                f"{key} = {density:g}" for key, density in with_density.items()
+            )
             raise InputError(
                 f"{place}: a mass cannot be drawn as a volume where what is lost has several "
                 f"densities ({densities_words} g/mm^3); must be a volume"
@@ -126,11 +128,11 @@ class MeasuredColumn:
 
 def _densities(case: Case, result: Result, body: str) -> dict[str, float | None]:
     """Return the densities (g/mm^3), by key, of what of a body is lost: of its face at least."""
-    known = getattr(case, body).densities
-    keys = density_keys(body, len(known) - 1)
+    densities = getattr(case, body).densities
+    keys = density_keys(body, len(densities) - 1)
     volumes = result.layers.get(f"worn_volume_{body}_layers")
     lost = np.ones(1) if volumes is None else volumes[-1]
-    parts = enumerate(zip(keys, known, lost, strict=True))
+    parts = enumerate(zip(keys, densities, lost, strict=True))
     return {key: density for i, (key, density, volume) in parts if i == 0 or volume > 0.0}
 
 
@@ -204,5 +206,5 @@ def _quantity(column: str, along: bool, case: Case) -> str:
         return f"{kind}.{body}"
     if kind in OVER_TIME:
         return kind
-    of_its_unit = (q for q in OVER_TIME if unit_of_column(column, BASE[q.partition(".")[0]]))
-    return next(of_its_unit, "penetration")
+    fitting = (q for q in OVER_TIME if unit_of_column(column, BASE[q.partition(".")[0]]))
+    return next(fitting, "penetration")

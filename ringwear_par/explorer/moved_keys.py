@@ -27,9 +27,9 @@ def raw_keys(path: Path, overrides: list[str]) -> dict[str, Any]:
     InputError : what ``ringwear run`` refuses, in its words.
     """
     check_case(read_case(path, overrides), 1, str(path))
-    of_file = _files_in_full(read_keys(read_text(path), str(path)), path.parent)
+    file_keys = _files_in_full(read_keys(read_text(path), str(path)), path.parent)
     changes = flatten(parse_overrides(overrides), "--set")
-    return override(of_file, _files_in_full(changes, Path()))
+    return override(file_keys, _files_in_full(changes, Path()))
 
 
 def _files_in_full(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:

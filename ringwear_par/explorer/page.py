@@ -1,4 +1,4 @@
-"""A page of the explorer: what it asks for is computed, the last wish first, and drawn."""
+"""A page of the explorer: what it asks for is computed, the last request first, then drawn."""
 
 import base64
 import binascii
@@ -42,7 +42,7 @@ _START: dict[str, Any] = {"n": 0, "values": {}, "instant": 1.0, "menu": "volume"
 #: s between messages on how far a history is
 _PROGRESS = 0.2
 _STOPPED = "stopped before its end; it is computed again once a number is changed"
-_BAD_WISH = "the page sent a wish that cannot be read; load it again"
+_BAD_REQUEST = "the page sent a request that cannot be read; load it again"
 
 
 class Talk(DataModel):  # type: ignore[misc]
@@ -52,7 +52,7 @@ class Talk(DataModel):  # type: ignore[misc]
     the time and chart chosen), ``order`` (to stop what is computed, or to make a report) and
     ``table`` (a table of measurements, or what its columns are) come from the page, ``answer`` goes
     to it: all that is seen of a history in one message, so that figures are painted once. The ``n``
-    of a wish comes back with its answer, and with nothing else.
+    of a request comes back with its answer, and with nothing else.
     """
 
     request = String(default="")
@@ -88,16 +88,16 @@ class Page:
         self._wanted: dict[str, Any] = dict(_START)
         self._computing = self._wanted
         self._document, self._busy, self._gone = document, False, False
-        #: when the page was last told how far a history is
+        #: time of the last message on how far a history is
         self._progress_time = 0.0
-        #: what is drawn, the wish that it answers, and what it is compared with: numbers and their
-        #: history, None where they have none
+        #: what is drawn, the request that it answers, and what it is compared with: numbers and
+        #: their history, None where they have none
         self._explored: Explored | None = None
         self._drawn: dict[str, Any] | None = None
         self._references: dict[str, tuple[dict[str, str], Explored | None]] = {}
         #: whether the visitor wants what is computed no more
         self._stopped = False
-        #: why the last wish could not be computed
+        #: why the last request could not be computed
         self._faults: tuple[str, ...] = ()
         #: by numbers that stay theirs
         self._laid: dict[int, MeasuredColumn] = {}
@@ -125,7 +125,7 @@ class Page:
         return self._gone or (session is not None and not session.connection_count)
 
     def _stops(self, fraction: float) -> bool:
-        """Tell how far a history is; return whether it is of no use. In the main thread."""
+        """Tell the page how far a history is; return whether to stop it. In the main thread."""
         # what the page shows of the same history needs no other
         another = self._wanted["values"] != self._computing["values"]
         if self._stopped or self._left_alone or (another and not self._wanted["moving"]):
@@ -138,17 +138,17 @@ class Page:
 
     # -- histories ---------------------------------------------------------------------------------
 
-    def _ask(self, wanted: dict[str, Any]) -> None:
-        """Take a wish, the place of one that nobody has begun with."""
-        if fault := _wish_fault(wanted):
-            self._tell({"n": wanted.get("n"), "faults": [fault]})
+    def _ask(self, request: dict[str, Any]) -> None:
+        """Take a request; it replaces one whose computation has not begun."""
+        if fault := _request_fault(request):
+            self._tell({"n": request.get("n"), "faults": [fault]})
             return
-        self._wanted = wanted
+        self._wanted = request
         if self._busy:
             return
         drawn = self._drawn
-        if drawn is not None and all(wanted[name] == drawn[name] for name in ("values", "pinned")):
-            self._draw(wanted["n"])
+        if drawn is not None and all(request[name] == drawn[name] for name in ("values", "pinned")):
+            self._draw(request["n"])
         else:
             self._start()
 
@@ -174,14 +174,14 @@ class Page:
         if self._left_alone:  # a page whose socket opens asks again
             self._busy = False
             return
-        wanted, started = self._wanted, time.perf_counter()
-        self._computing, self._progress_time = wanted, started
+        request, started = self._wanted, time.perf_counter()
+        self._computing, self._progress_time = request, started
         outcome: Explored | tuple[str, ...] | None
         outcome, references = None, self._references
         try:
-            compared = self._compared(wanted)
+            compared = self._compared(request)
             if compared is not None:
-                references, outcome = compared, self._history(wanted["values"])
+                references, outcome = compared, self._history(request["values"])
         except InputError as error:
             outcome = error.faults
         except RingwearError as error:
@@ -190,27 +190,27 @@ class Page:
             log.exception("a history failed unexpectedly")
             outcome = (f"failed unexpectedly: {reason_of(error)}",)
         seconds = time.perf_counter() - started
-        self._later(lambda: self._computed(wanted, outcome, references, seconds))
+        self._later(lambda: self._computed(request, outcome, references, seconds))
 
     def _history(self, values: dict[str, str]) -> Explored | None:
         """Return the history of some numbers, None if it was stopped. In the main thread."""
-        known = [(self._drawn["values"], self._explored)] if self._drawn is not None else []
-        for numbers, explored in (*known, *self._references.values()):
+        computed = [(self._drawn["values"], self._explored)] if self._drawn is not None else []
+        for numbers, explored in (*computed, *self._references.values()):
             if numbers == values and explored is not None:
                 return explored
         return self._exploration.compute(values, self._assembling, stops=self._stops)
 
     def _compared(
-        self, wanted: dict[str, Any]
+        self, request: dict[str, Any]
     ) -> dict[str, tuple[dict[str, str], Explored | None]] | None:
-        """Return the histories that a wish is compared with, None if one was stopped.
+        """Return the histories that a request is compared with, None if one was stopped.
 
         In the main thread.
         """
-        numbers = {CASE_FILE: {}, PINNED: wanted["pinned"]}
+        numbers = {CASE_FILE: {}, PINNED: request["pinned"]}
         references = {}
         for name, values in numbers.items():
-            if values is None or values == wanted["values"]:
+            if values is None or values == request["values"]:
                 continue
             old = self._references.get(name)
             if old is None or old[0] != values:
@@ -230,28 +230,28 @@ class Page:
 
     def _computed(
         self,
-        wanted: dict[str, Any],
+        request: dict[str, Any],
         outcome: Explored | tuple[str, ...] | None,
         references: dict[str, tuple[dict[str, str], Explored | None]],
         seconds: float,
     ) -> None:
         self._busy = False
-        if outcome is None and self._stopped and self._wanted is wanted:
+        if outcome is None and self._stopped and self._wanted is request:
             outcome = (_STOPPED,)
         if outcome is None:  # nobody is there, or wants something else
-            if self._wanted is not wanted:
+            if self._wanted is not request:
                 self._ask(self._wanted)
             return
         if isinstance(outcome, Explored):
-            self._explored, self._drawn, self._faults = outcome, wanted, ()
+            self._explored, self._drawn, self._faults = outcome, request, ()
             self._references = references
             self._seconds = seconds
-            if not wanted["values"]:  # kept for later
+            if not request["values"]:  # kept for later
                 self._references = {CASE_FILE: ({}, outcome), **references}
         else:
             self._drawn, self._faults = None, outcome
-        self._draw(wanted["n"])
-        if self._wanted is not wanted:
+        self._draw(request["n"])
+        if self._wanted is not request:
             self._ask(self._wanted)
 
     # -- measurements ------------------------------------------------------------------------------
@@ -291,7 +291,7 @@ class Page:
 
         Parameters
         ----------
-        n : of the wish that is answered.
+        n : of the request that is answered.
         fault : of a table.
         """
         explored = self._explored
@@ -300,7 +300,7 @@ class Page:
             answer = {"n": n, "faults": self._faults, "wrong": self._wrong()}
             self._tell({**answer, **(laid if fault else {})})
             return
-        wanted, result, faults = self._wanted, explored.result, [fault] if fault else []
+        request, result, faults = self._wanted, explored.result, [fault] if fault else []
         good, columns = [], []
         for number, column in self._laid.items():
             off = None
@@ -311,7 +311,7 @@ class Page:
             except InputError as error:
                 faults += error.faults
             columns.append({"number": number, **_column(column, off)})
-        menu = wanted["menu"] if wanted["menu"] in MENU else _START["menu"]
+        menu = request["menu"] if request["menu"] in MENU else _START["menu"]
         references = {
             name: stored.result
             for name, (_, stored) in self._references.items()
@@ -320,7 +320,7 @@ class Page:
         compared = {
             name: reference for name, reference in references.items() if reference is not result
         }
-        drawing = Drawing(result, compared, explored.case, float(wanted["instant"]), menu, good)
+        drawing = Drawing(result, compared, explored.case, float(request["instant"]), menu, good)
         numbers = key_numbers(result)
         worn = worn_table(numbers)
         self._tell(
@@ -331,7 +331,7 @@ class Page:
                 "doubts": [with_signs(doubt.text) for doubt in result.doubts],
                 "summary": with_signs(result.summary()), "case": explored.text,
                 # sliders that move wait for no drawing
-                "rig": "" if wanted["moving"] else rig_address(explored.case),
+                "rig": "" if request["moving"] else rig_address(explored.case),
                 "wrong": self._wrong(), "compared": list(references),
                 "numbers": _beside(key_rows, numbers, references),
                 "answers": _beside(_answer_rows, numbers, references),
@@ -383,19 +383,19 @@ def _message(text: str) -> dict[str, Any]:
     return message if isinstance(message, dict) else {}
 
 
-def _wish_fault(wish: dict[str, Any]) -> str:
-    """Return the fault of a wish, "" for none."""
-    values, instant = wish.get("values"), wish.get("instant", -1.0)
+def _request_fault(request: dict[str, Any]) -> str:
+    """Return the fault of a request, "" for none."""
+    values, instant = request.get("values"), request.get("instant", -1.0)
     good = (
         _are_texts(values)
-        and is_number(wish.get("n"))
+        and is_number(request.get("n"))
         and is_number(instant)
         and 0.0 <= float(instant) <= 1.0
-        and isinstance(wish.get("menu"), str)
-        and _are_texts(wish.setdefault("pinned", None) or {})
+        and isinstance(request.get("menu"), str)
+        and _are_texts(request.setdefault("pinned", None) or {})
     )
-    wish.setdefault("moving", False)
-    return "" if good else _BAD_WISH
+    request.setdefault("moving", False)
+    return "" if good else _BAD_REQUEST
 
 
 def _are_texts(values: Any) -> bool:

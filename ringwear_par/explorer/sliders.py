@@ -13,14 +13,14 @@ from ringwear_par.cases.values import LEAST, MOST, Interval, is_number
 _LOGARITHMIC = frozenset(
     {"k", "k_start", "young", "thickness", "depth", "distance", "length", "crown", "sphere"}
 )
-#: factor up and down that logarithmic sliders reach; stiffness does not vary as k does
+#: factor up and down that logarithmic sliders reach; sliders of stiffness reach less
 _REACH = 100.0
 _SHORT_REACH = dict.fromkeys(("young", "thickness", "crown", "sphere"), 10.0)
 #: linear sliders reach from nothing to so many times the value, or from a zero to these
 TIMES, _FROM_ZERO = 3.0, {"p0": 100.0, "n": 2.0, "friction": 0.5}
 #: about how many positions a linear slider has, and a decade of a logarithmic one
 POSITIONS, _OF_A_DECADE = 200, 100
-#: tables are multiplied by up to so much
+#: largest factor on a table
 _FACTOR = 10.0
 
 

@@ -9,19 +9,19 @@ from typing import Any
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.writing import atomic_write, check_writable
 
-#: of a fit: its outcome, which is written the last, its readings and two figures
+#: files of a fit: its outcome, which is written last, its readings and two figures
 FIT, READINGS, CURVES, ESTIMATES = "fit.json", "results.h5", "fit.png", "parameters.png"
-#: folder of an interrupted fit, what a restart goes on from
+#: folder of an interrupted fit, from which a restart goes on
 PROGRESS = "progress"
-#: of a fit with scatter: the values of specimens
+#: file of a fit with scatter: the values of specimens
 SPECIMENS = "specimens.png"
-#: of a design: its outcome, which is written the last, the best tests and the map of all
+#: files of a design: its outcome, which is written last, the best tests and the map of all
 DESIGN, NEXT, MAP = "design.json", "next.toml", "design.png"
-#: of measured tests: their numbers, which are written the last, a row a test, the records
+#: files of measured tests: their numbers, which are written last, a row a test, the records
 MEASURE, MEASURED_ROWS, RECORDS = "measure.json", "measure.csv", "measure.png"
-#: of a prediction: its numbers, which are written the last, all draws and the band over time
+#: files of a prediction: its numbers, which are written last, all draws and the band over time
 PREDICTION, DRAWS, BAND = "prediction.json", "prediction.h5", "prediction.png"
-#: of a running test: its last answer
+#: file of a running test: its last answer
 FOLLOW = "follow.json"
 
 

@@ -29,7 +29,7 @@ from ringwear_par.files.table_text import (
 )
 from ringwear_par.files.writing import read_bytes
 
-#: columns of a table: loggers have hundreds of channels, files with more are something else
+#: most columns of a table: loggers have hundreds of channels, files with more are something else
 MOST_COLUMNS = 1000
 #: numbers whose digits are perhaps in groups of three
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?", re.ASCII)
@@ -133,25 +133,25 @@ class Measurements:
     def _stamps(self, name: str, rows: BoolArray) -> FloatArray:
         """Return the seconds of stamps in some of the rows, from the first of the table."""
         place = self.columns.index(name)
-        every = np.flatnonzero(self.filled(name))
+        filled = np.flatnonzero(self.filled(name))
         try:
-            seconds = seconds_of([self.rows[i][place] for i in every.tolist()])
+            seconds = seconds_of([self.rows[i][place] for i in filled.tolist()])
         except StampError as error:
-            i = int(every[error.row])
+            i = int(filled[error.row])
             raise InputError(
                 f"{self.name}: line {self.lines[i]}: {legible(name)} = "
                 f"{legible(self.rows[i][place])}: {error}"
             ) from error
         back = np.flatnonzero(np.diff(seconds) < 0.0)
         if len(back):
-            before, i = int(every[back[0]]), int(every[back[0] + 1])
+            before, i = int(filled[back[0]]), int(filled[back[0] + 1])
             raise InputError(
                 f"{self.name}: line {self.lines[i]}: {legible(name)} = "
                 f"{legible(self.rows[i][place])}{and_more(len(back), 'line')}: goes back, line "
                 f"{self.lines[before]} has {legible(self.rows[before][place])}; must not fall"
             )
         values = np.full(len(self.rows), np.nan)
-        values[every] = seconds - seconds[0]
+        values[filled] = seconds - seconds[0]
         return values[rows]
 
     def _refuse(self, name: str, wrong: list[int], in_time: bool) -> None:
@@ -240,7 +240,7 @@ def unused_columns(names: Sequence[str]) -> str:
 
 
 def and_more(count: int, noun: str) -> str:
-    """Return how many have a fault beside the one that is told, in brackets; "" for none."""
+    """Return how many more have the fault of the one that is named, in brackets; "" for none."""
     return "" if count == 1 else f" (and {count - 1} more {noun}{'s' if count > 2 else ''})"
 
 

@@ -13,13 +13,14 @@ from ringwear_par.schedules import Table
 
 #: "auto", "none" (lines between readings), or the period (s) of which half of a wave stays
 Smoothing = Literal["auto", "none"] | float
-#: most readings that lines go between
+#: most readings that are joined by lines
 MOST_POINTS = 2000
-#: knots of a curve, and how many times earlier than the end logarithms of time turn to equal times
+#: numbers of knots that are tried; how many times earlier than the end time changes from
+#: logarithmic to linear
 _KNOTS, _EARLY = (12, 24, 48, 96), 36.0
-#: of the cross-validated square, that more knots must leave at most: else fewer do
+#: more knots are taken only if their cross-validated square is below this share of that of fewer
 _WORTH = 0.95
-#: of a curve as a table: points in all, and of a period
+#: fewest points of a curve as a table, and points of a period
 _POINTS, _OF_PERIOD = 200, 60.0
 #: logarithms of penalties that are tried
 _PENALTIES = np.linspace(math.log(1e-9), math.log(1e9), 120)

@@ -10,7 +10,7 @@ from typing import Any
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.writing import atomic_write
 
-#: rows of a sheet, that of names among them
+#: most rows of a sheet, that of names among them
 MOST_ROWS = 1_048_576
 #: longest text of a cell
 _LONGEST = 32_767

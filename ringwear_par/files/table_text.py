@@ -29,7 +29,7 @@ _DATE_ALONE = re.compile(_DATE, re.ASCII)
 #: h:mm:ss, or two of them
 _CLOCK = re.compile(r"(?:(\d+):(?=[0-5]\d:))?(\d+):([0-5]\d(?:[.,]\d*)?)", re.ASCII)
 _DAY, _HOUR, _MONTHS, _NOON = 86400.0, 3600.0, 12, 12
-#: of short years
+#: century of years of two digits
 _CENTURY = 2000
 
 
@@ -161,9 +161,10 @@ NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 EMPTY = frozenset({"", "nan", "n.a.", "na", "n/a", "#n/a", "-", "--", "---"})
 #: what Excel writes above a table
 _SEPARATOR = re.compile(r'"?sep=([,;\t])"?', re.IGNORECASE)
-#: lines of equally many cells that say where a table is
+#: number of successive lines with equally many cells that show where a table is
 _ALIKE = 5
-#: a unit by its looks, perhaps in brackets: which one it is, and of what, is for who reads it
+#: what looks like a unit, perhaps in brackets; the reader of the table decides which one it is, and
+#: of what
 _ATOM = (
     r"(?:[munkcM\N{MICRO SIGN}\N{GREEK SMALL LETTER MU}]?(?:m|s|N|g|Pa|Hz|V|A|W|J|bar)|sec|min|h|d|"
     r"hh:mm:ss|in|inch|ft|lbf|psi|\N{DEGREE SIGN}?[CFK]|deg[CF]?|rpm|U|rev|rad|1|%)"

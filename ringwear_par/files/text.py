@@ -11,9 +11,9 @@ from typing import Any
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.writing import open_ordinary
 
-#: tables and arrays within each other; a case needs six
+#: most levels of tables and arrays within each other; a case needs six
 _DEEPEST = 32
-#: what makes a text of a command line TOML, and how those begin that are no plain texts
+#: makes a text of a command line TOML; what values begin with that are not plain texts
 _VALUE, _MEANT = "value = ", re.compile(r"\s*([\[{]|[-+]?\.[0-9])")
 #: a line that ends within an inline table, or with a comma before the end of one
 _OPEN_TABLE = re.compile(r"\{[^}]*(#.*)?$|,\s*\}")
@@ -140,7 +140,7 @@ def refuse_depth(tables: Any, name: str) -> None:
 _TOO_DEEP = f"has values nested in each other too deeply; must be at most {_DEEPEST} deep"
 
 
-#: what Python writes and reads in decimal digits at any setting
+#: below this size Python writes and reads integers in decimal digits at any setting
 _WRITTEN = 10**640
 
 

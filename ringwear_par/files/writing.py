@@ -64,7 +64,7 @@ def read_bytes(path: Path) -> bytes:
         return file.read()
 
 
-#: failures that another name would not mend
+#: errors that another file name would not avoid
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 #: how the names of files end that are not whole yet; nobody can know the digits before
 _TEMPORARY = re.compile(r"(.+)\.tmp[0-9a-f]{16}", re.DOTALL)
@@ -189,8 +189,8 @@ def atomic_write(path: Path, mode: int = 0o666) -> Iterator[Path]:
 
     What was written is on the disk before it replaces the file; nothing is left of it after an
     error. The name is that of an open descriptor: whoever may write to the folder, what is written
-    goes to no other file, as it would through a link put in the place of an ordinary name. What
-    writes by the ending of a name must be told the format.
+    goes to no other file, as it would through a link put in the place of an ordinary name. A
+    writer that chooses the format by the ending of the name must be given the format.
 
     Parameters
     ----------

@@ -116,8 +116,8 @@ def _numbers(name: str, value: Any, faults: list[str]) -> Any:
 
 def _without_unit(name: str, text: str) -> Any:
     path, entry = split_key(name)
-    of_table = entry if isinstance(entry, str) and path not in LAYERS else None
-    return own_key(name).without_units(text, of_table)
+    table = entry if isinstance(entry, str) and path not in LAYERS else None
+    return own_key(name).without_units(text, table)
 
 
 def case_inputs(case: Case, names: Sequence[str], changes: Mapping[str, Any]) -> CaseInputs:

@@ -22,7 +22,7 @@ from ringwear_par.results.variables import (
     layer_names,
 )
 
-#: steps between stored states where only the last is wanted
+#: steps between stored states where only the last state is needed
 _RARELY = 10**9
 
 
@@ -70,8 +70,8 @@ def read_outputs(case: Case, texts: Sequence[str], derivatives: bool) -> tuple[O
             f"function: outputs = {shortened(texts)}: must be a list of names, as ['penetration']"
         )
     lower, upper = (bool(ring.layers) for ring in case.rings)
-    of_layers = [name for name in layer_names((lower, upper)) if name in LAYER_HISTORIES]
-    variables = HISTORIES | {name: LAYER_HISTORIES[name] for name in of_layers}
+    layer_histories = [name for name in layer_names((lower, upper)) if name in LAYER_HISTORIES]
+    variables = HISTORIES | {name: LAYER_HISTORIES[name] for name in layer_histories}
     if derivatives:
         variables = {n: v for n, v in variables.items() if derivative_of(v).name in D_HISTORIES}
     outputs: list[Output] = []
@@ -118,10 +118,10 @@ def storing(case: Case, outputs: Sequence[Output]) -> dict[str, Any]:
     """
     changes: dict[str, Any] = {"output.fields": [], "output.boundary": None, "stress": None}
     times = {o.time for o in outputs if 0.0 < o.time < math.inf}
-    whole = next((o.text for o in outputs if o.whole), "")
-    if times and whole and not case.output.times:
+    field = next((o.text for o in outputs if o.whole), "")
+    if times and field and not case.output.times:
         raise InputError(
-            f"function: outputs: {whole}: needs output.times in the case, beside outputs at times"
+            f"function: outputs: {field}: needs output.times in the case, beside outputs at times"
         )
     end = case.time.end * (1.0 + SAME_TIME)
     if late := [o for o in outputs if end < o.time < math.inf]:
@@ -133,8 +133,8 @@ def storing(case: Case, outputs: Sequence[Output]) -> dict[str, Any]:
             )
         )
     if times:
-        times |= {*case.output.times} if whole else set()
+        times |= {*case.output.times} if field else set()
         changes["output.times"] = sorted(times)
-    elif not whole:
+    elif not field:
         changes["output.every"] = _RARELY
     return changes

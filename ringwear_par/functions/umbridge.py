@@ -33,7 +33,7 @@ from ringwear_par.results.execution.stop_signals import StopAtOnce, Stopped
 log = logging.getLogger(__name__)
 
 HOST, MODEL, _VERSION = "127.0.0.1", "forward", 1.0
-#: names of this machine under which programs may ask
+#: names of this machine under which programs may call the server
 _NAMES = ("127.0.0.1", "localhost")
 #: bytes of a request, and cases of a batch
 _LARGEST, _MOST = 2**20, 1024

@@ -26,9 +26,9 @@ from ringwear_par.identification.scatter.linearisation import (
 if TYPE_CHECKING:
     import arviz
 
-#: draws where there are no samples, and their seed
+#: number of draws where there are no samples, and their seed
 DRAWS, _SEED = 4000, 0
-#: of a variance, for round-off
+#: smallest variance, for round-off
 _SMALL = 1e-12
 
 
@@ -116,11 +116,11 @@ def _drawn(fit: FitResult, random: np.random.Generator) -> _FitDraws:
         material, free = fit.material, list(fit.material.mixed.free)
         drawn = material.mixed.posterior.draw(tests, DRAWS, random)
         keys = np.tile(fit.x[:m], (DRAWS, 1))
-        of_tests = np.tile(material.test_unknowns, (DRAWS, 1, 1))
-        keys[:, free], of_tests[:, :, free] = drawn.material, drawn.tests
+        test_unknowns = np.tile(material.test_unknowns, (DRAWS, 1, 1))
+        keys[:, free], test_unknowns[:, :, free] = drawn.material, drawn.tests
         sizes = material.wear.sizes(drawn.shares)
-        return _FitDraws("mixture over sizes of scatter and random wear", keys, of_tests, drawn.tau,
-                      sizes)  # fmt: skip
+        return _FitDraws("mixture over sizes of scatter and random wear", keys, test_unknowns,
+                      drawn.tau, sizes)  # fmt: skip
     if fit.posterior is not None:
         samples = fit.posterior.samples
         kind, keys = "samples", np.array([fit.misfit.problem.unknowns(v) for v in samples])
@@ -155,14 +155,14 @@ def _of_readings(
         [whitened(record.series, roots[part]) for record, part in zip(records, parts, strict=True)]
     )
     unroot, m = np.linalg.inv(root), test.jacobian.shape[1]
-    rest = np.tile(np.concatenate([test.readings, test.prior_values]), (len(draws.keys), 1))
-    rest[:, :n] -= draws.tests[:, number] @ test.jacobian.T
-    likelihood, replica = np.empty((len(rest), n)), np.empty((len(rest), n))
-    sizes, of_draw = np.unique(draws.sizes, axis=0, return_inverse=True)
+    residuals = np.tile(np.concatenate([test.readings, test.prior_values]), (len(draws.keys), 1))
+    residuals[:, :n] -= draws.tests[:, number] @ test.jacobian.T
+    likelihood, replica = np.empty((len(residuals), n)), np.empty((len(residuals), n))
+    sizes, size_number = np.unique(draws.sizes, axis=0, return_inverse=True)
     for place, size in enumerate(sizes):
-        chosen = of_draw.ravel() == place
+        chosen = size_number.ravel() == place
         precision = projected_precision(test, size, np.zeros((m, m)))
-        noise = rest[chosen] @ precision[:, :n]  # its mean by the readings
+        noise = residuals[chosen] @ precision[:, :n]  # its mean by the readings
         information, slope = ((root.T @ precision[:n, :n]) * root.T).sum(axis=1), noise @ root
         likelihood[chosen] = 0.5 * (np.log(information / (2.0 * np.pi)) - slope**2 / information)
         values, axes = np.linalg.eigh(np.eye(n) - precision[:n, :n])
@@ -176,13 +176,13 @@ def _marginal(fit: FitResult, linear: Linearisation, number: int, draws: _FitDra
     """Return the log likelihood (draws,) of a test whose own values are integrated."""
     assert fit.material is not None
     m, n = draws.keys.shape[1], len(linear.tests[number].readings)
-    sizes, of_draw = np.unique(draws.sizes, axis=0, return_inverse=True)
+    sizes, size_number = np.unique(draws.sizes, axis=0, return_inverse=True)
     variances = np.zeros((len(draws.keys), m))
     for level, tau in zip(fit.material.mixed.posterior.model.levels, draws.taus.T, strict=True):
         variances[:, fit.material.mixed.free[level.key]] += tau**2
     logs = np.empty(len(draws.keys))
     for place, tests in enumerate(linear.reduced(sizes if draws.sizes.shape[1] else None)):
-        chosen, test = of_draw.ravel() == place, tests[number]
+        chosen, test = size_number.ravel() == place, tests[number]
         logs[chosen] = _integrated(test, draws.keys[chosen], variances[chosen])
     return logs - 0.5 * n * np.log(2.0 * np.pi)
 

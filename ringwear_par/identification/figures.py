@@ -17,7 +17,7 @@ from ringwear_par.pictures.style import STYLE, NotebookFigure
 _COLUMNS = 3
 #: inches of readings with their residuals, of a legend above all, and of an input
 _WIDTH, _HEIGHT, _LEGEND, _INPUT = 4.3, 3.9, 0.4, 2.4
-#: of the strip of single readings: a line of it, what is around them, and how narrow it may be
+#: inches of the strip of single readings: height of a row, margin around them, least width
 _ROW, _MARGIN, _NARROWEST = 0.5, 0.9, 6.5
 
 

@@ -18,17 +18,18 @@ from ringwear_par.identification.scatter.linearisation import Linearisation
 if TYPE_CHECKING:
     from ringwear_par.identification.fit_result import FitResult
 
-#: chi2 over the number of readings from which on a series stands out
+#: chi2 over the number of readings above which a series stands out
 _HIGH = 2.0
-#: sd, from which on readings do not belong to the others; what share of these they may be
+#: sd above which readings do not belong to the others, the largest share of such readings, and how
+#: many are listed
 _FAR, _SHARE, _LISTED = 6.0, 0.1, 4
-#: of the sd with another key free, below which an interval depends on the bound of that
+#: share of the sd with another key free below which an interval depends on the bound of that key
 _NARROWED = 0.5
 #: probability below which differences between tests are not due to chance
 _NO_CHANCE = 0.01
 #: share of the largest information of a test below which a test has none
 _INFORMED = 1e-6
-#: keys of rates: other numbers are the machine's
+#: beginnings of keys of rates: other keys are settings of the machine
 _RATES = ("wear.", "contact.friction")
 
 
@@ -178,7 +179,7 @@ def _of_the_search(fit: "FitResult") -> Iterator[ValidityWarning]:
 
 
 def assumptions(fit: "FitResult") -> list[ValidityWarning]:
-    """Return the doubts about units that nobody names, or that are likely wrong."""
+    """Return the doubts about units that no name has, or that are likely wrong."""
     return [
         ValidityWarning(
             "assumed-unit", f"{series.name} ({experiment.name}): {sentence}", (), (experiment.name,)

@@ -118,7 +118,7 @@ def _write(file: h5py.File, fit: FitResult) -> None:
                     fit.material.best_fit.excess[part],
                     fit.material.best_fit.excess_sd[part],
                 )
-                meaning = "mean depth worn beyond what the law says, as the readings tell it"
+                meaning = "mean depth worn beyond that of the law, by the readings"
                 put(name, excess[:, body], "mm", meaning)
                 put(f"{name}_sd", excess_sd[:, body], "mm", f"sd of {name}")
         if misfit.censored[part].any():

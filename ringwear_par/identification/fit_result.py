@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _ROOM = "ringwear_par.identification"
-#: of the p-value: below it a model does not fit
+#: p-value below which a model does not fit
 IMPROBABLE = 1e-3
-#: relative difference of sums of squares that are one optimum
+#: relative difference below which sums of squares belong to one optimum
 _SAME = 1e-3
-#: singular values below it, over unit columns, are of unknowns that depend on others
+#: singular value, over unit columns, below which unknowns depend on others
 _DEPENDENT = 1e-8
 
 
@@ -272,13 +272,13 @@ class FitResult(Outcome, Solution):
                 continue
             known = not idle[i] and np.isfinite(sds[i])
             entry = {"estimate": float(self.x[i]), "sd": float(sds[i]) if known else None}
-            of_series = nuisances.setdefault(experiment, {}).setdefault(series, {})
+            series_entries = nuisances.setdefault(experiment, {}).setdefault(series, {})
             if (experiment, series) in with_power and kind == "thermal":
                 entry["power"] = True
             if kind == GROWTH_TIME:
-                of_series["thermal"]["time"] = entry
+                series_entries["thermal"]["time"] = entry
             else:
-                of_series[kind] = entry
+                series_entries[kind] = entry
         return nuisances
 
     @property
@@ -318,11 +318,11 @@ class FitResult(Outcome, Solution):
     def correlations(self) -> list[tuple[str, str, float]]:
         """Return pairs of fitted keys and nuisances and their correlation, the strongest first."""
         sds, names = self.standard_deviations, self.misfit.names
-        known = [i for i in range(len(names)) if 0 < sds[i] < np.inf]
+        determined = [i for i in range(len(names)) if 0 < sds[i] < np.inf]
         pairs = [
             (name_of(names[i]), name_of(names[j]), float(self.covariance[i, j] / (sds[i] * sds[j])))
-            for i in known
-            for j in known
+            for i in determined
+            for j in determined
             if i < j and i < len(self.parameters)
         ]
         return sorted(pairs, key=lambda pair: -abs(pair[2]))

@@ -117,9 +117,9 @@ def fitted_values(fit: FitResult) -> FittedValues:
         means = np.tile(rows, (len(parts), 1, 1))
         covariances = np.zeros((len(parts), 1 + tests, m, m))
         for place, test in enumerate([None, *range(tests)]):
-            of_pieces = [piece.posterior.unknowns_of(test) for piece in pieces]
-            of_free, between = map(np.concatenate, zip(*of_pieces, strict=True))
-            means[:, place, free] = of_free[parts]
+            moments = [piece.posterior.unknowns_of(test) for piece in pieces]
+            free_means, between = map(np.concatenate, zip(*moments, strict=True))
+            means[:, place, free] = free_means[parts]
             covariances[:, place, free[:, None], free] = between[parts]
         scatters = np.concatenate([piece.posterior.solutions.tau for piece in pieces])[parts]
         levels = [level.key for level in material.mixed.posterior.model.levels]

@@ -44,9 +44,9 @@ class KeyRow:
     unit: str
     #: its ends, None where there is no limit
     interval: Interval
-    #: on the key, "" beside another number
+    #: verdict on the key, "" of a number that has none
     verdict: str = ""
-    #: what else is to be said of the number
+    #: a remark on the number
     note: str = ""
     #: median and ends of an interval of samples; () for none
     posterior: tuple[float, ...] = ()
@@ -151,11 +151,11 @@ def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
 def goodness(outcome: Entry) -> str:
     """Return chi2, degrees of freedom, p-value and information criteria in a sentence."""
     p_value = outcome["p_value"]
-    every = [entry for series in outcome["experiments"].values() for entry in series.values()]
+    entries = [entry for series in outcome["experiments"].values() for entry in series.values()]
     criteria = f"AIC {outcome['aic']:.5g}, BIC {outcome['bic']:.5g}"
-    if all(entry.get("censored") == entry["n"] for entry in every):
+    if all(entry.get("censored") == entry["n"] for entry in entries):
         return f"all readings are limits, which have no chi2; {criteria}"
-    noise_fitted = any("sd" in entry for entry in every)
+    noise_fitted = any("sd" in entry for entry in entries)
     if p_value is not None:
         test = f"p = {p_value:.2g}" + " for the readings with a given sd" * noise_fitted
     elif noise_fitted:

@@ -16,11 +16,11 @@ from ringwear_par.results.key_numbers import time_unit
 
 #: inches of a panel, and of a legend above them all
 _WIDTH, _HEIGHT, _LEGEND = 4.0, 2.1, 0.35
-#: of the range of a record that is left above and below it
+#: share of the range of a record that is left above and below it
 _ROOM = 0.05
-#: of the largest reading, of a record that is flat
+#: share of the largest reading: the least range of an axis, for records that are flat
 _FLAT = 1e-3
-#: of the usual time between block means: where they are further apart nothing was read
+#: usual times between block means: where they are further apart nothing was read
 _GAP = 3.0
 _MICROMETRE = "\N{MICRO SIGN}m"
 

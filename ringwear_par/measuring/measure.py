@@ -16,7 +16,7 @@ from ringwear_par.measuring.analysis.numbers import coverage_fault, numbers_of
 from ringwear_par.measuring.analysis.repeats import repeats_of
 from ringwear_par.measuring.definition.measure_file import read_measure, tables_of
 from ringwear_par.measuring.definition.problem import Problem
-from ringwear_par.measuring.measure_folder import FILES
+from ringwear_par.measuring.measure_numbers import FILES
 from ringwear_par.measuring.measure_result import MeasureResult
 from ringwear_par.version import __version__
 

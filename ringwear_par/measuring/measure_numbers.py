@@ -1,21 +1,35 @@
-"""The numbers of a measurement as people read them: what its summary, table and page share.
+"""The numbers of a measurement as people read them: its summary, table, page and folder.
 
 Entries of tests are those of measure.json (``MeasureResult.to_dict``).
 """
 
+import csv
+import io
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from ringwear_par.cases.units import CUSTOMARY, SPECIFIC
 from ringwear_par.errors import warning_lines
+from ringwear_par.files.folders import (
+    MEASURE,
+    MEASURED_ROWS,
+    RECORDS,
+    json_bytes,
+    write_outcome,
+)
 from ringwear_par.measuring.analysis.budget import COVERAGE
 from ringwear_par.measuring.measure_result import MeasureResult
+from ringwear_par.pictures.style import picture
 
-#: digits of an expanded uncertainty (JCGM 100, 7.2.6), and of numbers that have none
+#: files of the folder of a measurement; the first one is written last, when the folder is complete
+FILES = (MEASURE, MEASURED_ROWS, RECORDS)
+#: digits of an expanded uncertainty (JCGM 100, 7.2.6), and of numbers without one
 _DIGITS, _ALONE = 2, 4
-#: powers of ten from which on numbers have one, and most digits behind the point of a number
+#: powers of ten below and above which numbers are written with an exponent, and most decimals of a
+#: number
 _SMALL, _LARGE, _MOST_DIGITS = -3, 5, 6
 
 
@@ -54,7 +68,7 @@ TEMPERATURES = (
     Quantity("temperature, mean", "degC", ("temperature", "mean")),
     Quantity("temperature, largest", "degC", ("temperature", "max")),
 )
-#: of each test, as measure.csv and the page have them
+#: numbers of each test, in the order of measure.csv and of the page
 QUANTITIES = (
     LOAD, Quantity("mean pressure", "MPa", ("conditions", "pressure")), SPEED,
     Quantity("pV", "MPa m/s", ("pv", "MPa m/s")),
@@ -182,3 +196,44 @@ def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
     if skipped := skipped_text(entry):
         yield f"skipped: {skipped}"
     yield from entry["notes"]
+
+
+def save(result: MeasureResult, folder: Path) -> None:
+    """Write all files, see ``write_outcome``."""
+    contents: dict[str, Callable[[], bytes | None]] = {
+        RECORDS: lambda: picture(result.plot, str(folder / RECORDS)),
+        MEASURED_ROWS: lambda: table(result).encode(),
+        MEASURE: lambda: json_bytes(result.to_dict()),
+    }
+    write_outcome(folder, "measure", contents)
+
+
+def table(result: MeasureResult) -> str:
+    """Return the contents of measure.csv: a row a test; empty cells for what was not measured."""
+    text = io.StringIO()
+    header, rows = table_of(result.to_dict())
+    digits = [
+        ["" if v is None else f"{v:.6g}" if isinstance(v, float) else v for v in row]
+        for row in rows
+    ]
+    csv.writer(text, lineterminator="\n").writerows([header, *digits])
+    return text.getvalue()
+
+
+def table_of(outcome: Mapping[str, Any]) -> tuple[list[str], list[list[Any]]]:
+    """Return names of columns and rows of tests; None for what was not measured.
+
+    Parameters
+    ----------
+    outcome : the contents of measure.json.
+    """
+    columns = [
+        (q, part) for q in QUANTITIES for part in (("value", "u") if q.measured else ("value",))
+    ]
+    header = [f"{'u of ' * (part == 'u')}{q.name} / {q.unit}" for q, part in columns]
+    rows = []
+    for name, entry in outcome["tests"].items():
+        numbers = [quantity.of(entry, part) for quantity, part in columns]
+        codes = " ".join(doubt["code"] for doubt in entry["doubts"])
+        rows.append([name, "yes" if entry["steady"] else "no", *numbers, codes])
+    return ["test", "steady", *header, "doubts"], rows

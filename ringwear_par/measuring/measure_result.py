@@ -18,9 +18,9 @@ from ringwear_par.measuring.analysis.whole_test import WholeTest
 from ringwear_par.measuring.definition.problem import Problem
 from ringwear_par.results.result import Outcome
 
-#: readings of a channel that figures draw
+#: most readings of a channel that figures draw
 _MOST_READINGS = 1000
-#: um/h and in/h in a mm/s
+#: 1 mm/s in um/h and in in/h
 UM_PER_H, IN_PER_H = 3.6e6, 3600.0 / 25.4
 
 
@@ -38,7 +38,7 @@ class MeasureResult(Outcome):
 
     functions: ClassVar = {
         "summary": "ringwear_par.measuring.measure_numbers",
-        "save": "ringwear_par.measuring.measure_folder", "plot": "ringwear_par.measuring.figures",
+        "save": "ringwear_par.measuring.measure_numbers", "plot": "ringwear_par.measuring.figures",
     }  # fmt: skip
 
     problem: Problem

@@ -152,7 +152,7 @@ class Bank:
         test, at = problem.experiments[0], self._reference
         misfit = Misfit(problem, self._rounds)
         response = self.histories.at(at, test)
-        misfit.responses.known[0, problem.values(at).tobytes()] = response
+        misfit.responses.stored[0, problem.values(at).tobytes()] = response
         x = misfit.with_best_nuisances(problem.values(at), at[None])
         evaluation = misfit.evaluate(x, at[None])
         linear = Linearisation(misfit, evaluation, x, at[None]).tests[0]

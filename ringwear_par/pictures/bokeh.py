@@ -48,20 +48,20 @@ KINDS = {
     "points": ("x", "y", "label", "colour", "fill", "size", "opacity", "marker", "case", "words"),
     "labels": ("x", "y", "text", "baseline", "align"),
 }
-#: those with an entry in the legend, in its order
+#: kinds with an entry in the legend, in its order
 _IN_LEGEND = ("lines", "asides", "points", "bars", "ribbons")
-#: those of figures that change
+#: kinds of marks in figures that change
 _CHANGING = ("asides", "lines", "dots", "points", "labels")
-#: of an axis, beyond what is drawn
+#: share of an axis that is left beyond what is drawn
 _ROOM = 0.04
-#: colours of cells
+#: number of colours of cells
 _SHADES = 256
-#: decades from which on numbers beside an axis have an exponent
+#: decades above which numbers beside an axis have an exponent
 _LARGE = 7
-#: letters of the labels in a line of a legend, and of what is beside a label
+#: letters of labels in a line of a legend, and letters that the mark beside a label takes
 _LETTERS, _GLYPH = 60, 6
 _MOST_COLUMNS = 4
-#: digits that a screen shows
+#: digits that a screen can show
 _DIGITS = 7
 _POINTER = (
     '<div style="max-width: 26em; white-space: pre-line">@words</div>'
@@ -246,7 +246,7 @@ def _range(axis: Axis, values: FloatArray) -> list[float]:
 def columns_of(panel: Panel) -> dict[str, dict[str, list[Any]]]:
     """Return the columns of the sources of all kinds of marks."""
     marked = [curve for curve in panel.curves if curve.marked and curve.cases is None]
-    of_cases = [
+    case_points = [
         Points(c.x, c.y, c.legend or c.name, c.colour, cases=c.cases)
         for c in panel.curves
         if c.cases is not None
@@ -276,7 +276,7 @@ def columns_of(panel: Panel) -> dict[str, dict[str, list[Any]]]:
             for curve in marked
             for x, y in zip(curve.x.tolist(), curve.y.tolist(), strict=True)
         ],
-        "points": [row for points in (*of_cases, *panel.points) for row in _points(points)],
+        "points": [row for points in (*case_points, *panel.points) for row in _points(points)],
         "labels": [
             (
                 label.x,
@@ -357,10 +357,10 @@ def _cells(cells: Cells) -> Iterator[tuple[float, ...]]:
 
 def _add_colours(plot: Any, cells: Cells, drawn: Any) -> None:
     """Colour cells by their values, with a bar of the colours, and show these at the pointer."""
-    known = cells.values[np.isfinite(cells.values)]
+    finite = cells.values[np.isfinite(cells.values)]
     shades = matplotlib.colormaps[CELL_COLOURS](np.linspace(0.0, 1.0, _SHADES))
     mapper = (LogColorMapper if cells.log else LinearColorMapper)(
-        palette=[to_hex(shade) for shade in shades], low=known.min(), high=known.max()
+        palette=[to_hex(shade) for shade in shades], low=finite.min(), high=finite.max()
     )
     drawn.glyph.fill_color = {"field": "value", "transform": mapper}
     plot.add_layout(ColorBar(color_mapper=mapper, title=PlainText(text=cells.label)), "right")

@@ -39,16 +39,17 @@ from ringwear_par.results.storage.result_files import result_of
 log = logging.getLogger(__name__)
 
 Source = Result | str | Path
-#: panels of profiles, which have one scale
+#: panels of profiles over the radius, whose axes have one scale
 _PROFILES = ("wear", "pressure")
 #: panels with the same scale along both axes and a bar of colours, and how much larger they are
 _SECTIONS, _LARGER = {"section", "stress"}, 1.15
-#: drawn by default
+#: panels that are drawn by default
 DEFAULT = "wear,penetration"
 _MOST_COLUMNS = 3
-#: inches of a panel; mm of one at least, and of a figure at most
+#: inches of a panel; mm: narrowest panel, widest figure
 _PANEL, _NARROWEST, _WIDEST = (3.6, 3.3), 65, 1000
-#: of a time that is asked for: how far off that of the state shown may be unsaid
+#: relative difference between a time that is asked for and that of the state shown that needs no
+#: remark
 _NOTICED = 0.01
 
 
@@ -197,7 +198,7 @@ def _drawn_panels(
         kind = KINDS[panel]
         scope = items if kind.shared else profiled
         faults = {id(item): kind.faults(item.result) for item in scope}
-        left_out += [(panel, fault) for of_item in faults.values() for fault in of_item]
+        left_out += [(panel, fault) for item_faults in faults.values() for fault in item_faults]
         good = [item for item in scope if not faults[id(item)]]
         if good and (kind.apart or len(good) == len(scope)):
             drawings += [(panel, drawing) for drawing in kind.drawings(good)]
@@ -299,8 +300,8 @@ def _at_times(result: Result, times: str) -> list[int]:
 def _labels(results: Sequence[Result]) -> list[str]:
     """Name each result by what sets its case apart, or by its file where that is too much."""
     cases = [expanded(read_keys(result.case, result.name)) for result in results]
-    known = dict.fromkeys(path for case in cases for path in case if path != "title")
-    paths = [path for path in known if len({str(c.get(path)) for c in cases}) > 1]
+    every_path = dict.fromkeys(path for case in cases for path in case if path != "title")
+    paths = [path for path in every_path if len({str(c.get(path)) for c in cases}) > 1]
     if not 1 <= len(paths) <= 2 or any(path not in case for path in paths for case in cases):
         return [
             f"result {number}" if result.path is None else plain(result.path.stem)

@@ -16,25 +16,25 @@ from ringwear_par.pictures.panel import GREY, Axis, Band, Bars, Curve, Label, Pa
 from ringwear_par.pictures.style import COLOURS
 from ringwear_par.results.key_numbers import time_unit
 
-#: of the median distance between radii: where they are further apart nothing was read
+#: median distances between radii: where they are further apart nothing was read
 _GAP = 3.0
 #: relative distance within which a radius is that of an edge
 _CLOSE = 1e-9
-#: standard deviations that axes of residuals have at least
+#: least sd that axes of residuals show
 _REACH = 4.0
-#: from the middle of a specimen, its values by its own readings and with the others
+#: distance of a specimen's values, by its own readings and by all, from its middle
 _ASIDE = 0.12
-#: specimens whose names have room
+#: most specimens whose names have room
 _NAMED = 12
-#: readings whose noise has a bar each
+#: most readings whose noise has a bar each
 _FEW = 60
 #: what readings are called, by the first part of their quantity, if not by that
 _WORDS = {"profile": "worn depth", "mass": "mass loss", "volume": "volume loss"}
-#: of ellipses
+#: probabilities of ellipses
 _LEVELS = (0.68, 0.95)
-#: sd to both sides of an estimate that an axis of a key shows, and points of a curve over it
+#: sd on both sides of an estimate that an axis of a key shows, and points of a curve over it
 _WIDTH_SD, _FINE = 4.0, 161
-#: of a limit, which an axis shows to both sides of it
+#: share of a limit that an axis shows on both sides of it
 _AROUND = 0.5
 _LINE, _DIGITS = "#808080", str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074"
                                           "\u2075\u2076\u2077\u2078\u2079")  # fmt: skip
@@ -192,37 +192,37 @@ def residuals(series: Series) -> Panel:
     )  # fmt: skip
 
 
-def single_readings(every: Sequence[Series]) -> Panel:
+def single_readings(drawn: Sequence[Series]) -> Panel:
     """Return series of one reading, a line each: how far it is off the model, and both numbers."""
-    level, quantile = f"{100 * every[0].level:g} %", every[0].quantile
-    places = np.arange(len(every), dtype=float)
-    residuals = np.array([series.residuals[0] for series in every])
-    model = quantile * np.array([(series.band / series.sd)[0] for series in every])
-    both = np.hypot(model, quantile)
+    level, quantile = f"{100 * drawn[0].level:g} %", drawn[0].quantile
+    places = np.arange(len(drawn), dtype=float)
+    residuals = np.array([series.residuals[0] for series in drawn])
+    model = quantile * np.array([(series.band / series.sd)[0] for series in drawn])
+    spread = np.hypot(model, quantile)
     words = []
-    for series in every:
+    for series in drawn:
         unit, (sd, band) = in_signs(series.unit), (quantile * series.sd, quantile * series.band)
-        reading, of_model = (
+        reading, modelled = (
             f"{value[0]:.4g} {unit}"
             + f" from {(value - reach)[0]:.4g} to {(value + reach)[0]:.4g}" * bool(reach[0])
             for value, reach in ((series.data, sd), (series.model, band))
         )
         if side := int(series.censored[0]):
             reading = f"{'at least' if side > 0 else 'at most'} {series.data[0]:.4g} {unit}"
-        words.append("\n".join([legible(series.title), reading, f"model {of_model}"]))
+        words.append("\n".join([legible(series.title), reading, f"model {modelled}"]))
     reach = max(_REACH, 1.1 * float(np.abs(residuals).max()), 1.1 * float(model.max()))
-    ends = np.array([-0.6, len(every) - 0.4])
+    ends = np.array([-0.6, len(drawn) - 0.4])
     return Panel(
         Axis("(data - model) / sd", ends=(-reach, reach)),
         Axis("", reversed=True, categories=tuple(words)),
         bars=[
-            Bars(places, both, f"{level} of readings", COLOURS[0], None, -both, 0.7, 0.15),
+            Bars(places, spread, f"{level} of readings", COLOURS[0], None, -spread, 0.7, 0.15),
             Bars(places, model, f"{level} of the model", COLOURS[1], None, -model, 0.7, 0.35),
         ],
         curves=[Curve(np.zeros(2), ends, "model", COLOURS[1])],
         points=[
             points
-            for series, place in zip(every, places, strict=True)
+            for series, place in zip(drawn, places, strict=True)
             for points in _data(series, series.residuals, np.array([place]), 6.0)
         ],
     )  # fmt: skip

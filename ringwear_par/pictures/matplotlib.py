@@ -26,24 +26,25 @@ from ringwear_par.pictures.style import (
     stage_colour,
 )
 
-#: letters of the labels in a line of a legend, with what is beside each, and its most columns
+#: letters of labels in a line of a legend, letters that the mark beside each takes, and most
+#: columns
 _LETTERS, _GLYPH, _MOST_COLUMNS = 54, 5, 3
-#: likewise of an inch of a legend of many panels
+#: letters of an inch of a legend above many panels
 LETTERS_OF_INCH = 15.0
-#: widths of lines of a page, in those of a figure; of sizes of points
+#: factors from lines of a figure to those on a page, and for sizes of points
 _WIDTH, _SIZE = 0.65, 0.7
 _MARKERS = {"dot": "o", "level": "_", "up": "^", "down": "v"}
-#: width of the edges of bands, whose fillings are pale, and colours of a bar of stages
+#: width of the edges of bands, whose fillings are pale, and number of colours in a bar of times
 _EDGE, _SHADES = 0.6, 256
 #: most intervals between numbers of an axis below, whose labels would run together
 _MOST_INTERVALS = 6
-#: so many points are a picture in drawings, whose files would be large
+#: most points that vector drawings draw one by one; more are a picture, else files would be large
 _MANY = 200
 #: share of a panel's height that a label takes
 _LABEL = 0.06
-#: of an axis beyond 0, over what is drawn
+#: length of an axis from 0 over that of what is drawn
 _ROOM = 1.05
-#: words of categories beside each other, and their letters from which on they are slanted
+#: most words of categories side by side, and their letters above which they are slanted
 _MOST_CATEGORIES, _LEVEL_LETTERS = 12, 34
 
 
@@ -269,19 +270,18 @@ def _label_decades(axis: Any) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def legend_shape(panel: Panel, letters: int = _LETTERS, most: int | None = None) -> tuple[int, int]:
+def legend_shape(panel: Panel, letters: int) -> tuple[int, int]:
     """Return the columns of a panel's legend, as even as may be, and its lines with its title.
 
     Parameters
     ----------
     letters : that a line has room for.
-    most : columns, None for as many as there is room for.
     """
     labels = {curve.legend or curve.name for curve in panel.curves}
     labels |= {mark.name for marks in (panel.bands, panel.points, panel.bars) for mark in marks}
     labels -= {""}
     widest = max(map(len, labels), default=0) + _GLYPH
-    columns = max(1, min(most or len(labels), letters // widest))
+    columns = max(1, min(len(labels), letters // widest))
     lines = -(-len(labels) // columns)
     return -(-len(labels) // max(lines, 1)), lines + len(panel.legend.splitlines())
 

@@ -10,7 +10,7 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.pictures.style import COLOURS
 
 GREY = "#8c8c8c"
-#: as many points of a curve, or fewer, are marked
+#: most points of a curve that are marked one by one
 FEW_POINTS = 20
 
 
@@ -146,8 +146,8 @@ class Cells:
     @property
     def log(self) -> bool:
         """Whether the colours are of logarithms, as those of values that differ much."""
-        known = self.values[np.isfinite(self.values)]
-        return len(known) > 0 and bool(known.max() > 5.0 * known.min() > 0.0)
+        finite = self.values[np.isfinite(self.values)]
+        return len(finite) > 0 and bool(finite.max() > 5.0 * finite.min() > 0.0)
 
     def borders(self) -> tuple[FloatArray, FloatArray]:
         """Return the borders of the cells along both axes, (m + 1,) and (n + 1,)."""

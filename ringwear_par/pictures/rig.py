@@ -16,11 +16,12 @@ from ringwear_par.cases.units import in_signs
 from ringwear_par.pictures.style import COLOURS, STYLE, NotebookFigure, plain
 from ringwear_par.schedules import Quantity, Table, quantity_text
 
-#: inches; of the width, the part that bodies take, words have the rest
+#: inches of the figure, and the share of its width that bodies take; words take the rest
 _WIDTH, _DRAWN = 6.6, 0.58
-#: heights of both bodies over their diameter that are drawn as they are; others are stretched
+#: least and largest height of both bodies over their diameter that is drawn to scale; others are
+#: stretched
 _FLATTEST, _TALLEST = 0.42, 1.1
-#: share of the height of both bodies: a layer at least, the grips, the arrows
+#: shares of the height of both bodies: least height of a layer, height of the grips, of the arrows
 _LAYER, _GRIP, _ARROW = 0.03, 0.06, 0.24
 _BODY_FILLS = ("#cfe3f1", "#f6dcc8")
 _LAYER_FILLS = ("#7fb2d5", "#b3a2c8", "#8fc9b3")

@@ -30,9 +30,9 @@ from ringwear_par.results.variables import DISPLAY_UNITS, HISTORIES, edge_elemen
 from ringwear_par.schedules import in_time
 
 RADIUS = "distance to axis (mm)"
-#: of the width of the contact, how far unworn faces are drawn beside it
+#: share of the width of the contact for which unworn faces are drawn beside it
 _BESIDE = 0.15
-#: most stages in time that a legend names; more have a bar of colours
+#: most times that a legend names; more are shown in a bar of colours
 _NAMED = 8
 
 

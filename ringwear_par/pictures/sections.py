@@ -16,8 +16,8 @@ from ringwear_par.results.key_numbers import pressure_limit, time_words
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.export import boundary_states
 
-#: what the largest displacement is drawn as, over the size of both bodies; and how deep faces and
-#: their wear at most, over the lower one's height
+#: what the largest displacement is drawn as, over the size of both bodies; what the deepest face
+#: with its wear is drawn as at most, over the lower body's height
 _MOVED, _DEEPEST = 0.1, 0.4
 
 
@@ -48,8 +48,8 @@ def _factor(bodies: Sequence[BoundaryFields], planes: Sequence[float]) -> float:
 
 def _face_nodes(body: BoundaryFields) -> IntArray:
     """Return the nodes of the face that looks to the other body, the contact line and beside it."""
-    of_face = [FACES.index(name) for name in ("contact", "free")]
-    return np.unique(body.elements[np.isin(body.face, of_face)])
+    face_numbers = [FACES.index(name) for name in ("contact", "free")]
+    return np.unique(body.elements[np.isin(body.face, face_numbers)])
 
 
 def _drawn(body: BoundaryFields, plane: float, upward: float, factor: float) -> FloatArray:

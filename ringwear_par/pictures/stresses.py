@@ -20,14 +20,15 @@ from ringwear_par.results.key_numbers import instants, time_unit
 from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import Interface, interfaces_of, stresses
 
-#: colours of a map, and the share of its values that the scale holds: edges would take them all
+#: colours of a map, numbers beside its scale, and the share of its values that the scale covers:
+#: those at edges would take it all
 _LEVELS, _TICKS, _SHARE = 24, 7, 0.99
 #: share of the map's height that the deepest wear is drawn with, at least
 _WEAR_DRAWN = 0.06
-#: a side of a map that would be a smaller share of the other has a scale of its own, and about
-#: which share then
+#: share of a map's longer side below which the shorter one has a scale of its own, and its share
+#: then
 _LEAST, _STRETCHED = 0.25, 0.5
-#: mm, within which a point of the grid lies on a face
+#: mm within which a point of the grid lies on a face
 _ON_FACE = 1e-9
 _MISES = "von Mises stress (MPa)"
 #: of the components that both sides of an interface share, words for a legend
@@ -36,11 +37,11 @@ _TRACTIONS = {
     "rz": "shear \N{GREEK SMALL LETTER TAU}rz",
     "tz": "friction's \N{GREEK SMALL LETTER TAU}tz",
 }
-#: how far beside the contact interfaces are drawn, over its width
+#: length of interfaces that is drawn beside the contact, over its width
 _BESIDE = 0.5
 #: share of the highest values that is left above and below them
 _ROOM = 0.05
-#: share of the radii drawn from which on a part that is worn through is told in words, and where
+#: share of the radii drawn above which words mark a part that is worn through, and their height
 _WIDE, _TEXT_HEIGHT = 0.2, 0.6
 _DARK, _PALE = "#666666", "#808080"
 
@@ -48,8 +49,8 @@ _DARK, _PALE = "#666666", "#808080"
 def highest(states: Sequence[StressState]) -> float:
     """Return the end of the scale of maps of some states, MPa."""
     values = np.concatenate([mises(state.grid).ravel() for state in states])
-    known = values[np.isfinite(values)]
-    return float(np.quantile(known, _SHARE)) if len(known) else 1.0
+    finite = values[np.isfinite(values)]
+    return float(np.quantile(finite, _SHARE)) if len(finite) else 1.0
 
 
 def draw_map(axes: Any, result: Result, label: str, state: StressState, top: float) -> None:
@@ -65,10 +66,10 @@ def draw_map(axes: Any, result: Result, label: str, state: StressState, top: flo
     levels = MaxNLocator(_LEVELS).tick_values(0.0, top or 1.0)
     drawn = None
     for inside, band in _materials(sections, r, z):  # each by itself, and up to its contour
-        known = inside & np.isfinite(values)
-        if known.any():
-            filled = _spread(values, known)
-            filled[under & inside.any(axis=1) & ~known.any(axis=1)] = np.nan  # worn through
+        finite = inside & np.isfinite(values)
+        if finite.any():
+            filled = _spread(values, finite)
+            filled[under & inside.any(axis=1) & ~finite.any(axis=1)] = np.nan  # worn through
             drawn = axes.contourf(r, z, filled.T, levels, cmap="viridis", extend="max")
             drawn.set_clip_path(Polygon(band, transform=axes.transData))
     if drawn is None:
@@ -119,21 +120,21 @@ def _materials(
         face = np.interp(r, *outline.contour[:-2].T)[:, None]
         ends = np.append(outline.interfaces, outline.contour[-1, 1])
         for number, end in enumerate(ends):
-            of_layer = down * z >= down * end - _ON_FACE
+            in_layer = down * z >= down * end - _ON_FACE
             if number:
-                of_layer = of_layer & (down * z < down * ends[number - 1] - _ON_FACE)
+                in_layer = in_layer & (down * z < down * ends[number - 1] - _ON_FACE)
             low, high = sorted((end, ends[number - 1] if number else down * np.inf))
             band = outline.contour.copy()
             band[:, 1] = np.clip(band[:, 1], low, high)
             beside = z <= face + _ON_FACE if down > 0.0 else z > face + _ON_FACE
-            yield of_layer & beside, band
+            yield in_layer & beside, band
 
 
-def _spread(values: FloatArray, known: BoolArray) -> FloatArray:
+def _spread(values: FloatArray, finite: BoolArray) -> FloatArray:
     """Return values of which those that are not known are those of the nearest that are."""
     from scipy.ndimage import distance_transform_edt
 
-    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    nearest = distance_transform_edt(~finite, return_distances=False, return_indices=True)
     return values[tuple(nearest)]
 
 
@@ -266,7 +267,7 @@ def _along(
     scaled = (r >= low) & (r <= high)
     for end in free:
         scaled &= np.abs(r - end) >= exclude
-    extent = np.concatenate([of_state[:, scaled].ravel() for of_state in values])
+    extent = np.concatenate([state_values[:, scaled].ravel() for state_values in values])
     extent = np.append(extent[np.isfinite(extent)], 0.0)
     room = _ROOM * float(np.ptp(extent)) or 1.0
     bottom, top = float(extent.min()) - room, float(extent.max()) + room
@@ -286,10 +287,10 @@ def _along(
     note = f"shaded: {exclude:g} mm beside free edges, where stress is infinite"
     note = note if exclude and free else ""
     end_time = float(result.histories["time"][-1])
-    for state, of_state in zip(states, values, strict=True):
+    for state, state_values in zip(states, values, strict=True):
         curves = [
             Curve(r, curve, name, COLOURS[number], number)
-            for number, (curve, name) in enumerate(zip(of_state, names, strict=True))
+            for number, (curve, name) in enumerate(zip(state_values, names, strict=True))
         ]
         (time,) = instants([state.time], end_time)
         lines = [": ".join(filter(None, (label, time))), interface.name, note]
@@ -297,7 +298,9 @@ def _along(
             Axis(RADIUS, ends=(low, high)), Axis("", ends=(bottom, top)),
             f"{interface.name}, {time}", note, curves=[*curves, edges, zero], bands=shades,
             legend="\n".join(filter(None, lines)),
-            labels=_worn_through(r, of_state, (low, high), bottom + _TEXT_HEIGHT * (top - bottom)),
+            labels=_worn_through(
+                r, state_values, (low, high), bottom + _TEXT_HEIGHT * (top - bottom)
+            ),
         )  # fmt: skip
 
 
@@ -305,8 +308,8 @@ def _worn_through(
     r: FloatArray, values: FloatArray, ends: tuple[float, float], height: float
 ) -> list[Label]:
     """Return words in the widest part of an interface that has no stress, if it is wide."""
-    known = np.isfinite(values).all(axis=0)
-    gone = np.ma.clump_masked(np.ma.array(r, mask=~known))
+    finite = np.isfinite(values).all(axis=0)
+    gone = np.ma.clump_masked(np.ma.array(r, mask=~finite))
     first, last = max(((r[part][0], r[part][-1]) for part in gone), key=np.ptp, default=(0.0, 0.0))
     if last - first < _WIDE * (ends[1] - ends[0]):
         return []

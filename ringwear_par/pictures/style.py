@@ -35,8 +35,8 @@ STYLE: dict[Any, Any] = {
 }
 #: fonts in files as fonts: publishers refuse Type 3, and texts in drawings can be edited
 _FONTS: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"}
-#: after Okabe and Ito, which the colour-blind tell apart, with a contrast of 3 on white at least;
-#: dashes do in print without colour
+#: after Okabe and Ito: the colour-blind see them as different; their contrast on white is 3 at
+#: least; in print without colour dashes tell lines apart
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#c2699a", "#222222")
 #: of dark lines on colours
 CASING = [withStroke(linewidth=3.0, foreground="w")]
@@ -44,12 +44,12 @@ CASING = [withStroke(linewidth=3.0, foreground="w")]
 CELL_COLOURS = "viridis_r"
 #: line styles that stay apart in print without colour
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
-#: of a map whose lightness grows evenly, the dark part whose contrast on white is 3 at least
+#: the dark part of a map whose lightness grows evenly; its contrast on white is 3 at least
 _EARLY, _LATE = 0.58, 0.0
 MM_OF_INCH = 25.4
-#: share of its usual width that a figure has at least
+#: least width of a figure, as a share of its usual width
 _LEAST_WIDTH = 0.85
-#: pixels of an inch in a notebook, and of its pictures as many times as much for fine screens
+#: pixels of an inch in a notebook, and how many times as many its pictures have for fine screens
 _NOTEBOOK_DPI, _FINE = 100.0, 2
 
 

@@ -6,11 +6,11 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.errors import ComputationError
 from ringwear_par.identification.fitted_values import FittedValues
 
-#: of whom predictions are
+#: what a prediction is for
 NEXT, MATERIAL = "next specimen", "material"
 #: how often values beyond the bounds are drawn anew
 _ROUNDS = 200
-#: of a step's mean wear over the size of the noise: below it a step wears nothing, or almost never
+#: mean wear of a step over the size of the noise below which a step wears nothing, or almost never
 _LEAST_SHAPE = 1e-12
 
 
@@ -43,9 +43,9 @@ def draw_parts(
     low, high = values.bounds.T
     drawn, parts = np.zeros((0, len(values.keys))), np.zeros(0, dtype=np.int64)
     for _ in range(_ROUNDS):
-        more, of_part = _values(values, of, draws, random)
+        more, part_values = _values(values, of, draws, random)
         inside = ((more >= low) & (more <= high)).all(axis=1)
-        drawn, parts = np.vstack([drawn, more[inside]]), np.append(parts, of_part[inside])
+        drawn, parts = np.vstack([drawn, more[inside]]), np.append(parts, part_values[inside])
         if len(drawn) >= draws:
             return drawn[:draws], parts[:draws]
     raise ComputationError(

@@ -10,7 +10,7 @@ from ringwear_par.prediction.prediction import Prediction
 from ringwear_par.results.key_numbers import time_unit
 from ringwear_par.results.variables import DISPLAY_UNITS
 
-#: inches
+#: inches of the figure
 _SIZE = (4.6, 3.4)
 
 

@@ -27,7 +27,7 @@ from ringwear_par.prediction.draws import MATERIAL, NEXT
 from ringwear_par.results.storage.hdf5 import reading
 from ringwear_par.results.variables import SOFTWARE
 
-#: share by which conditions are the same
+#: relative difference below which conditions are the same
 _SAME = 0.02
 _A_FIT = "must be the folder of a fit that is done (ringwear fit -o)"
 
@@ -142,10 +142,10 @@ def check_predicted(known: FitKnowledge, case: Case, name: str, of: str, dashes:
         if table is not None:
             law = has_laws.get(table[:-1], "")
             state = f'is "{law}"' if law else "is missing"
-            of_law = ", ".join(k for k in values.keys if k.startswith(table))
+            law_keys = ", ".join(k for k in values.keys if k.startswith(table))
             faults.append(
                 f'{name}: {table}law {state}: must be "{other_laws[table]}", of which the fit '
-                f"found {of_law}"
+                f"found {law_keys}"
             )
         elif key not in has:
             faults.append(f"{name}: has no {key}, which the fit found; must have it")

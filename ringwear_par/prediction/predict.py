@@ -30,11 +30,11 @@ from ringwear_par.prediction.prediction import QUANTITIES, Prediction, read_dept
 from ringwear_par.results.result import Result
 from ringwear_par.studies.execution.many import results_of
 
-#: equal steps that are made besides those of fits: noise runs evenly within a step
+#: equal steps besides those of fits: noise is interpolated within a step
 _EVEN = 50
-#: of one of these, other ends of steps that are too near
+#: share of such a step by which ends of other steps must be away from its ends
 _NEAR = 0.2
-#: most of the draws that may fail
+#: largest share of the draws that may fail
 _MOST_FAILED = 0.1
 
 Source = FitResult | Path | str
@@ -168,8 +168,8 @@ def _predicted(job: _Job, comm: MPI.Comm) -> Prediction:
 
     def compute(paces: Mapping[int, FloatArray] | None) -> dict[int, Result]:
         left = [draw for draw in cases if draw not in failures]
-        of_left = None if paces is None else [paces[draw] for draw in left]
-        outcomes = results_of([cases[d] for d in left], comm, step_times=ends, paces=of_left)
+        left_paces = None if paces is None else [paces[draw] for draw in left]
+        outcomes = results_of([cases[d] for d in left], comm, step_times=ends, paces=left_paces)
         results = {}
         for draw, outcome in zip(left, outcomes, strict=True):
             if isinstance(outcome, Result):

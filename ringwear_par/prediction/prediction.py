@@ -19,11 +19,11 @@ from ringwear_par.version import versions
 if TYPE_CHECKING:
     import xarray
 
-#: what is predicted, names of histories
+#: histories that are predicted
 QUANTITIES = (
     "penetration", "approach", "force", "torque", "worn_volume_lower", "worn_volume_upper",
 )  # fmt: skip
-#: ends of the intervals of 95 and 50 %, and the median
+#: probabilities of the ends of the intervals of 95 and 50 %, and of the median
 PROBABILITIES = (0.025, 0.25, 0.5, 0.75, 0.975)
 
 

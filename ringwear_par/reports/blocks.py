@@ -3,6 +3,7 @@
 import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from ringwear_par.pictures.panel import Panel
 
@@ -34,7 +35,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class Tiles:
-    """The key numbers at the top of a page, beside each other."""
+    """The key numbers at the top of a page, in a row."""
 
     tiles: Sequence[Tile]
     kind = "tiles"
@@ -189,6 +190,12 @@ def reproduced(
     if data:
         blocks.append(Table("Data files, by their SHA-256", ("file", "hash"), [*data.items()]))
     return Section("How to reproduce", [*blocks, *tables, software(versions)])
+
+
+def stored_versions(attributes: Mapping[str, Any]) -> dict[str, str]:
+    """Return the versions of software among the attributes of a file."""
+    names = [name for name in attributes if name == "version" or name.endswith("_version")]
+    return {n: str(attributes[n]) for n in (*names, "mpi_library") if n in attributes}
 
 
 def software(versions: Mapping[str, str]) -> Table:

@@ -42,9 +42,7 @@ def case_words(result: Result) -> tuple[list[Block], list[Block]]:
     except InputError:  # of a version that had other keys
         case = None
     if case is None:
-        caution = (
-            "The stored text does not tell the whole case: only its laws are known for certain."
-        )
+        caution = "The stored text is not the whole case: only its laws are known for certain."
         blocks.append(Lines([caution]))
     if case is not None:
         words = laws["lower"] or "", laws["upper"] or ""

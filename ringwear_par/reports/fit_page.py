@@ -239,16 +239,16 @@ def _series_of(group: h5py.Group, level: float) -> fit_panels.Series:
     )  # fmt: skip
 
 
-def _series_charts(every: Sequence[fit_panels.Series]) -> list[Chart]:
+def _series_charts(drawn: Sequence[fit_panels.Series]) -> list[Chart]:
     charts = []
-    for number, series in enumerate(every, start=1):
+    for number, series in enumerate(drawn, start=1):
         if len(series.x) > 1:
             name, title = f"series-{number}", series.title
             charts += [
                 Chart(name, fit_panels.readings(series), f"Data, model and band of {title}"),
                 Chart(f"{name}-residuals", fit_panels.residuals(series), f"Residuals of {title}"),
             ]
-    if single := [series for series in every if len(series.x) == 1]:
+    if single := [series for series in drawn if len(series.x) == 1]:
         panel, height = fit_panels.single_readings(single), 160 + 60 * len(single)
         charts.append(Chart("single", panel, "Series of one reading", height, wide=True))
     return charts

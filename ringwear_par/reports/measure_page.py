@@ -38,7 +38,7 @@ from ringwear_par.reports.blocks import (
 from ringwear_par.reports.fit_page import stored_outcome
 
 _DASH = "\N{EN DASH}"
-#: entries of the standards' forms that no file of a rig has
+#: entry of a standard's form for what no file of a rig has
 _OPEN = "not in the files; to be added by hand"
 #: most tiles of a page
 _MOST_TILES = 6
@@ -204,7 +204,7 @@ def _method() -> Lines:
             "counts; type B: otherwise (JCGM 100:2008)",
             "steadiness: what the rate or the level may change by within the part",
             "Monte Carlo: the shortest interval of 95 % of 200 000 draws (JCGM 101:2008)",
-            "what nobody tells is in no budget: measure.uncertainty of the measure file",
+            "no budget has uncertainties that are not in measure.uncertainty of the measure file",
         ]
     )
 

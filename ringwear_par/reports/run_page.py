@@ -25,6 +25,7 @@ from ringwear_par.reports.blocks import (
     Tiles,
     checks_tile,
     reproduced,
+    stored_versions,
 )
 from ringwear_par.reports.case_words import case_words
 from ringwear_par.results.key_numbers import (
@@ -38,9 +39,9 @@ from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import nearest_states
 from ringwear_par.results.summary import checks
 
-#: most instants of a slider
+#: most times on a slider
 _SLIDER = 120
-#: rows of a table that is not folded
+#: most rows of a table that is not folded
 _SHORT = 21
 
 
@@ -86,11 +87,11 @@ def answers(numbers: Iterable[KeyNumber]) -> list[Tile]:
     bodies = [body for body in BODIES if f"{body}_worn_volume" in known]
     labels = [("penetration", "penetration")]
     for body in bodies:
-        of_body = f" of {body}" if len(bodies) > 1 else ""
-        labels += [(f"{body}_worn_volume", f"worn volume{of_body}"),
-                  (f"{body}_mass", f"mass lost{of_body}"),
-                  (f"{body}_last_rate", f"wear rate{of_body}, at the end"),
-                  (f"{body}_specific_rate", f"specific wear rate{of_body}")]  # fmt: skip
+        suffix = f" of {body}" if len(bodies) > 1 else ""
+        labels += [(f"{body}_worn_volume", f"worn volume{suffix}"),
+                  (f"{body}_mass", f"mass lost{suffix}"),
+                  (f"{body}_last_rate", f"wear rate{suffix}, at the end"),
+                  (f"{body}_specific_rate", f"specific wear rate{suffix}")]  # fmt: skip
     labels += [("mean_pressure", "mean pressure"), ("largest_pressure", "largest pressure"),
               ("torque", "torque")]  # fmt: skip
     for name, label in labels:
@@ -222,9 +223,7 @@ def _reproduced(result: Result) -> Section:
         for name, value in about.items()
         if name.startswith("seconds_")
     }
-    names = [name for name in about if name == "version" or name.endswith("_version")]
-    used = {name: str(about[name]) for name in [*names, "mpi_library"] if name in about}
     rows = [("MPI ranks", str(ranks)), *((f"{k}, s", v) for k, v in seconds.items())]
     caption = "Ranks, and seconds that it took"
     table = Table(caption, ("what", "value"), rows, folded=True)
-    return reproduced(f"{first}, then type:", commands, [], used, [table])
+    return reproduced(f"{first}, then type:", commands, [], stored_versions(about), [table])

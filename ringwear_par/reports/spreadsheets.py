@@ -11,7 +11,7 @@ from ringwear_par.files.folders import FIT, MEASURE, READINGS
 from ringwear_par.files.spreadsheets import Sheet, write_csv, write_xlsx
 from ringwear_par.files.writing import check_writable
 from ringwear_par.identification.summary import key_rows
-from ringwear_par.measuring.measure_folder import table_of
+from ringwear_par.measuring.measure_numbers import table_of
 from ringwear_par.reports.fit_page import stored_outcome, stored_readings
 from ringwear_par.results.storage.export import check_tables, titled
 from ringwear_par.results.storage.export import export as export_run
@@ -82,8 +82,8 @@ def sweep_sheets(ensemble: Ensemble) -> list[Sheet]:
     columns["error"] = "", "why the case failed", ensemble.error
     for name, values in ensemble.final.items():
         final, entry = end_value_of(name)
-        which = f"; {entry_label(final.stored, entry)}" if entry else ""
-        columns[name] = final.stored.unit, f"{final.stored.meaning}{which}", values
+        at_entry = f"; {entry_label(final.stored, entry)}" if entry else ""
+        columns[name] = final.stored.unit, f"{final.stored.meaning}{at_entry}", values
     columns["seconds"] = "s", "wall time of the case", ensemble.seconds
     flags = [join_flags(flags) for flags in ensemble.flags]
     columns["flags"] = "", "what makes the answer doubtful", flags

@@ -24,6 +24,7 @@ from ringwear_par.reports.blocks import (
     Tiles,
     checks_tile,
     reproduced,
+    stored_versions,
 )
 from ringwear_par.results.key_numbers import number_words
 from ringwear_par.studies.analysis.responses import done_cases
@@ -42,9 +43,9 @@ from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 from ringwear_par.studies.storage.results_file import count_flags
 from ringwear_par.studies.storage.stored_variables import entry_label
 
-#: cases of the table
+#: most cases of the table
 _MOST = 1000
-#: and of the one of the worst
+#: most cases of the table of the worst
 _WORST = 10
 #: digits of a number in a table
 _DIGITS = 4
@@ -106,14 +107,14 @@ def _summary(ensemble: Ensemble) -> list[Block]:
             if np.isfinite(values[done]).any()
         ]
         header = ("at the end", "unit", "least", "median", "largest")
-        blocks.append(Table("What the cases come to", header, rows))
+        blocks.append(Table("Final values of all cases", header, rows))
     return blocks
 
 
 def _meaning(name: str) -> str:
     final, entry = end_value_of(name)
-    which = f"; {entry_label(final.stored, entry)}" if entry else ""
-    return f"{final.stored.meaning.removesuffix(', at the last stored step')}{which}"
+    at_entry = f"; {entry_label(final.stored, entry)}" if entry else ""
+    return f"{final.stored.meaning.removesuffix(', at the last stored step')}{at_entry}"
 
 
 def _quantiles(values: FloatArray) -> FloatArray:
@@ -282,6 +283,4 @@ def _reproduced(ensemble: Ensemble) -> Section:
     sources = [Source("Study", str(about["study"]))]
     if len(ensemble.ids):
         sources.append(Source(f"Case {ensemble.ids[0]} of the study", ensemble.text(0)))
-    names = [name for name in about if name == "version" or name.endswith("_version")]
-    versions = {name: str(about[name]) for name in [*names, "mpi_library"] if name in about}
-    return reproduced(first, commands, sources, versions)
+    return reproduced(first, commands, sources, stored_versions(about))

@@ -24,17 +24,17 @@ from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import worn_layers
 from ringwear_par.results.variables import EDGE_ERROR, edge_elements
 
-#: s, up to which times are told in a unit, and its seconds
+#: longest time, s, that is written in a unit, the unit, and its seconds
 _UNITS_OF_TIME = ((7200.0, "s", 1.0), (7 * 86400.0, "h", 3600.0), (np.inf, "days", 86400.0))
 _QUARTERS = 4
-#: numbers from here on have an exponent in texts
+#: numbers from which on texts have an exponent
 _LARGE = 1e6
-#: of the highest pressure that is drawn, where a scale ends
+#: end of a scale of pressures over the highest one that is drawn
 _ROOM = 1.1
 
 
 def time_unit(end: float) -> tuple[str, float]:
-    """Return the unit in which times up to an end, s, are told, and its seconds."""
+    """Return the unit in which times up to an end, s, are written, and its seconds."""
     return next((name, seconds) for most, name, seconds in _UNITS_OF_TIME if end <= most)
 
 
@@ -60,10 +60,10 @@ def instants(times: Sequence[float], end: float) -> list[str]:
     Where that is too round, as ``time_words``.
     """
     unit, seconds = time_unit(end)
-    of_end = 2 - math.floor(math.log10(end / seconds)) if end > 0.0 else 0
+    end_digits = 2 - math.floor(math.log10(end / seconds)) if end > 0.0 else 0
     words = []
     for time in times:
-        digits = max(of_end, 1 - math.floor(math.log10(time / seconds)), 0) if time > 0.0 else 0
+        digits = max(end_digits, 1 - math.floor(math.log10(time / seconds)), 0) if time > 0.0 else 0
         words.append(f"{number_words(round(time / seconds, digits))} {unit}")
     return words if len(set(words)) == len(words) else [time_words(time, end) for time in times]
 
@@ -75,8 +75,8 @@ def stages(time: FloatArray) -> list[int]:
     ----------
     time : (s,) float, s, of the stored states.
     """
-    wished = [time[min(1, len(time) - 1)], *(time[-1] * q / _QUARTERS for q in range(1, 5))]
-    return sorted({int(np.abs(time - t).argmin()) for t in wished})
+    instants = [time[min(1, len(time) - 1)], *(time[-1] * q / _QUARTERS for q in range(1, 5))]
+    return sorted({int(np.abs(time - t).argmin()) for t in instants})
 
 
 def pressure_limit(area: FloatArray, pressure: FloatArray, force: FloatArray) -> float:

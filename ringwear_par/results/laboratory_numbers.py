@@ -71,14 +71,6 @@ def _ratio(volume: FloatArray, divisor: FloatArray) -> FloatArray:
     return np.divide(volume, divisor, out=np.full(volume.shape, np.nan), where=divisor > 0.0)
 
 
-def _distance(course: Course) -> FloatArray | None:
-    return 1e-3 * course.angle * course.mean_radius
-
-
-def _p_v(course: Course) -> FloatArray | None:
-    return 1e-3 * course.force / course.area * course.omega * course.mean_radius
-
-
 @dataclass(frozen=True)
 class LaboratoryNumber:
     """A number that laboratories report: its variable, and its name among the key numbers."""
@@ -130,14 +122,14 @@ LABORATORY = {
         ),
         LaboratoryNumber(
             Variable("sliding_distance", ("step",), "m", "sliding distance at the mean radius"),
-            "distance", SLIDING, "distance", _distance,
+            "distance", SLIDING, "distance", lambda c: 1e-3 * c.angle * c.mean_radius,
         ),
         LaboratoryNumber(
             Variable(
                 "pressure_velocity", ("step",), "MPa m/s",
                 "p V: mean pressure on the nominal area times speed at the mean radius",
             ),
-            "p_v", SLIDING, "p V", _p_v,
+            "p_v", SLIDING, "p V", lambda c: 1e-3 * c.force / c.area * c.omega * c.mean_radius,
         ),
     )
 }  # fmt: skip
@@ -170,8 +162,8 @@ def densities_of(result: Result, body: BodyName) -> FloatArray:
     """Return the densities of the layers and of a body itself (layers + 1,) g/mm3, or NaN."""
     about, layers = result.attributes, result.layers.get(f"worn_volume_{body}_layers")
     unknown = (np.nan,) * (0 if layers is None else layers.shape[1] - 1)
-    of_layers = about.get(f"density_{body}_layers", unknown)
-    return np.array([*of_layers, about.get(f"density_{body}", np.nan)])
+    layer_densities = about.get(f"density_{body}_layers", unknown)
+    return np.array([*layer_densities, about.get(f"density_{body}", np.nan)])
 
 
 def schedule_of(about: Mapping[str, Any], name: str) -> Quantity:
@@ -222,8 +214,8 @@ def end_numbers(
         layers = columns.layers.get(f"worn_volume_{body}_layers")
         volume = columns.histories[f"worn_volume_{body}"][:, None] if layers is None else layers
         volumes.append(volume[last] if any(case.laws[i] is not None for case in known) else None)
-        of_cases = [[np.nan if d is None else d for d in c.rings[i].densities] for c in known]
-        densities.append(np.array(of_cases))
+        case_densities = [[np.nan if d is None else d for d in c.rings[i].densities] for c in known]
+        densities.append(np.array(case_densities))
     course = Course(
         time, columns.histories["force"][last], normal_work[stored], integral(omega, 0.0, time),
         in_time(omega, time), known[0].area, known[0].mean_radius, (volumes[0], volumes[1]),

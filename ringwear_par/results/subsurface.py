@@ -90,7 +90,7 @@ def interfaces_of(result: Result) -> list[Interface]:
     return interfaces
 
 
-#: how many times the deepest wear the end of a layer may be below the face to be drawn
+#: multiple of the deepest wear within which the end of a layer below the face is drawn
 _FAR = 1.5
 #: share of its depth within which wear has reached the end of a layer
 _ON = 1e-9

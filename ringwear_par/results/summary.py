@@ -25,9 +25,9 @@ from ringwear_par.results.key_numbers import (
 from ringwear_par.results.laboratory_numbers import densities_of
 from ringwear_par.results.result import Checkpoint, Result
 
-#: errors of balances from which on a computation is not what its equations say
+#: errors of balances above which a computation does not satisfy its equations
 _MOST_ERROR = 1e-6
-#: of the first words of lines
+#: letters of the first column of lines
 _LABEL = 13
 
 

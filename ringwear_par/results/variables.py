@@ -18,7 +18,7 @@ from ringwear_par.errors import InputError
 if TYPE_CHECKING:
     import xarray
 
-#: what files say they were written by
+#: name of the program in files
 SOFTWARE = "ringwear-par"
 
 
@@ -160,7 +160,7 @@ PROFILES = variable_table(
         "depth worn off the upper ring at the element's mid-point, along the axis",
     ),
 )  # fmt: skip
-#: by which the pressure of such an element may be off, relative to the largest (docs/accuracy.md)
+#: largest error of the pressure of such an element, relative to the largest (docs/accuracy.md)
 EDGE_ERROR = 0.28
 #: of every pressure that is stored, see ``edge_elements``
 EDGE_ELEMENT = Variable(
@@ -193,11 +193,11 @@ def _of_both(
     name: str, dimensions: tuple[str, ...], units: str, meaning: str
 ) -> dict[str, Variable]:
     """Return the variables of lower and upper, whose names and meanings have the body's."""
-    of_bodies = (dimensions, tuple("layer_upper" if d == "layer" else d for d in dimensions))
+    axes_of_bodies = (dimensions, tuple("layer_upper" if d == "layer" else d for d in dimensions))
     return variable_table(
         *(
             Variable(name.format(body), axes, units, meaning.format(body))
-            for body, axes in zip(BODIES, of_bodies, strict=True)
+            for body, axes in zip(BODIES, axes_of_bodies, strict=True)
         )
     )
 
@@ -218,14 +218,9 @@ LAYER_VOLUMES = _of_both(
     "volume lost by each layer of the {} ring, and by the ring itself",
 )  # fmt: skip
 #: of a history, s; an attribute of its file
-TIMES_THROUGH = variable_table(
-    *(
-        Variable(
-            f"time_through_{body}", (), "s",
-            f"when wear first got through all layers of the {body} ring; none if it has not",
-        )
-        for body in BODIES
-    )
+TIMES_THROUGH = _of_both(
+    "time_through_{}", (), "s",
+    "when wear first got through all layers of the {} ring; none if it has not",
 )  # fmt: skip
 #: all of them
 LAYERS = {**LAYER_HISTORIES, **LAYER_VOLUMES, **LAYER_PROFILES}
@@ -355,7 +350,9 @@ def _of_interfaces(body: str) -> InterfaceVariables:
 
 
 INTERFACES = tuple(map(_of_interfaces, BODIES))
-EXCLUDE = Variable("stress_exclude", (), "mm", "radius round edges in which it is not looked for")
+EXCLUDE = Variable(
+    "stress_exclude", (), "mm", "radius round edges, within which no largest stress is looked for"
+)
 
 
 def _largest(suffix: str, bodies: str) -> tuple[Variable, ...]:

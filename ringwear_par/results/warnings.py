@@ -34,7 +34,7 @@ from ringwear_par.history.refusals.stable_steps import missed_corner, stable_ste
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.schedules import largest
 
-#: histories whose worst states are looked at together
+#: histories whose worst states are checked together
 _TOGETHER = 64
 #: the measures of few elements in contact
 _ON_FEW = tuple(map(force_on, range(1, FEW_ELEMENTS)))
@@ -55,8 +55,8 @@ _MOST_FILM_DEFECT = 5e-3
 _LOAD_ASIDE = 0.05
 #: largest error of a pressure that comes of making the compliance symmetric
 _MOST_ASYMMETRY = 0.05
-#: share of a layer, meant by load, that is worn off, and by which its modulus differs from what is
-#: under it, from which on the unworn stack is another
+#: share of a layer, weighted by load, that is worn off, and relative difference of its modulus from
+#: what is below, above which the unworn stack no longer describes the body
 _MOST_OF_LAYER, _OTHER_MODULUS = 0.25, 0.1
 
 
@@ -398,7 +398,7 @@ def _worn_points(
 
 
 def _infinite_at_interfaces(case: Case, history: StressHistory) -> Iterable[ValidityWarning]:
-    """Return which bodies' largest stress was beside the end of an interface, the last of each."""
+    """Return a warning for each end of an interface that a largest stress was beside."""
     warnings: dict[tuple[int, int, float], ValidityWarning] = {}
     for state in history.states:
         for i, (body, highest) in enumerate(zip(BODIES, state.largest, strict=True)):

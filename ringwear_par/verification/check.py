@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-#: what a computed solution is held against. "reference": a solution that is known exactly, or
+#: what a computed solution is compared with. "reference": a solution that is known exactly, or
 #: converged (finite elements; a mesh or steps far finer than those checked). "identity": a balance
 #: or symmetry, which holds to round-off (on held faces: vanishes with the mesh). "bound": a number,
 #: as of steps, that must not exceed another
@@ -30,7 +30,7 @@ class Check:
     tolerance: float
     #: relative accuracy of the reference itself; errors near it show no order
     digits: float = 1e-7
-    #: what it is held against
+    #: what it is compared with
     kind: Kind = "reference"
 
     @property
@@ -58,7 +58,8 @@ def checks_of(
 ) -> Iterator[Check]:
     """Return the checks of errors of each size, whatever their signs, that go together, one a row.
 
-    A row is name, tolerance and, unless it is that of ``Check``, the reference's accuracy.
+    A row is a name, a tolerance and, where it is not the default of ``Check``, the reference's
+    accuracy.
     """
     for values, row in zip(zip(*errors, strict=True), rows, strict=True):
         name, tolerance = row[:2]

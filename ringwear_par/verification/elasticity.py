@@ -38,7 +38,7 @@ from ringwear_par.verification import reference
 from ringwear_par.verification.check import NU, SIZES, Check, checks_of, converging
 from ringwear_par.verification.histories import paper_case
 
-#: radius and height of the disc, over that of the contact
+#: radius and height of the disc, over the radius of the contact
 _BIG = 200.0
 _TRUNCATION = 3.0 / _BIG**2
 #: where fields are compared: radii and depths, from the axis to under the edge
@@ -100,18 +100,22 @@ def lame_error(n: int, comm: MPI.Comm) -> float:
     return float(np.abs(response.displacement[:, 0, 0] / exact - 1.0).max())
 
 
-def torsion_error(n: int, comm: MPI.Comm) -> float:
-    """Return the error of u_theta on top of a hollow cylinder, traction proportional to r."""
-    section, line = _hollow(n)
+def torsion_error(n: int, comm: MPI.Comm, degrees: float = 0.0) -> float:
+    """Return the error of u_theta = twist r (z + h) on top of a hollow cylinder, or on a cone.
+
+    Its traction per true area is shear x twist x r cos alpha; the top rises by alpha outwards.
+    """
+    alpha, (a, b), height = math.radians(degrees), (20.0, 40.0), 20.0
+    face = ((a, -(b - a) * math.tan(alpha)), (b, 0.0)) if degrees else ()
+    section, line = Section((a, b), height, face), contact_line((a, b), Mesh(n))
     boundary = boundary_mesh(section, line, Mesh(n))
-    conditions = boundary_conditions(boundary, "clamped")
+    conditions = boundary_conditions(boundary, "clamped", np.full(n, math.tan(alpha)))
     middle = boundary.elements[boundary.contact, 1]
     response = solve_body(boundary, conditions, NU, 1e-8, middle, boundary.contact, comm)
-    r = boundary.nodes[middle, 0]
-    torque, shear = 1.0, 0.5 / (1.0 + NU)
-    twist = torque / (shear * reference.polar_moment(20.0, 40.0))
-    u = response.displacement[:, 2] @ (shear * twist * r)
-    return float(np.abs(u / (twist * r * section.height) - 1.0).max())
+    r, z = boundary.nodes[middle].T
+    shear = 0.5 / (1.0 + NU)
+    u = response.displacement[:, 2] @ (shear * r * math.cos(alpha))
+    return float(np.abs(u / (r * (z + height)) - 1.0).max())
 
 
 def elasticity_checks(comm: MPI.Comm) -> Iterator[Check]:
@@ -123,6 +127,12 @@ def elasticity_checks(comm: MPI.Comm) -> Iterator[Check]:
     yield converging(
         "torsion of a hollow cylinder: u_theta", partial(torsion_error, comm=comm), 1e-3
     )
+
+
+def cone_checks(comm: MPI.Comm) -> Iterator[Check]:
+    """Compare a ring with a conical top with its exact solution. Collective on comm."""
+    yield converging("torsion of a ring with a conical top of 10 degrees: u_theta",
+                     partial(torsion_error, comm=comm, degrees=10.0), 1e-3)  # fmt: skip
 
 
 def stress_checks(comm: MPI.Comm) -> Iterator[Check]:

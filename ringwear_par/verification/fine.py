@@ -33,7 +33,7 @@ from ringwear_par.wear.laws.threshold import ThresholdLaw
 NAME = "edge_references.json"
 #: radii of the contact (mm), force of 50 MPa on it (N), and how it wears: rad/s, 1/MPa
 CONTACT, FORCE, SPEED, K = (28.5, 31.5), 28274.334, 17.0 / 3.0, 1e-7
-#: s, of the worn profiles
+#: s, times of the worn profiles
 TIMES = (1.0, 10.0, 200.0)
 #: mesh on whose rings stored solutions are: element means of coarser ones are sums of theirs
 RINGS = Mesh(128)

@@ -88,12 +88,12 @@ def pressure_at(line: ContactLine, p: FloatArray, r: float) -> float:
 _CYLINDER = 1.0, 1.0 / math.sqrt(3.0)
 
 
-def without_truncation(of_two: Iterable[float]) -> float:
+def without_truncation(stiffnesses: Iterable[float]) -> float:
     """Return a stiffness for R = infinity from two R, one twice the other.
 
     Its inverse is linear in 1/R.
     """
-    first, second = of_two
+    first, second = stiffnesses
     return 1.0 / (2.0 / second - 1.0 / first)
 
 
@@ -129,11 +129,11 @@ def half_space_checks(comm: MPI.Comm) -> Iterator[Check]:
                 yield row(f"decay {i + 1}, given approach", rates, exact, 1e-3, 2e-4)
 
 
-#: radius of the sphere and slope of the cone, their approaches make the contact radius 1
+#: radius of the sphere and slope of the cone; the approaches make the contact radius 1
 _SPHERE, _CONE = 10.0, 0.1
-#: radius of these bodies. Errors depend on where in an element the contact ends
+#: radius of these bodies; errors depend on where in an element the contact ends
 _REACH = 1.6
-#: of the order of (a/R)^2, what the extrapolation to R = infinity leaves
+#: error of the extrapolation to R = infinity, of the order of (a/R)^2
 _EXTRAPOLATION = 3e-5
 
 

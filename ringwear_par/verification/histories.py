@@ -26,7 +26,7 @@ from ringwear_par.wear.laws.threshold import ThresholdLaw
 #: our reading of the paper's speed, rad/s
 OMEGA = 85.0 / 24.0
 _PAPER_STEPPING = Stepping("implicit", 1.0, 200)
-#: of contacts that all methods of TAO solve: elements, s of wear in the step, heights (mm) of
+#: contacts that all methods of TAO solve: elements, s of wear in the step, heights (mm) of
 #: roughness
 _ELEMENTS, _WEAR_STEP, _HEIGHTS = 64, 20.0, (0.0, 0.01, 0.05)
 
@@ -115,7 +115,7 @@ def tao_checks(comm: MPI.Comm) -> Iterator[Check]:
 #: contact elements of the paper's rings
 _N = 64
 _LONG = Stepping("implicit", 40.0, 200)
-#: of both bodies where both wear, 1/MPa
+#: specific wear rates of both bodies, 1/MPa, where both wear
 _BOTH = (1e-7, 3e-7)
 
 
@@ -158,9 +158,9 @@ def steady_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
         if p0 == 0.0:
             yield identity("worn volume = k x dissipated energy, worst of all steps", _N,
                            worst.energy, 1e-10)  # fmt: skip
-        said = f"worst of all steps, p0 = {p0:g} MPa"
-        yield identity(f"force balance, {said}", _N, worst.force, 1e-10)
-        yield identity(f"volume balance, {said}", _N, worst.volume, 1e-12)
+        label = f"worst of all steps, p0 = {p0:g} MPa"
+        yield identity(f"force balance, {label}", _N, worst.force, 1e-10)
+        yield identity(f"volume balance, {label}", _N, worst.volume, 1e-12)
 
     fixed = paper_case(Mesh(_N), p0=(0.0, None), stepping=_LONG)
     fixed = replace(fixed, load=Load(fixed.load.omega, displacement=0.0585))
@@ -188,10 +188,10 @@ def adaptive_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
                         float(result.steps), float(most))  # fmt: skip
 
     thresholds = (40.0, 60.0)
-    both = paper_case(Mesh(_N), p0=thresholds, k=_BOTH)
-    p = history(both, 8000.0).last.contact.pressure
+    both_wear = paper_case(Mesh(_N), p0=thresholds, k=_BOTH)
+    p = history(both_wear, 8000.0).last.contact.pressure
     mean = (_BOTH[0] * thresholds[0] + _BOTH[1] * thresholds[1]) / sum(_BOTH)
-    error = np.abs(p / (mean + _steady_constant(both, mean) / pair.line.arm) - 1.0).max()
+    error = np.abs(p / (mean + _steady_constant(both_wear, mean) / pair.line.arm) - 1.0).max()
     yield Check("both wear, thresholds 40 and 60 MPa: steady pressure", (_N,),
                 (float(error),), 1e-3)  # fmt: skip
 
@@ -256,11 +256,11 @@ def growing_checks(comm: MPI.Comm) -> Iterator[Check]:
         first, last = (
             np.count_nonzero(state.contact.pressure) for state in (history.states[0], history.last)
         )
-        said = f"worn {name}, contact of {first} to {last} elements"
+        label = f"worn {name}, contact of {first} to {last} elements"
         volume, energy = history.balances.volume, history.balances.energy
         # what does not grow checks nothing
-        yield identity(f"{said}: volume balance", 48, volume if last > first else math.inf, 1e-10)
-        yield identity(f"{said}: worn volume = k x energy", 48, energy, 1e-10)
+        yield identity(f"{label}: volume balance", 48, volume if last > first else math.inf, 1e-10)
+        yield identity(f"{label}: worn volume = k x energy", 48, energy, 1e-10)
 
 
 def explicit_limit_error(n: int, comm: MPI.Comm) -> float:

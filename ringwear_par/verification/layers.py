@@ -30,14 +30,14 @@ from ringwear_par.verification.half_space import GRADED, pressure_at, without_tr
 from ringwear_par.verification.histories import paper_case
 from ringwear_par.verification.reference import LayeredHalfSpace
 
-#: numbers of elements where much is to be solved, or 128 show but the quadrature
+#: numbers of elements where solutions are expensive, or where 128 show only the quadrature
 _COARSE = 16, 32, 64
 _HALF_SPACE = Material(1.0, NU)
 #: layers on it
 _HARD, _SOFT = Material(10.0, 0.2), Material(0.1, 0.4)
-#: radii of the discs that stand for it
+#: radii of the discs that stand for a half-space
 _DISCS = 200.0, 400.0
-#: of the element integrals
+#: tolerance of the element integrals
 _TOLERANCE = 1e-8
 
 
@@ -261,10 +261,11 @@ def paper_rings(
     return layered(below, lower), layered(above, upper)
 
 
-def _coated(both: tuple[Body, Body], n: int, comm: MPI.Comm) -> _Coated:
+def _coated(coated: tuple[Body, Body], n: int, comm: MPI.Comm) -> _Coated:
     case = paper_case(Mesh(n), pressure=50.0)
     line, force = case.line, case.area * 50.0
-    pair = assemble_pair(both, line, case.mesh, comm).compliance((both[0].young, both[1].young))
+    young_moduli = (coated[0].young, coated[1].young)
+    pair = assemble_pair(coated, line, case.mesh, comm).compliance(young_moduli)
     unit = np.linalg.solve(pair.matrix, line.area)
     approach = force / float(line.area @ unit)
     p = approach * unit
@@ -282,12 +283,12 @@ def coating_checks(comm: MPI.Comm) -> Iterator[Check]:
     base, plain = Material(case.lower.young, NU), {}
     for n in _COARSE:
         plain[n] = _coated(paper_rings(), n, comm).approach
-    for said, rings in (
+    for label, rings in (
         *((f"{h:g} mm below", paper_rings([(h, base)])) for h in (0.005, 0.05, 0.5)),
         ("0.05 mm above", paper_rings([], [(0.05, Material(case.upper.young, NU))])),
     ):
         errors = tuple(abs(_coated(rings, n, comm).approach / plain[n] - 1.0) for n in _COARSE)
-        yield Check(f"paper, {said} of the same material: approach", _COARSE, errors, 1e-5)
+        yield Check(f"paper, {label} of the same material: approach", _COARSE, errors, 1e-5)
     hard = paper_rings([(0.05, Material(100e3, NU))])
     solutions = [_coated(hard, n, comm) for n in SIZES]
     exact = reference.COATED_APPROACH
@@ -306,7 +307,7 @@ def coating_checks(comm: MPI.Comm) -> Iterator[Check]:
 
 #: thin soft discs under a stiff ring: height (mm) and Poisson's ratio, and the ring's radii
 _THIN, _NARROWER = ((2.0, 0.4), (1.5, 0.499)), (10.0, 20.0)
-#: elements of the solution that they are compared with
+#: elements of the solution that the others are compared with
 _FINE = 128
 
 
@@ -346,9 +347,9 @@ def thin_disc_checks(comm: MPI.Comm) -> Iterator[Check]:
     sizes = 32, 64
     for height, poisson in _THIN:
         errors = thin_disc_errors(height, poisson, sizes, comm)
-        said = f"soft disc of {height:g} mm, nu {poisson:g}, under a narrower ring"
+        label = f"soft disc of {height:g} mm, nu {poisson:g}, under a narrower ring"
         rows = (
-            (f"{said}: approach", 3e-4, 4e-5),
-            (f"{said}: p 0.7 mm inside edges, p(mid)", 1e-3, 1e-4),
+            (f"{label}: approach", 3e-4, 4e-5),
+            (f"{label}: p 0.7 mm inside edges, p(mid)", 1e-3, 1e-4),
         )
         yield from checks_of(errors, rows, sizes)

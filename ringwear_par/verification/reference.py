@@ -194,7 +194,7 @@ def bathed_approach(apexes: Iterable[float], young: Iterable[float], nu: float, 
     return (1.0 - 2.0 * nu) * p * sum(h / e for h, e in zip(apexes, young, strict=True))
 
 
-#: of the wave number times the thickness, from which on a layer hides what is below to 1e-15
+#: wave number times thickness above which a layer hides what is below to 1e-15
 _DEEP = 22.0
 
 
@@ -215,9 +215,9 @@ def burmister(x: FloatArray, layer: Material, base: Material) -> FloatArray:
     That over what a half-space of the layer's material does, (1 - nu) / (G k).
     """
     ratio = shear_modulus(layer) / shear_modulus(base)
-    of_layer, of_base = 3.0 - 4.0 * layer.poisson, 3.0 - 4.0 * base.poisson
-    lam = 1.0 - (1.0 + of_layer) / (1.0 + ratio * of_base)
-    kappa = (ratio - 1.0) / (ratio + of_layer)
+    layer_factor, base_factor = 3.0 - 4.0 * layer.poisson, 3.0 - 4.0 * base.poisson
+    lam = 1.0 - (1.0 + layer_factor) / (1.0 + ratio * base_factor)
+    kappa = (ratio - 1.0) / (ratio + layer_factor)
     th = np.exp(-2.0 * x)
     above = 1.0 + 4.0 * kappa * x * th - lam * kappa * th**2
     return above / (1.0 - (lam + kappa + 4.0 * kappa * x**2) * th + lam * kappa * th**2)

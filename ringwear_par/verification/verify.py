@@ -10,7 +10,7 @@ from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.errors import ComputationError
 from ringwear_par.options import reject_unused_options
 from ringwear_par.verification.check import Check, Kind
-from ringwear_par.verification.elasticity import elasticity_checks, stress_checks
+from ringwear_par.verification.elasticity import cone_checks, elasticity_checks, stress_checks
 from ringwear_par.verification.faces import edge_checks, slope_checks
 from ringwear_par.verification.half_space import half_space_checks, sphere_checks
 from ringwear_par.verification.histories import history_checks, paper_checks, tao_checks
@@ -28,6 +28,7 @@ CHECKS: tuple[Callable[[MPI.Comm], Iterator[Check]], ...] = (
     layer_checks,
     stress_checks,
     edge_checks,
+    cone_checks,
     slope_checks,
     tao_checks,
     history_checks,

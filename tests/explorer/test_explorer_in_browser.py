@@ -142,7 +142,7 @@ def test_drags_do_not_queue_up(page):
     }})""")
     late = page.run("page.n")
     rest(page)
-    assert page.run("page.n") - late <= 3  # what is under way, the last wish, and its rest
+    assert page.run("page.n") - late <= 3  # what is under way, the last request, and its rest
     case, _ = agrees(page)
     assert case.wear_lower.k == pytest.approx(1e-6, rel=1e-2)
     assert 0 < page.run("page.n") - asked <= moves + 3

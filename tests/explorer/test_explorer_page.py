@@ -1,4 +1,4 @@
-"""The explorer's page without a browser: wishes, faults, answers."""
+"""The explorer's page without a browser: requests, faults, answers."""
 
 import base64
 import json
@@ -46,12 +46,12 @@ class Visited:
 
     def ask(self, n, **values):
         """Ask for other numbers."""
-        self.wish(n, values)
+        self.request(n, values)
 
-    def wish(self, n, values, pinned=None):
+    def request(self, n, values, pinned=None):
         """Ask for other numbers, beside those that are pinned."""
-        wish = {"n": n, "instant": 1.0, "menu": "torque", "values": values, "pinned": pinned}
-        self.talk.request = json.dumps(wish)
+        request = {"n": n, "instant": 1.0, "menu": "torque", "values": values, "pinned": pinned}
+        self.talk.request = json.dumps(request)
 
     def give(self, name, table):
         """Lay a table over the history."""
@@ -59,7 +59,7 @@ class Visited:
         self.talk.table = json.dumps({"name": name, "content": content})
 
 
-def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
+def test_a_page_computes_the_last_request_and_goes_on_after_faults(comm):
     visited = Visited(comm)
     exploration, talk, work, ask = visited.exploration, visited.talk, visited.work, visited.ask
     computed, compute = [], exploration.compute
@@ -95,19 +95,19 @@ def test_a_page_computes_the_last_wish_and_goes_on_after_faults(comm):
     assert work()["n"] == 12  # nobody is there to see it
 
 
-def test_malformed_wishes_are_answered_by_a_sentence(comm, caplog):
+def test_malformed_requests_are_answered_by_a_sentence(comm, caplog):
     visited = Visited(comm)
     visited.work()
     good = {"n": 1, "instant": 1.0, "menu": "torque", "values": {}}
-    for wish in ("{", "[" * 100000, "[]", "{}", *(
+    for request in ("{", "[" * 100000, "[]", "{}", *(
         json.dumps({**good, key: value})
         for key, value in (("n", None), ("instant", "x"), ("values", {"a": 1}), ("menu", []),
                            ("pinned", 3), ("pinned", {"a": None}))
     )):  # fmt: skip
         visited.talk.answer = ""
-        visited.talk.request = wish
+        visited.talk.request = request
         assert visited.told["faults"] == [
-            "the page sent a wish that cannot be read; load it again"
+            "the page sent a request that cannot be read; load it again"
         ]  # fmt: skip
     for order in ("{", "[]", '{"order": 3}', '{"order": "stop"}'):
         visited.talk.order = order
@@ -154,7 +154,7 @@ def test_faults_stay_until_numbers_can_be_computed(comm):
     assert "Infinity" not in visited.talk.answer
 
 
-def test_only_answers_have_the_number_of_a_wish(comm):
+def test_only_answers_have_the_number_of_a_request(comm):
     visited = Visited(comm)
     visited.work()
     visited.ask(1, **{"wear.lower.k": "3e-8"})
@@ -199,7 +199,7 @@ def test_a_page_that_is_closed_meanwhile_ends_nothing():
 def test_a_pinned_variant_stands_beside_the_present_one(comm):
     """Its curves are dashed, and its numbers in a column; a fault marks the field that it is of."""
     visited = Visited(comm)
-    visited.wish(1, {"load.omega": "9"}, {"load.omega": "6"})  # as an address that is opened
+    visited.request(1, {"load.omega": "9"}, {"load.omega": "6"})  # as an address that is opened
     told = visited.work()
     assert told["compared"] == ["case file", "pinned"]
     lines = told["charts"]["penetration"]["sources"]["lines"]
@@ -210,10 +210,10 @@ def test_a_pinned_variant_stands_beside_the_present_one(comm):
     assert name == "penetration"
     assert float(pinned) == pytest.approx(ends["pinned"], rel=1e-3)
     assert float(of_file) < float(pinned) < float(now)
-    visited.wish(2, {"load.omega": "9", "contact.friction": "x"}, {"load.omega": "6"})
+    visited.request(2, {"load.omega": "9", "contact.friction": "x"}, {"load.omega": "6"})
     told = visited.work()
     assert told["wrong"] == {"contact.friction": told["faults"][0]}
-    visited.wish(3, {"load.omega": "9"})
+    visited.request(3, {"load.omega": "9"})
     assert visited.work()["compared"] == ["case file"]
     visited.talk.order = json.dumps({"order": "report"})
     report = visited.work()["report"]
@@ -224,17 +224,17 @@ def test_a_pinned_variant_stands_beside_the_present_one(comm):
 def test_what_is_compared_is_computed_though_a_slider_has_come_back(comm):
     visited = Visited(comm)
     visited.work()
-    stops, wish = visited.page._stops, ({"load.omega": "9"}, {"load.omega": "6"})
+    stops, request = visited.page._stops, ({"load.omega": "9"}, {"load.omega": "6"})
 
     def away(share):
         visited.page._stops = stops
         visited.ask(2, **{"load.omega": "8"})
         stopped = stops(share)
-        visited.wish(3, *wish)
+        visited.request(3, *request)
         return stopped
 
     visited.page._stops = away
-    visited.wish(1, *wish)
+    visited.request(1, *request)
     told = visited.work()
     assert (told["n"], told["compared"]) == (3, ["case file", "pinned"])
 

@@ -24,7 +24,7 @@ from ringwear_par.errors import InputError
 from ringwear_par.files.text import shortened, value_fault
 from ringwear_par.schedules import Quantity, largest, quantity_text
 
-#: of a face: more are of a trace that is not smooth
+#: most corners of a face: a profile with more is a trace that is not smooth
 _MANY_CORNERS = 20
 #: the loads: one of them must be given
 LOADS = frozenset({"load.force", "load.pressure", "load.displacement"})
@@ -77,7 +77,7 @@ def joint_faults(origin: Origin, keys: Mapping[str, Any], values: Mapping[str, A
 
 
 def unread_keys(keys: Mapping[str, Any]) -> dict[str, str]:
-    """Return the given keys that nothing would read beside the others, and what each must be.
+    """Return the given keys that have no effect beside the others, and what each must be.
 
     Parameters
     ----------

@@ -149,12 +149,12 @@ def read_law(
         for key, parameter in declared.items()
         if parameter.needed and values.get(f"{table}.{key}", "") is None
     ]
-    known = law_keys(table, law)
+    own_keys = law_keys(table, law)
     law_faults += [
         f'{path}: has no meaning where {table}.law = "{law}"; must be among {", ".join(declared)}'
         f"{_owners(path)}"
         for path in keys
-        if path.startswith(f"{table}.") and path not in known and key_of(path) is not None
+        if path.startswith(f"{table}.") and path not in own_keys and key_of(path) is not None
     ]
     parameters = {key: values[path] for key in declared if (path := f"{table}.{key}") in values}
     result = None
@@ -273,8 +273,8 @@ def unknown_key(path: str) -> str:
     hint = nearest_key(path)
     if not hint:
         table = path.rpartition(".")[0]
-        known = dict.fromkeys([*BY_PATH, *sorted(TABLES)])
-        names = [_last(name) for name in known if name.rpartition(".")[0] == table]
+        names_of_keys = dict.fromkeys([*BY_PATH, *sorted(TABLES)])
+        names = [_last(name) for name in names_of_keys if name.rpartition(".")[0] == table]
         if (entry := layer_entry(path)) is not None:
             inner = [key.path.partition("wear.")[2] for key in LAYER_KEYS]
             names = (

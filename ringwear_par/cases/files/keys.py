@@ -328,9 +328,9 @@ def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
     keys = {path: v for path, v in keys.items() if gone.isdisjoint({path, *_tables_of(path)})}
     changes = {path: value for path, value in changes.items() if value is not None}
     for table in ("wear.lower", "wear.upper"):
-        known = law_keys(table, changes.get(f"{table}.law"))
-        if known:
-            keys = {p: v for p, v in keys.items() if not p.startswith(f"{table}.") or p in known}
+        own_keys = law_keys(table, changes.get(f"{table}.law"))
+        if own_keys:
+            keys = {p: v for p, v in keys.items() if not p.startswith(f"{table}.") or p in own_keys}
     for group in _ALTERNATIVES:
         if not group.isdisjoint(changes):
             keys = {path: value for path, value in keys.items() if path not in group}

@@ -52,7 +52,7 @@ _TEXTS, _MASSES = ("name", "specimen", "batch", "lab"), (*KINDS, "sd")
 _LOADS = {"load.force", "load.pressure"}
 #: units of roles that are no key of a case
 _UNITS = {"at": "s", **dict.fromkeys(_MASSES, "g")}
-#: of masses in g: differences have the digits that were typed, and no more
+#: decimals of masses in g: differences have the digits that were typed, and no more
 _DIGITS = 12
 #: of a case
 _TABLES = {path.partition(".")[0] for path in BY_PATH}
@@ -132,11 +132,11 @@ def _texts(reader: TableReader, key: str) -> Mapping[str, str]:
     if not isinstance(table, Mapping) or not all(isinstance(v, str) for v in table.values()):
         reader.wrong(key, "must be a table of texts")
         return {}
-    known = (*_TEXTS, "at", *_MASSES)
+    roles = (*_TEXTS, "at", *_MASSES)
     for role in table:
-        if role not in known and role.partition(".")[0] not in _MASSES and key_of(role) is None:
+        if role not in roles and role.partition(".")[0] not in _MASSES and key_of(role) is None:
             reader.fault(
-                f"{key}.{legible(role)}: must be {', '.join(known)}, a mass with its body "
+                f"{key}.{legible(role)}: must be {', '.join(roles)}, a mass with its body "
                 "(loss.lower) or a key of a case"
             )
     return table
@@ -192,8 +192,8 @@ def _role(column: Measurements, names: Mapping[str, str], worn: Sequence[str]) -
     """Return the role that the name of a column tells, "" for none or that of a named column."""
     (name,) = column.columns
     bare = bare_name(name)
-    if known := next((text for text in (name, bare) if key_of(text) is not None), ""):
-        return "" if known in names else known
+    if key := next((text for text in (name, bare) if key_of(text) is not None), ""):
+        return "" if key in names else key
     if bare.partition(".")[0] in _TABLES and "." in bare:
         return bare  # the case does not know it, and tells the nearest key
     taken = {*names} | (_LOADS if _LOADS & {*names} else set())
@@ -251,7 +251,7 @@ def _column(
     bodies = [body] if body else _bodies(name) or worn
     if len(bodies) == 1:
         return _Column(place, kind, unit or "", bodies[0])
-    if worn:  # else the case has faults, or nothing wears, which is told
+    if worn:  # else the case has faults, or nothing wears, which is reported elsewhere
         faults.append(
             f"{table.name}: {legible(name)}: must tell whose mass it is: name it lower "
             f'{legible(name)}, or tests.columns = {{ "{kind}.lower" = ... }}'
@@ -261,9 +261,9 @@ def _column(
 
 def _refuse_twins(table: Measurements, columns: Sequence[_Column], faults: list[str]) -> None:
     """Refuse two columns of one role; of masses the mean counts."""
-    known: dict[tuple[str, str], int] = {}
+    first_places: dict[tuple[str, str], int] = {}
     for column in columns:
-        first = known.setdefault((column.role, column.body), column.place)
+        first = first_places.setdefault((column.role, column.body), column.place)
         if first != column.place and column.role not in KINDS:
             names = (legible(table.columns[i]) for i in (first, column.place))
             faults.append(
@@ -390,8 +390,8 @@ class _Rows:
             return None
         sd = next((self._value(c, number) for c in columns if c.role == "sd"), None)
         if sd is None and self.sd is not None:
-            of_weighing, unit_of_sd = number_and_unit(self.sd)
-            sd = f"{weighing.u(of_weighing):.12g} {unit_of_sd}"
+            weighing_sd, unit_of_sd = number_and_unit(self.sd)
+            sd = f"{weighing.u(weighing_sd):.12g} {unit_of_sd}"
         if sd is None:
             self._fault(
                 number,

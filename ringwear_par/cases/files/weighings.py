@@ -25,7 +25,7 @@ KINDS = {
 }
 #: these and the standard deviation, which may be that of a loss: "sd loss"
 MASSES = {"sd": {"sd", "u"}, **KINDS}
-#: in names of columns beside the words that tell what these are of
+#: words that names of columns may have besides those that tell what is weighed
 _BESIDE = {*BODIES, "mass", "masse", "m", "id", "no", "nr"}
 
 
@@ -192,7 +192,7 @@ def roles_by_name(
 ) -> list[str]:
     """Return the roles that a column may have: with a unit that fits, a word of its name tells.
 
-    Else the name must be that word, so that a unit that is missing or wrong is told.
+    Else the name must be that word, so that a missing or wrong unit is reported.
 
     Parameters
     ----------
@@ -201,9 +201,9 @@ def roles_by_name(
     base : returns a unit of that, "" for none.
     """
     (name,) = column.columns
-    label, every = column.label(name), re.findall(r"[^\W\d_]+", bare_name(name))
-    in_name = {word.lower() if len(word) > 1 else word for word in every}
-    known = {word for word in in_name if len(word) > 1} | {*every[:1]}
+    label, words_of_name = column.label(name), re.findall(r"[^\W\d_]+", bare_name(name))
+    in_name = {word.lower() if len(word) > 1 else word for word in words_of_name}
+    known = {word for word in in_name if len(word) > 1} | {*words_of_name[:1]}
     roles = [role for role, usual in words.items() if known & usual]
     fitting = [role for role in roles if base(role) and unit_of_column(label, base(role))]
     roles = fitting or [role for role in roles if in_name - _BESIDE <= words[role]]

@@ -180,8 +180,8 @@ def solve_assembled(bodies: Sequence[Assembled], comm: MPI.Comm) -> list[Respons
     evaluations = [comm.allreduce(body.rows.kernel_evaluations) for body in bodies]
     seconds = (time.perf_counter() - started) / len(bodies)
     return [
-        Response(*wanted, BodyCost(count, body.seconds, seconds))
-        for body, wanted, count in zip(bodies, values, evaluations, strict=True)
+        Response(*response, BodyCost(count, body.seconds, seconds))
+        for body, response, count in zip(bodies, values, evaluations, strict=True)
     ]
 
 
@@ -200,8 +200,8 @@ def _wanted(
     for c, (x, start) in enumerate((normal, normal, torsion)):
         for target, dofs in zip((displacement, traction), columns, strict=True):
             local = dofs[:, c] - start
-            here = (dofs[:, c] >= 0) & (local >= 0) & (local < len(x))
-            target[here, c] = x[local[here]]
+            computed = (dofs[:, c] >= 0) & (local >= 0) & (local < len(x))
+            target[computed, c] = x[local[computed]]
     for array in (displacement, traction):  # each entry is known to one rank: the sum is exact
         comm.Allreduce(MPI.IN_PLACE, array, MPI.SUM)
     return displacement, traction * sign[:, None, None]
@@ -338,8 +338,8 @@ def body_zones(
     meshes = zone_meshes(body.section, line, mesh, worn, fine=fine)
     slopes = slope, *(None for _ in body.layers)  # the first zone alone has the contact
     return tuple(
-        Zone(boundary, boundary_conditions(boundary, body.grip, of_zone), material)
-        for boundary, of_zone, material in zip(meshes, slopes, body.relative, strict=True)
+        Zone(boundary, boundary_conditions(boundary, body.grip, zone_slope), material)
+        for boundary, zone_slope, material in zip(meshes, slopes, body.relative, strict=True)
     )
 
 

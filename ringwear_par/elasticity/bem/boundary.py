@@ -24,9 +24,9 @@ CORNER_GRADING = 3.5
 #: layers, and grading towards the contact and towards the face's ends
 _PLAIN = 1.0, CORNER_GRADING, CORNER_GRADING
 _LAYERED = 1.6, 3.5, 1.3
-#: where stresses beside the contact are wanted
+#: the same where stresses beside the contact are computed
 _FINE = 3.0, 4.0, 1.3
-#: contact elements from which on dense systems are beyond any machine's memory
+#: contact elements above which dense systems exceed any machine's memory
 _MOST_MADE = 100_000
 #: fewest elements of a free or fixed face
 _FEWEST = 4

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-#: more than there are compiled functions, each for all types that it is called with
+#: most attempts to store compiled functions: more than there are functions times types of arguments
 _COMPILATIONS = 20
 
 
@@ -72,14 +72,14 @@ def load_compiled(comm: "MPI.Comm", load: Callable[[], None]) -> None:
     """
 
     def load_or_compile() -> None:
-        untold, forgotten = True, not _IS_STORED
-        for _ in range(_COMPILATIONS):  # numba has what it compiled, before it fails to keep it
+        warned, forgotten = False, not _IS_STORED
+        for _ in range(_COMPILATIONS):  # numba compiles, and only then fails to store it
             try:
                 return load()
             except OSError as error:
-                if untold and comm.rank == 0:
+                if comm.rank == 0 and not warned:
                     log.warning("compiled code is not kept, going on: %s", error.strerror)
-                untold = False
+                warned = True
             except (AttributeError, ImportError):
                 if forgotten:  # then it is a fault of the code
                     raise

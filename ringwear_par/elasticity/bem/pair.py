@@ -258,9 +258,9 @@ def assemble_pair(
     """
     lower, upper = bodies
     slope = pair_slope((lower.section, upper.section), line, mesh)
-    both = compliances(bodies, line, mesh, comm, (slope, -slope))
+    matrices = compliances(bodies, line, mesh, comm, (slope, -slope))
     key = pair_key(bodies, (float(line.edges[0]), float(line.edges[-1])), mesh)
-    return join_bodies(line, both, slope, key, both)
+    return join_bodies(line, matrices, slope, key, matrices)
 
 
 def join_bodies(

@@ -462,8 +462,8 @@ def assemble_rows(
                 if traction[e, i] >= 0:
                     gathered[force, traction[e, i]] -= dofs.sign[e] * soft * tractions[pair, e]
                 if load[e, i] >= 0:
-                    known = conditions.traction[e, i]
-                    rights[force, load[e, i]] += soft * tractions[pair, e] * known
+                    prescribed = conditions.traction[e, i]
+                    rights[force, load[e, i]] += soft * tractions[pair, e] * prescribed
         for force in range(3):
             if dofs.equation[p, force] >= 0:
                 system = 0 if force < 2 else 1

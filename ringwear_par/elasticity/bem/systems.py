@@ -104,46 +104,46 @@ class Assembly:
 
 def number_dofs(zones: Sequence[Zone]) -> list[DofMap]:
     """Return the numbering of the unknowns of zones, each bonded to the next. Not collective."""
-    known, collocated = [], []
+    prescribed, collocated = [], []
     for zone in zones:
         boundary, elements, fixed = zone.boundary, zone.boundary.elements, zone.conditions.fixed
-        of_zone = np.zeros((len(boundary.nodes), 3), dtype=bool)
+        prescribed_dofs = np.zeros((len(boundary.nodes), 3), dtype=bool)
         for local in range(3):
-            of_zone[elements[:, local]] |= fixed
-        of_zone[np.ix_(boundary.nodes[:, 0] == 0.0, [0, 2])] = True
-        rows = ~of_zone
+            prescribed_dofs[elements[:, local]] |= fixed
+        prescribed_dofs[np.ix_(boundary.nodes[:, 0] == 0.0, [0, 2])] = True
+        rows = ~prescribed_dofs
         rows[elements[:, 1]] |= fixed
-        known.append(of_zone)
+        prescribed.append(prescribed_dofs)
         collocated.append(rows)
     pairs = list(itertools.pairwise(range(len(zones))))
     # of each interface the stiffer zone, which is collocated at the ends of elements too
     stiffer = [max(pair, key=lambda i: (zones[i].material.young, -i)) for pair in pairs]
     for (outer, inner), stiff in zip(pairs, stiffer, strict=True):
         softer, name = (inner, "above") if stiff == outer else (outer, "below")
-        of_interface = zones[softer].boundary.elements[getattr(zones[softer].boundary, name)]
-        collocated[softer][np.setdiff1d(of_interface, of_interface[:, 1])] = False
+        interface_nodes = zones[softer].boundary.elements[getattr(zones[softer].boundary, name)]
+        collocated[softer][np.setdiff1d(interface_nodes, interface_nodes[:, 1])] = False
     first = np.cumsum([0, *(len(rows) for rows in collocated)])
     numbers = np.split(_numbers(np.concatenate(collocated)), first[1:-1])
     dofs = [
         DofMap(
-            equation, np.where(of_zone, -1, equation),
+            equation, np.where(prescribed_dofs, -1, equation),
             np.where(zone.conditions.fixed, equation[zone.boundary.elements[:, 1]], -1),
             np.ones(len(zone.boundary.elements)),
         )
-        for zone, of_zone, equation in zip(zones, known, numbers, strict=True)
+        for zone, prescribed_dofs, equation in zip(zones, prescribed, numbers, strict=True)
     ]  # fmt: skip
     for (outer, inner), stiff in zip(pairs, stiffer, strict=True):
-        of_outer, of_inner = zones[outer].boundary, zones[inner].boundary
-        nodes = of_outer.elements[of_outer.below, ::-1]  # the other way round
-        bonded = of_inner.elements[of_inner.above]
+        outer_mesh, inner_mesh = zones[outer].boundary, zones[inner].boundary
+        nodes = outer_mesh.elements[outer_mesh.below, ::-1]  # the other way round
+        bonded = inner_mesh.elements[inner_mesh.above]
         if stiff == outer:
             dofs[inner].displacement[bonded] = dofs[outer].displacement[nodes]
             traction = dofs[inner].equation[bonded[:, 1]]
         else:
             dofs[outer].displacement[nodes] = dofs[inner].displacement[bonded]
             traction = dofs[outer].equation[nodes[:, 1]]
-        dofs[inner].traction[of_inner.above] = dofs[outer].traction[of_outer.below] = traction
-        dofs[outer].sign[of_outer.below] = -1.0
+        dofs[inner].traction[inner_mesh.above] = dofs[outer].traction[outer_mesh.below] = traction
+        dofs[outer].sign[outer_mesh.below] = -1.0
     return dofs
 
 

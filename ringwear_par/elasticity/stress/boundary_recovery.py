@@ -151,15 +151,15 @@ class BoundaryRecovery:
         line, which = self._line, BODIES[i]
         worn = None if shape is None or not shape.any() else node_wear(line, shape)
         at = np.concatenate([slope, np.zeros(line.n + 1) if worn is None else worn])
-        known = self._known.get(which)
+        stored = self._known.get(which)
         # the slopes and the shape are the same on all ranks, and so is the decision
-        if known is None or not np.array_equal(known[0], at):
+        if stored is None or not np.array_equal(stored[0], at):
             self._known.pop(which, None)  # not two at a time
             responses = boundary_responses(
                 self._bodies[i], line, self._mesh, self._comm, worn, slope, fine=self._fine
             )
-            known = self._known[which] = (at, responses)
-        return known[1]
+            stored = self._known[which] = (at, responses)
+        return stored[1]
 
     def _worn_zones(self, i: int, wear: FloatArray) -> list[BoundaryMesh]:
         """Return the boundary elements of a body after (n,) mm of wear, in its own frame.

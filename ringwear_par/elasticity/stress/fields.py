@@ -159,7 +159,7 @@ class StressHistory:
 
 #: in the order of the last axis of stresses; tension is positive, z points upwards
 COMPONENTS = ("rr", "tt", "zz", "rz", "rt", "tz")
-#: of an interface, in the order of the axis of stresses there
+#: sides of an interface, in the order of the axis of stresses there
 SIDES = ("above", "below")
 
 
@@ -174,9 +174,9 @@ def principal(stress: FloatArray) -> FloatArray:
     """Return the principal values (..., 3) of stresses (..., 6), the largest first."""
     rr, tt, zz, rz, rt, tz = np.moveaxis(stress, -1, 0)
     tensor = np.stack([rr, rt, rz, rt, tt, tz, rz, tz, zz], axis=-1).reshape(*rr.shape, 3, 3)
-    known = np.isfinite(stress).all(axis=-1)
-    values = np.linalg.eigvalsh(np.where(known[..., None, None], tensor, 0.0))[..., ::-1]
-    return np.where(known[..., None], values, np.nan)
+    finite = np.isfinite(stress).all(axis=-1)
+    values = np.linalg.eigvalsh(np.where(finite[..., None, None], tensor, 0.0))[..., ::-1]
+    return np.where(finite[..., None], values, np.nan)
 
 
 def max_shear(stress: FloatArray) -> FloatArray:

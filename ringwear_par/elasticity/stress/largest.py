@@ -141,8 +141,8 @@ class Search:
                 three = line[max(i - 1, 0) : i + 2]
                 if len(three) < 3 or three.min() < 0 or len(np.unique(zones[three])) > 1:
                     continue
-                before, here, after = values[three]
-                bend = before - 2.0 * here + after
+                before, largest, after = values[three]
+                bend = before - 2.0 * largest + after
                 if bend < 0.0:
                     x = 0.5 * (before - after) / bend
                     low, middle, high = points[three]

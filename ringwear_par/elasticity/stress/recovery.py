@@ -83,8 +83,8 @@ class _Known:
         """Return the largest of von Mises stresses in each zone; (0,) where there is one."""
         if self.layers == 1:
             return np.empty(0)
-        of_zones = [np.where(self.zones == k, values, np.nan) for k in range(self.layers)]
-        return np.array([self.search.largest(self.points, self.zones, v).mises for v in of_zones])
+        by_zone = [np.where(self.zones == k, values, np.nan) for k in range(self.layers)]
+        return np.array([self.search.largest(self.points, self.zones, v).mises for v in by_zone])
 
 
 class StressRecovery:
@@ -204,7 +204,7 @@ class StressRecovery:
         ]
         mine = parts[self._comm.rank :: self._comm.size]
         with together(self._comm):
-            blocks = [(of_block, zone.at(points[of_block])) for zone, of_block in mine]
+            blocks = [(rows, zone.at(points[rows])) for zone, rows in mine]
             faces = [zone.surface for zone in stresses]
         middles = boundaries[0].nodes[boundaries[0].elements[boundaries[0].below, 1], 0]
         return _Known(

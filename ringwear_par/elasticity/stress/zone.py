@@ -23,9 +23,9 @@ from ringwear_par.elasticity.bem.quadrature import quadrature
 from ringwear_par.elasticity.stress.surface import Faces, faces, mid_stress
 from ringwear_par.errors import ComputationError
 
-#: depth, in element lengths, from which on the integrals are right
+#: least depth, in element lengths, at which the integrals are right
 _DEEP = 0.6
-#: depth, in the same, from which on the integrals are taken beside the axis
+#: least depth, in element lengths, at which the integrals are taken beside the axis
 _SHALLOW = 1e-3
 #: share of the body's size within which a point lies on its boundary
 _ON_BOUNDARY = 1e-9

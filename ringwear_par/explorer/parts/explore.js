@@ -3,9 +3,9 @@ const find = (id) => document.getElementById(id);
 const element = (name, text = "", more = {}) => Object.assign(document.createElement(name), { textContent: text, ...more });
 const page = { talk: null, n: 0, flying: false, waiting: false, values: {}, instant: 1, menu: find("menu").value, moving: false, pinned: null };
 
-// -- what is asked for: one wish at a time, the last one next, so that moves never queue up
+// -- what is asked for: one request at a time, the last one next, so that moves never queue up
 function ask() {
-  // a wish at rest takes the place of one that takes long
+  // a request at rest takes the place of one that takes long
   if (!page.talk || (page.flying && (page.moving || !page.slow))) { page.waiting = true; return; }
   page.flying = true; page.slow = false; page.waiting = false; page.n += 1; clearTimeout(page.late);
   const { n, values, instant, menu, moving, pinned } = page;

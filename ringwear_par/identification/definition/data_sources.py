@@ -52,7 +52,7 @@ class Readings:
     #: unit of the data, and its size in the unit of a case
     unit: str
     factor: float
-    #: sentences about columns whose unit nobody names.
+    #: sentences about columns whose names have no unit.
     assumptions: tuple[str, ...] = ()
     #: sentences about times that are of the day, or may be.
     suspicions: tuple[str, ...] = ()
@@ -269,7 +269,7 @@ def read_noise(reader: TableReader, readings: Readings, keep: BoolArray) -> tupl
         if relative is None or set(entry) != {"relative"}:
             reader.wrong("sd", "must be { relative = x }, a number > 0")
             return unknown, False
-        if not len(value):  # which is told of all readings
+        if not len(value):  # which is reported of all readings
             return unknown, False
         smooth = np.abs(median_filter(value, min(_SMOOTH, len(value)), mode="nearest"))
         small = smooth <= _NEAR_ZERO * smooth.max(initial=0.0)

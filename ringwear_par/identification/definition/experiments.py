@@ -91,25 +91,25 @@ class ExperimentReader:
         if name is None:
             return None
         row = "" if place.startswith("experiment ") else f"{place}: "
-        said = reader.place = f'{self._name}: {row}experiment "{legible(name)}"'
+        place = reader.place = f'{self._name}: {row}experiment "{legible(name)}"'
         changes = changes_of(reader, self._folder)
-        refuse_both(f"{said}: set", parameters, changes, faults)
+        refuse_both(f"{place}: set", parameters, changes, faults)
         tables = reader.raw("input", [])
         measured = input_keys(tables)
-        refuse_known(said, measured, parameters, changes, faults)
+        refuse_known(place, measured, parameters, changes, faults)
         case: Case | None = None
         inputs: tuple[MeasuredInput, ...] = ()
         if self._base is not None and len(faults) < MOST_FAULTS:  # more are not shown
             keys = override(override(self._base, _STEPPING), changes)
             keys = override(with_places(keys, measured), {**_STEPPING, **_OUTPUT})
             self._keys[name] = keys
-            case = self._case(said, keys, changes, parameters, faults)
+            case = self._case(place, keys, changes, parameters, faults)
             if case is not None and tables:
-                inputs, curves = read_inputs(said, tables, case, self._files, faults)
+                inputs, curves = read_inputs(place, tables, case, self._files, faults)
                 case = case.replace(curves) if curves else None
                 self._keys[name] = override(keys, curves)
             elif tables:
-                read_inputs(said, tables, None, self._files, faults)
+                read_inputs(place, tables, None, self._files, faults)
         groups = read_groups(reader, name)
         data = reader.raw("data")
         reader.finish()
@@ -119,7 +119,7 @@ class ExperimentReader:
         series: list[Series] = []
         for number_, entry in enumerate(data, start=1):
             readings = read_series(
-                f"{said}: data {number_}", entry, case, self._files, faults, plans=self._plans
+                f"{place}: data {number_}", entry, case, self._files, faults, plans=self._plans
             )
             if readings is None:
                 continue
@@ -137,7 +137,7 @@ class ExperimentReader:
 
     def _case(
         self,
-        said: str,
+        place: str,
         keys: Mapping[str, Any],
         changes: Mapping[str, Any],
         parameters: tuple[FittedParameter, ...],
@@ -147,32 +147,32 @@ class ExperimentReader:
         starts = {parameter.key: parameter.start for parameter in parameters}
         changed = frozenset({*changes, *starts})
         try:
-            case = make_case(override(keys, starts), Origin(said, changed, f"{said}: set"))
-            check_case(case, 1, said)
+            case = make_case(override(keys, starts), Origin(place, changed, f"{place}: set"))
+            check_case(case, 1, place)
         except InputError as error:
             tables = {parameter.key.rpartition(".")[0] for parameter in parameters}
             for fault in error.faults:
-                sentence = fault.replace(said, "")
+                sentence = fault.replace(place, "")
                 if sentence not in self._reported or not any(table in sentence for table in tables):
                     faults.append(fault)
                 self._reported.add(sentence)
             return None
         if case.mesh.geometry == "updated":
-            faults.append(f'{said}: mesh.geometry = "updated": must be "fixed" in a fit')
+            faults.append(f'{place}: mesh.geometry = "updated": must be "fixed" in a fit')
             return None
-        refuse_unfit(said, parameters, case, faults)
+        refuse_unfit(place, parameters, case, faults)
         return case
 
     def _refuse_twin(self, experiment: Experiment, earlier: Experiment, faults: list[str]) -> None:
         """Refuse an experiment with the name or the readings of an earlier one."""
-        said = f'{self._name}: experiment "{legible(experiment.name)}"'
+        place = f'{self._name}: experiment "{legible(experiment.name)}"'
         if experiment.name == earlier.name:
-            faults.append(f"{said}: is there twice; names must differ")
+            faults.append(f"{place}: is there twice; names must differ")
             return
         for series in experiment.series:
             if any(_same_readings(series, twin) for twin in earlier.series):
                 faults.append(
-                    f"{said}: {series.quantity}: {series.file} has the readings of experiment "
+                    f"{place}: {series.quantity}: {series.file} has the readings of experiment "
                     f'"{legible(earlier.name)}"; every experiment must have its own'
                 )
 
@@ -187,13 +187,15 @@ class ExperimentReader:
         """Return the experiments under another law."""
         changed = []
         for experiment in experiments:
-            said = f'{self._name}: compare.{legible(name)}: experiment "{legible(experiment.name)}"'
-            refuse_both(said, parameters, changes, faults)
+            place = (
+                f'{self._name}: compare.{legible(name)}: experiment "{legible(experiment.name)}"'
+            )
+            refuse_both(place, parameters, changes, faults)
             measured = [entry.key for entry in experiment.inputs]
-            refuse_known(said, measured, parameters, changes, faults)
+            refuse_known(place, measured, parameters, changes, faults)
             full_changes = in_full(changes, self._folder)
             keys = override(self._keys[experiment.name], full_changes)
-            case = self._case(said, keys, changes, parameters, faults)
+            case = self._case(place, keys, changes, parameters, faults)
             if case is None:
                 break  # the others have the same fault
             changed.append(replace(experiment, case=case))

@@ -160,25 +160,25 @@ def _with_keys(source: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _read_settings(
-    said: str, table: Any, case_units: Mapping[str, str], faults: list[str]
+    place: str, table: Any, case_units: Mapping[str, str], faults: list[str]
 ) -> tuple[Settings, tuple[FittedParameter, ...]]:
-    reader = TableReader(said, table, faults, schema.FIT)
+    reader = TableReader(place, table, faults, schema.FIT)
     fitted = reader.raw("parameters")
-    units = read_units(f"{said}.units", reader.raw("units", {}), fitted, faults)
-    parameters = read_parameters(f"{said}.parameters", fitted, faults, units, case_units)
+    units = read_units(f"{place}.units", reader.raw("units", {}), fitted, faults)
+    parameters = read_parameters(f"{place}.parameters", fitted, faults, units, case_units)
     names = ("starts", "method", "intervals", "samples", "level", "loss")
     settings = {name: reader.read(name) for name in names}
-    process = read_process(f"{said}.process", reader.raw("process", {}), faults)
+    process = read_process(f"{place}.process", reader.raw("process", {}), faults)
     reader.finish()
     intervals = dict.fromkeys(("linear", *settings.pop("intervals")))
     return Settings(intervals=tuple(intervals), process=process, **settings), parameters
 
 
 def _read_design_space(
-    said: str, table: Any, case_units: Mapping[str, str], faults: list[str]
+    place: str, table: Any, case_units: Mapping[str, str], faults: list[str]
 ) -> DesignSpace:
     """Return the space of ``[design]``; add what is wrong with it to the faults."""
-    reader = TableReader(said, table, faults, schema.DESIGN)
+    reader = TableReader(place, table, faults, schema.DESIGN)
     criterion = reader.read("criterion")
     vary, budget = (reader.raw(key, {}) for key in ("vary", "budget"))
     reader.finish()
@@ -186,7 +186,7 @@ def _read_design_space(
     for key, entry in vary.items() if isinstance(vary, Mapping) else ():
         if isinstance(entry, list) and entry and has_unit(entry[0]):
             units[key] = number_and_unit(entry[0])[1]
-    vary = TableReader(f"{said}.vary", vary, faults, schema.VARY)
+    vary = TableReader(f"{place}.vary", vary, faults, schema.VARY)
     values = {key: vary.read(key) for key in schema.VARY}
     ranges = {key: value for key, value in values.items() if value is not None}
     vary.finish()
@@ -196,21 +196,21 @@ def _read_design_space(
         vary.wrong(
             "load.steps", "needs load.pressure or load.force beside it, the range of the loads"
         )
-    limits = TableReader(f"{said}.budget", budget, faults, schema.BUDGET)
+    limits = TableReader(f"{place}.budget", budget, faults, schema.BUDGET)
     seconds, count = limits.read("time.end"), limits.read("experiments")
     limits.finish()
     return DesignSpace(criterion, ranges, seconds, count, units)
 
 
 def _read_alternatives(
-    said: str, table: Any, case_units: Mapping[str, str], faults: list[str]
+    place: str, table: Any, case_units: Mapping[str, str], faults: list[str]
 ) -> dict[str, tuple[dict[str, Any], tuple[FittedParameter, ...]]]:
     laws = {}
     if not isinstance(table, Mapping):
-        faults.append(f"{said} = {shortened(table)}: must be a table")
+        faults.append(f"{place} = {shortened(table)}: must be a table")
         return {}
     for name, entry in table.items():
-        reader = TableReader(f"{said}.{legible(name)}", entry, faults)
+        reader = TableReader(f"{place}.{legible(name)}", entry, faults)
         changed = reader.raw("set", {})
         fitted = reader.raw("parameters")
         parameters = read_parameters(f"{reader.place}.parameters", fitted, faults, {}, case_units)
@@ -235,6 +235,6 @@ def _check_counts(problem: Problem, faults: list[str]) -> None:
     )
     if readings < free:
         faults.append(
-            f"{problem.name}: {readings} readings: must be at least as many as are sought, {free} "
+            f"{problem.name}: {readings} readings: must be at least as many as are fitted, {free} "
             "parameters and nuisances"
         )

@@ -26,7 +26,7 @@ _EXAMPLES = {"1/MPa": "mm3/(N m)", "MPa": "GPa", "mm": "um", "mm/s": "um/h", "ra
 
 
 def read_parameters(
-    said: str,
+    place: str,
     table: Any,
     faults: list[str],
     units: Mapping[str, str],
@@ -34,15 +34,15 @@ def read_parameters(
 ) -> tuple[FittedParameter, ...]:
     """Return the fitted keys, and add what is wrong with them to the faults.
 
-    A key is told in its unit of ``units``, or in which its start is written, or the case its
-    number.
+    A key is reported in its unit of ``units``, else in that of its start, else in that of the
+    case.
     """
     if not isinstance(table, Mapping) or not table:
-        faults.append(f"{said}: is missing or empty; must name one case key at least")
+        faults.append(f"{place}: is missing or empty; must name one case key at least")
         return ()
     parameters = []
     for key, entry in unnested(table, PARAMETER.keys()).items():
-        parameter = _parameter(f'{said}."{legible(key)}"', key, entry, faults, units.get(key, ""))
+        parameter = _parameter(f'{place}."{legible(key)}"', key, entry, faults, units.get(key, ""))
         if parameter is not None:
             unit = parameter.unit or case_units.get(key, "")
             parameters.append(replace(parameter, unit=unit if _is_other(unit, key) else ""))
@@ -57,14 +57,14 @@ def _is_other(unit: str, key: str) -> bool:
         return False
 
 
-def read_units(said: str, table: Any, parameters: Any, faults: list[str]) -> dict[str, str]:
+def read_units(place: str, table: Any, parameters: Any, faults: list[str]) -> dict[str, str]:
     """Return the units in which fitted keys are reported, as ``fit.units`` names them."""
     if not isinstance(table, Mapping):
-        faults.append(f"{said} = {shortened(table)}: must be a table of units by fitted key")
+        faults.append(f"{place} = {shortened(table)}: must be a table of units by fitted key")
         return {}
     fitted = unnested(parameters, PARAMETER.keys()) if isinstance(parameters, Mapping) else {}
     units = unnested(table, set())
-    name_unknown_keys(said, units, list(fitted), faults, "is not fitted")
+    name_unknown_keys(place, units, list(fitted), faults, "is not fitted")
     for key, unit in units.items():
         if key not in fitted:
             continue
@@ -73,24 +73,24 @@ def read_units(said: str, table: Any, parameters: Any, faults: list[str]) -> dic
         except RejectedError:
             base = base_unit(key) or "a parameter"
             example = f', such as "{_EXAMPLES[base]}"' if base in _EXAMPLES else ""
-            state = f'{said}."{legible(key)}" = {shortened(unit)}'
+            state = f'{place}."{legible(key)}" = {shortened(unit)}'
             faults.append(f"{state}: must be a unit of {base}{example}")
     return units
 
 
 def _parameter(
-    said: str, key: str, table: Any, faults: list[str], named_unit: str
+    place: str, key: str, table: Any, faults: list[str], named_unit: str
 ) -> FittedParameter | None:
     path, entry = split_key(key)
     allowed = None if isinstance(entry, int) else interval_of((path, entry))
-    if layer_entry(key) is not None and (of_layer := key_of(key)) is not None:
-        allowed = of_layer.numbers
+    if layer_entry(key) is not None and (layer_key := key_of(key)) is not None:
+        allowed = layer_key.numbers
     if allowed is None or path.startswith("time."):
         near = ""
         if path not in BY_PATH and len(faults) < MOST_FAULTS:
             near = nearest_key(path)
         faults.append(
-            f"{said}: cannot be fitted{near}; must be a number of a wear law, "
+            f"{place}: cannot be fitted{near}; must be a number of a wear law, "
             "contact.friction, a load, load.omega, a modulus, or a layer's thickness or "
             "Poisson's ratio"
         )
@@ -100,7 +100,7 @@ def _parameter(
     if isinstance(table, Mapping):
         unit, converted = base_unit(key), dict[str, Any]()
         scatter = read_scatter(
-            said, key, table.get("scatter"), table.get("scale") == "log", unit or "", faults
+            place, key, table.get("scatter"), table.get("scale") == "log", unit or "", faults
         )
         for name, value in table.items():
             if name == "scatter":
@@ -109,13 +109,13 @@ def _parameter(
                 converted[name] = in_unit(value, unit)
             except RejectedError as reason:
                 allowed_unit = f"must be in {unit} ({reason})" if unit else f"{reason}"
-                faults.append(f"{said}: {name} = {shortened(value)}: {allowed_unit}")
+                faults.append(f"{place}: {name} = {shortened(value)}: {allowed_unit}")
         if len(converted) < len(table.keys() - {"scatter"}):
             return None
         if not named_unit and has_unit(table.get("start")):
             named_unit = number_and_unit(table["start"])[1]
         table = converted
-    reader = TableReader(said, table, faults, PARAMETER)
+    reader = TableReader(place, table, faults, PARAMETER)
     reader.raw("scatter")  # read above
     start, bounds = reader.read("start"), reader.read("bounds")
     log, prior = reader.read("scale") == "log", reader.read("prior")

@@ -33,8 +33,8 @@ _LOADS = ("load.force", "load.pressure", "load.displacement")
 
 def input_keys(tables: Any) -> list[str]:
     """Return the keys of the inputs of an experiment, as far as they are right."""
-    every = tables if isinstance(tables, list) else []
-    keys = [entry.get("key") for entry in every if isinstance(entry, Mapping)]
+    entries = tables if isinstance(tables, list) else []
+    keys = [entry.get("key") for entry in entries if isinstance(entry, Mapping)]
     return [key for key in keys if key in INPUT_KEYS]
 
 
@@ -49,7 +49,7 @@ def with_places(keys: Mapping[str, Any], measured: Sequence[str]) -> dict[str, A
 
 
 def refuse_known(
-    said: str,
+    place: str,
     measured: Sequence[str],
     parameters: Sequence[FittedParameter],
     changes: Mapping[str, Any],
@@ -59,14 +59,14 @@ def refuse_known(
     for key in dict.fromkeys(measured):
         same = set(_LOADS if key in _LOADS else (key,))
         fitted = {split_key(parameter.key)[0] for parameter in parameters}
-        faults += [f"{said}: set: {_of_input(name, key)}; cannot be set too"
+        faults += [f"{place}: set: {_of_input(name, key)}; cannot be set too"
                    for name in sorted(same & changes.keys())]  # fmt: skip
-        faults += [f"{said}: {_of_input(name, key)}; cannot be fitted too"
+        faults += [f"{place}: {_of_input(name, key)}; cannot be fitted too"
                    for name in sorted(same & fitted)]  # fmt: skip
     loads = [key for key in measured if key in _LOADS]
     twice = [*loads[1:], *(key for key in ("contact.friction", "load.omega")
                            if list(measured).count(key) > 1)]  # fmt: skip
-    faults += [f"{said}: input: {key}: is there twice; must be once" for key in twice]
+    faults += [f"{place}: input: {key}: is there twice; must be once" for key in twice]
 
 
 def _of_input(name: str, key: str) -> str:
@@ -75,7 +75,7 @@ def _of_input(name: str, key: str) -> str:
 
 
 def read_inputs(
-    said: str, tables: Any, case: Case | None, files: FileStore, faults: list[str]
+    place: str, tables: Any, case: Case | None, files: FileStore, faults: list[str]
 ) -> tuple[tuple[MeasuredInput, ...], dict[str, Any]]:
     """Return the inputs of an experiment, and the keys of its case that they are.
 
@@ -83,10 +83,10 @@ def read_inputs(
     was measured.
     """
     if not isinstance(tables, list):
-        faults.append(f"{said}: input: must be tables, [[experiment.input]]")
+        faults.append(f"{place}: input: must be tables, [[experiment.input]]")
         return (), {}
     before, curves = len(faults), dict[str, Any]()
-    read = [_input(f"{said}: input {i}", table, case, files, faults)
+    read = [_input(f"{place}: input {i}", table, case, files, faults)
             for i, table in enumerate(tables, start=1)]  # fmt: skip
     if case is None:
         return (), {}
@@ -96,7 +96,7 @@ def read_inputs(
         if len(faults) > before:
             return (), {}
         if entry.of_torque:
-            _check_friction(said, entry, case, faults)
+            _check_friction(place, entry, case, faults)
         if len(faults) > before:
             return (), {}
         entry = replace(entry, radius=0.5 * sum(case.contact))
@@ -107,34 +107,34 @@ def read_inputs(
 
 
 def _input(
-    said: str, table: Any, case: Case | None, files: FileStore, faults: list[str]
+    place: str, table: Any, case: Case | None, files: FileStore, faults: list[str]
 ) -> MeasuredInput | None:
     before = len(faults)
-    reader = TableReader(said, table, faults, INPUT)
+    reader = TableReader(place, table, faults, INPUT)
     key, quantity = reader.read("key"), reader.read("quantity")
     end = math.inf if case is None else case.time.end
-    reader.place = said if key is None else f"{said} ({key})"
+    reader.place = place if key is None else f"{place} ({key})"
     excluded, smooth = read_intervals(reader, "exclude", "s"), reader.read("smooth")
     scale = None
     if (entry := reader.raw("scale")) is not None:
-        of_scale = TableReader(f"{reader.place}: scale", entry, faults, INPUT_SCALE)
-        scale = of_scale.read("prior")
-        of_scale.finish()
+        scale_reader = TableReader(f"{reader.place}: scale", entry, faults, INPUT_SCALE)
+        scale = scale_reader.read("prior")
+        scale_reader.finish()
         if scale is not None and scale.mean <= 0.0:
-            of_scale.wrong("prior", "must have a mean > 0")
+            scale_reader.wrong("prior", "must have a mean > 0")
     if key is None:
         for name in ("file", "columns", "units"):  # what they must be depends on the key
             reader.raw(name)
         reader.finish()
         return None
-    of_torque = key == "contact.friction"
-    if of_torque != (quantity == "torque") and "quantity" in reader:
+    is_friction = key == "contact.friction"
+    if is_friction != (quantity == "torque") and "quantity" in reader:
         reader.wrong("quantity", "must be absent: a load or a speed is its own quantity")
-    elif of_torque and quantity is None:
+    elif is_friction and quantity is None:
         reader.wrong("quantity", 'must be "torque"')
     readings = None
     if "file" in reader:
-        kind = "torque" if of_torque else key.partition(".")[2]
+        kind = "torque" if is_friction else key.partition(".")[2]
         readings = read_readings(reader, kind, None, end, files, plans=False)
     else:
         reader.read("file")  # reports what is missing
@@ -157,14 +157,14 @@ def _input(
         )
     if smooth == "none" and len(x) > MOST_POINTS:
         reader.wrong("smooth", f'must be "auto" or a time with more than {MOST_POINTS} readings')
-    low = value <= 0.0 if of_torque else value < 0.0
+    low = value <= 0.0 if is_friction else value < 0.0
     if low.any():
         i = int(np.flatnonzero(low)[0])
         written = value[i] / readings.factor
         hint = "look at its sign" if low.all() else "exclude leaves out times of stops, say"
         reader.fault(
             f"{lines_of(readings.where, lines, len(x))[i]}{written:g} {readings.unit}"
-            f"{and_more(int(low.sum()), 'reading')}: must be {'>' if of_torque else '>='} 0; "
+            f"{and_more(int(low.sum()), 'reading')}: must be {'>' if is_friction else '>='} 0; "
             f"{hint}"
         )
     if len(faults) > before:
@@ -186,14 +186,14 @@ def _suspicions(entry: MeasuredInput, case: Case) -> tuple[str, ...]:
     )
 
 
-def _check_friction(said: str, entry: MeasuredInput, case: Case, faults: list[str]) -> None:
+def _check_friction(place: str, entry: MeasuredInput, case: Case, faults: list[str]) -> None:
     """Refuse a torque whose load is not known, or 0."""
     force = case.load.force
     if force is None:
-        faults.append(f'{said}: input ({entry.key}): needs load.control = "force"')
+        faults.append(f'{place}: input ({entry.key}): needs load.control = "force"')
     elif (np.asarray(in_time(force, entry.time)) <= 0.0).any():
         first = entry.time[np.asarray(in_time(force, entry.time)) <= 0.0][0]
         faults.append(
-            f"{said}: input ({entry.key}): the load is 0 at {first:g} s; exclude must leave out "
+            f"{place}: input ({entry.key}): the load is 0 at {first:g} s; exclude must leave out "
             "readings without load"
         )

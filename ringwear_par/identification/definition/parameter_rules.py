@@ -27,22 +27,22 @@ def ordered_keys(parameters: Sequence[FittedParameter]) -> list[tuple[int, int]]
     for i, parameter in enumerate(parameters):
         table, _, name = parameter.key.rpartition(".")
         j = places.get(f"{table}.{least.get(name, '')}")
-        of_law = key_of(parameter.key) is not None  # not a parameter of a user's law
-        if of_law and j is not None and parameter.log == parameters[j].log:
+        is_law_key = key_of(parameter.key) is not None  # not a parameter of a user's law
+        if is_law_key and j is not None and parameter.log == parameters[j].log:
             pairs.append((i, j))
     return pairs
 
 
 def refuse_unfit(
-    said: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
+    place: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
 ) -> None:
     """Add a fault for each key on which a case does not depend smoothly, or out of order."""
-    _refuse_fixed(said, parameters, case, faults)
-    _refuse_order(said, parameters, case, faults)
+    _refuse_fixed(place, parameters, case, faults)
+    _refuse_order(place, parameters, case, faults)
 
 
 def _refuse_order(
-    said: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
+    place: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
 ) -> None:
     """Add a fault where bounds, or a value that is not fitted, break a rule of a law's numbers.
 
@@ -68,44 +68,44 @@ def _refuse_order(
             if len(ranges) == 2 and ranges[0][0][0] < ranges[1][0][1]:
                 (upper, of_upper), (lower, of_lower) = ranges
                 faults.append(
-                    f"{said}: {keys[0]}: {of_upper}{_range(upper)} lets it be less than {keys[1]}, "
-                    f"{of_lower}{_range(lower)}; must be at least {lower[1]:g}, or both be fitted "
-                    "with the same scale"
+                    f"{place}: {keys[0]}: {of_upper}{_range(upper)} lets it be less than {keys[1]}"
+                    f", {of_lower}{_range(lower)}; must be at least {lower[1]:g}, or both be "
+                    "fitted with the same scale"
                 )
 
 
 def _refuse_fixed(
-    said: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
+    place: str, parameters: Sequence[FittedParameter], case: Case, faults: list[str]
 ) -> None:
     """Add a fault for each key without derivatives, once for all experiments."""
     allowed, elastic = differentiable(case), elastic_numbers(case)
     for parameter in parameters:
         if parameter.key in elastic:
-            faults += _faults_of_bounds(said, parameter, case)
+            faults += _faults_of_bounds(place, parameter, case)
         if parameter.key not in allowed:
-            scope = said.partition(': experiment "')[0]
+            scope = place.partition(': experiment "')[0]
             beginning = f"{scope}: {parameter.key}: cannot be fitted"
             if any(fault.startswith(beginning) for fault in faults):
                 continue  # said of another experiment
             similar = difflib.get_close_matches(parameter.key, allowed, n=3, cutoff=0.0)
             faults.append(
-                f"{beginning}: the history of {said.removeprefix(scope)[2:]} does not depend on it "
-                f"smoothly; must be a key such as {', '.join(similar)}"
+                f"{beginning}: the history of {place.removeprefix(scope)[2:]} does not depend on "
+                f"it smoothly; must be a key such as {', '.join(similar)}"
             )
 
 
-def _faults_of_bounds(said: str, parameter: FittedParameter, case: Case) -> list[str]:
+def _faults_of_bounds(place: str, parameter: FittedParameter, case: Case) -> list[str]:
     """Return why there is no case at a bound, as of a layer that is thicker than its body."""
     for bound in parameter.bounds:
         try:
             case.replace({parameter.key: bound})
         except InputError as error:
-            return [f"{said}: {parameter.key}: no case at its bound {bound:g}: {error.faults[0]}"]
+            return [f"{place}: {parameter.key}: no case at its bound {bound:g}: {error.faults[0]}"]
     return []
 
 
 def refuse_both(
-    said: str, parameters: Sequence[FittedParameter], changes: Mapping[str, Any], faults: list[str]
+    place: str, parameters: Sequence[FittedParameter], changes: Mapping[str, Any], faults: list[str]
 ) -> None:
     """Add a fault for each key that is both set and fitted."""
     loads = {"load.force", "load.pressure", "load.displacement"}
@@ -114,7 +114,7 @@ def refuse_both(
         same = {parameter.key, path} | (loads if path in loads else set())
         for key in same & changes.keys():
             faults.append(
-                f"{said}: {key}: is set, and {parameter.key} is fitted; must be one or the other"
+                f"{place}: {key}: is set, and {parameter.key} is fitted; must be one or the other"
             )
 
 

@@ -219,7 +219,7 @@ class Series:
     #: where the readings stand; "" and none of a single value
     file: str = ""
     lines: IntArray | None = None
-    #: sentences about units that nobody names, and about those that are likely wrong
+    #: sentences about units that names of columns lack, and about those that are likely wrong
     assumptions: tuple[str, ...] = ()
     suspicions: tuple[str, ...] = ()
     #: whether nothing has been read yet; values are 0 then
@@ -272,7 +272,7 @@ class MeasuredInput:
     #: where the readings stand, and their unit there
     file: str = ""
     file_unit: str = ""
-    #: sentences about units that nobody names, and about those that are likely wrong
+    #: sentences about units that names of columns lack, and about those that are likely wrong
     assumptions: tuple[str, ...] = ()
     suspicions: tuple[str, ...] = ()
 

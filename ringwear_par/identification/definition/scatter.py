@@ -26,11 +26,11 @@ from ringwear_par.identification.definition.problem import (
 )
 from ringwear_par.identification.definition.schema import PROCESS, SCATTER
 
-#: scale of the prior of sizes that are fitted, of logarithms
+#: scale of the prior of fitted sizes of scatter, of keys whose logarithms scatter
 _LOG_SCALE = 0.3
-#: of a logarithm: a factor of 20 is no scatter of one material
+#: largest size of scatter of a logarithm: a factor of 20 is no scatter of one material
 _LARGEST = 3.0
-#: sizes that one fit may estimate: the grid of more is too coarse
+#: most sizes that one fit may estimate: with more its grid would be too coarse
 _MOST_FITTED = 3
 #: what the machine is set to is the same for all specimens
 _SETTINGS = ("load.",)
@@ -38,24 +38,25 @@ _SETTINGS = ("load.",)
 PLURALS = {"specimen": "specimens", "batch": "batches", "lab": "laboratories"}
 #: tables of wear that may be random
 _RANDOM = tuple(f"wear.{body}" for body in BODIES)
-#: of a record: noise that is correlated for longer looks like that of wear
+#: largest correlation time, as a share of a record: noise that is correlated for longer looks like
+#: wear
 _LONGEST_CORRELATION = 0.1
 
 
 def read_scatter(
-    said: str, key: str, value: Any, log: bool, unit: str, faults: list[str]
+    place: str, key: str, value: Any, log: bool, unit: str, faults: list[str]
 ) -> Scatter | None:
     """Return the scatter of a fitted key, and add what is wrong with it to the faults."""
     if value is None:
         return None
     if key.startswith(_SETTINGS):
         faults.append(
-            f"{said}: scatter: {key} is set by the machine, not by the specimen; must be a key of "
+            f"{place}: scatter: {key} is set by the machine, not by the specimen; must be a key of "
             "a wear law, contact.friction, a modulus or a layer"
         )
         return None
     table = value if isinstance(value, Mapping) else {"specimen": value}
-    reader = TableReader(f"{said}.scatter", table, faults, SCATTER)
+    reader = TableReader(f"{place}.scatter", table, faults, SCATTER)
     before = len(faults)
     size_unit = "1" if log else unit
     sizes = {group: reader.read(group, unit=size_unit) for group in GROUPS if group in reader}
@@ -168,28 +169,28 @@ def expected_sizes(problem: Problem) -> dict[tuple[str, str], float]:
     }
 
 
-def read_process(said: str, table: Any, faults: list[str]) -> dict[str, ProcessNoise]:
+def read_process(place: str, table: Any, faults: list[str]) -> dict[str, ProcessNoise]:
     """Return the process noise by key ("wear.lower"), and add faults of it to the others."""
     if not isinstance(table, Mapping):
-        faults.append(f"{said} = {shortened(table)}: must be a table of wear.lower, wear.upper")
+        faults.append(f"{place} = {shortened(table)}: must be a table of wear.lower, wear.upper")
         return {}
     flat = dict(table)
     if isinstance(nested := flat.pop("wear", None), Mapping):  # written without quotes
         flat |= {f"wear.{body}": value for body, value in nested.items()}
-    name_unknown_keys(said, flat, _RANDOM, faults)
+    name_unknown_keys(place, flat, _RANDOM, faults)
     entries = {
-        key: _read_noise(f"{said}.{key}", flat[key], faults) for key in _RANDOM if key in flat
+        key: _read_noise(f"{place}.{key}", flat[key], faults) for key in _RANDOM if key in flat
     }
     return {key: noise for key, noise in entries.items() if noise is not None}
 
 
-def _read_noise(said: str, value: Any, faults: list[str]) -> ProcessNoise | None:
+def _read_noise(place: str, value: Any, faults: list[str]) -> ProcessNoise | None:
     before = len(faults)
     if not isinstance(value, Mapping) and value != "fit":
         rule = 'must be "fit", or a table of size or share, and prior'
-        faults.append(f"{said} = {shortened(value)}: {rule}")
+        faults.append(f"{place} = {shortened(value)}: {rule}")
         return None
-    reader = TableReader(said, {"size": "fit"} if value == "fit" else value, faults, PROCESS)
+    reader = TableReader(place, {"size": "fit"} if value == "fit" else value, faults, PROCESS)
     size, share, scale = (reader.read(name) for name in PROCESS)
     reader.finish()
     if len(faults) == before and (size is None) == (share is None):
@@ -251,7 +252,7 @@ def known_sizes(problem: Problem, specimens: int) -> list[str]:
         return []
     sentence = f"the scatter of {', '.join(fitted)} is taken as known"
     if specimens < 2:
-        return [f"{sentence}; one specimen does not tell it"]
+        return [f"{sentence}; one specimen does not determine it"]
     wider = student_t.ppf(0.975, specimens - 1) / norm.ppf(0.975)
     return [
         f"{sentence}; of {specimens} specimens a fit knows it so little that intervals of 95 % are "

@@ -221,8 +221,8 @@ KEYS: tuple[Key, ...] = (
         "scale of the half-t prior (4 degrees of freedom) of the share where size = \"fit\"; "
         "default 0.1", None),
     Key("fit.units.KEY", *anything("a unit that pint knows, of the key"), "-",
-        "unit in which the key is told beside the case's; default: the one in which its start is "
-        "written, or else its number in the case", None),
+        "unit in which the key is reported beside the case's; default: the one in which its start "
+        "is written, or else its number in the case", None),
     Key("fit.starts", *whole(1, _MOST_STARTS), "-",
         "number of searches: one from fit.parameters.KEY.start, the others from Sobol' points "
         "within the bounds", _USUAL.starts),

@@ -33,20 +33,21 @@ from ringwear_par.identification.definition.schema import (
     THERMAL_TIME,
 )
 
-#: of the test: noise that is correlated for longer is an offset
+#: largest correlation time, in lengths of the test: noise correlated for longer is an offset
 _LONGEST_CORRELATION = 100.0
-#: readings of a record, and the share of the test: one that ends before may be in another unit
+#: fewest readings of a record, and the share of the test that it covers at least: a shorter one may
+#: be in another unit
 _RECORD, _SHORT_RECORD = 3, 0.1
-#: of the test: times that are rounded, in minutes, say, may be so much later than its end
+#: share of the test by which times may be later than its end, as when rounded to minutes
 _ROUNDED = 2e-4
-#: sd of a prior, from its mean, between which a time constant is sought
+#: a time constant is fitted within so many sd of its prior about the prior's mean
 _PRIOR_REACH = 4.0
 #: units of densities, in g/mm3
 _OTHER_UNITS = {"g/cm3": 1e-3, "kg/m3": 1e-6, "kg/mm3": 1e3, "t/mm3": 1e6}
 
 
 def read_series(
-    said: str,
+    place: str,
     table: Any,
     case: Case | None,
     files: FileStore,
@@ -56,12 +57,12 @@ def read_series(
 ) -> Series | None:
     """Return the readings of one table, or add its faults; a case that has some itself is None."""
     before = len(faults)
-    reader = TableReader(said, table, faults, DATA)
+    reader = TableReader(place, table, faults, DATA)
     quantity = reader.read("quantity")
     if quantity is None:
         return None
     kind = quantity.partition(".")[0]
-    reader.place = f"{said} ({quantity})"
+    reader.place = f"{place} ({quantity})"
     end = math.inf if case is None else case.time.end
     at = reader.read("at")
     density = density_of(reader, quantity, case) if kind == "mass" else 1.0
@@ -131,7 +132,7 @@ def read_series(
     if series.n <= len(free):
         reader.fault(
             f"has {counted(series.n, 'reading')}; must have more than nuisances "
-            f"without prior or bounds, {', '.join(free)}, which take all that they tell"
+            f"without prior or bounds, {', '.join(free)}, which fit so few exactly"
         )
     return series if len(faults) == before else None
 
@@ -144,14 +145,14 @@ def rounded_end(x: FloatArray, end: float) -> FloatArray:
 
 def _nuisances(reader: TableReader, kind: str, case: Case | None) -> tuple[Nuisance, ...]:
     table = reader.raw("nuisance", {})
-    known = READING_KINDS[kind].nuisances
+    allowed = READING_KINDS[kind].nuisances
     if not isinstance(table, Mapping):
-        reader.wrong("nuisance", f"must be a table of {', '.join(known)}")
+        reader.wrong("nuisance", f"must be a table of {', '.join(allowed)}")
         return ()
     nuisances = []
     for name, entry in table.items():
-        if name not in known:
-            reader.fault(f"nuisance.{legible(name)}: must be one of {', '.join(known)}")
+        if name not in allowed:
+            reader.fault(f"nuisance.{legible(name)}: must be one of {', '.join(allowed)}")
             continue
         place = f"{reader.place}: nuisance.{name}"
         if name == "thermal":
@@ -224,14 +225,15 @@ def density_of(reader: TableReader, quantity: str, case: Case | None) -> float |
     return density
 
 
-def _check_densities(reader: TableReader, body: str, known: Sequence[float | None]) -> None:
+def _check_densities(reader: TableReader, body: str, densities: Sequence[float | None]) -> None:
     """Refuse a mass of a body some of whose layers have no density, or one that nothing has."""
-    keys = density_keys(body, len(known) - 1)
-    if missing := ", ".join(key for key, density in zip(keys, known, strict=True) if not density):
+    keys = density_keys(body, len(densities) - 1)
+    missing = ", ".join(key for key, density in zip(keys, densities, strict=True) if not density)
+    if missing:
         reader.wrong(
             "density", f"must be that of all that is lost, or the case must have {missing} (g/mm3)"
         )
-    for key, density in zip(keys, known, strict=True):
+    for key, density in zip(keys, densities, strict=True):
         if density and (rule := _density_rule(density)):
             reader.fault(f"{key} = {density:g}: {rule}")
 

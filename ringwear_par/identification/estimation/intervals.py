@@ -15,17 +15,18 @@ from ringwear_par.identification.model.noise import information_share
 
 Verdict = Literal["identified", "at bound", "not identified"]
 
-#: of the information matrix with a unit diagonal: below it nothing is known of a direction
+#: eigenvalue of the information matrix with a unit diagonal below which nothing is known of a
+#: direction
 _UNINFORMED = 1e-10
-#: of such a direction: others up to it are as weak
+#: factor on the eigenvalue of such a direction up to which others are as weak
 _AS_WEAK = 10.0
-#: share of the largest component of a direction from which on keys are mentioned
+#: share of the largest component of a direction above which keys are mentioned
 _MENTIONED = 0.15
-#: largest half interval of a logarithm
+#: largest half width of an interval of a logarithm
 _WIDEST_LOG = 1.5
-#: correlation with keys of which nothing is known, from which on a key counts as such too
+#: correlation with keys of which nothing is known above which nothing is known of a key either
 _FULLY_CORRELATED = 0.999
-#: share of a prior's sd: an sd above it says no more than the prior
+#: share of a prior's sd above which an sd says no more than the prior
 _MERE_PRIOR = 0.95
 
 
@@ -61,9 +62,9 @@ def without_nuisances(matrix: FloatArray, m: int) -> FloatArray:
     size = np.sqrt(np.diag(matrix))
     size = np.where(size > 0.0, size, 1.0)
     scaled = matrix / np.outer(size, size)
-    rest = scaled[:m, m:] @ np.linalg.pinv(scaled[m:, m:], rcond=_UNINFORMED, hermitian=True)
-    alone: FloatArray = scaled[:m, :m] - rest @ scaled[m:, :m]
-    return 0.5 * (alone + alone.T) * np.outer(size[:m], size[:m])
+    weights = scaled[:m, m:] @ np.linalg.pinv(scaled[m:, m:], rcond=_UNINFORMED, hermitian=True)
+    remaining: FloatArray = scaled[:m, :m] - weights @ scaled[m:, :m]
+    return 0.5 * (remaining + remaining.T) * np.outer(size[:m], size[:m])
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +88,10 @@ class Spectrum:
     @property
     def covariance(self) -> FloatArray:
         """(u, u) inverse; infinite variances of what nothing is known of."""
-        known = self.values > _UNINFORMED
-        part = self.vectors[:, known] / np.sqrt(self.values[known]) / self.size[:, None]
+        determined = self.values > _UNINFORMED
+        part = self.vectors[:, determined] / np.sqrt(self.values[determined]) / self.size[:, None]
         covariance: FloatArray = part @ part.T
-        lost = (np.abs(self.vectors[:, ~known]) > 1e-3).any(axis=1)
+        lost = (np.abs(self.vectors[:, ~determined]) > 1e-3).any(axis=1)
         covariance[lost, lost] = np.inf
         return covariance
 
@@ -218,8 +219,9 @@ def direction(misfit: Misfit, spectrum: Spectrum, j: int) -> str:
             return f"only {_product(misfit, keys, strong[:, 0] * spectrum.size[keys])}"
         return f"only products of {', '.join(sorted(str(names[i]) for i in keys))}"
     mine = str(names[j])
-    rest = [name_of(names[i]) for i in taking if i != j]
-    return f"{mine} against {' and '.join([', '.join(rest[:-1]), rest[-1]] if rest[1:] else rest)}"
+    opposed = [name_of(names[i]) for i in taking if i != j]
+    listed = [", ".join(opposed[:-1]), opposed[-1]] if opposed[1:] else opposed
+    return f"{mine} against {' and '.join(listed)}"
 
 
 def _product(misfit: Misfit, keys: Sequence[int], powers: FloatArray) -> str:

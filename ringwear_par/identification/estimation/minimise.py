@@ -17,9 +17,9 @@ from ringwear_par.petsc import PETSc
 
 Residuals = Callable[[FloatArray], Evaluation]
 
-#: of the gradient, in units in which one is a standard deviation away from the optimum
+#: largest gradient at an optimum, where a gradient of 1 is one standard deviation away from it
 _GRADIENT = 1e-5
-#: largest gradient of what still counts as an optimum, where a line search sees round-off only
+#: largest gradient that still counts as an optimum where a line search sees round-off only
 _GOOD_GRADIENT = 1e-2
 #: iterations on one scale, and how often the scale is that of the place reached
 _ITERATIONS, _SCALES = 8, 10
@@ -28,9 +28,9 @@ _NO_GAIN = 1e-4
 #: trials one after another without such a decrease that end the search where readings bend, and
 #: what may be between them
 _STILL, _NEAR = 4, 1e-2
-#: how much larger residuals are where there is no history
+#: factor by which residuals are larger where there is no history
 _FAR = 1e3
-#: relative to the Jacobian: keeps steps finite in directions that nothing is known of
+#: relative to the Jacobian: keeps steps finite in directions of which nothing is known
 _REGULARISER = 1e-10
 
 
@@ -65,7 +65,7 @@ def minimise(
     new_points: list[FloatArray] = []
 
     def evaluate(x: FloatArray) -> Evaluation:
-        if not misfit.responses.are_known(x):
+        if not misfit.responses.are_computed(x):
             new_points.append(x)
             if wait_for is not None:
                 wait_for(x)

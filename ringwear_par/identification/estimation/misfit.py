@@ -218,8 +218,8 @@ class Misfit:
         (n, bodies) of each reading: its change for each mm of mean depth that is worn faster all
         along, and that mean depth, mm.
         """
-        of_clocks = self._response(x, test_unknowns)[:, 1 + self._m + len(self._factors) :]
-        by_factor, depth = np.split(of_clocks, 2, axis=1)
+        clock_response = self._response(x, test_unknowns)[:, 1 + self._m + len(self._factors) :]
+        by_factor, depth = np.split(clock_response, 2, axis=1)
         return np.divide(by_factor, depth, out=np.zeros_like(depth), where=depth > 0.0), depth
 
     # from readings to residuals

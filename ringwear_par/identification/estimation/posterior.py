@@ -28,7 +28,7 @@ from ringwear_par.identification.model.rounds import Rounds, StoppedError
 
 #: rounds of reweighting where the loss is not Gaussian
 _REWEIGHTED = 20
-#: change of residuals over their noise at which they are done
+#: change of residuals, over their noise, at which reweighting ends
 _SAME = 1e-4
 log = logging.getLogger(__name__)
 

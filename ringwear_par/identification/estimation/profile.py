@@ -24,17 +24,18 @@ from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.model.histories import HistoryError
 from ringwear_par.identification.model.rounds import WaitFor, side_by_side
 
-#: of the root of the growth of the sum of squares, at which a limit is found
+#: relative error of the root of the growth of the sum of squares at which a limit is found
 _CLOSE = 0.01
 #: points on a side; where readings are limits nothing says how far away these are
 _MOST_POINTS, _MOST_OF_LIMITS = 8, 24
-#: decrease of the sum of squares that means a better optimum, not what a minimiser leaves
+#: decrease of the sum of squares that means a better optimum, rather than one that is not quite
+#: found
 _BETTER = 1e-2
 
 
-#: of the wanted root: less is no response, as of readings that are but limits
+#: share of the root that is searched for: less is no response, as of readings that are but limits
 _FLAT = 0.05
-#: of the width of the bounds: first step of a key of which readings give but limits
+#: share of the width of the bounds: first step of a key that only readings that are limits restrict
 _FIRST_STEP = 0.05
 
 
@@ -74,7 +75,7 @@ def likelihood_profiles(
     All limits are searched side by side, from the covariance (u, u) on. Not collective.
     """
     level = misfit.problem.settings.level
-    limited, known, covariance = list(estimates), covariance.copy(), covariance.copy()
+    limited, profiled, covariance = list(estimates), covariance.copy(), covariance.copy()
     keys: list[int] = []
     for j, estimate in enumerate(estimates):
         if estimate.verdict != "identified" and misfit.censored.any():
@@ -85,7 +86,7 @@ def likelihood_profiles(
         elif estimate.verdict != "not identified":
             keys += [j] * ("profile" in misfit.problem.settings.intervals)
     if not keys:
-        return Profiles(tuple(estimates), {}, known)
+        return Profiles(tuple(estimates), {}, profiled)
     tables: dict[int, dict[float, float]] = {}
     searched = []
     two_sided = math.sqrt(float(chi2.ppf(level, 1)))
@@ -109,13 +110,13 @@ def likelihood_profiles(
             partial(_limit, misfit, optimum, covariance, j, (-1.0, 1.0)[side], root, tables[j])
             for j, side, root in searched
         ]
-        of_searches = side_by_side(searches, misfit.responses.compute)
-        better = [search.better for search in of_searches if search.better is not None]
+        found_limits = side_by_side(searches, misfit.responses.compute)
+        better = [search.better for search in found_limits if search.better is not None]
         if better:
             best = min(better, key=lambda candidate: candidate.evaluation.objective)
-            return Profiles(tuple(estimates), {}, known, better=best.x)
+            return Profiles(tuple(estimates), {}, profiled, better=best.x)
         limits |= {
-            (j, side): limit for (j, side, _), limit in zip(searched, of_searches, strict=True)
+            (j, side): limit for (j, side, _), limit in zip(searched, found_limits, strict=True)
         }
         # an interval with two ends has them at another level than one with one end
         searched = [
@@ -132,7 +133,7 @@ def likelihood_profiles(
         if limited[j].verdict == "not identified":
             if ends == [None, None]:
                 continue
-            known[j], known[:, j], known[j, j] = 0.0, 0.0, math.inf
+            profiled[j], profiled[:, j], profiled[j, j] = 0.0, 0.0, math.inf
             limited[j] = replace(limited[j], verdict="at bound", direction="", sd=None)
             if low is not None and high is not None:
                 half = 0.5 * (parameter.unknown(high) - parameter.unknown(low))
@@ -140,14 +141,14 @@ def likelihood_profiles(
                 if is_vague(parameter, half) or is_mere_prior(parameter, sd):
                     limited[j] = estimates[j]
                     continue
-                known[j, j] = (half / two_sided) ** 2
+                profiled[j, j] = (half / two_sided) ** 2
                 limited[j] = replace(limited[j], verdict="identified", sd=sd)
         limited[j] = replace(limited[j], interval=(low, high))
         table = np.array(sorted(points.items())).T
         table[0] = [parameter.value(u) for u in table[0]]
         profiles[parameter.key] = table
     inexact = tuple(misfit.problem.keys[j] for j in sorted(inexact_limits))
-    return Profiles(tuple(limited), profiles, known, inexact)
+    return Profiles(tuple(limited), profiles, profiled, inexact)
 
 
 def _limit(

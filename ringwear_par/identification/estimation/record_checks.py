@@ -21,26 +21,26 @@ from ringwear_par.identification.model.histories import HistoryError
 from ringwear_par.identification.model.noise import NuisanceProjection
 from ringwear_par.identification.model.readings import growth, nuisance_columns
 
-#: blocks of a record, and readings less nuisances that it needs
+#: number of blocks of a record, and fewest readings, less nuisances, that it needs
 _BLOCKS, _ENOUGH = 10, 30
-#: probability of noise whose blocks differ as much, below which it is none
+#: probability that blocks of mere noise differ as much: below it they are none
 _NO_NOISE = 1e-4
-#: of an input: noise that is smaller is not asked for trends
+#: share of an input: smaller noise is not searched for trends
 _EXACT = 1e-3
-#: of the noise of all its readings: less is no response, over the whole of all bounds
+#: share of the noise of all readings: a smaller change over the whole of all bounds is no response
 _NO_RESPONSE = 1e-6
-#: of the noise of all readings: a key by which they change less is not felt, over a factor of e
-#: where its logarithm is sought, else over ten times the whole of its bounds
+#: readings do not depend on a key if they change by less than this share of their noise over a
+#: factor of e of it, where its logarithm is fitted, else over ten times the width of its bounds
 _NOT_FELT, _WIDTHS = 0.5, 10.0
-#: fewest points at which responses are looked for
+#: fewest points at which responses are computed
 _POINTS = 8
 #: correlation of readings with the model below which they have the wrong sign, and at how many sd
 _OPPOSITE, _SURE = -0.5, 5.0
 #: nuisances that leave the sign of a record as it is
 _HARMLESS = ("offset", "level", "tilt", "thermal")
-#: time constants that a record is shorter than where drift and growth are alike
+#: time constants of growth below which a record cannot distinguish growth from drift
 _ALIKE = 3.0
-#: parts of a record that are looked at for what opposes the model, each larger by a share of it
+#: parts of a record at its ends that are compared with the model's sign grow by 1 / this of it
 _PARTS = 40
 
 
@@ -64,19 +64,19 @@ def _oppositions(misfit: Misfit, model: FloatArray) -> Iterator[ValidityWarning]
             continue
         kinds = " and ".join(n.kind for n in series.nuisances if n.kind != GROWTH_TIME)
         beside = f"apart from {kinds}, " if kinds else ""
-        said = f"{series.name} ({experiment.name}): {beside}readings fall where the model rises"
+        place = f"{series.name} ({experiment.name}): {beside}readings fall where the model rises"
         exclude = record.exclude
         if exclude is None:
-            said += "; check their sign and the record of the test"
+            place += "; check their sign and the record of the test"
         else:
             first, last = exclude
-            said += (
+            place += (
                 f", because of the readings from {first:.10g} to {last:.10g} s; if these show "
                 "something else than wear, leave them out: "
                 f"exclude = [[{first:.10g}, {last:.10g}]]"
             )
         values = {"series": series.name, "exclude": exclude and list(exclude)}
-        yield ValidityWarning("readings-oppose", said, (), (experiment.name,), values)
+        yield ValidityWarning("readings-oppose", place, (), (experiment.name,), values)
 
 
 def _trends(misfit: Misfit, evaluation: Evaluation) -> Iterator[ValidityWarning]:
@@ -92,7 +92,7 @@ def _trends(misfit: Misfit, evaluation: Evaluation) -> Iterator[ValidityWarning]
         if probability >= _NO_NOISE:
             continue
         differences = "the differences are not noise with the given sd"
-        said = (
+        place = (
             f"readings of {experiment.name}, {series.name}, trend away from the model "
             f"(p = {probability:.1g}): "
             f"{'the fitted sd is not noise alone' if series.sd_fitted else differences}; intervals "
@@ -100,7 +100,7 @@ def _trends(misfit: Misfit, evaluation: Evaluation) -> Iterator[ValidityWarning]
             "narrow"
         )
         values = {"series": series.name, "p": probability}
-        yield ValidityWarning("residuals-trend", said, (), (experiment.name,), values)
+        yield ValidityWarning("residuals-trend", place, (), (experiment.name,), values)
 
 
 def input_trends(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
@@ -134,12 +134,12 @@ def _alike(misfit: Misfit, x: FloatArray) -> Iterator[ValidityWarning]:
         time = float(x[misfit.names.index((experiment.name, series.name, GROWTH_TIME))])
         last = float(series.x.max())
         if last < _ALIKE * time:
-            said = (
+            place = (
                 f"{series.name} ({experiment.name}): readings until {last:.4g} s hardly tell a "
                 f"drift from thermal growth with a time constant of {time:.4g} s; give one a prior"
             )
             values = {"series": series.name, "time": time, "last": last}
-            yield ValidityWarning("drift-or-growth", said, (), (experiment.name,), values)
+            yield ValidityWarning("drift-or-growth", place, (), (experiment.name,), values)
 
 
 def trend(residuals: FloatArray, n_nuisances: int = 0, least: float = 0.0) -> float:
@@ -158,8 +158,8 @@ def trend(residuals: FloatArray, n_nuisances: int = 0, least: float = 0.0) -> fl
     between = sum(float(block.sum()) ** 2 / len(block) for block in blocks)
     freedom = max(_BLOCKS - n_nuisances, 1)
     # degrees of freedom of the mean square of successive differences of white noise
-    of_noise = 2.0 * (n - 1) ** 2 / (3 * n - 4)
-    return float(f_distribution.sf(between / (freedom * noise), freedom, of_noise))
+    noise_freedom = 2.0 * (n - 1) ** 2 / (3 * n - 4)
+    return float(f_distribution.sf(between / (freedom * noise), freedom, noise_freedom))
 
 
 def refuse_idle(misfit: Misfit, start: FloatArray) -> None:
@@ -188,7 +188,7 @@ def refuse_idle(misfit: Misfit, start: FloatArray) -> None:
 
 
 def _responding(misfit: Misfit, start: FloatArray) -> BoolArray:
-    """Return which parameters (m,) some readings respond to at any start, beside their nuisances.
+    """Return which parameters (m,) change some readings at any start, in ways nuisances do not.
 
     At the edges of a contact pressures exceed all thresholds, so that something always responds.
     """
@@ -198,11 +198,11 @@ def _responding(misfit: Misfit, start: FloatArray) -> BoolArray:
 
     def at(x: FloatArray) -> BoolArray:
         try:
-            of_priors = misfit.evaluate(x).jacobian[misfit.n :]
+            prior_rows = misfit.evaluate(x).jacobian[misfit.n :]
         except HistoryError:
             return np.ones(m, dtype=bool)
         # limits that hold by far respond, but their likelihood does not
-        rows = np.concatenate([misfit.whitened(misfit.columns(x)), of_priors])
+        rows = np.concatenate([misfit.whitened(misfit.columns(x)), prior_rows])
         columns, nuisances = rows[:, :m], rows[:, m:]
         columns = NuisanceProjection(nuisances).rest(columns)
         return np.linalg.norm(columns[: misfit.n], axis=0) * reach > _NOT_FELT
@@ -225,8 +225,8 @@ def _start_values(misfit: Misfit) -> str:
 def refuse_reversed(misfit: Misfit, start: FloatArray) -> None:
     """Refuse depths and masses that go against the model, but for their nuisances. Not collective.
 
-    Those that do so only beside a drift or a compliance may be right, with a part that is not, of
-    which a warning tells at the optimum; and so may be records that change as the model in total.
+    Those that do so only once a drift or a compliance is fitted too may be right but for a part,
+    of which a warning at the optimum tells; so may records that change as the model in total.
     """
     model = misfit.model_readings(start)
     faults = []
@@ -252,8 +252,8 @@ class _Record:
     ) -> None:
         self._series = series
         columns, self._nuisances = [], []
-        of_series = nuisance_columns(series, experiment.case).T
-        for nuisance, column in zip(series.nuisances, of_series, strict=True):
+        series_columns = nuisance_columns(series, experiment.case).T
+        for nuisance, column in zip(series.nuisances, series_columns, strict=True):
             if nuisance.kind == GROWTH_TIME:  # growth with any of some time constants
                 low, high = nuisance.bounds
                 for time in (nuisance.start, low, 0.5 * (low + high), high):
@@ -267,7 +267,7 @@ class _Record:
         self._both = np.stack([series.value, model], axis=1) / sd[:, None]
 
     def opposes(self, rows: slice = slice(None), *, harmless: bool = False) -> bool:
-        """Tell whether readings fall where the model's rise, beside (harmless) nuisances."""
+        """Tell whether readings fall where the model's rise, whatever the (harmless) nuisances."""
         numbers = [i for i, n in enumerate(self._nuisances) if not harmless or n.kind in _HARMLESS]
         columns, both = self._columns[rows, numbers], self._both[rows]
         for column, i in enumerate(numbers):  # priors are one reading more, of the nuisance itself

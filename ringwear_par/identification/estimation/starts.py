@@ -22,12 +22,12 @@ from ringwear_par.identification.model.rounds import Rounds, StoppedError, WaitF
 
 log = logging.getLogger(__name__)
 
-#: of the largest derivative of any point: below it a parameter moves nothing
+#: share of the largest derivative at any point: below it a parameter has no effect
 _STILL = 1e-6
 _SEED = 0
-#: points of which a start is the best
+#: number of points of which a start is the best
 _LOT = 8
-#: how often points are drawn, each time as many as before, where too few of them are cases
+#: how often points are drawn, twice as many each time, where too few of them are cases
 _DOUBLINGS = 6
 #: starts that advance side by side
 _MOST_TOGETHER = 64
@@ -246,7 +246,7 @@ def _solved(misfit: Misfit, number: int, unknowns: FloatArray, wait_for: WaitFor
         wait_for(x)
 
     try:
-        if not misfit.responses.are_known(first):
+        if not misfit.responses.are_computed(first):
             count_and_wait(first)
         optimum = minimise(misfit, misfit.with_best_nuisances(values), count_and_wait)
         misfit.responses.forget([first], optimum.x)

@@ -27,25 +27,26 @@ from ringwear_par.schedules import Table, in_time
 from ringwear_par.studies.definition.variations import split_key
 from ringwear_par.studies.execution.batches import computed
 
-#: most pairs kept of points that have some of their own
+#: most pairs that are kept of points with pairs of their own
 _MOST_PAIRS = 64
 #: bodies assembled for a search by start: each of its some ten points would need three or more
 _BODIES_A_START = 16
-#: of a test with constant conditions
+#: number of steps of a test with constant conditions
 STEPS = 40
-#: of rough histories, which only show a search where to go
+#: number of steps of rough histories, which only show a search where to go
 ROUGH_STEPS = 10
-#: sd, by which steps half as long may move what a fit seeks
+#: sd by which halving the steps may move what is fitted
 MOST_SHIFT_SD = 0.2
-#: by which there are more, equal ones where layers may be worn through
+#: factor on the number of steps, equal ones, where layers may be worn through
 _EQUAL = 4
-#: of them, fewest of a piece between two bends of schedules; fewest of any piece
+#: share of the steps that a piece between two bends of schedules has at least; fewest steps of any
+#: piece
 _SHARE, _FEWEST = 0.3, 3
-#: pieces from which on one step of each short one will do
+#: number of pieces above which each short one has one step
 _MANY = 100
 #: shares of the test: its first step, half of one after a bend; a piece that is short
 _FIRST, _SHORT = 2e-4, 1e-2
-#: times closer than this share of the test are one
+#: share of the test below which the distance of two times counts as none
 _CLOSE = 1e-7
 
 
@@ -226,12 +227,12 @@ class Histories:
         One after another, (n, 1 + m), with derivatives by the values, or (n, 1) without. Operators
         may be interpolated unless ``exact``. Not collective.
         """
-        every, m = range(len(self._experiments)), len(self._keys)
-        pairs = [(i, e) for i in range(len(points)) for e in every]
+        experiments, m = range(len(self._experiments)), len(self._keys)
+        pairs = [(i, e) for i in range(len(points)) for e in experiments]
         parts = dict(zip(pairs, self.read(points, pairs, steps, derivatives, exact), strict=True))
         responses: list[FloatArray | HistoryError] = []
         for i in range(len(points)):
-            parts_of_point = [parts[i, e] for e in every]
+            parts_of_point = [parts[i, e] for e in experiments]
             failed = [part for part in parts_of_point if isinstance(part, HistoryError)]
             arrays = [part for part in parts_of_point if not isinstance(part, HistoryError)]
             responses.append(failed[0] if failed else np.concatenate(arrays)[:, : 1 + m])

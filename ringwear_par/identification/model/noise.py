@@ -16,7 +16,7 @@ from ringwear_par.identification.definition.problem import Loss, Prior, Series
 
 #: degrees of freedom of the loss "student"
 _NU = 4.0
-#: singular values of nuisances below it, over the largest: they are one
+#: singular value of nuisances, over the largest, below which they are not distinct
 _DEPENDENT = 1e-10
 
 

@@ -24,13 +24,13 @@ from ringwear_par.identification.definition.problem import (
 from ringwear_par.results.result import Result
 from ringwear_par.schedules import in_time
 
-#: of a segment's length: within it steps are equal, beyond it their logarithms
+#: share of a segment's length within which steps are equal; beyond it their logarithms are
 _EARLY = 5e-4
 #: grids of steps whose weights are kept
 _GRIDS = 4
-#: relative, for times that are one
+#: relative difference below which times are the same
 _CLOSE = 1e-9
-#: of the test: a layer that lasts longer is not worn through
+#: lengths of the test: a layer that lasts longer is not worn through
 _NEVER = 1e6
 
 
@@ -300,6 +300,6 @@ def trajectory(result: Result, case: Case, keys: Sequence[str]) -> Trajectory:
         both("torque", histories["torque"]),
         np.stack([both(f"worn_volume_{b}", histories[f"worn_volume_{b}"]) for b in BODIES]),
         wear,
-        np.stack([lost_mass(case, i, of_body, keys) for i, of_body in enumerate(wear)]),
+        np.stack([lost_mass(case, i, body_wear, keys) for i, body_wear in enumerate(wear)]),
         np.stack([time_through(case, i, histories["time"], w, keys) for i, w in enumerate(wear)]),
     )

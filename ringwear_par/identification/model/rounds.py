@@ -234,7 +234,7 @@ class Rounds(Histories):
 class Responses:
     """Readings of a problem's tests and their derivatives, one history a test.
 
-    Points are unknowns of the fitted keys, or of these and the nuisances. ``known`` holds readings
+    Points are unknowns of the fitted keys, or of these and the nuisances. ``stored`` holds readings
     with derivatives (n, 1 + m), or why there are none, by the test's number and the bytes of the
     values; histories make about ``steps``, on operators that are ``exact`` or, in a search,
     interpolated.
@@ -244,7 +244,7 @@ class Responses:
         self._problem = problem
         self._engines: Histories | None = histories
         self.steps, self.exact = STEPS, True
-        self.known: dict[tuple[int, bytes], FloatArray | HistoryError] = {}
+        self.stored: dict[tuple[int, bytes], FloatArray | HistoryError] = {}
 
     @property
     def _histories(self) -> Histories:
@@ -267,31 +267,31 @@ class Responses:
         tests = range(len(self._problem.experiments))
         self.prepare([(test, v) for v in map(self._values, points) for test in tests])
 
-    def prepare(self, wanted: Sequence[tuple[int, FloatArray]]) -> None:
+    def prepare(self, requests: Sequence[tuple[int, FloatArray]]) -> None:
         """Have the histories of tests at values of the keys computed together, and keep them."""
-        new = {(test, v.tobytes()): v for test, v in wanted}
-        new = {key: v for key, v in new.items() if key not in self.known}
+        new = {(test, v.tobytes()): v for test, v in requests}
+        new = {key: v for key, v in new.items() if key not in self.stored}
         values = list({v.tobytes(): v for v in new.values()}.values())
         numbers = {v.tobytes(): i for i, v in enumerate(values)}
         pairs = [(numbers[content], test) for test, content in new]
         if pairs:
             responses = self._histories.read(np.array(values), pairs, self.steps, exact=self.exact)
-            self.known.update(zip(new, responses, strict=True))
+            self.stored.update(zip(new, responses, strict=True))
 
-    def are_known(self, point: FloatArray) -> bool:
+    def are_computed(self, point: FloatArray) -> bool:
         """Tell whether the histories at a point were computed."""
-        return (0, self._values(point).tobytes()) in self.known
+        return (0, self._values(point).tobytes()) in self.stored
 
     def of_tests(self, values: Sequence[FloatArray]) -> FloatArray:
         """Return the readings of all tests and derivatives by the values (m,) of each, (n, 1 + m).
 
         Raises HistoryError where there is no history.
         """
-        wanted = list(enumerate(values))
-        self.prepare(wanted)
+        requests = list(enumerate(values))
+        self.prepare(requests)
         responses = []
-        for test, of_test in wanted:
-            response = self.known[test, of_test.tobytes()]
+        for test, test_values in requests:
+            response = self.stored[test, test_values.tobytes()]
             if isinstance(response, HistoryError):
                 raise response
             responses.append(response)
@@ -305,28 +305,28 @@ class Responses:
     def forget(self, points: Sequence[FloatArray], but: FloatArray) -> None:
         """Forget the histories at points, but for those at one."""
         past = {self._values(point).tobytes() for point in points} - {self._values(but).tobytes()}
-        for key in [key for key in self.known if key[1] in past]:
-            del self.known[key]
+        for key in [key for key in self.stored if key[1] in past]:
+            del self.stored[key]
 
     def keep_only(self, values: Sequence[FloatArray]) -> None:
         """Keep the readings at values of each test, and no engines. Not collective."""
         self.of_tests(values)
         self._engines = None
-        remaining = {(test, of_test.tobytes()) for test, of_test in enumerate(values)}
-        self.known = {key: response for key, response in self.known.items() if key in remaining}
+        remaining = {(test, test_values.tobytes()) for test, test_values in enumerate(values)}
+        self.stored = {key: response for key, response in self.stored.items() if key in remaining}
 
     def renew_inputs(self, values: FloatArray) -> tuple[Experiment, ...]:
         """Return the tests, friction as torques tell it at values (m,); histories are theirs."""
-        self.known = {}
+        self.stored = {}
         return self._histories.renew_inputs(values)
 
     def refine(self) -> None:
         """Have histories make twice as many steps from now on."""
         self.steps *= 2
-        self.known = {}
+        self.stored = {}
 
     def be_exact(self, exact: bool) -> None:
         """Have histories on exact operators from now on, or rough ones: interpolated, few steps."""
         if exact != self.exact:
             self.steps = STEPS if exact else ROUGH_STEPS
-            self.exact, self.known = exact, {}
+            self.exact, self.stored = exact, {}

@@ -24,9 +24,9 @@ from ringwear_par.identification.scatter.likelihood import (
     uncorrelated,
 )
 
-#: readings of a series from which on it is averaged, in as many blocks of equal time
+#: most readings of a series that is not averaged; longer ones are, in as many blocks of equal time
 MOST_READINGS = 500
-#: of a reading without weight, instead of 0
+#: weight of a reading without one, instead of 0
 _NO_WEIGHT = 1e-12
 
 
@@ -109,8 +109,8 @@ def _responses(
     even = np.arange(series.n) % 2 == 0
     present = whitened(series, answer * even) * even + whitened(series, answer * ~even) * ~even
     following = np.cumsum(blocks.share * white[:, 0])
-    of_step = np.repeat(following[last], blocks.counts) - following + blocks.share * roots * present
-    uneven = (of_step - np.repeat(within, blocks.counts)) ** 2 * np.diff(depth, prepend=depth[0])
+    steps = np.repeat(following[last], blocks.counts) - following + blocks.share * roots * present
+    uneven = (steps - np.repeat(within, blocks.counts)) ** 2 * np.diff(depth, prepend=depth[0])
     return _Responses(low, high, before, within, np.add.reduceat(uneven, blocks.first))
 
 
@@ -139,11 +139,11 @@ class TestClocks:
         self._ends = np.cumsum([len(blocks.first) for blocks in self._blocks])[:-1]
         self._responses = []
         for answer, depth in zip((answers / sd[:, None]).T, depths.T, strict=True):
-            of_series = [
+            columns = [
                 _responses(record, blocks, roots[part], answer[part], depth[part])
                 for record, blocks, part in zip(series, self._blocks, self._parts, strict=True)
             ]
-            self._responses.append(_Responses(*map(np.concatenate, zip(*of_series, strict=True))))
+            self._responses.append(_Responses(*map(np.concatenate, zip(*columns, strict=True))))
 
     def combine(self, rows: FloatArray) -> FloatArray:
         """Return the rows of blocks of those (n, ...) of readings, both in units of noise."""

@@ -27,15 +27,15 @@ from ringwear_par.identification.scatter.posterior import (
 )
 from ringwear_par.identification.scatter.random_wear import RandomWear
 
-#: ISO 5725: limit of the difference of two results that is exceeded once in twenty times
+#: ISO 5725: factor on an sd, for the difference of two results that one pair in twenty exceeds
 _LIMIT = 2.8
-#: sd from its bound at which an unknown is at it
+#: sd from its bound within which an unknown is at it
 _NEAR = 1e-3
-#: sd, from which on the end of a linear interval is doubted
+#: sd above which the linear end of an interval is doubted
 _MOST_BENT = 0.2
-#: number of groups up to which the prior says more than they do
+#: number of groups up to which the prior says more about a size than they do
 _FEW = 2
-#: relative half width of the material's interval for which specimens are counted
+#: relative half width of the material's interval that specimens are counted for, and most specimens
 _WANTED, _MOST_SPECIMENS = 0.10, 10_000
 
 
@@ -155,14 +155,12 @@ class Material:
         """Return the estimate of the material's value of a key."""
         parameter, mixture, unknown = self.parameters[key], self.material(key), self.best_fit.x[key]
         value, sd, (low, high) = parameter.value(unknown), mixture.sd, mixture.interval(self.level)
-        natural = sd * parameter.slope(value)
+        natural, direction = sd * parameter.slope(value), ""
         if parameter.key in self.confounded_with_drift:
             direction = f"{parameter.key} against {self.confounded_with_drift[parameter.key]}"
-            return ParameterEstimate(
-                parameter.key, value, natural, (None, None), "not identified", direction
-            )
-        if is_vague(parameter, 0.5 * (high - low)) or is_mere_prior(parameter, natural):
+        elif is_vague(parameter, 0.5 * (high - low)) or is_mere_prior(parameter, natural):
             direction = f"these tests hardly determine {parameter.key} of the material"
+        if direction:
             return ParameterEstimate(
                 parameter.key, value, natural, (None, None), "not identified", direction
             )
@@ -185,7 +183,7 @@ class Material:
     def specimens_needed(self, key: int) -> int | None:
         """Return how many specimens tell the material's value to 10 %; None for no such number.
 
-        Of a key whose logarithm is sought, with scatter between specimens alone.
+        Of a key whose logarithm is fitted, with scatter between specimens alone.
         """
         levels = self.levels_of(key)
         if [self._name(i) for i in levels] != ["specimen"] or not self.parameters[key].log:

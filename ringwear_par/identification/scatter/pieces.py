@@ -28,15 +28,16 @@ from ringwear_par.identification.scatter.search import (
     prior_of_keys,
 )
 
-#: of the posterior, in its sd: sd of a piece; between pieces, whose sum then is even to 3e-4
+#: in sd of the posterior: sd of a piece, and distance between pieces, whose sum is then even to
+#: 3e-4
 _WIDTH, _APART = 0.45, 0.675
-#: logarithm of the probability over the largest: pieces beyond such ones are looked at
+#: logarithm of the probability over the largest above which the neighbours of a piece are computed
 _PROBABLE = -7.0
-#: most keys along which pieces lie: of three more pieces are needed than there may be
+#: most keys along which pieces lie: three would need more pieces than are allowed
 _MOST_SHARED = 2
-#: weight of pieces of which tests move more, up to which the others are as good
+#: weight of pieces whose tests still move up to which the others are good enough
 _UNSETTLED = 0.01
-#: most pieces; most rounds until tests stay, and sd that they may still move
+#: most pieces; most rounds until tests settle, and sd that they may still move
 _MOST, _ROUNDS, _STILL = 80, 5, 0.05
 
 
@@ -197,14 +198,14 @@ class _Pieces:
             models_at_shares, linear, material.wear, at_bounds, self._levels, (precision, mean)
         )
         posterior = integrated(problem.name, models, self._scatters, ())
-        of_tests, moved = test_unknowns.copy(), 0.0
-        for test in range(len(of_tests)):
+        updated, moved = test_unknowns.copy(), 0.0
+        for test in range(len(updated)):
             unknowns = posterior.unknowns(test)
             new = np.clip(unknowns, self._low[free], self._high[free])
             sds = [posterior.of_test(test, place).sd for place in range(len(free))]
-            moved = max(moved, float(np.abs((new - of_tests[test, free]) / sds).max()))
-            of_tests[test, free] = new
+            moved = max(moved, float(np.abs((new - updated[test, free]) / sds).max()))
+            updated[test, free] = new
         log_mass = posterior.log_mass - 0.5 * (
             float(loss.sum()) + loss_beyond_squares(self._misfit, evaluation)
         )
-        return _Place(centre, of_tests, moved, posterior, log_mass)
+        return _Place(centre, updated, moved, posterior, log_mass)

@@ -25,16 +25,16 @@ _REACH, _BISECTIONS = 40.0, 80
 DEGREES = 4.0
 #: points of the grid along each axis, by the number of axes
 _POINTS = {1: 120, 2: 60, 3: 20}
-#: ends of the grid over the scale of the prior
+#: ends of the grid of a size, over the scale of its prior
 _GRID = (0.007, 17.0)
-#: of -2 log likelihood: a finer grid covers what is as near as this to the best
+#: difference of -2 log likelihood from the best that a finer grid covers
 _NEAR = 8.0
-#: points of an axis there, fewer of which are too coarse
+#: fewest points of an axis there; with fewer it is too coarse
 _FEW = 10
-#: points whose solutions are made at once, and -2 log likelihood over the best from which on they
-#: are not kept: their weights are round-off
+#: points whose solutions are computed together, and -2 log likelihood over the best above which
+#: they are dropped: their weights are round-off
 _CHUNK, _IMPROBABLE = 256, 75.0
-#: of -2 log likelihood, by which a size of 0 is worse than the best where it is excluded at 90 %
+#: growth of -2 log likelihood at size 0 over the best that excludes it at 90 %
 _AT_BOUND = 2.71
 
 
@@ -297,22 +297,22 @@ def integrate(
     a second one covers that. LinAlgError where tests and priors together do not determine the
     material.
     """
-    every = [*sizes, *shares]
-    unknown = sum(size.known is None for size in every)
-    axes = [axis(size, _POINTS.get(unknown, 1)) for size in every]
+    names = [*sizes, *shares]
+    unknown = sum(size.known is None for size in names)
+    axes = [axis(size, _POINTS.get(unknown, 1)) for size in names]
     posterior = _posterior(models_at, axes, len(sizes), shares)
     restricted = posterior.solutions.restricted
     values = np.concatenate([posterior.solutions.tau, posterior.shares], axis=1)
     near = values[restricted < restricted.min() + _NEAR]
     coarse = [
         size.known is None and (unknown > 2 or len(np.unique(v)) < _FEW)
-        for v, size in zip(near.T, every, strict=True)
+        for v, size in zip(near.T, names, strict=True)
     ]
     if not any(coarse):
         return posterior
     finer = [
         axis(size, _POINTS[unknown], _widened(before, near[:, i])) if coarse[i] else before
-        for i, (size, before) in enumerate(zip(every, axes, strict=True))
+        for i, (size, before) in enumerate(zip(names, axes, strict=True))
     ]
     return _posterior(models_at, finer, len(sizes), shares)
 
@@ -339,7 +339,7 @@ def _posterior(
         null[:, body] = 0.0
         nulls.append(np.unique(null, axis=0) if size.known is None else null[:0])
     models = models_at(np.concatenate([points, *nulls]))
-    probable, weighted, of_model = [], [], []
+    probable, weighted, model_numbers = [], [], []
     least = np.inf
     for number, model in enumerate(models[: len(points)]):
         for first in range(0, len(tau), _CHUNK):
@@ -349,7 +349,7 @@ def _posterior(
             near = np.flatnonzero(solutions.restricted < least + _IMPROBABLE)
             probable.append(take(solutions, near))
             weighted.append(prior[number] * weights[part][near])
-            of_model.append(np.full(len(near), number))
+            model_numbers.append(np.full(len(near), number))
     ends = len(points) + np.cumsum([0, *map(len, nulls)])
     without = [
         min((model.solve(tau).restricted.min() for model in models[low:high]), default=np.nan)
@@ -359,6 +359,6 @@ def _posterior(
     posterior = np.exp(-0.5 * (solutions.restricted - least)) * np.concatenate(weighted)
     return ScatterPosterior(
         tuple(models[: len(points)]), solutions, posterior / posterior.sum(),
-        points[np.concatenate(of_model)], np.array(without),
+        points[np.concatenate(model_numbers)], np.array(without),
         float(np.log(posterior.sum()) - 0.5 * least + sum(a.log_factor for a in axes)),
     )  # fmt: skip

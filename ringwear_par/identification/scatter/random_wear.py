@@ -19,7 +19,7 @@ from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.scatter.linearisation import MOST_READINGS
 from ringwear_par.identification.scatter.posterior import DEGREES, ScatterPosterior, Size
 
-#: of the logarithm of the prior's interval: a narrower one is told by the readings
+#: share of the length of the prior's interval, in its logarithm: readings make a narrower one
 _NARROW = 0.5
 
 
@@ -95,20 +95,20 @@ class RandomWear:
         if share.known is not None:
             size = {"known": share.known**2 * depth}
             return {"size": size, "share": {"known": share.known}, "depth": depth}
-        of_share = posterior.share(body, level)
-        low, high = of_share.interval
+        estimate = posterior.share(body, level)
+        low, high = estimate.interval
         verdict = "not identified"
-        if of_share.at_bound:
+        if estimate.at_bound:
             verdict = "at bound"
         elif np.log(high / low) < _NARROW * _prior_width(level):
             verdict = "identified"
         # increments are not normal where single events are larger than they
-        coarse = of_share.median**2 * depth > self.steps[body]
+        coarse = estimate.median**2 * depth > self.steps[body]
         ends = None if coarse else [low**2 * depth, high**2 * depth]
         return {
-            "size": {"estimate": of_share.median**2 * depth, "interval": ends},
-            "share": {"estimate": of_share.median, "interval": None if coarse else [low, high],
-                      "reml": of_share.restricted},
+            "size": {"estimate": estimate.median**2 * depth, "interval": ends},
+            "share": {"estimate": estimate.median, "interval": None if coarse else [low, high],
+                      "reml": estimate.restricted},
             "depth": depth,
             "verdict": verdict,
         }  # fmt: skip
@@ -129,8 +129,8 @@ class RandomWear:
                 yield ValidityWarning("coarse-wear", text, (key,), (), values)
             if entry["verdict"] == "not identified":
                 text = (
-                    f"the readings hardly tell the noise of the wear of {body_of_wear(key)}: the "
-                    "intervals of the keys hold what was assumed of it (fit.process, prior)"
+                    f"the readings hardly determine the random wear of {body_of_wear(key)}: "
+                    "intervals of the keys depend on what was assumed of it (fit.process, prior)"
                 )
                 yield ValidityWarning("process-from-prior", text, (key,))
 

@@ -33,13 +33,14 @@ from ringwear_par.identification.scatter.material import BestFit, Material, Mixe
 from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size, integrate
 from ringwear_par.identification.scatter.random_wear import RandomWear, confounded_with_drift
 
-#: sd by which no test's unknowns move any more, and most rounds until then
+#: sd below which the moves of all tests' unknowns end the search, and most rounds until then
 _STILL, _MOST_ROUNDS = 1e-3, 60
 #: rounds after which the depths that shares refer to stay fixed
 _SETTLING = 3
-#: in a round, most of a logarithm, and of the width of the bounds; least share of a move
+#: largest move in a round, of a logarithm, and as a share of the width of the bounds; least share
+#: of a move
 _LOG_MOVE, _MOVE, _LEAST_SHARE = 1.0, 0.25, 0.05
-#: how often tests go half as far, where there is no history
+#: how often the move of a test is halved where there is no history
 _HALVINGS = 6
 
 
@@ -154,8 +155,8 @@ def _solve(
         if not beyond:
             break
         at_bounds |= beyond
-    of_process = wear.sizes(wear.estimated_shares(posterior)[None])
-    reduced = [with_fixed(test, at_bounds) for test in linear.reduced(of_process)[0]]
+    process_sizes = wear.sizes(wear.estimated_shares(posterior)[None])
+    reduced = [with_fixed(test, at_bounds) for test in linear.reduced(process_sizes)[0]]
     count = len(reduced)
     of_tests, sds = np.empty((count, len(low))), np.ones((count, len(low)))
     for j, value in at_bounds.items():
@@ -165,7 +166,7 @@ def _solve(
         sds[i, free] = [posterior.of_test(i, place).sd for place in range(len(free))]
     means = np.array([{**material, **at_bounds}[j] for j in range(len(low))])
     return MixedRound(
-        tuple(free), posterior, unbounded, of_process[0], reduced, means, of_tests, sds
+        tuple(free), posterior, unbounded, process_sizes[0], reduced, means, of_tests, sds
     )
 
 
@@ -248,9 +249,9 @@ def _best_fit(
             by_keys = np.einsum("ij,jk,ik->i", rest, posterior.covariance_of_test(number), rest)
             leverage[linear.rows[number]] = projection.leverage[: len(test.readings)] + by_keys
         variances = np.diagonal(posterior.solutions.covariance, axis1=1, axis2=2)
-        of_groups = posterior.weights @ (1.0 - variances[:, posterior.model.m :]).sum(axis=1)
+        effective_groups = posterior.weights @ (1.0 - variances[:, posterior.model.m :]).sum(axis=1)
         none = np.zeros((misfit.n, 0))
-        return BestFit(best, evaluation, leverage, m + float(of_groups), none, none)
+        return BestFit(best, evaluation, leverage, m + float(effective_groups), none, none)
     fitted = posterior.model.precision[: len(free)] @ np.diag(posterior.covariance)
     fitted -= len(x) - m - int(misfit.idle.sum())
     excess, excess_sd = np.zeros((2, misfit.n, len(mixed.sizes)))

@@ -17,13 +17,14 @@ _STEPS, _PROFILES, _AT = "load.steps", "profiles", "profile.at"
 INSTANTS = (_PROFILES, _AT)
 MOST_CANDIDATES = 2000
 
-#: values of a range that are tried; of loads where a test has several; of durations
+#: number of values of a range that are tried; of loads where a test has several; of durations; of
+#: speeds
 _LEVELS, _STEP_LEVELS, _DURATIONS, _SPEEDS = 15, 6, 10, 3
-#: instants of a profile; of several
+#: number of instants of a profile; the same of several profiles
 _INSTANTS, _FEW_INSTANTS = 10, 5
-#: how long a load takes to change, of the test
+#: time in which a load changes, as a share of the test
 _RAMP = 1e-3
-#: readings over time that are a record, which goes on at its rate in a longer test
+#: fewest readings over time of a record, which continues at its rate in a longer test
 _RECORD = 10
 
 

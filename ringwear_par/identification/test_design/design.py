@@ -142,13 +142,13 @@ def design(
         return problem, prior, tuple(candidates(problem.design, problem.experiments[0]))
 
     problem, prior, tests = on_first_rank(comm, read)
-    of_file, failures, more = information_of_tests(
+    information_of_file, failures, more = information_of_tests(
         problem, problem.experiments, prior.draws, prior.scatter, comm
     )
     if failures:
-        number, why = min(failures.items())
+        number, reason = min(failures.items())
         raise ComputationError(
-            f'{problem.name}: experiment "{problem.experiments[number].name}": {why}'
+            f'{problem.name}: experiment "{problem.experiments[number].name}": {reason}'
         )
     experiments = [test.experiment for test in tests]
     information, failures, histories = information_of_tests(
@@ -158,19 +158,19 @@ def design(
     shortest = min((tests[number].seconds for number in left), default=np.inf)
     space = problem.design
     if not left or shortest * space.experiments > space.time_limit:
-        why = next(iter(failures.values()), "")
+        reason = next(iter(failures.values()), "")
         raise ComputationError(
             f"{problem.name}: design: {len(failures)} of {len(tests)} tests cannot be computed, "
-            f"which leaves too few: {why}"
+            f"which leaves too few: {reason}"
         )
     search = Search(problem, prior, information[:, left], [tests[number] for number in left])
     best = search.best(space.experiments)
     pairs, scores = search.pairs() if space.experiments == 2 else (np.zeros((0, 0, 0)),) * 2
     single, single_scores = search.singles()
-    failed = {tests[number]: why for number, why in failures.items()}
+    failed = {tests[number]: reason for number, reason in failures.items()}
     return DesignResult(
         problem, tuple(tests[number] for number in left), single, single_scores,
-        tuple(best), search.design_of_file(of_file), prior.nominal, prior.information,
+        tuple(best), search.design_of_file(information_of_file), prior.nominal, prior.information,
         len(prior.draws), prior.after, pairs, scores, failed, histories + more, versions(),
     )  # fmt: skip
 

@@ -26,7 +26,7 @@ from ringwear_par.pictures.style import picture
 
 FILES = (DESIGN, NEXT, MAP)
 
-#: of a step: within it distances are equal
+#: share of a step within which distances are equal
 _EQUAL = 1e-6
 
 
@@ -51,10 +51,8 @@ def next_tests(design: DesignResult) -> str:
         f"# The best of {len(design.candidates)} candidates: {spreads(design, best)}.",
         f"# Tables for {legible(problem.name)}, measured as {legible(measured['name'])} there. "
         "Readings are planned:",
-        "# ringwear fit --dry-run tells what they would. When a test has been made, what it has "
-        "read goes in",
-        "# the place of times, r and unit (file, columns, units); a weight goes beside its unit "
-        "(value).",
+        "# ringwear fit --dry-run prints the intervals to expect. After a test, put its readings",
+        "# in place of times, r and unit (file, columns, units); a weight beside its unit (value).",
     ]
     for place, name in zip(best.tests, names, strict=False):
         test = design.candidates[place]

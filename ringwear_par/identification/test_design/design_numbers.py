@@ -25,9 +25,9 @@ _CRITERIA = {
     "A": "smallest mean variance over the widths of the bounds (A)",
     "eig": "largest expected gain of information (eig)",
 }
-#: inches of a panel, and of a test of a design that bars show
+#: inches: width and height of a panel, height of a test of a design in bars
 _WIDTH, _HEIGHT, _LINE = 4.6, 4.2, 0.2
-#: designs that a summary shows
+#: number of designs that a summary shows
 _LISTED = 5
 
 
@@ -61,7 +61,8 @@ def to_dict(design: DesignResult) -> dict[str, Any]:
         "draws": design.draws,
         "candidates": len(design.candidates),
         "failed": [
-            {"experiment": test.to_dict(), "error": why} for test, why in design.failed.items()
+            {"experiment": test.to_dict(), "error": reason}
+            for test, reason in design.failed.items()
         ],
         "histories": design.histories,
         "measured_as": design.problem.experiments[0].name,
@@ -187,8 +188,8 @@ def summary(design: DesignResult) -> str:
     lines.append(f"{where}: {about}{spread}")
     if scattering := [p.key for p in problem.parameters if p.scatter is not None]:
         lines.append(
-            f"each test is of a new specimen, between which {', '.join(scattering)} scatters; "
-            "what follows is of the material"
+            f"each test is of a new specimen, and {', '.join(scattering)} differs between "
+            "specimens; numbers below are of the material"
         )
     if not design.after:  # or earlier specimens tell it too
         lines += known_sizes(problem, count)
@@ -204,18 +205,18 @@ def summary(design: DesignResult) -> str:
     planned = f"the fit file's{' again' if design.after else ''}, {time_words(seconds, seconds)}"
     lines.append(f"  {planned.ljust(width)}  {spreads(design, design.planned)}")
     if design.failed:
-        test, why = next(iter(design.failed.items()))
+        test, reason = next(iter(design.failed.items()))
         lines.append(
             f"{len(design.failed)} tests cannot be computed and are left out: "
-            f"{name_of(test, problem.design.units)}: {why}"
+            f"{name_of(test, problem.design.units)}: {reason}"
         )
     return "\n".join(lines)
 
 
-def name_of_tests(design: DesignResult, candidate: Design, separator: str = " + ") -> str:
+def name_of_tests(design: DesignResult, candidate: Design) -> str:
     """Return the tests of a design in a few words."""
     units = design.problem.design.units
-    return separator.join(name_of(design.candidates[i], units) for i in candidate.tests)
+    return " + ".join(name_of(design.candidates[i], units) for i in candidate.tests)
 
 
 def name_of(test: Candidate, units: Mapping[str, str]) -> str:

@@ -28,10 +28,10 @@ from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.identification.scatter.likelihood import of_new_specimen
 from ringwear_par.results.execution.stop_signals import StopSignals
 
-#: draws of the keys, and their seed
+#: number of draws of the keys, and their seed
 _DRAWS, _SEED = 8, 0
-#: information over the widths of bounds: below the one nothing is known of a direction, below the
-#: other it is not drawn along; most standard deviations that are, over these widths
+#: information by the widths of bounds below which nothing is known of a direction, and below which
+#: it is not drawn along; largest sd that is drawn, over these widths
 _UNINFORMED, _WEAK, _WIDEST = 1e-6, 1.0, 0.25
 _ALLOWED = "must be the folder of a fit of the same keys that is done (ringwear fit -o)"
 
@@ -228,8 +228,8 @@ def information_of_tests(
                     continue
                 by_series = _series_information(problem, test, response[:, 1 : 1 + m] * slopes)
                 for number in group:
-                    of_readings = sum(by_series[id(series)] for series in tests[number].series)
-                    matrices[d, number] = of_new_specimen(np.asarray(of_readings), scatter)
+                    test_information = sum(by_series[id(series)] for series in tests[number].series)
+                    matrices[d, number] = of_new_specimen(np.asarray(test_information), scatter)
         return matrices, failures, rounds.count
 
     return rounds.lead(compute)

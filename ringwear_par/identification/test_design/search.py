@@ -11,13 +11,13 @@ from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.test_design.candidates import Candidate
 from ringwear_par.identification.test_design.information import PriorInformation, widths
 
-#: information, over the widths of bounds, that is none; and beside the largest
+#: information that counts as none: by the widths of bounds, and relative to the largest
 _UNINFORMED, _ROUND_OFF = 1e-9, 1e-13
-#: pairs of candidates that are looked at together
+#: pairs of candidates whose scores are computed together
 _AT_ONCE = 20_000
-#: designs that are told, and rounds of exchange in their search
+#: designs that are listed, and rounds of exchange in their search
 _LISTED, _ROUNDS = 10, 20
-#: best exchanges of two tests that are looked at as designs of their own
+#: number of best exchanges of two tests that are tried as designs
 _NEAR = 200
 
 
@@ -72,8 +72,8 @@ class Search:
         left = limit - shortest * (count - 2)
         if count == 2:
             return self._best_designs(pairs[spent <= limit])
-        # from the best pair with the shortest others on, two are exchanged at a time; what the last
-        # exchanges could have been is told as well
+        # from the best pair with the shortest others on, two are exchanged at a time; the
+        # candidates of the last exchanges are listed as well
         admissible = pairs[spent <= left]
         start = admissible[int(self._scores(admissible, without_others).argmax())]
         tests = np.append(start, [int(self._seconds.argmin())] * (count - 2))
@@ -122,7 +122,7 @@ class Search:
         scores = self._scores(tests)
         designs: dict[Hashable, Design] = {}
         for i in np.argsort(-scores, kind="stable").tolist():
-            # of the same loads the best durations and instants are told
+            # of tests at the same loads those with the best durations and instants are listed
             kind = tuple(sorted(self._kinds[test] for test in tests[i]))
             if kind not in designs:
                 whole = self._information[:, tests[i]].sum(axis=1)

@@ -12,7 +12,7 @@ from ringwear_par.measuring.definition.problem import Conditions, Uncertainty
 #: coverage factor of expanded uncertainties, about 95 % of a normal distribution
 COVERAGE = 2.0
 DRAWS, _SEED, _LEVEL = 200_000, 1, 0.95
-#: of the expanded uncertainty: GUM and Monte Carlo that differ by more do not agree
+#: share of the expanded uncertainty by which GUM and Monte Carlo may differ and still agree
 _AGREEMENT = 0.1
 
 

@@ -32,14 +32,14 @@ from ringwear_par.measuring.definition.problem import Conditions, Problem, Test,
 from ringwear_par.measuring.definition.records import Record
 from ringwear_par.schedules import in_time
 
-#: psi ft/min in a MPa m/s
+#: 1 MPa m/s in psi ft/min
 PSI_FT_MIN = 145.0377377 * 196.8503937
 RATE = "mm/s"
-#: share by which volumes may differ whatever their uncertainties; blocks that a gap may last;
-#: share of the test below which a steady part is short; share by which loads may differ
+#: share by which volumes may differ whatever their uncertainties; most blocks of a gap; share of
+#: the test below which a steady part is short; share by which loads may differ
 _DIFFERENT, _GAP, _SHORT, _OTHER_LOAD = 0.05, 10.0, 0.3, 0.02
-#: friction coefficients of sliding contacts, lubricated or dry; volumes of which one is so many
-#: times the other were read in another unit
+#: range of friction coefficients of sliding contacts, lubricated or dry; ratio of volumes above
+#: which one was read in another unit
 _FRICTIONS, _OTHER_UNIT = (0.002, 3.0), 300.0
 
 
@@ -236,8 +236,8 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[ValidityWarning]:
         and record.has_both_ends
     ):
         balance, depth = whole.volume, whole.volume_by_displacement
-        apart = abs(balance.value - depth.value)
-        if apart > max(2.0 * np.hypot(balance.u, depth.u), _DIFFERENT * abs(balance.value)):
+        difference = abs(balance.value - depth.value)
+        if difference > max(2.0 * np.hypot(balance.u, depth.u), _DIFFERENT * abs(balance.value)):
             ratio = abs(depth.value / balance.value) if balance.value else 1.0
             look = "for thermal growth of the rings, debris or drift"
             if not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:

@@ -12,9 +12,9 @@ from ringwear_par.measuring.analysis.budget import COVERAGE
 from ringwear_par.measuring.analysis.numbers import TestNumbers
 from ringwear_par.measuring.definition.problem import Conditions
 
-#: loads and speeds that are the same
+#: relative difference below which loads and speeds are the same
 _SAME = 0.02
-#: standard deviations that two tests differ by in one of twenty pairs (ISO 5725)
+#: sd by which two tests differ in one of twenty pairs (ISO 5725), and the quantile that this is
 _REPEATABILITY, _LEVEL = 2.8, 0.975
 
 

@@ -10,15 +10,16 @@ from ringwear_par.measuring.analysis.autoregression import regress
 
 #: most block means of a record, and readings of a block at least on average
 MOST_BLOCKS, READINGS_OF_A_BLOCK = 200, 3
-#: block means that a steady part has at least
+#: fewest block means of a steady part
 FEWEST_BLOCKS = 20
 #: fewest block means that a change is computed from
 _FEWEST_OF_A_PART = 6
-#: shares of the test: starts are tried to the latest, in steps, and several in a row must be steady
+#: shares of the test: the latest start that is tried, the step between starts; how many in a row
+#: must be steady
 _LATEST, _STEP, _IN_A_ROW = 0.7, 0.01, 6
-#: of the usual number of readings: blocks with fewer are dropped
+#: share of the usual number of readings below which a block is dropped
 _HALF_FILLED = 0.5
-#: where no part is steady, numbers are of the test from here on
+#: share of the test after which numbers are taken where no part is steady
 LAST_THIRD = 2.0 / 3.0
 
 #: 1: a level that changes along a line; 2: a slope, of a record that bends as a parabola

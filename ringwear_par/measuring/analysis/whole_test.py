@@ -39,7 +39,7 @@ class WholeTest:
 
 
 def displaced_volume(
-    wear: Blocks, change: Change, test: Test, known: Mapping[str, Uncertainty]
+    wear: Blocks, change: Change, test: Test, uncertainties: Mapping[str, Uncertainty]
 ) -> Estimate | None:
     """Return the volume by displacement of the whole test, mm3; None without its ends.
 
@@ -62,7 +62,7 @@ def displaced_volume(
     volume = area * (after - before)
     sources = (
         Source("readings", "A", float(np.hypot(u_before, u_after)), "mm", area),
-        *source_of(known, "displacement", 1.0, "1", volume),
+        *source_of(uncertainties, "displacement", 1.0, "1", volume),
     )
     return Estimate(volume, "mm3", sources)
 
@@ -80,7 +80,7 @@ def _weighed(
     test: Test, problem: Problem, conditions: Conditions
 ) -> tuple[Estimate, Estimate, Estimate]:
     """Return mass lost (mg), volume (mm3) and specific wear rate (mm3/(N m)) by weighing."""
-    known, weighing, density = problem.uncertainty, test.weighing, test.density
+    uncertainties, weighing, density = problem.uncertainty, test.weighing, test.density
     assert weighing is not None
     assert density is not None
     mass, key = weighing.loss, f"{test.body}.density"
@@ -97,14 +97,16 @@ def _weighed(
     by_mass = Estimate(
         volume, "mm3",
         (*balance(1.0 / density),
-         *source_of(known, key, density, "g/mm^3", -volume / density)),
+         *source_of(uncertainties, key, density, "g/mm^3", -volume / density)),
     )  # fmt: skip
     sources = (
         *balance(1.0 / (density * work)),
-        *source_of(known, key, density, "g/mm^3", -rate / density),
-        *load_sources(known, conditions, -rate),
-        *source_of(known, "load.omega", conditions.omega, "rad/s", -rate / conditions.omega),
-        *source_of(known, "time", 1.0, "1", -rate),
+        *source_of(uncertainties, key, density, "g/mm^3", -rate / density),
+        *load_sources(uncertainties, conditions, -rate),
+        *source_of(
+            uncertainties, "load.omega", conditions.omega, "rad/s", -rate / conditions.omega
+        ),
+        *source_of(uncertainties, "time", 1.0, "1", -rate),
     )
     us = {source.name: source.u for source in sources}
     if not any(us.values()):

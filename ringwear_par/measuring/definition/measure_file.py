@@ -28,7 +28,7 @@ from ringwear_par.measuring.definition.records import CHANNELS, Record, read_rec
 from ringwear_par.schedules import quantity_text
 
 _TABLES = ("case", "measure", "test")
-#: of a test: a record may end so much before it, and be so much longer
+#: share of a test by which a record may end before it, or be longer
 _SHORTER = 0.1
 _HOUR = 3600.0
 
@@ -122,7 +122,7 @@ def _read_uncertainty(reader: TableReader) -> dict[str, Uncertainty]:
         reader.faults += [f"{reader.place}.{fault}" for fault in error.faults]
         return {}
     entries = TableReader(f"{reader.place}.uncertainty", table, reader.faults, schema.UNCERTAINTY)
-    known = {}
+    uncertainties = {}
     for name, unit in schema.UNCERTAIN.items():
         entry = entries.raw(name)
         if entry is None:
@@ -138,11 +138,11 @@ def _read_uncertainty(reader: TableReader) -> dict[str, Uncertainty]:
         except RejectedError as reason:
             entries.wrong(name, f"{rule}{f' ({reason})' if str(reason) else ''}")
             continue
-        known[name] = Uncertainty(float(size), relative)
-    if {"load.force", "load.pressure"} <= known.keys():
+        uncertainties[name] = Uncertainty(float(size), relative)
+    if {"load.force", "load.pressure"} <= uncertainties.keys():
         entries.wrong("load.pressure", "must be absent beside load.force")
     entries.finish()
-    return known
+    return uncertainties
 
 
 def _flat(table: Mapping[str, Any]) -> dict[str, Any]:

@@ -35,9 +35,9 @@ _WORDS: dict[str, tuple[set[str], ...]] = {
 _TEMPERATURE = re.compile(r"(?:\N{DEGREE SIGN}|deg)?\s*([CFK])\s*[\])]?$")
 #: clocks that count from the start of a test
 _ZERO = re.compile(r"0?0:00(?::|$)")
-#: readings that a record has at least: of fewer no steady part can be told
+#: fewest readings of a record: in fewer no steady part can be found
 FEWEST_READINGS = 60
-#: of a record, at its start and its end: readings whose means tell whether it falls
+#: share of a record at its start and at its end, whose means show whether it falls
 _ENDS = 0.05
 
 Sense = Literal["rising", "falling"]
@@ -202,11 +202,11 @@ def _with_dates(table: Measurements, columns: Mapping[str, str]) -> Measurements
     A date that is always the same tells nothing, and a clock that begins at 0:00 counts from the
     start.
     """
-    known = [name for name in table.columns if _names(name, _WORDS["time"][0])]
-    date = next((name for name in known if len(table.dates(name)) > 1), None)
+    candidates = [name for name in table.columns if _names(name, _WORDS["time"][0])]
+    date = next((name for name in candidates if len(table.dates(name)) > 1), None)
     if date is None:
         return table
-    for clock in [columns["time"]] if "time" in columns else known:
+    for clock in [columns["time"]] if "time" in columns else candidates:
         if clock != date and clock in table.columns:
             joined = table.joined(date, clock)
             if joined.begins_with_stamp(clock) and not _ZERO.match(table.first_cell(clock)):
@@ -271,16 +271,16 @@ def _known_column(
         for words in _WORDS[channel]
     ]
     for columns in candidates:
-        known = [column for column in columns if _may_be(table, channel, column)]
+        fitting = [column for column in columns if _may_be(table, channel, column)]
         if channel == "time":  # a date beside a time of day, or stamps beside seconds: one will do
-            known.sort(key=lambda column: not table.begins_with_stamp(column))
-        elif len(known) > 1:
+            fitting.sort(key=lambda column: not table.begins_with_stamp(column))
+        elif len(fitting) > 1:
             faults.append(
-                f"{table.name}: the columns {legible(' and '.join(known), 200)} may both be of "
+                f"{table.name}: the columns {legible(' and '.join(fitting), 200)} may both be of "
                 f'{channel}; columns = {{ {channel} = "..." }} must say which is'
             )
-        if known:
-            return known[0]
+        if fitting:
+            return fitting[0]
     # in the unit of something else, which is reported
     return next((column for columns in candidates for column in columns), None)
 

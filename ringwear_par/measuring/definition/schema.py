@@ -4,7 +4,7 @@ from ringwear_par.cases.tables import Key, file_keys, keys_of_table
 from ringwear_par.cases.values import anything, number, one_of, text
 from ringwear_par.measuring.definition.problem import Limits
 
-#: inputs whose uncertainty may be told, with their units; of some only a share means something
+#: inputs that may have an uncertainty, with their units; of some only a relative one has a meaning
 UNCERTAIN = {
     "load.force": "N", "load.pressure": "MPa", "load.omega": "rad/s", "lower.density": "g/mm^3",
     "upper.density": "g/mm^3", "torque": "N mm", "displacement": "", "time": "",

@@ -15,7 +15,7 @@ from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import open_result, read_error, read_status, restored
 
-#: of result files
+#: endings of names of result files
 _ENDINGS = (".h5", ".hdf5", ".nc")
 
 

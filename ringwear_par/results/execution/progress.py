@@ -149,7 +149,7 @@ def duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 120 else f"{minutes / 60:.1f} h"
 
 
-#: of texts that are printed on a terminal: their first words, and what they say of checks
+#: colours of texts on a terminal, by their first words or by what they say of checks
 _COLOURS = (
     (re.compile(r"^warning(?=:)", re.MULTILINE), "1;33"),
     (re.compile(r"(?<=^checks       )ok", re.MULTILINE), "32"),

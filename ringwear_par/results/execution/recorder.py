@@ -198,8 +198,8 @@ class Recorder:
         failures = {**self._stresses.failures, **failures}
         columns, warnings = self._recorded(failures)
         return [
-            failures[number] if number in failures else self._result(number, columns, of_history)
-            for number, of_history in enumerate(warnings)
+            failures[number] if number in failures else self._result(number, columns, doubts)
+            for number, doubts in enumerate(warnings)
         ]
 
     def _result(

@@ -268,7 +268,7 @@ def _draw(output: Path, figure: Figure | None, comm: MPI.Comm) -> None:
 def _times(seconds: dict[str, float], start_up: float, evaluations: int) -> str:
     names = ("assembly", "factorisation", "stepping", "output")
     parts = ", ".join(f"{name} {seconds[f'seconds_{name}']:.3f}" for name in names)
-    counted = f"{evaluations} kernel evaluations" if evaluations else "of a shape that was known"
+    counted = f"{evaluations} kernel evaluations" if evaluations else "of a stored contact pair"
     return f"seconds: start-up {start_up:.2f}, {parts} ({counted})"
 
 

@@ -10,9 +10,9 @@ from types import FrameType
 from typing import Any
 
 SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT, signal.SIGHUP)
-#: after so long a signal is another wish, not the same one told twice
+#: after so long a signal is a new request, not the same one sent twice
 _AGAIN_SECONDS = 1.0
-#: how long to wait until what cannot be stopped is over
+#: time between attempts to stop what cannot be stopped at once
 _LATER_SECONDS = 0.05
 #: after which rank 0 says why it ends, if it has not: mpirun kills a second after its signal
 _WORD_SECONDS = 0.7
@@ -123,7 +123,7 @@ class StopAtOnce(StopSignals):
     def __exit__(self, *_: object) -> None:
         super().__exit__()
         sys.unraisablehook = self._hook
-        if self.received:  # the program ends: if it is told so again, with the same status
+        if self.received:  # the program ends: by the same signal again, with the same status
             signal.signal(self.received, signal.SIG_IGN)
             signal.signal(signal.SIGINT, signal.SIG_DFL)  # without a traceback
 

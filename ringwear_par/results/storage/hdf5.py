@@ -30,7 +30,7 @@ _SEAL, _DIGITS = b"\nringwear-par crc32 ", 8
 _SEAL_BYTES = len(_SEAL) + _DIGITS + 1
 _BLOCK_BYTES = 2**22
 
-#: most that HDF5's filters make of a byte
+#: most bytes that HDF5's filters make of one
 _DEFLATED = 1032
 
 

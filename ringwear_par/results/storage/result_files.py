@@ -279,7 +279,7 @@ _STATE_ARRAYS = {
         "shape", ("body", "element"), "mm", "wear depth that the elements have followed"
     ),
     "state.gap_offset": Variable(
-        "fit", ("element",), "mm", "what elements are nearer since their slopes turned"
+        "fit", ("element",), "mm", "by how much elements are nearer since their slopes turned"
     ),
     "state.through": Variable(
         "through", ("body",), "s", "when wear first got through all layers, or infinite"
@@ -290,7 +290,7 @@ _STATE_ARRAYS = {
         "warm_scaled_pressure", ("element",), "1", "unknowns of the contact solver"
     ),
 }
-#: of histories whose elements follow the wear, and of bodies with layers
+#: arrays of histories whose elements follow the wear, and of bodies with layers
 _OPTIONAL_ARRAYS = ("state.meshed_wear", "state.gap_offset", "state.through")
 #: parts that are numbers: their names in files, and their types
 _STATE_NUMBERS: dict[str, tuple[str, type]] = {

@@ -90,14 +90,14 @@ def coordinates(result: Result) -> tuple[str, ...]:
 
 def _stress_coordinates(history: StressHistory) -> tuple[str, ...]:
     """Return the names of the coordinates that are no dimensions; there is a state at least."""
-    of_points = tuple(name for name, _ in _points(history))
-    of_interfaces = (
+    point_names = tuple(name for name, _ in _points(history))
+    interface_names = (
         names
         for lines, v in zip(history.interfaces, table.INTERFACES, strict=True)
         if len(lines.z)
         for names in (v.r.name, v.z.name)
     )
-    return (table.STRESS_TIME.name, *of_points, *of_interfaces)
+    return (table.STRESS_TIME.name, *point_names, *interface_names)
 
 
 def _stress_variables(history: StressHistory) -> list[tuple[Variable, Any]]:
@@ -165,9 +165,9 @@ def stress_rows(history: StressHistory, times: FloatArray) -> dict[str, FloatArr
     """
     row = {time: i for i, time in enumerate(times.tolist())}
 
-    def layered(of_bodies: Sequence[Any]) -> list[Any]:
+    def layered(entries: Sequence[Any]) -> list[Any]:
         """Return the entries of bodies with layers."""
-        return [entry for entry, count in zip(of_bodies, history.layers, strict=True) if count]
+        return [entry for entry, count in zip(entries, history.layers, strict=True) if count]
 
     def points(state: StressState) -> tuple[FloatArray, ...]:
         at = state.points

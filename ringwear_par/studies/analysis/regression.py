@@ -24,12 +24,12 @@ from ringwear_par.studies.analysis.responses import SEED, upper_limit
 if TYPE_CHECKING:
     from scipy.interpolate import RBFInterpolator
 
-#: most cases that stretches of the keys are found from
+#: most cases from which stretches of the keys are found
 _MOST_STRETCHED = 150
-#: of places of keys, by which their values are told apart
+#: decimals of the places of keys to which values of a key count as the same
 _DIGITS = 6
-#: values left out of a key leave a hole twice as wide as those of the design, and where a response
-#: has kinks errors go by the width: so much of these errors counts
+#: share of the width of a gap that counts in errors: values that are left out of a key leave a gap
+#: twice as wide as those of the design, and where a response has kinks errors grow with the width
 _HOLE = 0.5
 #: parts that are left out in turn, for the errors and for the search for stretches
 _FOLDS, _FEW_FOLDS = 10, 4
@@ -187,8 +187,8 @@ def _left_out(
 def _by_lot(count: int, parts: int) -> list[BoolArray]:
     """Return which cases are left out, in turn."""
     parts = min(parts, count)
-    of_part = np.random.default_rng(SEED).permutation(count) % parts
-    return [of_part == part for part in range(parts)]
+    part_numbers = np.random.default_rng(SEED).permutation(count) % parts
+    return [part_numbers == part for part in range(parts)]
 
 
 def _by_value(points: FloatArray, parts: int) -> list[list[BoolArray]]:
@@ -234,9 +234,9 @@ def fit_responses(
     sets = [_by_lot(len(points), _FOLDS), *_by_value(points, _FOLDS)]
     for number, folds in enumerate(sets):
         anew = not number and len(points) <= _MOST_STRETCHED
-        for name, (error, of_form) in _errors(points, flat, folds, chosen, anew=anew).items():
+        for name, (error, form_error) in _errors(points, flat, folds, chosen, anew=anew).items():
             share = _HOLE if number else 1.0
-            errors[name] = max(errors[name], (share * error, share * of_form))
+            errors[name] = max(errors[name], (share * error, share * form_error))
     stretches, forms = chosen
     return stretches, {
         name: Response(array, forms[name], *errors[name], values[name].shape[1:], upper_limit(name))
@@ -253,8 +253,8 @@ def _errors(
     With the chosen stretches and forms, or others chosen anew without each fold; errors of forms
     are of those above.
     """
-    apart: dict[str, list[FloatArray]] = {name: [] for name in values}
-    of_form: dict[str, list[FloatArray]] = {name: [] for name in values}
+    left_out: dict[str, list[FloatArray]] = {name: [] for name in values}
+    form_errors: dict[str, list[FloatArray]] = {name: [] for name in values}
     for out in folds:
         rest = {name: array[~out] for name, array in values.items()}
         stretches, forms = _chosen(points[~out], rest) if anew else chosen
@@ -266,13 +266,13 @@ def _errors(
                 _back(table, forms[name], array, upper_limit(name)),
                 values[name][out],
             )
-            apart[name].append(predicted - expected)
+            left_out[name].append(predicted - expected)
             form, _ = _FORMS[chosen[1][name]]
             with np.errstate(divide="ignore"):  # logarithms, where others were chosen meanwhile
                 differences = form(predicted) - form(expected)
-            of_form[name].append(differences[np.isfinite(differences)])
+            form_errors[name].append(differences[np.isfinite(differences)])
     return {
-        name: (_rms(np.concatenate(apart[name])), _rms(np.concatenate(of_form[name])))
+        name: (_rms(np.concatenate(left_out[name])), _rms(np.concatenate(form_errors[name])))
         for name in values
     }
 

@@ -12,12 +12,12 @@ from ringwear_par.studies.storage.end_values import MAIN_END_VALUES, end_value_o
 from ringwear_par.studies.storage.ensemble import Ensemble
 from ringwear_par.studies.storage.stored_variables import AT_STATES
 
-#: of all random choices: the same results give the same figure
+#: seed of all random choices: the same results give the same figure
 SEED = 1
 #: profiles of wear, and their largest values
 DEPTHS = ("wear_lower", "wear_upper")
 LARGEST = tuple(f"largest_{name}" for name in DEPTHS)
-#: stored states whose profiles are read at once
+#: stored states whose profiles are read together
 _STATES = 4000
 
 
@@ -45,7 +45,7 @@ def read_responses(
     block = max(1, _STATES // int(ensemble.steps_stored.max()))
     parts = [cases[start : start + block] for start in range(0, len(cases), block)]
     read = [dict(_read_responses(ensemble, part, times)) for part in parts]
-    values = {name: np.concatenate([of_part[name] for of_part in read]) for name in read[0]}
+    values = {name: np.concatenate([part[name] for part in read]) for name in read[0]}
     for name in [name for name in values if name not in (*MAIN_END_VALUES, *DEPTHS)]:
         if not (end_value_of(name)[0].smooth and np.isfinite(values[name]).all()):
             del values[name]

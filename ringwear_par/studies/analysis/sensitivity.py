@@ -28,11 +28,11 @@ from ringwear_par.studies.storage.ensemble import Ensemble
 
 log = logging.getLogger(__name__)
 
-#: fewest and most cases, 95 % confidence from so many resamples
+#: fewest and most cases, and resamples for 95 % confidence
 _FEWEST, _MOST, _RESAMPLES = 100, 4000, 100
-#: so many cases differ from the others at least, in so many digits
+#: fewest cases that must differ from the others, in so many digits
 _FEWEST_DIFFERING, _DIGITS = 20, 12
-#: of a surrogate, about
+#: about how many evaluations of a surrogate
 _EVALUATIONS = 1e6
 _FIRST = "first order S\N{SUBSCRIPT ONE}"
 _NO_SALIB = (
@@ -73,9 +73,9 @@ def sensitivity_indices(ensemble: Ensemble, regressions: Surrogate | None) -> tu
         part = regressions.parts[0]
         errors = {n: part.responses[n].relative_error for n in outputs if n in part.responses}
         good = [name for name, error in errors.items() if 0.0 < error <= COARSE]
-        indices = {of_output.output: of_output for of_output in surrogate_indices(part, good)}
+        indices = {entry.output: entry for entry in surrogate_indices(part, good)}
     rest = [name for name in outputs if name not in indices]
-    indices |= {of_output.output: of_output for of_output in sample_indices(ensemble, rest)}
+    indices |= {entry.output: entry for entry in sample_indices(ensemble, rest)}
     return tuple(indices[name] for name in outputs if name in indices)
 
 
@@ -121,17 +121,17 @@ def sample_indices(ensemble: Ensemble, outputs: Sequence[str]) -> tuple[Indices,
         # one key more, which has nothing to do with the output
         irrelevant = np.random.default_rng(SEED).random(len(chosen))
         try:
-            of_keys = _delta(np.column_stack([x[chosen], irrelevant]), y[chosen])
+            estimates = _delta(np.column_stack([x[chosen], irrelevant]), y[chosen])
         except ImportError:
             log.warning(_NO_SALIB)
             return ()
-        delta, delta_width, first, first_width = (index[:-1] for index in of_keys)
+        delta, delta_width, first, first_width = (index[:-1] for index in estimates)
         part_of = f"{len(chosen)} of {len(cases)}" if len(chosen) < len(cases) else str(len(cases))
         indices.append(
             Indices(
                 output, tuple(columns), f"sample of {part_of} cases,\n95 % confidence",
                 (_FIRST, "\N{GREEK SMALL LETTER DELTA}, of the whole distribution"),
-                first, delta, first_width, delta_width, float(of_keys[0][-1] + of_keys[1][-1]),
+                first, delta, first_width, delta_width, float(estimates[0][-1] + estimates[1][-1]),
             )
         )  # fmt: skip
     return tuple(indices)
@@ -212,7 +212,7 @@ def surrogate_indices(part: Part, names: Sequence[str]) -> tuple[Indices, ...]:
             return ()
         points = sampling.sample(problem, base, calc_second_order=False, seed=SEED)
         for name, values in part.at(points, names).items():
-            of_keys = sobol.analyze(  # it would give the confidence of sampling from resamples
+            answer = sobol.analyze(  # it would give the confidence of sampling from resamples
                 problem, values[:, 0], calc_second_order=False, num_resamples=2, seed=SEED
             )
             source = (
@@ -220,7 +220,7 @@ def surrogate_indices(part: Part, names: Sequence[str]) -> tuple[Indices, ...]:
                 f"leave-out error {share_words(part.responses[name].relative_error)}"
             )
             words = _FIRST, "total S\N{LATIN SUBSCRIPT SMALL LETTER T}"
-            indices.append(Indices(name, part.keys, source, words, of_keys["S1"], of_keys["ST"]))
+            indices.append(Indices(name, part.keys, source, words, answer["S1"], answer["ST"]))
     return tuple(indices)
 
 

@@ -38,11 +38,12 @@ log = logging.getLogger(__name__)
 
 #: most cases that are interpolated
 _MOST = 1000
-#: cases nearer to each other than this part of all ranges are one
+#: decimals of the shares of ranges to which cases count as the same
 _DIGITS = 6
 #: the design's own ends count as covered where a case is so near, as a part of the range
 _NEAR = 0.1
-#: keys whose ranges the study does not tell go by logarithms where they span so much, unevenly
+#: keys without ranges in the study have logarithmic places where their values, unevenly spaced,
+#: span so large a ratio
 _LOG_KEY = 20.0
 #: most responses that a message names
 _NAMED = 3

@@ -23,9 +23,9 @@ from ringwear_par.studies.definition.designs import Draft
 from ringwear_par.studies.definition.identities import identities_of
 from ringwear_par.studies.definition.varied_columns import by_kind
 
-#: bad cases that are looked at; those of them whose own sentences are listed
+#: most bad cases that are read again for their faults, and most whose own sentences are listed
 LOOKED_AT, _LISTED = 200, 5
-#: so many cases of a sentence are named, or one more
+#: cases of a sentence that are named; one more is named too
 _NAMED = 3
 
 
@@ -173,9 +173,9 @@ def refuse_bad_cases(
 
     Of the cases of all stretches that share an operator, the largest stores most.
     """
-    of_cases = [fault for part in stretches for fault in part.faults][:LOOKED_AT]
+    listed_faults = [fault for part in stretches for fault in part.faults][:LOOKED_AT]
     faults = case_faults(
-        draft.name, of_cases, sum(part.bad for part in stretches), len(draft.cases)
+        draft.name, listed_faults, sum(part.bad for part in stretches), len(draft.cases)
     )
     operator_faults: dict[Hashable, tuple[str, ...]] = {}
     for part in stretches:
@@ -183,10 +183,10 @@ def refuse_bad_cases(
     for operator, case in largest.items():
         try:
             check_memory(case, ranks, draft.name)
-            of_operator = operator_faults[operator]
+            new_faults = operator_faults[operator]
         except InputError as error:
-            of_operator = error.faults
-        faults += [fault for fault in of_operator if fault not in faults]
+            new_faults = error.faults
+        faults += [fault for fault in new_faults if fault not in faults]
     if faults:
         raise InputError(*faults)
 

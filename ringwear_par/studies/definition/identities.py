@@ -21,7 +21,7 @@ from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.files.text import read_text
 from ringwear_par.studies.definition.varied_columns import CaseColumns, by_kind
 
-#: cases whose ids are made at once
+#: cases whose ids are made together
 _WINDOW = 2**14
 
 

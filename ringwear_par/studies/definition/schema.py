@@ -4,7 +4,7 @@ from ringwear_par.cases.tables import Key, keys_of_table
 from ringwear_par.cases.values import anything, one_of, text, whole
 
 METHODS = ("grid", "sobol", "latin-hypercube", "random", "list")
-#: of a design
+#: most cases of a design
 MOST_CASES = 10**7
 _RANGE = anything("two increasing numbers, > 0 for log")
 

@@ -28,7 +28,7 @@ from ringwear_par.studies.definition.varied_columns import CaseColumns, Frame, G
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-#: most kinds of cases that a rank keeps at hand
+#: most kinds of cases that a rank keeps in memory
 _MOST_KINDS = 64
 
 
@@ -116,13 +116,13 @@ class Study:
         rows, kinds = self.cases.part(numbers), self.cases.kinds[numbers]
         written = {i: rows.columns[i].by_case(toml_value) for i in rows.numbers.values()}
         cases = np.empty(len(kinds), dtype=object)
-        for number, of_kind in by_kind(kinds):
-            kind = self._kind(number, int(numbers[of_kind[0]]))
-            places = of_kind.tolist()
+        for number, members in by_kind(kinds):
+            kind = self._kind(number, int(numbers[members[0]]))
+            places = members.tolist()
             columns = [[written[c][i] for i in places] for c in kind.frame.columns]
             filled = list(zip(*columns, strict=True)) if columns else [()] * len(places)
             texts = list(map(kind.frame.filled, filled))
-            floats = {n: v.tolist() for n, v in self.cases.floats(numbers[of_kind]).items()}
+            floats = {n: v.tolist() for n, v in self.cases.floats(numbers[members]).items()}
             for i, case in zip(places, with_numbers(kind.case, floats, texts), strict=True):
                 cases[i] = case
         return cases.tolist()

@@ -25,7 +25,7 @@ _FORMS = (
     "must be { values = [...] }, { linear = [low, high], count = n } or "
     "{ log = [low, high], count = n }"
 )
-#: samples are not nearer to the ends of a range than this part of it, which may be open ones
+#: share of a range by which samples keep off its ends, which may be open
 _INSIDE = 1e-9
 
 
@@ -268,7 +268,7 @@ def _written_unit(entry: Mapping[str, Any], key: str) -> str:
     unit = next((number_and_unit(value)[1] for value in values if has_unit(value)), "")
     try:
         return "" if not unit or factor(unit, base_unit(key)) == 1.0 else unit
-    except RejectedError:  # which is told where values are read
+    except RejectedError:  # which is reported where values are read
         return ""
 
 

@@ -26,8 +26,8 @@ _NUMBERS, _FIELDS, _MOST = 2**21, 32, 2048
 #: their places, until none are left in it. To start them costs more than it gains where all end at
 #: about the same time
 _BATCHES = 4
-#: of the stored histories of a block, in memory until all of them have ended; derivatives come
-#: on top, as many times as much as there are: smaller blocks would be slower than these are large
+#: bytes of the stored histories of a block, in memory until all of them have ended; derivatives add
+#: as many times as much as there are: smaller blocks would be slower than these are large
 _BLOCK_BYTES = 64e6
 
 

@@ -26,9 +26,9 @@ from ringwear_par.arrays import IntArray
 #: how long the cases that a team draws are to take, s; it may be so much longer with twice as many
 #: as before: cases that step side by side take less time each; and how short they may become
 _BUSY_SECONDS, _LONGEST_SECONDS, _LEAST_SECONDS = 0.5, 2.0, 0.1
-#: s that a case takes at least: all that are drawn at once are held in memory
+#: least time of a case, s: all cases that are drawn together are held in memory
 _QUICKEST = 2.5e-4
-#: how much less time one of many cases side by side takes than one alone, at least
+#: factor by which each of many cases side by side is faster than one alone, at least
 _QUICKER = 8.0
 #: part of the cases left that all teams share in a round; the rest evens out what they differ by
 _ROUND = 0.75
@@ -38,7 +38,7 @@ _QUESTION_TAG, _ANSWER_TAG = 1, 2
 
 
 class _Question(IntEnum):
-    """A question to rank 0: more cases, nobody to draw any more."""
+    """A question to rank 0: for more cases, or that no rank shall draw any more."""
 
     DRAW = auto()
     STOP = auto()
@@ -93,13 +93,13 @@ class CaseQueue:
         number = max(int(busy), twice, 1)
         # as long as there are other groups to take, teams need not share this one
         if self._untaken == len(self._sizes) and self._teams > 1:
-            of_team, least = math.ceil(self._all_left / self._teams), int(_LEAST_SECONDS / seconds)
+            share, least = math.ceil(self._all_left / self._teams), int(_LEAST_SECONDS / seconds)
             if not self._in_round:
                 self._in_round = self._teams
-                self._share = min(of_team, max(int(_ROUND * of_team), least, 1))
+                self._share = min(share, max(int(_ROUND * share), least, 1))
             self._in_round -= 1
             # less of cases whose time is not known yet
-            known = self._share if self._ended[group] else max(of_team // 2, min(of_team, least))
+            known = self._share if self._ended[group] else max(share // 2, min(share, least))
             number = max(min(number, known), 1)
         number = min(number, left)
         self._left[group] -= number
@@ -163,7 +163,7 @@ class SharedQueue:
         self._seconds += seconds
 
     def stop(self) -> None:
-        """Let nobody draw any more. Not collective."""
+        """Let no rank draw any more. Not collective."""
         if not self._stopped or self._done + self._failed:
             self._ask(_Question.STOP)
 

@@ -152,7 +152,7 @@ class Plan:
             return 0.0
         first = [self.first_case(group) for group in left]
         if self.all_assemble:
-            # beside the one history that this counts, every other team has its own
+            # every other team has a history of its own, besides the one that this counts
             histories = max(
                 8.0 * len(case.output.fields) * case.mesh.contact_elements * case.stored_rows
                 for case in first

@@ -128,7 +128,7 @@ def trouble_of(
         )
     if summary.failed:
         where = summary.folder / TABLE
-        reasons = "merging tells why" if plan.folder.part else f"{where} says why of each"
+        reasons = f"{where} says why of each" + ", once slices are merged" * bool(plan.folder.part)
         return ComputationError(f"{summary.failed} of {summary.total} cases failed; {reasons}")
     return None
 

@@ -174,7 +174,7 @@ def _compute(
         queue.destroy()
         troubles = [error for error in comm.allgather(trouble) if error is not None]
         received = max(comm.allgather(signals.received))
-    of_ranks = tuple(comm.allgather(timings))
+    rank_timings = tuple(comm.allgather(timings))
     summary = Summary(
         plan.request.folder,
         plan.folder.part,
@@ -182,11 +182,11 @@ def _compute(
         plan.done + done,
         plan.failed + failed,
         done + failed,
-        len(pairs) or sum(t.operators for t in of_ranks) // team.size,
+        len(pairs) or sum(t.operators for t in rank_timings) // team.size,
         0.0,
         1e-6 * comm.allreduce(peak_memory(), MPI.MAX),
-        of_ranks,
-        sum((t.flagged for t in of_ranks), plan.flagged),
+        rank_timings,
+        sum((t.flagged for t in rank_timings), plan.flagged),
     )
     counted = summary.done, summary.failed
     if comm.rank == 0 and remark(received):  # mpirun kills a second later

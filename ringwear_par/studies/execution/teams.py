@@ -75,11 +75,11 @@ class Team:
             return True
         places: list[int] = []
         if self._comm.size == 1:
-            begun, of_kinds = (
+            begun, kind_cases = (
                 self._plan.checkpoints,
                 dict(zip(drawn.kinds, drawn.cases, strict=True)),
             )
-            batchable = {kind for kind, case in of_kinds.items() if is_batchable(case)}
+            batchable = {kind for kind, case in kind_cases.items() if is_batchable(case)}
             cases = enumerate(zip(drawn.ids, drawn.kinds, strict=True))
             places = [i for i, (name, kind) in cases if kind in batchable and name not in begun]
         if places and not self._simulate_batched(resources, drawn.part(places)):

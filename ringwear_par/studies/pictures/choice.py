@@ -20,15 +20,15 @@ from ringwear_par.studies.definition.designs import SAMPLED
 from ringwear_par.studies.storage.end_values import display_of, figure_columns
 from ringwear_par.studies.storage.ensemble import Ensemble
 
-#: keys that are drawn: with more of them the figure is of no use
+#: most keys that are drawn: with more the figure cannot be read
 _MOST_KEYS = 8
 #: most curves with a legend
 _MOST_CURVES = 8
-#: values beside each other span so much before their axis is logarithmic; those of keys
+#: largest over smallest value above which an axis is logarithmic: of values, of keys
 LOG_VALUE, _LOG_KEY = 100.0, 20.0
 #: values of a key along which medians of cases are drawn
 _MOST_LEVELS = 50
-#: curves of a list show so much of its cases at least, the others as points
+#: share of the cases that curves of a list show at least; the others are points
 _SHARE = 0.25
 
 
@@ -91,10 +91,10 @@ class Key:
         if self.categories:
             return [self.categories[int(code)] for code in self.values]
         values = [float(value) for value in self.values]
-        apart = len(set(values))
+        distinct = len(set(values))
         for digits in range(3, 18):
             words = [number_text(v, digits) if math.isfinite(v) else "none" for v in values]
-            if len(set(words)) >= apart:
+            if len(set(words)) >= distinct:
                 break
         return words
 
@@ -272,8 +272,8 @@ def choose(ensemble: Ensemble, surrogate: Surrogate | None, indices: Sequence[In
 def most_important(keys: Sequence[str], indices: Sequence[Indices], most: int) -> list[str]:
     """Return so many keys of the largest indices, in their order; without indices the first."""
     weights = dict.fromkeys(keys, 2.0 if indices else 0.0)  # of texts, which have none
-    for number, of_output in enumerate(indices):
-        for key, value in zip(of_output.keys, of_output.influence.tolist(), strict=True):
+    for number, output_indices in enumerate(indices):
+        for key, value in zip(output_indices.keys, output_indices.influence.tolist(), strict=True):
             if key in weights:
                 weights[key] = max(value, weights[key] if number else value)
     chosen = sorted(keys, key=lambda key: -weights[key])[:most]

@@ -19,21 +19,22 @@ from ringwear_par.studies.pictures.choice import LOG_VALUE, Arrangement, Choice,
 from ringwear_par.studies.storage.end_values import display_of, final_name
 from ringwear_par.studies.storage.ensemble import Ensemble
 
-#: cases that have a point against a key, and so many of them a running median
+#: most cases that are points against a key, and most without a running median
 _POINTS, _MANY = 1000, 200
-#: pixels of a point, times the root of their number
+#: pixels of a point times the square root of the number of points
 _SIZE = 64.0
-#: so few values of a sampled key, with so many cases each, have medians of their own
+#: most values of a sampled key, and fewest cases of each, for medians at each value
 _DISCRETE, _REPEATED = 12, 5
-#: of fewer cases at a value their whole range is drawn, of more of them these quantiles
+#: fewest cases at a value of which quantiles are drawn, of fewer the whole range; the quantiles
 _FEW_REPEATED, _QUANTILES = 20, (0.05, 0.95)
-#: cases of a category are spread so wide about it, and their range is drawn so wide
+#: distance from the place of a category over which its cases are spread, and half the width of the
+#: box of their range
 _ASIDE, _BOX = 0.2, 0.3
-#: of the magnitude of its values an axis spans so much at least: what varies less is round-off
+#: least range of an axis over the size of its values: smaller variations are round-off
 _LEAST_SPAN = 1e-3
-#: of a line in the title of a legend
+#: letters of a line in the title of a legend
 _LETTERS = 26
-#: of the values of a logarithmic axis, how far it goes beyond them
+#: factor by which a logarithmic axis goes beyond its values
 _BEYOND = 2.0
 
 

@@ -32,7 +32,7 @@ from ringwear_par.studies.storage.ensemble import Ensemble
 
 log = logging.getLogger(__name__)
 
-#: panels of final values beside each other, and of indices
+#: panels in a row: of final values, of indices
 _COLUMNS, _BARS = 4, 3
 #: inches of a panel of final values, and of the figure at least
 _PANEL, _WIDTH = (2.3, 2.1), 7.2
@@ -61,8 +61,8 @@ def draw_sweep(ensemble: Ensemble, regressions: Surrogate | None = None) -> Figu
     grids, remarks = _grids(ensemble, choice), _remarks(choice)
     with matplotlib.rc_context(STYLE):
         beside, *below = _index_rows(indices, [key.name for key in choice.keys])
-        of_bars = max(2.6, 1.8 + 0.3 * len(choice.keys))
-        heights = [of_bars if beside else 2.6] + [of_bars] * len(below)
+        bars_height = max(2.6, 1.8 + 0.3 * len(choice.keys))
+        heights = [bars_height if beside else 2.6] + [bars_height] * len(below)
         for number, grid in enumerate(grids):
             lines = max(legend_shape(panel, _LEGEND_LETTERS)[1] for panel in grid[0])
             titles = 0 if number else len(remarks)

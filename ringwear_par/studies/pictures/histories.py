@@ -18,11 +18,11 @@ from ringwear_par.studies.pictures.choice import LOG_VALUE, Choice, spans
 from ringwear_par.studies.storage.end_values import display_of
 from ringwear_par.studies.storage.ensemble import Ensemble
 
-#: so few cases are drawn one by one
+#: most cases that are drawn one by one
 FEW = 12
-#: cases that quantiles are of, and those with a line of their own beside them
+#: most cases of which quantiles are drawn, and most with a line of their own on top
 _MOST_HISTORIES, _LINES = 2000, 40
-#: common times of a fan, and how much of the file is read at once
+#: common times of a fan, and bytes of the file that are read together
 _TIMES, _BLOCK_BYTES = 200, 16e6
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 _DASH = "\N{EN DASH}"

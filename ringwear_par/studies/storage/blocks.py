@@ -32,7 +32,7 @@ from ringwear_par.results.storage.hdf5 import UnreadableError
 from ringwear_par.results.variables import LINE
 from ringwear_par.studies.storage.stored_variables import FIELDS, shape_of, sizes_of
 
-#: the status of a case is an index into this
+#: statuses of a case, in the order of the numbers that stand for them
 STATUS = ("incomplete", "failed", "done")
 INCOMPLETE, FAILED, DONE = range(3)
 #: of each case: ``rows`` stored states of so many contact ``elements``; wall time; worst balance or
@@ -47,9 +47,9 @@ BY_STATE, BY_CASE, SHARED = "state", "case", "block"
 #: with which each packed block begins: no text, and not in numbers but by chance
 MARKER = bytes.fromhex("d2ff5257b10c0a1a8e5be0c4f3079d61")
 _HEAD = struct.Struct("<16sIIQI")
-#: the texts of all cases, compressed, and what is between them: no text of a case has it
+#: name of the compressed texts of all cases, and what separates them: no text of a case has it
 _TEXTS, _BETWEEN = "toml", "\0"
-#: the errors of reading a damaged file
+#: errors of reading a damaged file
 DAMAGE = (
     RuntimeError, LookupError, AttributeError, TypeError, ValueError, OverflowError, InputError,
     zlib.error,

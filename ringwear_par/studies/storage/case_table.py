@@ -132,7 +132,7 @@ class CaseTable:
 
 
 def write_parquet(folder: Path) -> None:
-    """Write the table of a folder as Parquet beside it, where pyarrow is; without, an old one goes.
+    """Write the table of a folder as Parquet too, where pyarrow is; else remove an old one.
 
     Units and meanings are in the metadata of its columns.
     """

@@ -14,12 +14,12 @@ from ringwear_par.results.variables import ELEMENT, LINE, Variable
 from ringwear_par.studies.storage.results_file import power_of_2
 from ringwear_par.studies.storage.stored_variables import AXES
 
-#: of a chunk in the file
+#: bytes of a chunk in the file
 _CHUNK_BYTES = 256e3
-#: most cases that are made texts of, or are rows of a table, at once
+#: most cases of which texts, or rows of a table, are made together
 WINDOW = 2**13
-#: share of bytes that are the one before, from which on bytes of one weight are compressed; of
-#: random ones 1 / 256 are
+#: share of bytes equal to the one before above which bytes of one weight are compressed; of random
+#: bytes it is 1 / 256
 _REPEATED = 0.02
 #: of zlib's streams
 _HEADER = b"\x78\x01"

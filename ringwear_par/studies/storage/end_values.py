@@ -31,7 +31,7 @@ from ringwear_par.studies.storage.stored_variables import (
     entry_names,
 )
 
-#: those that all cases have
+#: end values that all cases have
 MAIN_END_VALUES = ("penetration", "worn_volume_lower", "worn_volume_upper")
 _MM3, _UM = "mm\N{SUPERSCRIPT THREE}", "\N{MICRO SIGN}m"
 _ENTRY = re.compile(rf"(.+)\[(\d+|{BODY})\]")
@@ -207,8 +207,8 @@ def figure_columns(final: Mapping[str, Any], cases: Any) -> list[str]:
     """Return the numbers of some cases that figures draw.
 
     Volumes of bodies that wear in some of them, or of the lower one; shares worn through, where
-    there are some; the largest stress. Numbers of each layer and point would make figures that
-    nobody reads.
+    there are some; the largest stress. Numbers of each layer and point would make figures too
+    long to read.
     """
     volumes = ("worn_volume_lower", "worn_volume_upper")
     worn = [name for name in volumes if np.nan_to_num(final[name][cases]).any()]

@@ -34,7 +34,7 @@ def reporting_unreadable() -> Iterator[None]:
         raise ComputationError(str(error)) from error
 
 
-#: how names of shards end
+#: ending of names of shards
 SHARD = ".blocks"
 _FOLDERS = ("shards", "inflight")
 
@@ -169,11 +169,11 @@ def locked(folder: Path, part: str) -> Iterator[None]:
     The whole, "", excludes every slice. InputError where another sweep is at work.
     """
     with ExitStack() as locks:
-        whole = locks.enter_context(_opened(folder / "lock"))
-        _lock(whole, fcntl.LOCK_SH if part else fcntl.LOCK_EX, folder)
+        lock = locks.enter_context(_opened(folder / "lock"))
+        _lock(lock, fcntl.LOCK_SH if part else fcntl.LOCK_EX, folder)
         if part:  # only now: who has the whole may remove it
-            of_slice = locks.enter_context(_opened(folder / f"lock{part}"))
-            _lock(of_slice, fcntl.LOCK_EX, folder)
+            slice_lock = locks.enter_context(_opened(folder / f"lock{part}"))
+            _lock(slice_lock, fcntl.LOCK_EX, folder)
         yield
 
 

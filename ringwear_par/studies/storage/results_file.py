@@ -43,9 +43,9 @@ SOFTWARE = "ringwear-par sweep"
 #: the kind of the file in messages
 FILE_KIND = "a results file of ringwear sweep"
 RESULTS, TABLE = "results.h5", "cases.csv"
-#: of the cases that are read or written at once
+#: bytes of the cases that are read or written together
 _WINDOW_BYTES = 24e6
-#: between the flags of a case
+#: separator of the flags of a case
 _SEPARATOR = ", "
 
 

@@ -59,7 +59,7 @@ from ringwear_par.studies.storage.stored_variables import (
     over_cases,
 )
 
-#: cases that a rank fills at once, at least
+#: fewest cases that a rank fills together
 _LEAST_WINDOW = 1024
 #: of the longest name of a point's side
 _SIDE_BYTES = max(map(len, POINT_SIDES))
@@ -176,10 +176,10 @@ class _Writer:
         )  # fmt: skip
         end_values: dict[str, FloatArray] = {}
         with closing(results_of_tasks(comm, (cases.fill for cases in windows))) as filled:
-            for part, of_window in zip(_stretches(count, window), filled, strict=True):
-                for name, packed in of_window.chunks.items():
+            for part, window_values in zip(_stretches(count, window), filled, strict=True):
+                for name, packed in window_values.chunks.items():
                     columns[name].write(part.start, packed)
-                for name, values in of_window.end_values.items():
+                for name, values in window_values.end_values.items():
                     if not part.start:
                         end_values[name] = np.full((count, *values.shape[1:]), np.nan)
                     end_values[name][part] = values

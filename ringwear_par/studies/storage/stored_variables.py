@@ -56,9 +56,9 @@ OF_CASES = {
     )
 }  # fmt: skip
 
-#: axes beside those of steps and elements, and their coordinates
+#: axes other than those of steps and elements, and their coordinates
 AXES = {axis.name: axis for axis in (LAYER, UPPER_LAYER, POINT)}
-#: in the place of a layer's number, since cases of a sweep may have other numbers of layers
+#: replaces a layer's number, since cases of a sweep may have other numbers of layers
 BODY = "body"
 
 
@@ -68,7 +68,7 @@ def over_cases(variable: Variable) -> Variable:
 
 
 def axis_of(variable: Variable) -> str:
-    """Return the axis of a variable beside steps and elements, "" where it has none."""
+    """Return the axis of a variable other than steps and elements, "" where it has none."""
     return next((name for name in variable.dimensions if name in AXES), "")
 
 

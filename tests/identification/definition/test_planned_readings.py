@@ -213,7 +213,7 @@ def test_fewer_readings_than_parameters(plan):
     tables["experiment"] = tables["experiment"][:1]
     del tables["experiment"][0]["data"][1], tables["experiment"][0]["data"][0]["nuisance"]
     tables["experiment"][0]["data"][0]["times"] = [50.0]
-    with pytest.raises(InputError, match="1 readings: must be at least as many as are sought, 2 "):
+    with pytest.raises(InputError, match="1 readings: must be at least as many as are fitted, 2 "):
         read_fit(tables, plans=True)
 
 
