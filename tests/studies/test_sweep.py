@@ -47,10 +47,26 @@ def same(one, other):
         assert np.array_equal(values, other[name], equal_nan=values.dtype.kind == "f"), name
 
 
-def test_equals_single_runs(write, shared_path, comm):
+@pytest.fixture(scope="module")
+def known(tmp_path_factory, comm):
+    """The folder of a sweep of STUDY, beside the study itself; nobody writes to it."""
+    folder = comm.bcast(tmp_path_factory.mktemp("known"))
+    swept(write_study(folder, comm, STUDY), folder / "out", comm)
+    return folder / "out"
+
+
+@pytest.fixture
+def copied(known, shared_path, comm):
+    """A copy of it."""
+    if comm.rank == 0:
+        shutil.copytree(known, shared_path / "out")
+    comm.Barrier()
+    return shared_path / "out"
+
+
+def test_equals_single_runs(known, shared_path, comm):
     """To 1e-12: assembly on all ranks and on one sum in another order, histories do not."""
-    folder, run = shared_path / "out", shared_path / "run.h5"
-    swept(write(STUDY), folder, comm)
+    folder, run = known, shared_path / "run.h5"
     found, rows = variables(folder), table(folder)
     assert [row["status"] for row in rows] == ["done"] * 12
     for i in (0, 5, 10):
@@ -88,9 +104,8 @@ def test_edge_elements_are_those_of_single_runs(write, shared_path, comm):
             assert (np.nansum(marked, axis=1) == 4).all()
 
 
-def test_opens_lazily_in_xarray_with_coordinates(write, shared_path, comm):
-    swept(write(STUDY), shared_path / "out", comm)
-    with open_ensemble(shared_path / "out") as data:
+def test_opens_lazily_in_xarray_with_coordinates(known, comm):
+    with open_ensemble(known) as data:
         assert data.pressure.dims == ("case", "step", "element")
         assert data.pressure._in_memory is False
         assert {"wear.lower.k", "upper.young", "upper.r"} <= set(data.pressure.coords)
@@ -101,10 +116,10 @@ def test_opens_lazily_in_xarray_with_coordinates(write, shared_path, comm):
         assert list(data.step.values) == list(range(21))
 
 
-def test_units_of_the_table_stand_beside_it(write, shared_path, comm):
-    swept(write(STUDY), shared_path / "out", comm)
-    rows = table(shared_path / "out")
-    told = json.loads((shared_path / "out/cases.csv-metadata.json").read_text())
+@pytest.mark.serial
+def test_units_of_the_table_stand_beside_it(known):
+    rows = table(known)
+    told = json.loads((known / "cases.csv-metadata.json").read_text())
     columns = {column["titles"]: column for column in told["tableSchema"]["columns"]}
     assert told["url"] == "cases.csv"
     assert list(columns) == list(rows[0])
@@ -117,7 +132,7 @@ def test_units_of_the_table_stand_beside_it(write, shared_path, comm):
         return
     from pyarrow import parquet
 
-    whole = parquet.read_table(shared_path / "out" / "cases.parquet")
+    whole = parquet.read_table(known / "cases.parquet")
     assert whole.column_names == list(columns)
     assert whole["case"].to_pylist() == [row["case"] for row in rows]
     assert whole["penetration"].to_pylist() == [float(row["penetration"]) for row in rows]
@@ -161,9 +176,8 @@ def test_different_sizes_are_padded(write, shared_path, comm):
         assert found["final_penetration"][i] == found["penetration"][i, rows - 1]
 
 
-def test_again_recomputes_nothing_and_changes_nothing(write, shared_path, comm, monkeypatch):
-    study, folder = write(STUDY), shared_path / "out"
-    swept(study, folder, comm)
+def test_again_recomputes_nothing_and_changes_nothing(write, copied, comm, monkeypatch):
+    study, folder = write(STUDY), copied
     before, rows = variables(folder), table(folder)
     monkeypatch.setattr(single_cases, "simulate_one", None)  # any case would fail
     swept(study, folder, comm)
@@ -175,9 +189,8 @@ def test_again_recomputes_nothing_and_changes_nothing(write, shared_path, comm, 
     assert (folder / "results.h5").read_bytes() == content
 
 
-def test_changed_study_keeps_what_is_the_same(write, shared_path, comm):
-    folder = shared_path / "out"
-    swept(write(STUDY), folder, comm)
+def test_changed_study_keeps_what_is_the_same(write, copied, comm):
+    folder = copied
     before = {row["case"]: row for row in table(folder)}
     comm.Barrier()
     swept(write(STUDY.replace("[5e4, 1e5]", "[1e5, 2e5]")), folder, comm)
@@ -191,22 +204,19 @@ def test_changed_study_keeps_what_is_the_same(write, shared_path, comm):
     assert read_ensemble(folder).in_study.sum() == 12
 
 
-def test_slices_and_merging_equal_the_whole(write, shared_path, comm):
+def test_slices_and_merging_equal_the_whole(write, known, shared_path, comm):
     study = write(STUDY)
-    swept(study, shared_path / "whole", comm)
     for part in ((3, 3), (1, 3), (2, 3)):
         swept(study, shared_path / "sliced", comm, part=part)
         assert not (shared_path / "sliced" / "results.h5").exists()
     swept(study, shared_path / "sliced", comm)
-    same(variables(shared_path / "whole"), variables(shared_path / "sliced"))
+    same(variables(known), variables(shared_path / "sliced"))
 
 
 @pytest.mark.mpi(min_size=2)
-def test_teams_of_ranks(write, shared_path, comm):
-    study = write(STUDY)
-    swept(study, shared_path / "ones", comm)
-    swept(study, shared_path / "team", comm, ranks_per_case=comm.size)
-    one, team = variables(shared_path / "ones"), variables(shared_path / "team")
+def test_teams_of_ranks(write, known, shared_path, comm):
+    swept(write(STUDY), shared_path / "team", comm, ranks_per_case=comm.size)
+    one, team = variables(known), variables(shared_path / "team")
     for name in ("penetration", "worn_volume_lower", "torque"):
         assert team[name] == pytest.approx(one[name], rel=1e-12, abs=1e-15)
 
