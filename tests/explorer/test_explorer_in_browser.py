@@ -7,8 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from browser import in_browser
-from chromium import Browser
+from chromium import Browser, in_browser
 from explorer_server import served
 from paths import CASES, FIT, PAPER
 
@@ -31,13 +30,6 @@ def explorer(tmp_path_factory):
         browser.open(address)
         browser.wait(REST.format(n=0))
         browser.address, browser.process, browser.folder = address, process, folder
-        yield browser
-
-
-@pytest.fixture(scope="module")
-def other(tmp_path_factory):
-    """Another browser, for pages of other cases."""
-    with Browser(tmp_path_factory.mktemp("other") / "profile") as browser:
         yield browser
 
 
@@ -297,10 +289,10 @@ def test_everything_is_reached_by_keys_and_has_a_name(page):
 
 
 @pytest.mark.parametrize("name", ["user_law", "updated", "wear_through"])
-def test_cases_of_other_kinds(name, other, tmp_path):
-    words = ["--set", "mesh.contact_elements=16"]
+def test_cases_of_other_kinds(name, explorer, tmp_path):
+    """Last, as the page of the paper's case is left."""
+    words, page = ["--set", "mesh.contact_elements=16"], explorer
     with served(CASES / f"{name}.toml", *words) as (address, _):
-        page = other
         page.open(address)
         page.wait(REST.format(n=0))
         first = page.run("page.talk.answer")
@@ -321,10 +313,10 @@ def test_cases_of_other_kinds(name, other, tmp_path):
         page.open("about:blank")
 
 
-def test_the_page_says_that_the_program_has_ended(other):
+def test_the_page_says_that_the_program_has_ended(explorer):
     with served(PAPER, "--set", "time.steps=3") as (address, process):
-        other.open(address)
-        other.wait(REST.format(n=0))
+        explorer.open(address)
+        explorer.wait(REST.format(n=0))
         process.send_signal(signal.SIGINT)
         assert process.wait(60) == 0
-        other.wait("find('faults').textContent.includes('The connection is lost')")
+        explorer.wait("find('faults').textContent.includes('The connection is lost')")
