@@ -14,7 +14,7 @@ from paths import CASES, FIT, PAPER
 import ringwear_par as rw
 from ringwear_par.cases.units import with_signs
 
-pytestmark = [pytest.mark.serial, in_browser]
+pytestmark = [pytest.mark.serial, pytest.mark.slow, in_browser]
 
 #: what is drawn and told once nothing is under way
 REST = "page.drawn > 0 && !page.flying && !page.waiting && page.n >= {n}"

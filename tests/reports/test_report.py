@@ -23,7 +23,7 @@ from ringwear_par.cases.units import with_signs
 from ringwear_par.pictures.run_panels import HISTORY_PANELS
 from ringwear_par.results.key_numbers import key_numbers
 
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.serial, pytest.mark.slow]
 
 SCRIPT = "<script>alert(1)</script>"
 CASE = {
