@@ -68,7 +68,7 @@ def test_overrides_enter_the_text_that_is_stored():
         ("mesh.contact_elements=2", ["mesh.contact_elements = 2", "whole number from 4"]),
         ("output.fields=['pressure', 'temperature']", ["output.fields", '"wear_upper"']),
         ("lower.yung=1", ["lower.yung: unknown key", "did you mean lower.young?"]),
-        ("upper.r=[41, 45]", ["do not overlap"]),
+        ("upper.r=[41, 45]", ["do not overlap", "if upper.r are diameters, write [20.5, 22.5]"]),
         ("load.control=displacement", ["load.displacement is missing", "load.pressure = 80"]),
         ("lower=3", ["lower = 3: must be a table"]),
         ("output.boundary=[300]", ["output.boundary: 300 is after the end", "<= 200 (s)"]),
