@@ -38,12 +38,9 @@ def ringwear(shared_path, comm, monkeypatch, capfd):
     [
         (["nowhere.toml", "-o", "a.h5"], "nowhere.toml: cannot be read"),
         ([PAPER, "-o", "a.h5", "--set", "wear.lower.K=1"], "did you mean wear.lower.k?"),
-        ([PAPER, "-o", "a.h5", "--set", "time.tolerance=1e-5"], 'needs time.scheme = "adaptive"'),
         ([PAPER, "-o", "no/a.h5"], "its folder no does not exist"),
-        ([PAPER, "-o", "a.txt"], "a.txt: its ending must be one of .h5, .hdf5, .nc; ringwear exp"),
         ([PAPER, "-o", "taken.h5"], "not a result file of ringwear"),
         ([PAPER, "-o", "a.h5", "--plot", "no/a.png"], "its folder no does not exist"),
-        ([PAPER, "-o", "a.h5", "--plot", "a.xyz"], "its ending must be one of"),
         (
             [PAPER, "-o", "a.h5", "--plot", "a.png", "--set", "output.fields=['gap']"],
             "output.fields",
@@ -100,12 +97,9 @@ def test_bad_input_is_said_once_with_status_2(ringwear, shared_path, comm, words
     ("words", "said"),
     [
         (["sweep", "no.toml", "-o", "a", "--slice", "1/" + "9" * 20], "and N at most 100000"),
-        (["sweep", "no.toml", "-o", "a", "--slice", "1/" + "9" * 5000], "must be I/N"),
         (["sweep", "no.toml", "-o", "a", "--slice", "3/2"], "I/N with I from 1 to N"),
-        (["sweep", "no.toml", "-o", "a", "--ranks-per-case", "9" * 5000], "invalid int value"),
         (["export", "a.h5", "-o", "a.vtkhdf", "--revolve", "99999999"], "must be from 3 to 3600"),
         (["run", PAPER, "-o", "a.h5", "--", "foo"], "-- foo: must be an option of PETSc"),
-        (["run", PAPER, "-o", "a.h5", "--", "-foo", "1", "2"], "-- 2: must be an option of PETSc"),
         (["run", PAPER, "-o", "a.h5", "--", "-options_file", "no"], "-options_file no: cannot be"),
         (["run", "x" * 5000, "-o", "a.h5"], "x ... xxxxxxxxxxxxxxxx: File name too long"),
         (["run", PAPER, "-o", "x" * 250], "cannot be written: File name too long"),
@@ -116,7 +110,6 @@ def test_bad_input_is_said_once_with_status_2(ringwear, shared_path, comm, words
         (["run", PAPER, "-o", "a.h5", "--set", "\x1b=1"], r"--set \x1b: unknown key"),
         (["plot", "a\x1b.h5", "-o", "a.png"], r"a\x1b.h5: does not exist"),
         (["plot", "/proc/self/mem", "-o", "a.png"], "mem: cannot be read: Input/output error"),
-        (["plot", "/dev/null", "-o", "a.png"], "/dev/null: is not a file; must be a result file"),
     ],
 )
 def test_words_of_any_sort_are_refused_in_one_sentence(ringwear, shared_path, words, said):

@@ -1,23 +1,15 @@
 """Layers in case files: what is read, set and varied of them, and a sentence for what is wrong."""
 
-import tomllib
-from functools import cached_property
-
 import numpy as np
 import pytest
 from paths import CASES
 
 import ringwear_par as rw
-from ringwear_par.cases.case import Case, RingLayer
-from ringwear_par.cases.files.keys import read_keys
+from ringwear_par.cases.case import RingLayer
 from ringwear_par.cases.files.reading import parse_case
-from ringwear_par.cases.numbers import interval_of, with_numbers
-from ringwear_par.cases.schema import KEYS, unit_of
-from ringwear_par.cases.tables import key_table
 from ringwear_par.elasticity.sections import Material
 from ringwear_par.history.elastic.bodies import bodies, operator_key
 from ringwear_par.history.refusals.cases import check_mesh
-from ringwear_par.studies.definition.variations import split_key, value_of, varied_keys
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 from ringwear_par.wear.layered import LayeredLaw, NoWear
@@ -171,34 +163,6 @@ def test_sentences_for_layers_that_do_not_fit_their_body():
     )
 
 
-def test_studies_and_schema_know_the_entries():
-    assert split_key(K) == ("lower.layers", "[0].wear.k")
-    assert (unit_of(K), unit_of("lower.layers[0].thickness")) == ("1/MPa", "mm")
-    keys = read_keys(rw.read_case(CASE).text)
-    assert value_of(keys, K) == 2e-8
-    assert value_of(keys, "lower.layers[1].wear.k") is None
-    changed = varied_keys(keys, [split_key(K)], [5e-8])
-    assert value_of(changed, K) == 5e-8
-    assert value_of(keys, K) == 2e-8  # the base stays
-    assert interval_of(split_key(K)) is not None
-    assert interval_of(split_key("lower.layers[0].young")) is None  # another operator
-    assert "lower.layers " in key_table(KEYS)
-
-
-def test_cases_of_columns_forget_what_was_worked_out_of_other_numbers(monkeypatch):
-    """Whatever is cached, of cases and of laws; but what numbers do not change is kept."""
-    laws = cached_property(Case.laws.fget)
-    laws.__set_name__(Case, "laws")
-    monkeypatch.setattr(Case, "laws", laws)
-    case, key = rw.read_case(CASE), "lower.young"
-    before = case.laws, case.line, case.breakpoints
-    (made,) = with_numbers(case, {("wear.lower.k", None): [5e-6], (key, None): [7e3]}, [""])
-    alone = case.replace({"wear.lower.k": 5e-6, key: 7e3})
-    assert made.laws == alone.laws != before[0]
-    assert made.line is before[1]
-    assert made == alone
-
-
 @pytest.mark.parametrize(
     ("thickness", "said"),
     [
@@ -212,17 +176,3 @@ def test_layers_that_drown_in_round_off_are_refused(thickness, said):
         check_mesh(case, "case.toml")
     assert str(caught.value).startswith(f"case.toml: {said}")
     assert str(caught.value).endswith("must be at least 4.0e-10 mm")
-
-
-def test_where_a_layer_that_is_not_there_was_named():
-    tables = {"case": {**tomllib.loads(TEXT), "upper.layers[0].young": 1}}
-    said = "upper.layers[0].young = 1: the case has no such layer; must be of one of upper.layers"
-    with pytest.raises(rw.InputError) as caught:
-        rw.read_case(tables["case"])
-    assert str(caught.value).startswith(f"case: {said}")
-    with pytest.raises(rw.InputError) as caught:
-        rw.read_case(CASE).replace({"upper.layers[0].young": 1})
-    assert str(caught.value).startswith(f"override {said}")
-    with pytest.raises(rw.InputError) as caught:
-        rw.read_study({**tables, "vary": {"load.pressure": {"values": [1.0]}}})
-    assert str(caught.value).startswith(f"study: case: {said}")

@@ -133,11 +133,6 @@ def test_titles_that_toml_or_a_result_file_cannot_write(title):
         assert "must be a text" in faults(TABLES, {"title": title})[0]
 
 
-def test_a_whole_number_that_python_does_not_read():
-    assert "not valid TOML" in faults(TEXT.replace("10e3", "1" + "0" * 5000))[0]
-    assert "lower.young = " in faults(TEXT, ["lower.young=1" + "0" * 5000])[0]
-
-
 def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path):
     path = tmp_path / "case.toml"
     path.write_text(TEXT, encoding="utf-8-sig")

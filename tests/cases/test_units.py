@@ -5,7 +5,6 @@ import pytest
 from paths import CASES, PAPER
 
 import ringwear_par as rw
-from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.units import number_in
 from ringwear_par.cases.values import RejectedError
 
@@ -189,27 +188,6 @@ def test_heights_in_other_units_are_refused_and_in_none_are_told(tmp_path, caplo
             rw.read_case(CROWN, change)
     told = [record.getMessage() for record in caplog.records]
     assert told == [f"{path}: no unit ends the name of the column höhe; it is taken in mm"]
-
-
-def test_sizes_of_shapes_have_units_in_studies(tmp_path):
-    (tmp_path / "cases.csv").write_text("upper.profile.crown\n0.5 m\n600\n")
-    designs = [
-        {"vary": {"upper.profile.crown": {"values": ["0.5 m", 600]}}},
-        {"vary": {"upper.profile.crown": {"linear": ["0.5 m", "60 cm"], "count": 2}}},
-        {"design": {"method": "list", "file": str(tmp_path / "cases.csv")}},
-    ]
-    for design in designs:
-        study = rw.read_study({"case": str(CROWN), **design})
-        depths = [study.case(n).sections[1].depth(np.array([10.0]))[0] for n in (0, 1)]
-        assert depths == pytest.approx([np.sqrt(R**2 - 2.5**2) - R for R in (500.0, 600.0)])
-    with pytest.raises(rw.InputError, match="must be the key itself"):
-        rw.read_study({"case": str(CROWN), "vary": {"upper.profile.file": {"values": ["a.csv"]}}})
-
-
-def test_units_are_those_of_what_is_named():
-    told = {"load.pressure": "MPa", "upper.r[1]": "mm", "contact.friction": "", "title": ""}
-    told |= {"upper.profile": "", "upper.profile.crown": "mm", "lower.profile.cone": "deg"}
-    assert {name: unit_of(name) for name in told} == told
 
 
 def test_a_rough_trace_is_told_to_be_rough(tmp_path):

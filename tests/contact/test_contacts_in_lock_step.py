@@ -6,7 +6,7 @@ from one_contact import OneContact
 
 from ringwear_par.contact import hessians, newton
 from ringwear_par.contact.engine import TAO_TYPES, ContactEngine
-from ringwear_par.contact.problem import KKT_TOLERANCE, WarmStart
+from ringwear_par.contact.problem import KKT_TOLERANCE
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.errors import HistoriesError
@@ -180,22 +180,6 @@ def test_who_cannot_be_solved_is_named(solver):
     with pytest.raises(HistoriesError) as caught:
         solver.solve(gap, force=FORCE)
     assert np.flatnonzero(caught.value.which).tolist() == [2, 7]
-
-
-def test_what_a_law_raises_comes_out_as_it_is(solver):
-    class Failing:
-        local, layered, nearly_discontinuous = True, False, False
-
-        def depth(self, p):
-            raise ZeroDivisionError("of a law")
-
-        def take(self, histories):
-            return self
-
-    with pytest.raises(ZeroDivisionError, match="of a law"):
-        solver.solve(GAP, force=FORCE, wear=Failing())
-    solver.warm = WarmStart(np.zeros((B, N)), np.zeros(B))
-    assert solver.solve(GAP, force=FORCE).force == pytest.approx(FORCE, rel=1e-12)
 
 
 def hessians_of(n, count):

@@ -157,67 +157,6 @@ def test_the_last_reference_frees_the_solver(comm):
     assert not tao.handle
 
 
-PROGRAM = """
-import sys
-import numpy as np
-from mpi4py import MPI
-from ringwear_par.contact.engine import ContactEngine
-from ringwear_par.contact.scaled_compliances import ScaledCompliances
-
-how = sys.argv[1]
-
-def made():
-    compliances = ScaledCompliances.of(np.eye(8)[None] + 0.1, np.ones(8))
-    both = [ContactEngine(compliances, np.zeros(1, dtype=int)) for _ in "ab"]
-    for solver in both:
-        solver.solve(np.zeros((1, 8)), force=np.array([3.0]))
-    return both
-
-kept = made()
-
-def failing():
-    here = made()
-    raise RuntimeError("of its own")
-
-if how == "raises":
-    failing()
-elif how == "keeps what was raised":
-    try:
-        failing()
-    except RuntimeError as error:
-        last = error
-    sys.exit(3)
-elif how == "destroyed":
-    for solver in kept:
-        solver.destroy()
-elif how == "in a circle":
-    for solver in kept:
-        solver.itself = solver
-"""
-
-
-@pytest.mark.parametrize(
-    ("ranks", "how", "status"),
-    [
-        (0, "keeps what was raised", 3), (0, "in a circle", 0),
-        pytest.param(2, "destroyed", 0, marks=NEEDS_MPIRUN),
-        pytest.param(2, "raises", 1, marks=NEEDS_MPIRUN),
-    ],
-)  # fmt: skip
-def test_a_process_ends_with_its_own_status(ranks, how, status):
-    """Whoever uses the package need not know of destroy()."""
-    done = python("-c", PROGRAM, how, ranks=ranks)
-    assert done.returncode == status, done.stderr
-    said = done.stdout + done.stderr
-    _said_nothing_odd(said)
-    assert ("of its own" in done.stderr) == (how == "raises")
-
-
-def _said_nothing_odd(said):
-    for word in ("MPI_ABORT", "PETSC ERROR", "Segmentation", "Exception ignored"):
-        assert word not in said, said
-
-
 #: fails in the midst of a history, inside of TAO
 FAILING = """
 def rate(p, at):
@@ -281,4 +220,6 @@ def test_a_law_that_fails_in_the_midst_leaves_the_status_alone(tmp_path, ranks, 
     law.write_text(FAILING)
     done = python("-c", RUN_OF_A_FAILING_LAW, how, kind, law, ranks=ranks, cwd=ROOT)
     assert done.returncode == status, done.stderr
-    _said_nothing_odd(done.stdout + done.stderr)
+    said = done.stdout + done.stderr
+    for word in ("MPI_ABORT", "PETSC ERROR", "Segmentation", "Exception ignored"):
+        assert word not in said, said

@@ -12,10 +12,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from commands import RINGWEAR, SHELL_ENVIRONMENT, ringwear, sentences
+from commands import RINGWEAR, SHELL_ENVIRONMENT
 from paths import PAPER
 
 import ringwear_par as rw
+from ringwear_par.cli import main
 from ringwear_par.functions.umbridge import MODEL, Model, RefusedError, _Server
 
 pytestmark = pytest.mark.serial
@@ -160,12 +161,10 @@ def test_the_command(functions):
     assert (process.returncode, out, errors) == (0, "ringwear serve: ended\n", "")
 
 
-def test_bad_words_of_the_command():
+def test_bad_words_of_the_command(capsys):
     for words, sentence in (
         (["torque@all"], "--outputs: torque@all: must be NAME or NAME@t"),
         (["torque@x"], "--outputs: torque@x: behind @ must be all"),
     ):
-        refused = ringwear("serve", PAPER, "--inputs", "wear.lower.k", "--outputs", *words)
-        assert refused.returncode == 2
-        (line,) = sentences(refused)
-        assert line.startswith(f"ringwear: {sentence}")
+        assert main(["serve", str(PAPER), "--inputs", KEYS[0], "--outputs", *words]) == 2
+        assert capsys.readouterr().err.startswith(f"ringwear: {sentence}")

@@ -4,14 +4,24 @@ import asyncio
 import base64
 import itertools
 import json
+import shutil
 import subprocess
 import time
 from contextlib import suppress
 
-from browser import CHROMIUM, HEADLESS
+import pytest
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import websocket_connect
 
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+in_browser = pytest.mark.skipif(
+    CHROMIUM is None, reason="no Chromium: apt-get install chromium has the pages opened in one"
+)
+#: without a window, and where nothing but this machine is found
+HEADLESS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+)  # fmt: skip
 #: s, limit for Chromium to start
 _START = 60.0
 

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from one_contact import OneContact
 from paths import CASES
 
-from ringwear_par.cases.case import Load, Stepping
+from ringwear_par.cases.case import Stepping
 from ringwear_par.cases.files.reading import make_case, read_case
 from ringwear_par.contact import correction
 from ringwear_par.contact.engine import ContactEngine
@@ -21,7 +21,6 @@ from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import METHODS
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.schemes import euler
 from ringwear_par.history.start import initial_state
 from ringwear_par.schedules import in_time
 from ringwear_par.wear.laws.threshold import ThresholdLaw
@@ -217,38 +216,6 @@ def test_explicit_steps_are_corrected_each(comm):
             uncorrected.append(errors(found, exact, m).max())
             before = state.contact.pressure
     assert min(uncorrected) > 5e-4
-
-
-def test_histories_together_are_corrected_as_if_alone(cases, comm):
-    """To the last bit, though they need unlike numbers of corrections."""
-    base, pair = cases[12]
-    force = base.load.force if isinstance(base.load.force, float) else 2e3
-    several = [
-        replace(base, load=Load(5.0, factor * force), friction=mu)
-        for factor, mu in ((1.0, 0.1), (0.02, 0.3), (30.0, 0.2))
-    ]
-    physics = Physics.of(several, pair)
-    with physics.contacts() as contacts:
-        first = initial_state(physics, contacts)
-        second = euler.forward(physics, contacts, first, np.array([0.01, 0.02, 0.03])).state
-    counts = set()
-    for i, case in enumerate(several):
-        end = (0.01, 0.02, 0.03)[i]
-        physics = Physics.of([case], pair)
-        with physics.contacts() as contacts:
-            alone = initial_state(physics, contacts)
-            after = euler.forward(physics, contacts, alone, np.array([end])).state
-        for together, mine in ((first, alone), (second, after)):
-            for name in ("pressure", "gap", "approach", "force", "iterations", "residual"):
-                of_all = getattr(together.contact, name)[i]
-                assert np.array_equal(of_all, getattr(mine.contact, name)[0]), name
-            assert np.array_equal(together.wear[:, i], mine.wear[:, 0])
-        exact, _ = active_set.solve(
-            weighted(case, pair), pair.line.area, case.initial_gap, **loads(case, 0)
-        )
-        assert errors(first.contact.pressure[i], exact, pair.line.area).max() < 1e-3
-        counts.add(int(first.contact.iterations[i]))
-    assert len(counts) > 1
 
 
 @pytest.mark.several

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from ringwear_par.batched import one
 from ringwear_par.cases.case import Output, Stepping
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.errors import ComputationError
@@ -69,21 +68,6 @@ def test_the_estimate_is_the_error(paper, name):
     worst = np.abs(lacking).argmax()
     assert 0.5 < lacking[worst] / found.last.error[worst] < 2.0
     assert found.balances.step_error <= 1.25e-5
-
-
-def test_histories_in_lock_step_carry_the_same(paper):
-    case, pair = paper
-    time = Stepping("adaptive", until=50.0)
-    cases = [replace(case, wear_lower=ThresholdLaw(k, 20.0), time=time) for k in (1e-8, 1e-7, 1e-6)]
-    last = {}
-
-    def observe(snapshot):
-        for i in np.flatnonzero(snapshot.finished):
-            last[int(snapshot.numbers[i])] = one(snapshot.state, i)
-
-    assert simulate(cases, ALONE, pair=pair, observers=[observe]).failures == {}
-    for i, case in enumerate(cases):
-        assert np.array_equal(last[i].error, trace(case, ALONE, pair=pair).last.error)
 
 
 @pytest.mark.parametrize("name", ["wear_error", "pressure_error", "energy_error", "carried_error"])

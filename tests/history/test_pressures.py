@@ -1,6 +1,6 @@
 """Pressures of adaptive steps while contact grows: a crowned ring and a sphere that wear in."""
 
-from dataclasses import astuple, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,12 +9,9 @@ from paths import CASES
 from ringwear_par.cases.case import Output
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.schemes import sdirk2
 from ringwear_par.history.schemes.closing_elements import find_closing_elements
-from ringwear_par.history.start import initial_state
 from ringwear_par.wear import LocalState
 from ringwear_par.wear.increment import Closing, WearIncrement
 from ringwear_par.wear.laws.archard import ArchardLaw
@@ -94,35 +91,6 @@ def test_elements_enter_where_the_contact_is_about_to_grow(crown, comm):
     assert late[touching[0] - 1] or late[touching[-1] + 1]
     still = replace(state, rates=np.zeros_like(state.rates))
     assert find_closing_elements(physics, still, np.array([10.0])) is None
-
-
-def test_steps_with_entering_elements_together_are_as_if_alone(crown, comm):
-    """One history whose contact grows, one that has barely begun to and one at rest."""
-    case, pair = crown
-    cases = [replace(case, wear_upper=ArchardLaw(k)) for k in (1e-7, 1e-9, 3e-7)]
-    ends = [np.array([20.0, 20.0, 5.0]), np.array([26.0, 26.0, 9.0]), np.array([33.0, 28.0, 12.0])]
-    physics = Physics.of(cases, pair)
-    with physics.contacts() as contacts:
-        state, together, grown = initial_state(physics, contacts), [], 0
-        for end in ends:
-            grown += find_closing_elements(physics, state, end - state.time) is not None
-            together.append(sdirk2.step(physics, contacts, state, end))
-            state = together[-1].state
-        off = balances(physics, state)
-        assert off["volume"].max() < 1e-12
-        assert off["energy"].max() < 1e-12
-    assert grown
-    for i, each in enumerate(cases):
-        physics = Physics.of([each], pair)
-        with physics.contacts() as contacts:
-            state = initial_state(physics, contacts)
-            for end, of_all in zip(ends, together, strict=True):
-                alone = sdirk2.step(physics, contacts, state, end[i : i + 1])
-                state, pressure = alone.state, of_all.state.contact.pressure[i]
-                assert np.array_equal(of_all.state.wear[:, i], state.wear[:, 0])
-                assert np.array_equal(pressure, state.contact.pressure[0])
-                for many, one in zip(astuple(of_all)[1:], astuple(alone)[1:], strict=True):
-                    assert np.broadcast_to(many, len(ends))[i] == np.broadcast_to(one, 1)[0]
 
 
 def test_wear_that_closes_a_gap_first():

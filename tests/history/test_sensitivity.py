@@ -356,9 +356,7 @@ def test_files_hold_derivatives(tmp_path):
     [
         (["wear.lower.kk"], "wear.lower.kk: .* must be one of wear.lower.k, wear.lower.p0, "),
         (["wear.upper.k"], "wear.upper.k: is no plain number"),
-        (["load.displacement"], "load.displacement: is no plain number"),
         (["load.omega"], "load.omega: is no plain number"),
-        (["mesh.grading"], "mesh.grading: is no plain number"),
         (["wear.lower.k", "wear.lower.k"], "wear.lower.k: must be named once"),
         ("wear.lower.k", "must be a list of keys"),
         ([1.0], "must be a list of keys"),

@@ -108,33 +108,6 @@ def test_other_laws_keep_their_balances_on_cones(cones, laws, comm):
             assert state.wear[0].max() > 1e-5
 
 
-@pytest.mark.parametrize("step", [euler.backward, sdirk2.step])
-def test_histories_on_cones_together_are_as_if_alone(cones, step, comm):
-    """To the last bit, with a law that remembers and one that averages."""
-    base, pair = cones
-    several = [
-        replace(base, wear_lower=RunningInLaw(1e-7, k, depth=2e-4), friction=mu,
-                wear_upper=NonLocalLaw(3e-8, 20.0, length=0.1))
-        for k, mu in ((9e-7, 0.1), (3e-7, 0.3), (1e-7, 0.2))
-    ]  # fmt: skip
-    ends = np.array([0.3, 0.2, 0.5])
-    physics = Physics.of(several, pair)
-    with physics.contacts() as contacts:
-        first = step(physics, contacts, initial_state(physics, contacts), ends).state
-        second = step(physics, contacts, first, 2.0 * ends).state
-        assert balances(physics, second)["volume"].max() < 1e-12
-    for i, case in enumerate(several):
-        end = ends[i : i + 1]
-        physics = Physics.of([case], pair)
-        with physics.contacts() as contacts:
-            alone = step(physics, contacts, initial_state(physics, contacts), end).state
-            alone = step(physics, contacts, alone, 2.0 * end).state
-        assert np.array_equal(second.wear[:, i], alone.wear[:, 0])
-        assert np.array_equal(second.worn[:, i], alone.worn[:, 0])
-        assert np.array_equal(second.contact.pressure[i], alone.contact.pressure[0])
-        assert second.energy[i] == alone.energy[0]
-
-
 def test_running_in_remembers_depths_along_the_normal(cones, comm):
     """At the end of the second step, the wear of both is what the law is told of."""
     base, pair = cones

@@ -13,7 +13,6 @@ from ringwear_par.history.derivatives.keys import differentiable
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.observers.trace import Trace, trace
-from ringwear_par.studies.execution.batches import computed
 
 CASE = CASES / "wear_through.toml"
 ALONE = MPI.COMM_SELF
@@ -113,40 +112,6 @@ def test_a_threshold_above_the_pressure_fails_no_step(pair, p0, step):
     through = history.physics.layer_left(0, history.last.wear[0]) <= 0.0
     assert through.any()
     assert (np.diff([state.wear[0] for state in history.states], axis=0) >= 0.0).all()
-
-
-def test_histories_in_lock_step_are_those_alone_and_none_is_given_up(pair):
-    base = case_of(**{"time.end": 80.0})
-    numbers = [(1e-8, 0.0, 1e-7), (4e-8, 60.0, 3e-7), (3e-8, 100.0, 1e-6), (2e-8, 20.0, 5e-8)]
-    keys = ("lower.layers[0].wear.k", "lower.layers[0].wear.p0", "wear.lower.k")
-    cases = [base.replace(dict(zip(keys, each, strict=True))) for each in numbers]
-    (together,) = computed(cases, pair, results=True)
-    assert not together.failures
-    for case, result in zip(cases, together.results(), strict=True):
-        (by_itself,) = computed([case], pair, results=True)
-        (same,) = by_itself.results()
-        for name in (*same.histories, *same.layers):
-            known = same.histories | same.layers, result.histories | result.layers
-            np.testing.assert_array_equal(*(each[name] for each in known), err_msg=name)
-        alone = rw.simulate(case, ALONE, pair=pair)
-        assert np.array_equal(alone.profiles["wear_lower"], result.profiles["wear_lower"])
-        ends = [each.attributes["time_through_lower"] for each in (alone, result)]
-        np.testing.assert_array_equal(*ends)
-
-
-def test_layers_of_other_thicknesses_step_together_as_alone(pair):
-    """Each history has its own interfaces, whatever those of the others."""
-    cases = [case_of({"thickness": t}, **{"time.end": 20.0}) for t in (0.0003, 0.003)]
-    (together,) = computed(cases, pair, results=True)
-    results = dict(zip(together.numbers, together.results(), strict=True))
-    through = [results[i].layers["share_through_lower"][-1] for i in range(2)]
-    assert through[0] > 0.0 == through[1]
-    for i, case in enumerate(cases):
-        (alone,) = computed([case], pair, results=True)
-        (result,) = alone.results()
-        for name, values in {**result.histories, **result.profiles, **result.layers}.items():
-            whole = {**results[i].histories, **results[i].profiles, **results[i].layers}
-            np.testing.assert_array_equal(whole[name], values, err_msg=name)
 
 
 @pytest.mark.several

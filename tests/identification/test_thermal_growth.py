@@ -242,10 +242,7 @@ def test_growth_that_outweighs_the_wear_is_no_wrong_sign(warm, nuisance):
         (("time", "start"), "3 mm", 'thermal.time: start = "3 mm": must be a finite number > 0'),
         (("time",), {"start": 1500.0}, "has neither prior nor bounds; must have one of them"),
         (("time", "start"), 60, "start = 60: must be within its bounds, 120 to 10800 s"),
-        (("time", "bounds"), [0, 9000], "bounds = [0, 9000]: must be two increasing numbers > 0"),
         (("time", "prior"), {"normal": [-1, 1]}, "must have a mean > 0"),
-        (("power",), 1, "thermal: power = 1: must be true or false"),
-        (("amplitude",), {"start": 1}, "thermal.amplitude: start: unknown key"),
         (("amplitude",), {"prior": 1}, "thermal.amplitude: prior = 1: must be { normal"),
     ],
 )

@@ -40,6 +40,15 @@ def laboratory(tmp_path_factory):
     return folder, rates, rw.measure(folder / "measure.toml")
 
 
+def measured(path, measure=(), **test):
+    """Return what is measured of one record on the example's rig."""
+    tables = {
+        "case": str(EXAMPLE / "rig.toml"), "measure": dict(measure),
+        "test": [{"name": path.stem, "file": str(path), **test}],
+    }  # fmt: skip
+    return rw.measure(tables)
+
+
 def at_end(rate, hours):
     return rate * (1.0 + (START - 1.0) * np.exp(-hours / RUNNING_IN))
 
@@ -171,16 +180,13 @@ def test_doubts(laboratory, tmp_path):
     assert codes["W1"] == ["displacement-against-weighing"]  # of rings that grow
     assert "gap" in codes["W2"]
     assert "not-steady" in codes["W4"]
-    case = folder / "rig.toml"
     rows = [row.split(";") for row in (folder / "W4.csv").read_text().splitlines()]
     half = len(rows) // 2
     stuck = rows[:half] + [[time, "999.9", *others] for time, _, *others in rows[half:]]
     (tmp_path / "stuck.csv").write_text("\n".join(map(";".join, stuck)))
-    (test,) = rw.measure(tmp_path / "stuck.csv", case=case).tests
+    (test,) = measured(tmp_path / "stuck.csv").tests
     assert [doubt.code for doubt in test.doubts] == ["not-steady", "stands-still"]
-    tables = {"case": str(case), "test": [{"name": "W1", "file": str(folder / "W1.csv")}]}
-    tables["measure"] = {"steady": {"from": "16 h"}}
-    (test,) = rw.measure(tables).tests
+    (test,) = measured(folder / "W1.csv", {"steady": {"from": "16 h"}}).tests
     assert [doubt.code for doubt in test.doubts] == ["steady-part-short"]
     assert test.part.of == "given part"
 
@@ -237,10 +243,7 @@ def test_equal_weighings_are_not_certain(laboratory, tmp_path):
 @pytest.mark.parametrize("hours", [20.0, 21.9, 30.0])
 def test_a_test_that_lasts_longer_than_its_record_is_told(hours, laboratory):
     folder, _, _ = laboratory
-    tables = {"case": str(folder / "rig.toml"),
-              "test": [{"name": "W1", "file": str(folder / "W1.csv"),
-                        "set": {"time.end": f"{hours} h"}}]}  # fmt: skip
-    summary = rw.measure(tables).summary()
+    summary = measured(folder / "W1.csv", set={"time.end": f"{hours} h"}).summary()
     said = "note: W1: the record is 20 h long and time.end is 30 h; numbers of the whole test"
     assert (said in summary) == (hours == 30.0)
 
@@ -291,22 +294,17 @@ def test_a_test_with_one_channel(laboratory, tmp_path):
 def test_loads_in_steps_are_averaged_over_the_part(laboratory):
     folder, _, _ = laboratory
     half = [[0.0, 565.0], [36e3, 565.0], [36001.0, 1130.0], [72e3, 1130.0]]
-    tables = {"case": str(folder / "rig.toml"), "measure": {"steady": {"from": "12 h"}},
-              "test": [{"name": "W1", "file": str(folder / "W1.csv"),
-                        "set": {"load.force": half}}]}  # fmt: skip
-    (test,) = rw.measure(tables).tests
+    steady = {"steady": {"from": "12 h"}}
+    (test,) = measured(folder / "W1.csv", steady, set={"load.force": half}).tests
     assert test.conditions.force == pytest.approx(1130.0)
     assert test.friction.value == pytest.approx(FRICTION, rel=0.02)
 
 
 def test_readings_that_are_excluded_at_the_end_are_of_the_test(laboratory):
     folder, _, _ = laboratory
-    tables = {"case": str(folder / "rig.toml"),
-              "measure": {"masses": {"file": str(folder / "masses.csv")}},
-              "test": [{"name": "W1", "file": str(folder / "W1.csv")}]}  # fmt: skip
-    (usual,) = rw.measure(tables).tests
-    tables["test"][0]["exclude"] = [[16 * 3600.0, 20 * 3600.0]]
-    (test,) = rw.measure(tables).tests
+    masses, end = {"masses": {"file": str(folder / "masses.csv")}}, [[16 * 3600.0, 20 * 3600.0]]
+    (usual,) = measured(folder / "W1.csv", masses).tests
+    (test,) = measured(folder / "W1.csv", masses, exclude=end).tests
     assert test.test.duration == usual.test.duration == 72e3
     assert test.test.record.end < 57600.0
     assert test.whole.distance == usual.whole.distance
@@ -319,10 +317,8 @@ def test_a_load_that_was_read_is_compared_at_its_times(late, said, tmp_path):
     rows = [f"{60 * i};{i / 30};{565 if i <= 600 else late}" for i in range(1201)]
     (tmp_path / "F.csv").write_text("\n".join(["t_s;z_um;F_N", *rows]))
     steps = [[0.0, 565.0], [36e3, 565.0], [36001.0, 1130.0], [72e3, 1130.0]]
-    tables = {"case": str(EXAMPLE / "rig.toml"), "measure": {"steady": {"from": "12 h"}},
-              "test": [{"name": "F", "file": str(tmp_path / "F.csv"),
-                        "set": {"load.force": steps}}]}  # fmt: skip
-    (test,) = rw.measure(tables).tests
+    steady = {"steady": {"from": "12 h"}}
+    (test,) = measured(tmp_path / "F.csv", steady, set={"load.force": steps}).tests
     assert any("N on average" in note for note in test.notes) == said
 
 
@@ -332,11 +328,9 @@ def test_a_load_and_a_speed_that_change_together(laboratory):
     slopes = {"load.force": [[0.0, 500.0], [72e3, 1500.0]],
               "load.omega": [[0.0, 3.0], [72e3, 9.0]]}  # fmt: skip
     uncertain = {"load.force": {"relative": 0.01}, "load.omega": {"relative": 0.02}}
-    tables = {"case": str(folder / "rig.toml"),
-              "measure": {"masses": {"file": str(folder / "masses.csv"), "sd": "1e-3 mg"},
-                          "uncertainty": uncertain, "steady": {"from": "10 h"}},
-              "test": [{"name": "W1", "file": str(folder / "W1.csv"), "set": slopes}]}  # fmt: skip
-    (test,) = rw.measure(tables).tests
+    masses = {"file": str(folder / "masses.csv"), "sd": "1e-3 mg"}
+    measure = {"masses": masses, "uncertainty": uncertain, "steady": {"from": "10 h"}}
+    (test,) = measured(folder / "W1.csv", measure, set=slopes).tests
     whole = test.whole
     product = 1000.0 * 6.0 * (1.0 + 1.0 / 12.0)
     assert whole.distance == pytest.approx(6.0 * RADIUS * 72.0)
@@ -355,9 +349,7 @@ def test_a_load_and_a_speed_that_change_together(laboratory):
 
 
 def with_exclude(path, *intervals):
-    tables = {"case": str(EXAMPLE / "rig.toml"), "test": [
-        {"name": path.stem, "file": str(path), "exclude": [*intervals]}]}  # fmt: skip
-    (test,) = rw.measure(tables).tests
+    (test,) = measured(path, exclude=[*intervals]).tests
     return [doubt.text for doubt in test.doubts if doubt.code == "gap"]
 
 
@@ -460,13 +452,11 @@ def test_volumes_are_not_compared_where_an_end_is_excluded(exclude, known, tmp_p
     rows = [f"{60 * i};{40.0 * i / 1200.0};9" for i in range(1201)]
     record(tmp_path, "line", rows)
     (tmp_path / "masses.csv").write_text("specimen;loss_mg\nline;50\n")
-    tables = {"case": str(EXAMPLE / "rig.toml"),
-              "measure": {"masses": {"file": str(tmp_path / "masses.csv")}},
-              "test": [{"name": "line", "file": str(tmp_path / "line.csv")}]}  # fmt: skip
-    (test,) = rw.measure(tables).tests
+    masses = {"masses": {"file": str(tmp_path / "masses.csv")}}
+    (test,) = measured(tmp_path / "line.csv", masses).tests
     assert [doubt.code for doubt in test.doubts] == ["displacement-against-weighing"]
-    tables["test"][0]["exclude"] = [[3600.0 * hours for hours in exclude]]
-    (test,) = rw.measure(tables).tests
+    left_out = [[3600.0 * hours for hours in exclude]]
+    (test,) = measured(tmp_path / "line.csv", masses, exclude=left_out).tests
     assert test.doubts == ()
     assert (test.whole.volume_by_displacement is not None) == known
     if known:

@@ -4,7 +4,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from commands import on_ranks, ringwear, sentences
+from commands import NEEDS_MPIRUN, ringwear, sentences
 from paths import ROOT
 
 from ringwear_par.cli import main
@@ -48,13 +48,10 @@ def test_a_measure_file_and_records_alike(measure, laboratory):
     assert len(other.splitlines()) == len(output.splitlines())
 
 
-@pytest.mark.parametrize("ranks", on_ranks(2))
-def test_ranks_say_it_once(ranks, laboratory):
-    result = ringwear("measure", "measure.toml", "-o", "out", ranks=ranks)
-    assert result.returncode == 0, result.stderr
-    assert result.stdout.count("repeatability") == 1
+@NEEDS_MPIRUN
+def test_ranks_say_it_once(laboratory):
     Path("W2.csv").write_text("t / min,z / um\n1,2\n3,x\n")
-    result = ringwear("measure", "measure.toml", "-o", "new", ranks=ranks)
+    result = ringwear("measure", "measure.toml", "-o", "new", ranks=2)
     assert result.returncode == 2
     (sentence,) = sentences(result)
     assert 'measure.toml: test "W2": W2.csv: has 2 different times' in sentence
@@ -85,22 +82,14 @@ def change(name, old, new):
         ("measure.toml", "sd =", "u =", "masses: u: unknown key; must be one of file, sd"),
         ("measure.toml", '"0.1 mg"', "0.1", 'sd = 0.1: must have its unit, such as "0.1 mg"'),
         ("measure.toml", "W1.csv", "masses.csv", "is a table of weighings, not a record; it must"),
-        ("measure.toml", '"0.1 mg"', '"0.1 mm"', "must be a finite number > 0 (mm is no unit"),
         ("measure.toml", '"6 N"', '"6 kg"', "load.force = \"6 kg\": must be a number > 0"),
-        ("measure.toml", "load.force", "load.forse", "load.forse: unknown key (did you mean load"),
         ("measure.toml", "relative = 0.004", "relative = 4", 'lower.density = { "relative" = 4 }'),
         ("measure.toml", 'case = "rig.toml"', 'case = "no.toml"', "no.toml: cannot be read"),
-        ("measure.toml", "[measure]", "[measures]", "measures: unknown key (did you mean measure"),
         ("measure.toml", '"W2"', '"W1"', 'test "W1": name: there are two tests of this name'),
-        ("measure.toml", "W3.csv", "W7.csv", "W7.csv: cannot be read: No such file"),
-        ("measure.toml", "[measure]", "[measure]\nsteady = { wear = 2 }", "must be a number > 0"),
         ("measure.toml", "[measure]", '[measure]\nsteady = { from = "19 h" }', "must be at most"),
         ("measure.toml", '"W1.csv"', '"W1.csv"\nset = { "time.end" = "20 min" }',
          "time.end = 1200 s: the record is 72000 s long"),
-        ("measure.toml", '"W1.csv"', '"W1.csv"\nset = { "load.forces" = 3 }', "load.forces"),
-        ("measure.toml", '"W1.csv"', '"W1.csv"\nsense = "down"', 'sense = "down": must be one of'),
         ("measure.toml", '"W1.csv"', '"W1.csv"\nexclude = [[3, 2]]', "must be a list of"),
-        ("measure.toml", '"W1.csv"', '"W1.csv"\ncolumns = { weg = "z" }', "must be a table of"),
         # the rig
         ("rig.toml", "density = 0.0019\n", "", "lower.density is missing: a weighing needs it"),
         ("rig.toml", "force = 1130.0", "displacement = 0.1",
@@ -140,9 +129,7 @@ def test_all_faults_together(measure):
         (["measure.toml", "--case", "rig.toml"], "case = rig.toml: must be absent beside"),
         (["rig.toml"], "rig.toml: is a case, not a measure file; [[test]] is missing"),
         (["W1.csv", "W1.csv", "--case", "rig.toml"], 'test "W1": name: there are two tests'),
-        (["no.csv", "--case", "rig.toml"], "no.csv: cannot be read: No such file or directory"),
         (["W1.csv", "--case", "no.toml"], "no.toml: cannot be read"),
-        (["rig.toml.csv"], "case is missing"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_typed(words, said, measure):

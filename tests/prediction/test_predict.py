@@ -5,11 +5,11 @@ import json
 
 import numpy as np
 import pytest
-from commands import ringwear, sentences
 from laboratory import CASE, TRUTH, fit_tables, history, one_test, penetration, record
 from mpi4py import MPI
 
 import ringwear_par as rw
+from ringwear_par.cli import main
 from ringwear_par.errors import InputError
 from ringwear_par.identification.fitted_values import law_names
 from ringwear_par.prediction import predict as module
@@ -181,26 +181,25 @@ def test_names_tell_laws_of_layers_and_users_apart(case, tmp_path):
 
 
 @pytest.mark.serial
-def test_the_command(found, tmp_path):
+def test_the_command(found, tmp_path, capsys):
     folder, _ = found
     out, case = tmp_path / "out", folder.parent / "case.toml"
-    words = ["predict", folder, case, "--draws", 4, "--set", "load.pressure=60", "-o"]
-    done = ringwear(*words, out, "--depth", "1 um")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("penetration ")
-    assert len(done.stdout.splitlines()) <= 10
+    words = ["predict", str(folder), str(case), "--draws", "4", "--set", "load.pressure=60", "-o"]
+    assert main([*words, str(out), "--depth", "1 um"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("penetration ")
+    assert len(said.splitlines()) <= 10
     assert {path.name for path in out.iterdir()} == {
         "prediction.json", "prediction.h5", "prediction.png"
     }  # fmt: skip
     stored = json.loads((out / "prediction.json").read_text())
     assert stored["draws"] == 4
     (line,) = [line for line in stored["summary"] if line.startswith("1 um of penetration: ")]
-    assert line in done.stdout
+    assert line in said
     assert stored["depth"]["reached"] == 1.0
     assert np.shape(stored["quantiles"]["penetration"]["values"]) == (len(stored["time"]), 5)
     assert "Prediction, 1 figure" in rw.report(out, tmp_path / "page.html")
     assert "case.toml -o DIR --of" in (tmp_path / "page.html").read_text()
-    refused = ringwear(*words, folder)
-    assert refused.returncode == 2
-    assert sentences(refused)[0].endswith("is the folder of ringwear fit (fit.json); must be "
-                                          "another, or new")  # fmt: skip
+    assert main([*words, str(folder)]) == 2
+    (sentence,) = capsys.readouterr().err.splitlines()
+    assert sentence.endswith("is the folder of ringwear fit (fit.json); must be another, or new")

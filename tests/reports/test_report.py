@@ -1,5 +1,6 @@
 """Pages of a run, a sweep and a fit: what they say, that they fetch nothing, and in a browser."""
 
+import base64
 import html
 import html.parser
 import itertools
@@ -11,7 +12,7 @@ import sys
 import h5py
 import numpy as np
 import pytest
-from browser import in_browser, opened
+from chromium import Browser, in_browser
 from commands import on_ranks, ringwear, sentences
 from laboratory import fit_tables, write_tests
 from paths import PAPER
@@ -22,7 +23,7 @@ from ringwear_par.cases.units import with_signs
 from ringwear_par.pictures.run_panels import HISTORY_PANELS
 from ringwear_par.results.key_numbers import key_numbers
 
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.serial, pytest.mark.slow]
 
 SCRIPT = "<script>alert(1)</script>"
 CASE = {
@@ -458,9 +459,7 @@ def test_the_command(ranks, folder, tmp_path):
 
 #: what a page says of itself once it is drawn; then its slider is moved and its table sorted
 PROBE = """
-<script>
-"use strict";
-window.addEventListener("load", async () => {
+(async () => {
   const told = {}, all = (s) => [...document.querySelectorAll(s)];
   const reached = (e) => { e.focus(); return document.activeElement === e; };
   told.width = document.documentElement.scrollWidth;
@@ -512,27 +511,29 @@ window.addEventListener("load", async () => {
     told.sorted = [0, 1].map(() => { head.click(); return column(); });
     told.order = head.parentElement.getAttribute("aria-sort");
   }
-  const end = document.createElement("script");
-  end.type = "text/plain"; end.id = "told"; end.textContent = JSON.stringify(told)
-    .replaceAll("<", "\\\\u003c");  // names of a fit may end a script
-  document.body.append(end);
-  console.log("the probe is through");
-});
-</script>
+  return told;
+})()
 """
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    with Browser(tmp_path_factory.mktemp("chromium"), width=1024, height=800) as browser:
+        yield browser
 
 
 @in_browser
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_browser_draws_the_page(kind, folder, pages, tmp_path):
-    page = tmp_path / "page.html"
-    text = (folder / f"{kind}.html").read_text()
-    page.write_text(text.replace("</body>", f"{PROBE}</body>"))
-    text, said = opened(page.as_uri(), tmp_path / "profile", "--dump-dom")
-    said = [line for line in said if "setting log level to" not in line]
-    assert len(said) == 1, said  # no error, no warning: nothing but the probe
-    assert "the probe is through" in said[0]
-    told = json.loads(re.search('id="told">(.*?)</script>', text, re.S)[1])
+def test_a_browser_draws_the_page_and_prints_it_on_a4(kind, folder, pages, browser):
+    browser.said.clear()
+    browser.open((folder / f"{kind}.html").as_uri())
+    printed = base64.b64decode(browser.call("Page.printToPDF", preferCSSPageSize=True)["data"])
+    boxes = re.findall(rb"/MediaBox \[([-0-9. ]+)\]", printed)
+    assert boxes
+    for box in boxes:
+        assert np.allclose([float(v) for v in box.split()], [0, 0, 595, 842], atol=1.0)
+    told = browser.run(PROBE)
+    assert browser.said == []  # no error, no warning
     assert told["width"] == 1024
     charts = list(pages[kind].charts.values())
     for drawn, chart in zip(told["plots"], charts, strict=True):
@@ -602,15 +603,3 @@ def check_by_hand(told, charts):
         for text, value in zip(written, chart.ordinates, strict=True):
             assert (text == "") == (not np.isfinite(value))
             assert not text or np.isclose(float(text), value)
-
-
-@in_browser
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_browser_prints_the_page_on_a4(kind, folder, tmp_path):
-    printed = tmp_path / "page.pdf"
-    words = ["--no-pdf-header-footer", f"--print-to-pdf={printed}"]
-    opened((folder / f"{kind}.html").as_uri(), tmp_path / "profile", *words)
-    boxes = re.findall(rb"/MediaBox \[([-0-9. ]+)\]", printed.read_bytes())
-    assert boxes
-    for box in boxes:
-        assert np.allclose([float(v) for v in box.split()], [0, 0, 595, 842], atol=1.0)

@@ -164,11 +164,6 @@ def _completed(tables):
     return case
 
 
-def test_wrong_keys_of_blocks_are_found(examples):
-    with pytest.raises(rw.InputError, match="omgea"):
-        rw.read_case(_completed({"load": {"pressure": 1.0, "omgea": 1.0}}))
-
-
 def test_every_command_and_option_is_told():
     text = (ROOT / "docs" / "commands.md").read_text("utf-8")
     (actions,) = (action for action in parser()._actions if action.dest == "command")
@@ -260,12 +255,6 @@ def test_messages_that_are_explained_are_ones_of_the_program():
     headings, texts = re.findall("^### (.*)$", page, re.M), [*texts_of_the_program()]
     assert len(headings) > 15
     assert not [one for one in headings if not any(one in text for text in texts)]
-
-
-def test_a_law_that_no_case_shows_is_an_error(monkeypatch, tmp_path):
-    monkeypatch.setattr(case_words, "CASES", tmp_path)
-    with pytest.raises(LookupError, match="wear law archard: no case"):
-        case_words.law_page("archard")
 
 
 @pytest.mark.parametrize(

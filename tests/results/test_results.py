@@ -3,7 +3,6 @@
 import shutil
 
 import h5py
-import numpy as np
 import pytest
 import xarray
 from paths import PAPER
@@ -15,38 +14,8 @@ from ringwear_par.results.execution import run as driver
 from ringwear_par.results.execution import run as monitor
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.storage import result_files as results
-from ringwear_par.results.variables import HISTORIES
 
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
-
-
-def test_opens_in_xarray(shared_path, comm):
-    path = shared_path / "run.h5"
-    run_case(PAPER, path, SMALL, comm=comm)
-    if comm.rank > 0:
-        return
-    with xarray.open_dataset(path, engine="h5netcdf") as data:
-        assert dict(data.sizes) == {"step": 21, "element": 16}
-        for name in ("pressure", "gap", "wear_lower", "wear_upper"):
-            assert data[name].dims == ("step", "element")
-        for name in HISTORIES:
-            assert data[name].dims == ("step",)
-        assert all(v.attrs["units"] and v.attrs["long_name"] for v in data.data_vars.values())
-        assert data.time.values == pytest.approx(np.arange(21.0))
-        assert data.penetration[0] == 0
-        assert float(data.force[-1]) == pytest.approx(45238.934, rel=1e-8)
-        assert (data.r.values[1:] > data.r.values[:-1]).all()
-        assert float(data.width.sum()) == pytest.approx(3.0)
-        assert data.contact_iterations.dtype.kind == "i"
-        assert int(data.contact_iterations.min()) >= 1
-        assert data.attrs["status"] == "complete"
-        assert data.attrs["ranks"] == comm.size
-        for name in ("assembly", "factorisation", "stepping", "output"):
-            assert data.attrs[f"seconds_{name}"] >= 0
-        assert "[lower]" in data.attrs["case"]
-        volume = (2 * np.pi * data.r * data.width * data.wear_lower).sum("element")
-        assert volume.values == pytest.approx(data.worn_volume_lower.values, rel=1e-12)
-    assert [p.name for p in path.parent.iterdir()] == ["run.h5"]
 
 
 def test_only_the_steps_and_fields_asked_for(shared_path, comm):

@@ -89,16 +89,6 @@ def test_what_makes_an_answer_doubtful_is_stored(shared_path, comm, capsys):
         assert told not in err
 
 
-IN_PASCALS = ["lower.young=210e9", "upper.young=210e9"]
-
-
-def test_a_number_in_another_unit_is_doubted_once(shared_path, comm, capsys, caplog):
-    run_case(PAPER, shared_path / "run.h5", [*SMALL, *IN_PASCALS, "time.steps=2"], comm=comm)
-    if comm.rank == 0:
-        assert capsys.readouterr().out.count("lower.young = 2.1e+11 MPa is stiffer") == 1
-        assert "young" not in caplog.text
-
-
 def test_the_summary_leads_with_the_answer_and_ends_with_checks(shared_path, comm, capsys):
     run_case(PAPER, shared_path / "run.h5", SMALL, comm=comm, verbose=True)
     if comm.rank > 0:

@@ -1,6 +1,6 @@
 """Cases of a pair computed together: the same results and columns whatever goes on beside them."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -18,7 +18,6 @@ from ringwear_par.results.storage.result_files import restored
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.execution.batches import computed
 from ringwear_par.studies.execution.many import simulate_all
-from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 ALONE = MPI.COMM_SELF
 pytestmark = pytest.mark.serial
@@ -170,24 +169,3 @@ def test_flags_are_those_of_single_cases(case):
         assert found[i] == tuple(doubt.code for doubt in recorder.result().doubts)
     assert "unstable_explicit_step" in found[0]
     assert "unstable_explicit_step" not in found[1]
-
-
-class Raising(ThresholdLaw):
-    """A law that fails in one case of many, and in time."""
-
-    def rate(self, p, at):
-        """Raise where the coefficient is that of the bad case."""
-        if (np.asarray(self._line(at)[0] / at.power) > 5e-7).any() and np.max(at.time) > 2.0:
-            raise ValueError("no such\nmaterial")
-        return super().rate(p, at)
-
-
-def test_a_law_that_raises_for_all_fails_its_own_case_only(case):
-    cases = [replace(case, wear_lower=Raising(k, 0.0)) for k in (1e-7, 2e-7, 9e-7, 3e-7, 4e-7)]
-    found = simulate_all(cases, ALONE)
-    (alone,) = simulate_all(cases[2:3], ALONE)
-    equal(found[2], alone)
-    assert "no such" in str(alone.error)
-    good = [i for i in range(5) if i != 2]
-    for i, one in zip(good, simulate_all([cases[i] for i in good], ALONE), strict=True):
-        equal(found[i], one)

@@ -5,7 +5,7 @@ from swept import CASE, table, variables, write_study
 
 import ringwear_par
 from ringwear_par import version
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import InputError
 from ringwear_par.studies.execution import plan, team_store
 from ringwear_par.studies.execution.sweep import sweep
 from ringwear_par.studies.storage.ensemble import open_ensemble
@@ -49,32 +49,13 @@ def test_another_version_does_not_mix_with_the_first(swept, shared_path, comm, m
     )
 
 
-def test_interrupted_cases_of_another_version_start_anew(
-    swept, shared_path, comm, monkeypatch, stopped_after, caplog
-):
-    mine = ringwear_par.__version__
-    with stopped_after(7), pytest.raises(ComputationError, match="stopped"):
-        swept("0", ranks_per_case=comm.size)
-    first = table(shared_path / "out")
-    assert [(row["status"], row["version"]) for row in first] == [("incomplete", mine)]
-    comm.Barrier()
-    for module in (ringwear_par, version, plan, team_store):
-        monkeypatch.setattr(module, "__version__", "99.0")
-    assert swept("0", ranks_per_case=comm.size).done == 1
-    assert comm.rank > 0 or f"is of version {mine} of ringwear-par" in caplog.text
-    (row,) = table(shared_path / "out")
-    assert row["version"] == "99.0"
-
-
 UNSTABLE = CASE.replace('scheme = "implicit"', 'scheme = "explicit"').replace(
     "step = 1.0", "step = 40.0"
 )
 
 
-def test_doubts_of_run_are_flags_of_a_sweep(swept, shared_path, comm, capsys):
-    """Those that a run of the same case warns of; a slice counts its own."""
-    from ringwear_par.results.execution.run import run_case
-
+def test_doubts_are_flags_of_a_sweep(swept, shared_path):
+    """As test_blocks.py has them beside those of runs; a slice counts its own."""
     text = UNSTABLE.replace("omega = 3.541666666666667", "omega = 35.0")
     assert text.count("explicit") == 1
     summary = swept("0, 20, 79.9", text, part=(1, 1))
@@ -91,22 +72,6 @@ def test_doubts_of_run_are_flags_of_a_sweep(swept, shared_path, comm, capsys):
     assert f"unstable explicit step ({unstable})" in str(summary)
     with open_ensemble(shared_path / "out") as data:
         assert [str(v) for v in data.flags.values] == [row["flags"] for row in rows]
-    comm.Barrier()
-    if comm.rank == 0:
-        (shared_path / "one.toml").write_text(text)
-    comm.Barrier()
-    capsys.readouterr()
-    run_case(shared_path / "one.toml", shared_path / "run.h5", ["wear.lower.p0=0"], comm=comm)
-    if comm.rank == 0:
-        told = capsys.readouterr().out
-        assert ("times its stability limit" in told) == ("unstable_explicit_step" in flags[0])
-        said = {
-            "large_displacement": "more than 5 % of a body's height",
-            "few_elements_in_contact": "too few to resolve the contact",
-            "coarse_mesh": "balance or symmetry of the boundary elements is wrong",
-        }
-        for flag, words in said.items():
-            assert (words in told) == (flag in flags[0]), flag
 
 
 def test_good_cases_have_no_flags(swept, shared_path):

@@ -1,6 +1,5 @@
 """Sweeps that are killed, stopped or damaged, and disks and cases that fail."""
 
-import os
 import shutil
 import signal
 import subprocess
@@ -21,8 +20,6 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun"),
 ]
-#: cases of the short study
-SHORT = 60
 #: a team of ranks has one case at a time, with checkpoints
 _ONE_BY_ONE = ("--ranks-per-case", "2")
 
@@ -78,15 +75,6 @@ def kept(before, output, but=()):
 
 
 @pytest.fixture(scope="module")
-def short(tmp_path_factory):
-    """A study of a second, and its folder of results."""
-    folder = tmp_path_factory.mktemp("short")
-    study = faults.write_study(folder, count=6, steps=60, elements=(16, 24))
-    faults.run_reference(faults.command(study, folder / "reference", 2), SHELL_ENVIRONMENT)
-    return study, folder / "reference"
-
-
-@pytest.fixture(scope="module")
 def unhurried(tmp_path_factory):
     """A study whose cases can wait under way, and its folder of results."""
     folder = tmp_path_factory.mktemp("waiting")
@@ -124,47 +112,6 @@ def test_a_sweep_killed_under_way_goes_on(tmp_path, held):
     assert f"{len(before)} of {waiting.cases} cases are there already" in result.stderr
     assert kept(before, output)
     assert not faults.differences(output, reference)
-
-
-@pytest.fixture
-def small_disk(tmp_path):
-    """A disk of 2 MB."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)]
-    if os.geteuid() or not shutil.which("mount"):
-        pytest.skip("only root may mount a small disk")
-    if subprocess.run(mount, capture_output=True, timeout=20, check=False).returncode:
-        pytest.skip("mounting a small disk is not allowed here")
-    try:
-        yield disk
-    finally:
-        subprocess.run(["umount", "-l", str(disk)], timeout=20, check=True)
-
-
-def test_disk_full_from_the_start(small_disk, short):
-    (small_disk / "out").mkdir()
-    with pytest.raises(OSError, match="space"):
-        (small_disk / "filler").write_bytes(bytes(4_000_000))
-    result = sweep(short[0], small_disk / "out", patience=40)
-    assert result.returncode == 1
-    assert len(sentences(result.stderr)) == 1
-    assert "Traceback" not in result.stderr
-
-
-def test_cases_that_never_converge(tmp_path, short):
-    study, reference = short
-    result = sweep(study, tmp_path / "out", "--", "-contact_tao_max_it", "1")
-    assert result.returncode == 1
-    assert "Traceback" not in result.stderr
-    _, status, error = statuses(tmp_path / "out")
-    failed = status.count("failed")
-    assert failed
-    assert f"{failed} of {SHORT} cases failed" in sentences(result.stderr)[-1]
-    assert all(bool(e) == (s == "failed") for s, e in zip(status, error, strict=True))
-    result = sweep(study, tmp_path / "out", "--retry-failed")
-    assert result.returncode == 0, result.stderr
-    assert not faults.differences(tmp_path / "out", reference)
 
 
 def test_what_marks_a_stop_goes_through_no_link(tmp_path):

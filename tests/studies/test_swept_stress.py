@@ -33,7 +33,6 @@ COATED = CASE.replace("steps = 20", "steps = 8").replace("p0 = 40.0", "p0 = 4.0"
 STUDY = """
 [vary]
 "lower.layers[0].thickness" = { values = [0.002, 0.03] }
-"contact.friction" = { values = [0.1, 0.2] }
 "load.pressure" = { values = [60, 80] }
 [design]
 method = "grid"
@@ -41,13 +40,14 @@ method = "grid"
 ROWS = ("max_mises", "max_mises_r", "max_mises_z", "max_mises_layer")
 
 
-def singles(folder):
-    """Each case of a sweep by its text, computed alone."""
+def singles(folder, stride=1):
+    """Rows of a sweep's table and of its file, and each case by its text, computed alone."""
+    rows = table(folder)
     with rw.open_ensemble(folder) as data:
-        for i, text in enumerate(data.case_toml.values.tolist()):
-            (folder / "one.toml").write_text(text)
+        for i in range(0, len(rows), stride):
+            (folder / "one.toml").write_text(str(data.case_toml.values[i]))
             result = rw.simulate(rw.read_case(folder / "one.toml"), MPI.COMM_SELF)
-            yield data.isel(case=i), result.to_xarray(), result
+            yield rows[i], data.isel(case=i), result.to_xarray(), result
 
 
 @pytest.mark.parametrize("times", ["last", "all", "[0.0, 5.0]"])
@@ -55,8 +55,8 @@ def singles(folder):
 def test_stresses_and_layers_are_those_of_single_runs(times, comm, tmp_path):
     case = COATED + f"times = {times if times[0] == '[' else repr(times)}\n"
     sweep(write_study(tmp_path, comm, STUDY, case), tmp_path / "out", comm)
-    rows, through = table(tmp_path / "out"), set()
-    for row, (mine, own, result) in zip(rows, singles(tmp_path / "out"), strict=True):
+    through = set()
+    for row, mine, own, result in singles(tmp_path / "out"):
         at = np.searchsorted(own.time.values, own.stress_time.values)
         count = int(mine.steps_stored)
         asked = np.zeros(count, dtype=bool)
@@ -105,8 +105,7 @@ def test_points_of_layers_that_are_worn_through_are_blank(comm, tmp_path):
     case = COATED.replace("[[30.0, 19.95], ", "[[30.0, 19.999], [30.0, 19.95], ") + 'times = "all"'
     sweep(write_study(tmp_path, comm, OVER_THICKNESS, case), tmp_path / "out", comm)
     blank = set()
-    rows = table(tmp_path / "out")
-    for row, (mine, own, result) in zip(rows, singles(tmp_path / "out"), strict=True):
+    for row, mine, own, result in singles(tmp_path / "out", stride=5):
         np.testing.assert_allclose(mine.mises[: len(own.mises)], own.mises, rtol=1e-8)
         gone = bool(own.layer_left_lower[-1, result.line.element_at(np.array(30.0))] == 0.0)
         assert (row["mises[0]"] == "") == bool(np.isnan(own.mises[-1, 0])) == gone
@@ -146,8 +145,8 @@ def test_cases_may_have_different_numbers_of_layers(comm, tmp_path):
     for entries, most in ((ENTRIES | {"more": ""}, 2), (thicker, 3)):
         told = sweep(write_study(tmp_path, comm, LISTS % entries, case), tmp_path / "out", comm)
         assert told.failed == 0
-        rows, counts = table(tmp_path / "out"), []
-        for row, (mine, own, _) in zip(rows, singles(tmp_path / "out"), strict=True):
+        counts = []
+        for row, mine, own, _ in singles(tmp_path / "out"):
             assert mine.point_side.values.tolist() == ["below", "above"]
             assert mine.sizes["layer"] == most + 1
             layers = own.sizes.get("layer", 1) - 1
@@ -194,7 +193,8 @@ def test_the_same_bits_on_all_ranks(comm, shared_path):
 def test_an_interrupted_case_keeps_its_stresses(comm, tmp_path, monkeypatch):
     """Alone, with a checkpoint: its stresses so far are in the incomplete file and in the whole."""
     case = COATED.replace("contact_elements = 16", 'contact_elements = 16\ngeometry = "updated"')
-    study = write_study(tmp_path, comm, STUDY, case + 'times = "all"\n')
+    two = STUDY.replace("[60, 80]", "[60]")
+    study = write_study(tmp_path, comm, two, case + 'times = "all"\n')
     sweep(study, tmp_path / "whole", comm)
     step, made = Team._observe, []
 

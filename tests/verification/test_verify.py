@@ -15,7 +15,7 @@ from ringwear_par.verification.fine import SORTS, TIMES
 from ringwear_par.verification.half_space import indented, pressure_at
 from ringwear_par.verification.histories import paper_case
 
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.serial, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 from wearing import sliding, step_wear
 
 from ringwear_par.arrays import derivative
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError
 from ringwear_par.schedules import Table
 from ringwear_par.wear.checked_law import complete
 from ringwear_par.wear.increment import WearIncrement
@@ -21,7 +21,6 @@ from ringwear_par.wear.laws.table import TableLaw
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 from ringwear_par.wear.laws.user import UserLaw
 from ringwear_par.wear.trials import (
-    check_user_law,
     taylor_test,
     taylor_test_parameter,
     taylor_test_wear,
@@ -269,23 +268,6 @@ def test_non_local_becomes_local():
     average = averaging(at.r, np.ones(5), other.length)
     step = WearIncrement((other, None), (at, at), 2.0, (average, None))
     assert step.depth(P) == pytest.approx(step_wear((local,), POWER, 2.0).depth(P))
-
-
-@pytest.mark.parametrize(
-    ("body", "words"),
-    [
-        ("return 1e-7 * (p - 40.0)", "gives -4e-06 as rate at time 0 s, element 0"),
-        ("return p * np.nan", "gives nan as rate"),
-        ("return 1e-7 * p + 1e-6", "without pressure"),
-        ("return 1e-7 * p * np.exp(-p / 30.0)", "falls from"),
-        ("return at.temperature", "AttributeError"),
-    ],
-)
-def test_what_is_no_law_is_told(body, words):
-    source = f"import numpy as np\ndef rate(p, at): {body}\ndef d_rate_dp(p, at): return 0 * p\n"
-    with pytest.raises(InputError, match=words.replace("(", r"\(")) as told:
-        check_user_law(UserLaw("mine.py", source), sliding(POWER), 100.0)
-    assert str(told.value).startswith("mine.py: rate()")
 
 
 def test_a_falling_slope_is_told_during_work():

@@ -57,13 +57,6 @@ def test_what_is_no_clock_time(cell, tmp_path):
         table.numbers("t", table.filled("t"), 3600.0)
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "cp1252"])
-def test_encodings(encoding, tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_bytes("t;z [µm]\n1;2\n".encode(encoding))
-    assert numbers(path, "z [µm]") == [[2.0]]
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [

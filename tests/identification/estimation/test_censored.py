@@ -144,6 +144,7 @@ def test_limits_on_both_sides(tables):
 def coated(tables, value, **changes):
     """Return a fit file of a coating of 2 um, of which is known when it is through."""
     found = copy.deepcopy(tables)
+    found["fit"]["starts"] = 1
     base = parse_toml(CASE, "case")
     base["lower"]["layers"] = [{"thickness": 2e-3, "young": 1e5, "poisson": 0.3,
                                 "wear": {"law": "archard", "k": 3e-9}}]  # fmt: skip
