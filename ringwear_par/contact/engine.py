@@ -290,7 +290,7 @@ class ContactEngine:
             problem.gaps, problem.forces = gaps.copy(), None
             problem.gaps[history] -= nearest
             area, weights, scale = problem.area, problem.weights[history], problem.scale[history]
-            matrix = self.compliances.matrices[self.which[history]]
+            matrix = self.compliances.matrix(int(self.which[history]))
             force = float(forces[history])
             stiffness = float(area.sum() ** 2 / (scale @ matrix @ scale))  # of uniform pressure
             mean = float(area @ problem.gaps[history] / area.sum())

@@ -17,11 +17,10 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, inner, largest, short_repr
 from ringwear_par.batched import keep
-from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.wear.increment import WearIncrement
 
 if TYPE_CHECKING:
-    from ringwear_par.contact.scaled_compliances import ScaledCompliances
+    from ringwear_par.contact.scaled_compliances import ComplianceProducts, ScaledCompliances
 
 #: largest relative KKT residual of an accepted solution
 KKT_TOLERANCE = 1e-9
@@ -109,7 +108,7 @@ class ContactProblem:
         self.forces: FloatArray | None = None
         self.wear: WearIncrement | None = None
         self._wear_at_work: tuple[IntArray, WearIncrement] | None = None
-        self._products: tuple[IntArray, RowProducts] | None = None
+        self._products: tuple[IntArray, ComplianceProducts] | None = None
 
     def pose(
         self,
@@ -194,8 +193,8 @@ class ContactProblem:
         """Return A q, (h, n)."""
         rows = self.rows
         if self._products is None or self._products[0] is not self.at_work:
-            self._products = self.at_work, RowProducts(self.which[rows])
-        product = self._products[1].of(q, self.compliances.matrices)
+            self._products = self.at_work, self.compliances.products(self.which[rows])
+        product = self._products[1].symmetric(q)
         self.is_known[rows] = True
         if isinstance(rows, slice):
             self._product = product
