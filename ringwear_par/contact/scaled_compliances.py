@@ -163,7 +163,7 @@ class ScaledCompliances:
         return self if len(numbers) == len(self.reference) else take(self, numbers)
 
     def products(self, which: IntArray) -> "ComplianceProducts":
-        """Return what multiplies rows with these compliances, (h,) int."""
+        """Return the products of rows with these compliances, (h,) int."""
         return ComplianceProducts(self, which)
 
     def matrix(self, number: int) -> FloatArray:

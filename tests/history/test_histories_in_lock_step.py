@@ -32,7 +32,7 @@ STEPPINGS = {
     "explicit": Stepping("explicit", 0.05, 8),
 }
 #: moduli that share the references of two families
-OWN = ((10240.0, 1e5), (9973.0, 1.2e5), (1e4, 41234.0), (1.03e4, 99.999e3))
+OWN = ((10240.123, 1e5), (9973.001, 1.2e5), (1e4, 41234.56), (1e4 / 0.97, 99.9999e3))
 USER = "def rate(p, at):\n    return at.parameters['k'] * at.friction * at.speed * p\n"
 ALONE = MPI.COMM_SELF
 

@@ -20,7 +20,7 @@ from ringwear_par.elasticity.bem.compliance_family import (
     family_of,
 )
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
-from ringwear_par.history.elastic.bodies import young
+from ringwear_par.history.elastic.bodies import has_family, young
 
 #: identity of a contact pair, and Young's moduli of lower and upper
 OperatorKey = tuple[int, tuple[float, float]]
@@ -29,20 +29,6 @@ OperatorKey = tuple[int, tuple[float, float]]
 def key_of(pair: ContactPair, case: Case) -> OperatorKey:
     """Return the key of the compliance of a case among those of some pairs."""
     return id(pair), young(case)
-
-
-def has_family(case: Case) -> bool:
-    """Tell whether the compliance of a case is one of a family, not a reference of its own.
-
-    That is where a modulus has more than three digits: those of materials as they are known have a
-    reference each, which serves all cases of a sweep; those that are drawn or sought share one with
-    others. It depends on the case alone, as all of its digits do. Bodies with layers, and elements
-    that follow the wear, have operators of their own anyway; near the axis, compliances may change
-    at once with a ratio of moduli.
-    """
-    plain = all(float(f"{modulus:.2e}") == modulus for modulus in young(case))
-    alone = case.follows_wear or any(ring.layers for ring in case.rings)
-    return not plain and not alone and case.line.edges[0] > 0.0
 
 
 @dataclass(frozen=True)
