@@ -1,6 +1,6 @@
-"""Numbers of a case that are more likely in another unit than meant so.
+"""Numbers of a case that are probably in another unit than the case's.
 
-A wrong unit shows by how deep bodies are to wear as the numbers say, which is forecast.
+A wrong unit shows in the depth of wear that the numbers mean, which is forecast.
 """
 
 import math
@@ -250,7 +250,7 @@ def _asking(case: Case, key: str, text: str) -> str:
 
 
 def deep_wear(case: Case, deep: Sequence[Forecast] | None = None) -> list[ValidityWarning]:
-    """Return the wear coefficients that are to wear off much of a body. Not collective."""
+    """Return the wear coefficients that would wear off much of a body. Not collective."""
     forecasts = deep_forecasts([case])[0] if deep is None else deep
     return _keyed(case, (_too_deep(case, forecast) for forecast in forecasts))
 
@@ -289,7 +289,7 @@ def without_intended_numbers(
 
 
 def _too_thin(materials: Mapping[str, Ring | RingLayer]) -> Iterator[tuple[str, str]]:
-    """Give the layers, key and sentence, whose thickness is likely in m."""
+    """Yield the layers, key and sentence, whose thickness is likely in m."""
     for name, layer in materials.items():
         if isinstance(layer, RingLayer) and layer.thickness < _THINNEST:
             key, thickness = f"{name}.thickness", layer.thickness
@@ -301,7 +301,7 @@ def _too_thin(materials: Mapping[str, Ring | RingLayer]) -> Iterator[tuple[str, 
 
 
 def _too_fast(case: Case) -> Iterator[tuple[str, str]]:
-    """Give the wear coefficients, key and sentence, by which no material wears."""
+    """Yield the wear coefficients, key and sentence, by which no material wears."""
     for table, wear in case.laws_by_table.items():
         share = largest(case.friction) if isinstance(wear, AboveThreshold) else 1.0
         names = ("k", "k_start") if isinstance(wear, AboveThreshold | ArchardLaw) else ()
@@ -332,7 +332,7 @@ def _too_deep(case: Case, forecast: Forecast) -> tuple[str, str]:
 def _in_gigapascals(
     materials: Mapping[str, Ring | RingLayer], load: float
 ) -> Iterator[tuple[str, str]]:
-    """Give the moduli, key and sentence, that are likely in GPa; not those under too much load."""
+    """Yield the moduli, key and sentence, that are likely in GPa; not those under too much load."""
     for name, material in materials.items():
         young, poisson = material.young, material.poisson
         soft = young < _SOFTEST or (young < _SOFT and load > _PRESSED * young)

@@ -34,7 +34,7 @@ _SMALL = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class _FitDraws:
-    """Draws of what a fit knows."""
+    """Draws of the unknowns of a fit."""
 
     #: of what the draws are
     kind: str
@@ -82,8 +82,8 @@ def to_arviz(fit: FitResult) -> "arviz.InferenceData":
     values = [np.array([problem.values(u) for u in draws.keys])]
     posterior = dict(zip(problem.keys, values[0].T[:, None], strict=True))
     if fit.material is not None:
-        for level, tau in zip(fit.material.posterior.model.levels, draws.taus.T, strict=True):
-            key = problem.keys[fit.material.free[level.key]]
+        for level, tau in zip(fit.material.mixed.posterior.model.levels, draws.taus.T, strict=True):
+            key = problem.keys[fit.material.mixed.free[level.key]]
             posterior[f"scatter of {key} between {level.name}s"] = tau[None]
         for key, size in zip(problem.settings.process, draws.sizes.T, strict=True):
             posterior[f"process.{key}"] = size[None]
@@ -113,8 +113,8 @@ def to_arviz(fit: FitResult) -> "arviz.InferenceData":
 def _drawn(fit: FitResult, random: np.random.Generator) -> _FitDraws:
     m, tests = len(fit.parameters), len(fit.misfit.problem.experiments)
     if fit.material is not None:
-        material, free = fit.material, list(fit.material.free)
-        drawn = material.posterior.draw(tests, DRAWS, random)
+        material, free = fit.material, list(fit.material.mixed.free)
+        drawn = material.mixed.posterior.draw(tests, DRAWS, random)
         keys = np.tile(fit.x[:m], (DRAWS, 1))
         of_tests = np.tile(material.test_unknowns, (DRAWS, 1, 1))
         keys[:, free], of_tests[:, :, free] = drawn.material, drawn.tests
@@ -178,8 +178,8 @@ def _marginal(fit: FitResult, linear: Linearisation, number: int, draws: _FitDra
     m, n = draws.keys.shape[1], len(linear.tests[number].readings)
     sizes, of_draw = np.unique(draws.sizes, axis=0, return_inverse=True)
     variances = np.zeros((len(draws.keys), m))
-    for level, tau in zip(fit.material.posterior.model.levels, draws.taus.T, strict=True):
-        variances[:, fit.material.free[level.key]] += tau**2
+    for level, tau in zip(fit.material.mixed.posterior.model.levels, draws.taus.T, strict=True):
+        variances[:, fit.material.mixed.free[level.key]] += tau**2
     logs = np.empty(len(draws.keys))
     for place, tests in enumerate(linear.reduced(sizes if draws.sizes.shape[1] else None)):
         chosen, test = of_draw.ravel() == place, tests[number]

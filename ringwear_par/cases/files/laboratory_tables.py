@@ -28,7 +28,7 @@ from ringwear_par.files.text import parse_value, shortened
 
 log = logging.getLogger(__name__)
 
-#: words in names of columns, by what these are of; letters alone are names as they are
+#: words in names of columns by their role; single letters count with their case
 _WORDS: dict[str, set[str]] = {
     "name": {"name", "test", "versuch"},
     "specimen": {"specimen", "probe"},
@@ -44,7 +44,7 @@ _WORDS: dict[str, set[str]] = {
 _TEXTS, _MASSES = ("name", "specimen", "batch", "lab"), (*KINDS, "sd")
 #: a case has one of them
 _LOADS = {"load.force", "load.pressure"}
-#: units of what is no key of a case
+#: units of roles that are no key of a case
 _UNITS = {"at": "s", **dict.fromkeys(_MASSES, "g")}
 #: of masses in g: differences have the digits that were typed, and no more
 _DIGITS = 12
@@ -107,7 +107,8 @@ def laboratory_tests(
         return {}
     in_table: list[str] = []
     columns = _columns(table, names, units, worn, in_table)
-    tests = {} if in_table else _Rows(table, columns, sd, templates, in_table).tests()
+    rows = _Rows(table, columns, sd, templates, in_table)
+    tests = rows.check() if in_table else rows.tests()
     if worn and not in_table:
         _name_unused(table, columns, templates)
     for fault in in_table:
@@ -116,7 +117,7 @@ def laboratory_tests(
 
 
 def _texts(reader: TableReader, key: str) -> Mapping[str, str]:
-    """Return a table of texts by what columns are of."""
+    """Return a table of texts by the role of columns."""
     table = reader.raw(key, {})
     if not isinstance(table, Mapping) or not all(isinstance(v, str) for v in table.values()):
         reader.wrong(key, "must be a table of texts")
@@ -198,7 +199,7 @@ def _bodies(name: str) -> list[str]:
 
 
 def _base(role: str) -> str:
-    """Return a unit of what a role is of, "" for none."""
+    """Return the unit of a role, "" for none."""
     key = key_of(role)
     unit = _UNITS.get(role.partition(".")[0], "") if key is None else key.unit
     return "" if unit in ("-", "1") else unit
@@ -249,7 +250,7 @@ def _column(
 
 
 def _refuse_twins(table: Measurements, columns: Sequence[_Column], faults: list[str]) -> None:
-    """Refuse columns of the same, but of masses, whose mean counts."""
+    """Refuse two columns of one role; of masses the mean counts."""
     known: dict[tuple[str, str], int] = {}
     for column in columns:
         first = known.setdefault((column.role, column.body), column.place)
@@ -266,7 +267,7 @@ def _name_unused(
     columns: Sequence[_Column],
     templates: Mapping[str, list[Mapping[str, Any]]],
 ) -> None:
-    """Warn of columns that neither are of something nor stand in a template."""
+    """Warn of columns that have no role and stand in no template."""
     used = {table.columns[column.place] for column in columns}
     for template in (template for tables in templates.values() for template in tables):
         used |= {name for text in template.values() for name in _PLACE.findall(str(text))}
@@ -302,6 +303,13 @@ class _Rows:
             if len(self.faults) == before:
                 tests[f"{self.table.name}: line {self.table.lines[numbers[0]]}"] = test
         return tests
+
+    def check(self) -> dict[str, dict[str, Any]]:
+        """Check all cells of the columns that are right; return no tests."""
+        for column in self.columns:
+            for number in range(len(self.table.rows)):
+                self._value(column, number)
+        return {}
 
     def _fault(self, number: int, sentence: str) -> None:
         self.faults.append(f"{self.table.name}: line {self.table.lines[number]}: {sentence}")
@@ -415,10 +423,22 @@ class _Rows:
         if not column.unit and not NUMBER.fullmatch(cell.replace(",", ".")):
             return parse_value(cell)
         try:
-            (value,) = cells.numbers(cells.columns[0], np.arange(len(cells.rows)) == number)
+            (read,) = cells.numbers(cells.columns[0], np.arange(len(cells.rows)) == number)
         except InputError as error:
-            self.faults.extend(fault for fault in error.faults if fault not in self.faults)
+            self._add(error.faults)
             return None
+        value = parse_value(cell) if cell.isdigit() else float(read)
         if column.unit:
-            return f"{float(value)!r} {column.unit}"
-        return parse_value(cell) if cell.isdigit() else float(value)
+            value = f"{float(read)!r} {column.unit}"
+        if key := key_of(column.role):
+            try:
+                key.value(value)
+            except RejectedError:
+                name, line = legible(cells.columns[0]), cells.lines[number]
+                self._add([f"{cells.name}: line {line}: {name} = {legible(cell)}: {key.rule}"])
+                return None
+        return value
+
+    def _add(self, faults: Sequence[str]) -> None:
+        """Add faults that are not there."""
+        self.faults.extend(fault for fault in faults if fault not in self.faults)

@@ -182,7 +182,7 @@ def is_known(name: str) -> bool:
 
 
 def has_entry(name: str) -> bool:
-    """Tell whether a varied key that is named as an entry is one of a pair, or a shape's size."""
+    """Tell whether a varied key that names an entry is one of a pair, or of a shape's size."""
     path, index = split_key(name)
     if index in ("file", "trace") and path.endswith(".profile"):
         return False

@@ -136,7 +136,7 @@ def test_columns_that_are_named_leave_no_other_of_theirs(folder, caplog):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("A;S1;40;", "A;S1;-40;", "tests.csv: line 4: experiment \"A\": set load.pressure = -40"),
+        ("A;S1;40;", "A;S1;-40;", "tests.csv: line 4: p = -40: must be a finite number > 0, or a"),
         ("A;S1;40;", "A;S1;4O;", "line 4: p = 4O: must be a number, or empty"),
         ("B;S2;85;", "B;S2;1.085,5;", "line 6: p = 1.085,5: must be a number, or empty; thousands"),
         ("B;S2;", ";S2;", "line 6: names no test; must begin with a name"),
@@ -180,6 +180,17 @@ def test_keys_that_are_refused(keys, said, folder):
     with pytest.raises(InputError) as caught:
         read_fit(in_table(folder, **keys))
     assert said in str(caught.value)
+
+
+def test_all_faults_are_told_together(folder):
+    text = TABLE.replace("MPa;rad/s", "MPa;-").replace("S1;40;3,5;1,5", "S1;4O;3,5;-1,5")
+    text = text.replace("B;S2;85", "B;S2;-85")
+    sentences = [fault.partition(".csv: ")[2] for fault in refused(in_table(folder, text))]
+    assert [sentence.partition(";")[0] for sentence in sentences] == [
+        "n: no unit", "line 4: p = 4O: must be a number, or empty",
+        "line 6: p = -85: must be a finite number > 0, or a table [[t, value >= 0], ...] in time, "
+        "t in s and increasing (MPa)", "line 4: Dauer = -1,5: must be a finite number > 0 (s)",
+    ]  # fmt: skip
 
 
 def test_a_fault_of_all_rows_is_said_once(folder):
