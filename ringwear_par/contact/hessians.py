@@ -242,7 +242,13 @@ class Hessians:
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
         """Return H^-1 right, (..., h, n), of some histories; 0 off their sets."""
-        return -self.steps(histories, right, None, SOLVED)[0]
+        solved = -self.steps(histories, right, None, SOLVED)[0]
+        if self._compliances.differences is not None:  # bases know no part that is not linear
+            products = self._compliances.products(self._which[histories])
+            rest = products.not_linear(solved)
+            rest[..., self._number[histories] < 0, :] = 0.0  # factors do
+            solved += self.steps(histories, rest, None, SOLVED)[0]
+        return solved
 
     def steps(
         self,

@@ -230,10 +230,11 @@ class ComplianceProducts:
         if more is not None and (more.share[which] != 1.0).any():
             self._change, self._polynomials = more.change[which][:, None], more.polynomials[which]
 
-    def _small(self, q: FloatArray) -> FloatArray:
-        """Return Q C Q' q."""
+    def not_linear(self, q: FloatArray) -> FloatArray:
+        """Return Q C Q' q of ``Differences``, (..., h, n)."""
         more = self._compliances.differences
-        assert more is not None
+        if more is None or self._change is None:
+            return np.zeros_like(q)
         inside = self._groups.of(self._groups.of(q, more.factors), more.cores)
         inside = inside.reshape(*q.shape[:-1], -1, more.rank)
         inside = np.einsum("hp,...hpr->...hr", self._polynomials, inside)
@@ -245,7 +246,7 @@ class ComplianceProducts:
         product = self._groups.of(q, compliances.matrices)
         if more is not None and self._change is not None:
             product += self._change * self._groups.of(q, more.matrices)
-            product += self._small(q)
+            product += self.not_linear(q)
         return product
 
     def gap_of_excess(self, p: FloatArray) -> FloatArray:
@@ -255,7 +256,7 @@ class ComplianceProducts:
         if more is not None and self._change is not None:
             gap += self._change * self._groups.of(p, more.transposed_excess)
             gap *= more.share[which][:, None]
-            gap += self._small(compliances.scale[which] * p) / compliances.weights[which]
+            gap += self.not_linear(compliances.scale[which] * p) / compliances.weights[which]
         return gap
 
 

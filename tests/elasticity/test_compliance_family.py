@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ringwear_par.contact.hessians import Hessians
 from ringwear_par.elasticity.bem.compliance_family import family_number, family_of
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic.bodies import has_family
@@ -54,6 +55,30 @@ def test_members_are_the_compliances_of_their_moduli(case, comm):
         change = np.linalg.solve(family.reference.matrix, matrix / found.members.share[i])
         largest = np.abs(np.linalg.eigvals(change) - 1.0).max()
         assert largest <= 1.02 * found.members.contraction[i] < 0.1
+
+
+@pytest.mark.parametrize("shape", ["speed", "any"])
+def test_inverses_are_those_of_the_members(case, shape, comm):
+    """On the elements in contact, beside a compliance that is a reference itself."""
+    moduli = [(2830.1234, 1e3), (1e4, 1e5), (3.3e3 / 1.1111, 1.1e3)]
+    found = Compliances.of(
+        [assemble(case, comm)] * 3, [with_moduli(case, *young) for young in moduli], {}
+    )
+    scaled, rng = found.scaled(), np.random.default_rng(2)
+    n = len(scaled.area)
+    hessians, free = Hessians(scaled, found.which), rng.uniform(size=(3, n)) < 0.8
+    slope = 3.0 * scaled.speed[scaled.reference[found.which]]
+    if shape == "any":
+        slope *= rng.uniform(0.5, 1.5, (3, n))
+    hessians.set_slopes(slice(None), slope, None)
+    hessians.refresh(np.arange(3), free)
+    right = rng.normal(size=(2, 3, n))
+    solved = hessians.solve(np.arange(3), right)
+    for i, on in enumerate(free):
+        block = (scaled.matrix(int(found.which[i])) + np.diag(slope[i]))[np.ix_(on, on)]
+        exact = np.linalg.solve(block, right[:, i, on].T).T
+        assert solved[:, i, on] == pytest.approx(exact, rel=1e-9, abs=1e-9 * np.abs(exact).max())
+        assert not solved[:, i, ~on].any()
 
 
 def test_moduli_that_are_written_have_references_of_their_own(case, comm):
