@@ -158,6 +158,10 @@ class ScaledCompliances:
             np.array(names, dtype=object), scaled,
         )  # fmt: skip
 
+    def of_histories(self, values: FloatArray, which: IntArray) -> FloatArray:
+        """Return values (m, n) for each history, (B, n); where all have the same, (1, n)."""
+        return values if len(values) == 1 else values[which]
+
     def take(self, numbers: IntArray) -> "ScaledCompliances":
         """Return some of the compliances, in ascending order."""
         return self if len(numbers) == len(self.reference) else take(self, numbers)
