@@ -194,7 +194,7 @@ def grows(
     n = physics.line.n
     sign = (-1.0) ** np.arange(n)
     bump = np.zeros_like(state.wear)
-    bump[0, 0] = 1e-2 * (physics.compliances.history(0).matrix @ sign) / physics.area
+    bump[0, 0] = 1e-2 * (physics.compliances.every[0].matrix @ sign) / physics.area
     wear = state.wear + bump
     contact = contacts.solve(physics.contact_inputs(state.time, wear), state.contact.pressure)
     rates = physics.rates_at(state.time, wear, contact.pressure)

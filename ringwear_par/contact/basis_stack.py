@@ -11,7 +11,7 @@ _LEAST_ROOM = 4
 
 
 class BasisStack:
-    """Numbered bases, each of a compliance and of sets of elements in contact and wearing.
+    """Numbered bases, each of a reference and of sets of elements in contact and wearing.
 
     Parameters
     ----------
@@ -26,6 +26,9 @@ class BasisStack:
         self._vacant: list[int] = []
         #: (m, n, n) and (m, n) each, room for more included; see ``Basis``
         self.psi, self.mu, self.force = np.empty((0, n, n)), np.empty((0, n)), np.empty((0, n))
+        #: (m, n, n), K' of ``Differences`` in the bases; without these (m, 0, 0)
+        size = 0 if compliances.differences is None else n
+        self.change = np.empty((0, size, size))
 
     @property
     def psi_t(self) -> FloatArray:
@@ -42,7 +45,7 @@ class BasisStack:
 
         Parameters
         ----------
-        compliance : its number.
+        compliance : the number of the reference.
         sets : the name of those that follow.
         free, wearing : (n,) bool, elements in contact, and those that wear.
         """
@@ -54,6 +57,9 @@ class BasisStack:
             else:
                 number = self._numbers[name] = self._vacant.pop()
                 self.psi[number], self.mu[number], self.force[number] = basis
+                more = self._compliances.differences
+                if more is not None:
+                    self.change[number] = basis.psi.T @ more.matrices[compliance] @ basis.psi
         return self._numbers[name]
 
     def make_room(self, used: IntArray) -> None:
@@ -74,8 +80,8 @@ class BasisStack:
         if more > 0 or not len(vacant):
             # room that is not used costs nothing, to copy bases does: two of each compliance
             more = max(_LEAST_ROOM, more, 2 * len(self._compliances.matrices) - len(vacant))
-            self.psi, self.mu, self.force = (
-                _longer(values, more) for values in (self.psi, self.mu, self.force)
+            self.psi, self.mu, self.force, self.change = (
+                _longer(values, more) for values in (self.psi, self.mu, self.force, self.change)
             )
             vacant = np.append(vacant, np.ones(more, dtype=bool))
         # the lowest are taken first: products are fewer where numbers follow each other

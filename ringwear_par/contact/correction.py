@@ -15,7 +15,6 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
 from ringwear_par.batched import concat
 from ringwear_par.contact.engine import ContactEngine
 from ringwear_par.contact.problem import ContactInputs, ContactState, WarmStart
-from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.wear.increment import WearIncrement
 
@@ -66,7 +65,7 @@ class CorrectedContacts:
     """
 
     def __init__(self, engine: ContactEngine) -> None:
-        self.engine, self._products = engine, RowProducts(engine.which)
+        self.engine, self._products = engine, engine.compliances.products(engine.which)
         count = len(engine.which)
         self._every, self._total = np.arange(count), float(engine.compliances.area.sum())
         #: (B,) the largest errors that were left, and their elements
@@ -81,7 +80,7 @@ class CorrectedContacts:
 
     def gap_of_excess(self, p: FloatArray) -> FloatArray:
         """Return the gap that the excess opens at pressures (..., B, n), or changes of both."""
-        return self._products.of(p, self.engine.compliances.transposed_excess)
+        return self._products.gap_of_excess(p)
 
     def __enter__(self) -> "CorrectedContacts":
         return self
@@ -218,8 +217,8 @@ class CorrectedContacts:
         self.engine.keep(histories)
         errors, elements = self.largest_errors
         self.largest_errors = errors[histories], elements[histories]
-        self._products, self._shift_at = RowProducts(self.engine.which), None
-        self._every = np.arange(len(histories))
+        self._products = self.engine.compliances.products(self.engine.which)
+        self._shift_at, self._every = None, np.arange(len(histories))
 
     def take(self, histories: IntArray) -> "CorrectedContacts":
         """Return the contacts of some of the histories."""

@@ -293,7 +293,7 @@ class ContactEngine:
             problem.gaps[history] -= nearest
             compliances, number, area = self.compliances, self.which[history], problem.area
             weights, scale = compliances.weights[number], compliances.scale[number]
-            matrix = compliances.matrices[number]
+            matrix = compliances.matrix(int(number))
             force = float(forces[history])
             stiffness = float(area.sum() ** 2 / (scale @ matrix @ scale))  # of uniform pressure
             mean = float(area @ problem.gaps[history] / area.sum())

@@ -1,6 +1,7 @@
 """The Hessians of B contact problems, A of each history and what its wear adds, and their inverses.
 
-They are diagonal in bases that histories share (see ``scaled_compliances``). Where the slope of
+They are diagonal in bases that histories share (see ``scaled_compliances``), or, of compliances
+that differ from their references, nearly so: a few terms of a Neumann series do. Where the slope of
 wear over pressure has another shape, such a basis preconditions conjugate gradients. Wear that gets
 through layers, non-local wear and large systems have Cholesky factors of their own.
 """
@@ -30,6 +31,8 @@ _FACTOR = -1
 #: residuals, relative to the first, at which conjugate gradients end: of estimates, within Newton's
 #: method, whose next step corrects what this one left, and of solutions
 ROUGH, NEAR, SOLVED = 1e-3, 1e-6, 1e-13
+#: error at which series end that stand for inverses in the bases, where none is to be smaller
+_SERIES = 1e-6
 _MOST_ITERATIONS = 200
 #: where nothing touches
 _NO_FACTOR = np.zeros((0, 0))
@@ -45,9 +48,10 @@ class Hessians:
     """
 
     def __init__(self, compliances: ScaledCompliances, which: IntArray) -> None:
-        self._compliances, self._matrices, self._which = compliances, compliances.matrices, which
+        self._compliances, self._which = compliances, which
         count, n = len(which), len(compliances.area)
-        self._per_speed, self._loops = 1.0 / compliances.speed, load(contact_rows)
+        self._per_speed = (1.0 / compliances.speed)[compliances.reference]
+        self._loops = load(contact_rows)
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
         #: (B, n) the diagonal
@@ -66,7 +70,8 @@ class Hessians:
         self._stack, self._number = BasisStack(compliances), np.full(count, BROKEN)
         #: (B, n) inverses in the bases, exact where the slope has the shape, else preconditioners
         self._inverse, self._regular = np.ones((count, n)), np.ones(count, dtype=bool)
-        #: (B, n) in the bases, what unknowns grow by with the approach, and (B,) the force with it
+        #: (B, n) in the bases, what unknowns grow by with the approach, and (B,) the force with it,
+        #: by the weights of the reference
         self._response, self._stiffness = np.zeros((count, n)), np.zeros(count)
         self._factors: dict[int, FloatArray] = {}
         #: how all histories are solved (True), and how some of them are
@@ -114,7 +119,7 @@ class Hessians:
 
     def matrix(self, history: int) -> FloatArray:
         """Return the Hessian of a history, (n, n)."""
-        block = self._matrices[self._which[history]].copy()
+        block = self._compliances.matrix(int(self._which[history]))
         if len(self.coupling):
             block += self.coupling[history]
         block.reshape(-1)[:: len(block) + 1] += self.slope[history]
@@ -188,7 +193,8 @@ class Hessians:
         free, wearing = self._free[histories], self._wearing[histories]
         sets = np.packbits(np.concatenate([free, wearing], axis=1), axis=1)
         alike: dict[tuple[int, bytes], list[int]] = defaultdict(list)
-        which, width, packed = self._which[histories].tolist(), sets.shape[1], sets.tobytes()
+        which, width = self._compliances.reference[self._which[histories]].tolist(), sets.shape[1]
+        packed = sets.tobytes()
         for place, compliance in enumerate(which):
             alike[compliance, packed[place * width : (place + 1) * width]].append(place)
         for (compliance, name), places in alike.items():
@@ -219,13 +225,22 @@ class Hessians:
             if len(modal) == len(every):
                 places = slice(None)
             numbers = every[places]
-            rows = _Rows(places, histories[places], numbers, RowProducts(numbers))
+            more, root = self._compliances.differences, None
+            if more is not None:
+                root = more.root[self._which[histories[places]]]
+            rows = _Rows(places, histories[places], numbers, RowProducts(numbers), root)
             known = self._rows[whole] = histories, rows
         return known[1]
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
         """Return H^-1 right, (..., h, n), of some histories; 0 off their sets."""
-        return -self.steps(histories, right, None, SOLVED)[0]
+        solved = -self.steps(histories, right, None, SOLVED)[0]
+        if self._compliances.differences is not None:  # bases know no part that is not linear
+            products = self._compliances.products(self._which[histories])
+            rest = products.not_linear(solved)
+            rest[..., self._number[histories] < 0, :] = 0.0  # factors do
+            solved += self.steps(histories, rest, None, SOLVED)[0]
+        return solved
 
     def steps(
         self,
@@ -265,14 +280,13 @@ class Hessians:
         self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None, tolerance: float
     ) -> tuple[FloatArray, FloatArray]:
         """Return steps in the bases, (..., h, n), and of approaches, (..., h)."""
-        irregular, count = np.flatnonzero(~self._regular[rows.histories]), len(rows.histories)
+        irregular = np.flatnonzero(~self._regular[rows.histories])
         sides = modal[..., irregular, :] if len(irregular) else modal
-        change, solved = np.empty(modal.shape[:-1]), modal
-        self._loops.solve_in_bases(
-            change.size, modal.shape[-1], count, rows.histories, self._number, self._stack.force,
-            self._inverse, self._response, self._stiffness, change if missing is None else missing,
-            missing is not None, solved, change,
-        )  # fmt: skip
+        if rows.root is not None and missing is not None:
+            missing = missing * rows.root
+        solved, change = self._direct_steps(rows, modal, missing)
+        if rows.root is not None:
+            self._add_series(rows, (solved, change), missing is None, tolerance)
         if len(irregular):
             many = np.broadcast_to(rows.histories[irregular], sides.shape[:-1])
             x, more = self._iterate(
@@ -283,7 +297,45 @@ class Hessians:
             )
             solved[..., irregular, :] = x.reshape(sides.shape)
             change[..., irregular] = more.reshape(many.shape)
+        if rows.root is not None:
+            change *= rows.root
         return solved, change
+
+    def _direct_steps(
+        self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return steps in the bases as if slopes had the shape, and compliances were references.
+
+        They are where ``modal`` was.
+        """
+        change, count = np.empty(modal.shape[:-1]), len(rows.histories)
+        self._loops.solve_in_bases(
+            change.size, modal.shape[-1], count, rows.histories, self._number, self._stack.force,
+            self._inverse, self._response, self._stiffness, change if missing is None else missing,
+            missing is not None, modal, change,
+        )  # fmt: skip
+        return modal, change
+
+    def _add_series(
+        self,
+        rows: "_Rows",
+        out: tuple[FloatArray, FloatArray],
+        approach_stays: bool,
+        tolerance: float,
+    ) -> None:
+        """Add to direct steps what differences of compliances make of them, term by term."""
+        more = self._compliances.differences
+        assert more is not None
+        which = self._which[rows.histories]
+        terms, change = more.terms(min(tolerance, _SERIES))[which], more.change[which]
+        terms[~self._regular[rows.histories]] = 0
+        step, none = out[0], None if approach_stays else np.zeros(out[1].shape)
+        for term in range(terms.max(initial=0)):
+            sides = rows.groups.of(step, self._stack.change)
+            sides *= np.where(terms > term, change, 0.0)[:, None]
+            step, approach = self._direct_steps(rows, sides, none)
+            np.add(out[0], step, out=out[0])
+            np.add(out[1], approach, out=out[1])
 
     def _set_factored(
         self,
@@ -331,6 +383,8 @@ class Hessians:
         slope, inverse = self.slope[histories], self._inverse[histories]
         force, response = self._stack.force[numbers], self._response[histories]
         groups, psi, psi_t = RowProducts(numbers), self._stack.psi, self._stack.psi_t
+        differences = self._compliances.differences
+        change = None if differences is None else differences.change[self._which[histories], None]
         solutions, multipliers = np.zeros_like(right), np.zeros(count)
         stiffness, multiplier = self._stiffness[histories], np.zeros(count)
 
@@ -342,6 +396,10 @@ class Hessians:
             bent *= slope if some is None else slope[some]
             product = groups_of.of(bent, psi)
             product += x
+            if change is not None:
+                more = groups_of.of(x, self._stack.change)
+                more *= change if some is None else change[some]
+                product += more
             return product
 
         def project() -> FloatArray:
@@ -376,6 +434,8 @@ class Hessians:
                     slope, inverse, force, response, stiffness = (
                         a[going] for a in (slope, inverse, force, response, stiffness)
                     )
+                    if change is not None:
+                        change = change[going]
                     groups, going = RowProducts(numbers), going[going]
             product = apply(direction)
             length = _divided(size, inner(direction, product))[:, None]
@@ -402,6 +462,8 @@ class _Rows(NamedTuple):
     numbers: IntArray
     #: of the rows by basis
     groups: RowProducts
+    #: (h,) float, see ``Differences``; None: compliances are references
+    root: FloatArray | None
 
 
 def _divided(force: FloatArray, stiffness: FloatArray) -> FloatArray:

@@ -19,11 +19,10 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, inner,
 from ringwear_par.batched import keep
 from ringwear_par.compiled import contact_rows
 from ringwear_par.compiled.machine_code import load
-from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.wear.increment import WearIncrement
 
 if TYPE_CHECKING:
-    from ringwear_par.contact.scaled_compliances import ScaledCompliances
+    from ringwear_par.contact.scaled_compliances import ComplianceProducts, ScaledCompliances
 
 #: largest relative KKT residual of an accepted solution
 KKT_TOLERANCE = 1e-9
@@ -116,7 +115,7 @@ class ContactProblem:
         self.forces: FloatArray | None = None
         self.wear: WearIncrement | None = None
         self._wear_at_work: tuple[IntArray, WearIncrement] | None = None
-        self._products: tuple[IntArray, RowProducts] | None = None
+        self._products: tuple[IntArray, ComplianceProducts] | None = None
 
     def pose(
         self,
@@ -151,7 +150,7 @@ class ContactProblem:
     def keep(self, histories: IntArray) -> None:
         """Go on with some of the histories, none of which is at work."""
         keep(self, ("which", "_product", "is_known", "gaps", "approaches"), histories)
-        if len(self.compliances.matrices) > 1:
+        if len(self.compliances.scale) > 1:
             names = "scale", "weights", "_per_scale", "_per_weight", "_slope_scale"
             keep(self, names, histories)
         self.every = np.arange(len(histories))
@@ -199,8 +198,8 @@ class ContactProblem:
         """Return A q, (h, n)."""
         rows = self.rows
         if self._products is None or self._products[0] is not self.at_work:
-            self._products = self.at_work, RowProducts(self.which[rows])
-        product = self._products[1].of(q, self.compliances.matrices)
+            self._products = self.at_work, self.compliances.products(self.which[rows])
+        product = self._products[1].symmetric(q)
         self.is_known[rows] = True
         if isinstance(rows, slice):
             self._product = product

@@ -56,31 +56,30 @@ class RowProducts:
         self._slots[order] = np.arange(count) + np.repeat(starts, counts)
 
     def of(self, rows: FloatArray, matrices: FloatArray) -> FloatArray:
-        """Return rows (..., h, n) times their matrices (n, n), digits of each row its own."""
-        n = rows.shape[-1]
+        """Return rows (..., h, n) times their matrices (n, k), digits of each row its own."""
+        n, k = matrices.shape[-2:]
         if self._slots is not None and rows.ndim > 2:
             times = rows.size // (len(self._which) * n)
             if times not in self._repeated:
                 self._repeated[times] = RowProducts(np.tile(self._which, times))
             flat = rows.reshape(-1, n)
-            return self._repeated[times].of(flat, matrices).reshape(rows.shape)
+            return self._repeated[times].of(flat, matrices).reshape(*rows.shape[:-1], k)
         flat = rows.reshape(-1, n)
         count = len(flat)
         if self._slots is None:
-            whole, matrix, shape = count // ROWS * ROWS, matrices[self._only], (-1, ROWS, n)
-            padded = np.zeros((ROWS, n))
+            whole, matrix = count // ROWS * ROWS, matrices[self._only]
+            product, padded = np.empty((count, k)), np.zeros((ROWS, n))
             padded[: count - whole] = flat[whole:]
-            if not whole:
-                return (padded @ matrix)[:count].reshape(rows.shape)
-            product = np.empty(flat.shape)
-            np.matmul(flat[:whole].reshape(shape), matrix, out=product[:whole].reshape(shape))
+            if whole:
+                blocks, out = (x[:whole].reshape(-1, ROWS, x.shape[1]) for x in (flat, product))
+                np.matmul(blocks, matrix, out=out)
             if whole < count:
                 product[whole:] = (padded @ matrix)[: count - whole]
-            return product.reshape(rows.shape)
+            return product.reshape(*rows.shape[:-1], k)
         blocks = np.zeros((ROWS * self._n_blocks, n))
         blocks[self._slots] = flat
         blocks = blocks.reshape(self._n_blocks, ROWS, n)
-        product = np.empty_like(blocks)
+        product = np.empty((self._n_blocks, ROWS, k))
         for run, of_run in self._runs:
             np.matmul(blocks[run], matrices[of_run], out=product[run])
-        return product.reshape(-1, n)[self._slots]
+        return product.reshape(-1, k)[self._slots]

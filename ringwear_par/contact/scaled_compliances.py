@@ -6,10 +6,13 @@ that wear. With A the scaled compliance of the elements in contact and W their s
     Psi' A Psi = 1,   Psi' W Psi = mu,   (A + alpha W)^-1 = Psi diag(1 / (1 + alpha mu)) Psi',
 
 so that one basis serves every step of every history with the same elements in contact and wearing.
+Compliances may differ a little from references, whose bases they share.
 """
 
+import math
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from hashlib import blake2b
 from typing import Any, NamedTuple
 
@@ -18,6 +21,7 @@ from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.batched import along, take
+from ringwear_par.contact.row_products import RowProducts
 
 #: bytes of the bases that are kept
 _MOST_BYTES = 2**25
@@ -35,26 +39,75 @@ class Basis(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class Differences:
+    """How m compliances differ from f references, K = share (K_ref + change K' + Q C Q').
+
+    C is a sum of cores, by polynomials.
+
+    Unscaled or, as A of K, scaled.
+    """
+
+    #: (m,) float; nothing but the reference is 1, 0 and 0
+    share: FloatArray
+    change: FloatArray
+    #: (m,) float, largest size of ``change K'`` relative to K_ref
+    contraction: FloatArray
+    #: (m, p) float
+    polynomials: FloatArray
+    #: (f, n, n) float, K', and (f, n, rank) float, Q
+    matrices: FloatArray = field(metadata=along(None))
+    factors: FloatArray = field(metadata=along(None))
+    #: (f, rank, p rank) float, cores side by side
+    cores: FloatArray = field(metadata=along(None))
+    #: (f, n, n) float, mm/MPa, what K' has more than the same of collocated compliances, transposed
+    transposed_excess: FloatArray = field(metadata=along(None))
+    _terms: dict[float, IntArray] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def root(self) -> FloatArray:
+        """(m,) weights of references over those of the compliances."""
+        return np.sqrt(self.share)
+
+    @property
+    def rank(self) -> int:
+        """Columns of Q."""
+        return self.factors.shape[2]
+
+    def terms(self, tolerance: float) -> IntArray:
+        """Return how many terms of a series in ``change K'`` are not below a tolerance, (m,)."""
+        if tolerance not in self._terms:
+            with np.errstate(divide="ignore"):
+                terms = np.ceil(math.log(tolerance) / np.log(self.contraction)) - 1.0
+            self._terms[tolerance] = np.maximum(terms, 0.0).astype(np.int64)
+        return self._terms[tolerance]
+
+
+@dataclass(frozen=True, eq=False)
 class ScaledCompliances:
-    """m compliances of one contact line."""
+    """m compliances of one contact line, and f references of which they are or are near to."""
 
     #: (n,) float, mm^2
     area: FloatArray = field(metadata=along(None))
-    #: (m, n, n) float, A, symmetric with a unit diagonal
-    matrices: FloatArray
+    #: (f, n, n) float, A of the references, symmetric with a unit diagonal
+    matrices: FloatArray = field(metadata=along(None))
+    #: (m,) int, the reference of each
+    reference: IntArray
     #: (m, n) float, 1/MPa, pressure times this is the unknown
     scale: FloatArray
     #: (m, n) float, gap times this is the gradient
     weights: FloatArray
-    #: (m, n) float, positive, W on elements that wear, but for a factor
-    speed: FloatArray
+    #: (f, n) float, these weights of the references
+    reference_weights: FloatArray = field(metadata=along(None))
+    #: (f, n) float, positive, W on elements that wear, but for a factor
+    speed: FloatArray = field(metadata=along(None))
     #: (m, n) float, MPa/mm, of each element alone
     stiffness: FloatArray
-    #: (m, n, n) float, mm/MPa, what the symmetric compliances have more than the collocated ones,
-    #: transposed
-    transposed_excess: FloatArray
-    #: (m,) bytes, different if anything is that a basis depends on
-    names: Any
+    #: (f, n, n) float, mm/MPa, what the references have more than the collocated ones, transposed
+    transposed_excess: FloatArray = field(metadata=along(None))
+    #: (f,) bytes, different if anything is that a basis depends on
+    names: Any = field(metadata=along(None))
+    #: None: all of them are references
+    differences: Differences | None
 
     @classmethod
     def of(
@@ -63,16 +116,20 @@ class ScaledCompliances:
         area: FloatArray,
         speed: FloatArray | None = None,
         excess: FloatArray | None = None,
+        reference: IntArray | None = None,
+        differences: Differences | None = None,
     ) -> "ScaledCompliances":
         """Return compliances scaled.
 
         Parameters
         ----------
-        symmetric : (m, n, n) float, mm^3/MPa, symmetric area-weighted compliances.
-        speed : (m, n) float, what the slopes of most wear over pressure are in proportion to, where
+        symmetric : (f, n, n) float, mm^3/MPa, symmetric area-weighted compliances.
+        speed : (f, n) float, what the slopes of most wear over pressure are in proportion to, where
             elements wear: sliding speeds, along the axis; None: they are uniform.
-        excess : (m, n, n) float, mm/MPa, what these have more than the collocated ones; None: no
+        excess : (f, n, n) float, mm/MPa, what these have more than the collocated ones; None: no
             more.
+        reference : (m,) int, those that compliances are near to; None: they are these.
+        differences : from the references, not scaled; None: they are these.
         """
         diagonal = np.diagonal(symmetric, axis1=1, axis2=2)
         scale = np.sqrt(diagonal)
@@ -85,9 +142,20 @@ class ScaledCompliances:
             blake2b(b"".join(part.tobytes() for part in parts), digest_size=16).digest()
             for parts in zip(matrices, speed, weights, strict=True)
         ]
+        every = np.arange(len(symmetric)) if reference is None else reference
+        root, stiffness, scaled = np.ones((len(every), 1)), (area / diagonal)[every], None
+        if differences is not None:
+            root = np.sqrt(differences.share)[:, None]
+            stiffness = stiffness / differences.share[:, None]
+            scaled = replace(
+                differences,
+                matrices=differences.matrices / (scale[:, :, None] * scale[:, None, :]),
+                factors=differences.factors / scale[:, :, None],
+            )
         return cls(
-            area, matrices, scale, weights, speed, area / diagonal,
-            np.ascontiguousarray(excess.transpose(0, 2, 1)), np.array(names, dtype=object),
+            area, matrices, every, scale[every] * root, weights[every] / root, weights, speed,
+            stiffness, np.ascontiguousarray(excess.transpose(0, 2, 1)),
+            np.array(names, dtype=object), scaled,
         )  # fmt: skip
 
     def of_histories(self, values: FloatArray, which: IntArray) -> FloatArray:
@@ -96,12 +164,26 @@ class ScaledCompliances:
 
     def take(self, numbers: IntArray) -> "ScaledCompliances":
         """Return some of the compliances, in ascending order."""
-        return self if len(numbers) == len(self.matrices) else take(self, numbers)
+        return self if len(numbers) == len(self.reference) else take(self, numbers)
+
+    def products(self, which: IntArray) -> "ComplianceProducts":
+        """Return the products of rows with these compliances, (h,) int."""
+        return ComplianceProducts(self, which)
+
+    def matrix(self, number: int) -> FloatArray:
+        """Return A of one of the compliances, (n, n)."""
+        at, more = self.reference[number], self.differences
+        if more is None:
+            return self.matrices[at].copy()
+        inside = (more.factors[at] @ more.cores[at]).reshape(len(self.area), -1, more.rank)
+        inside = np.einsum("p,npr->nr", more.polynomials[number], inside)
+        small = inside @ more.factors[at].T
+        return self.matrices[at] + more.change[number] * more.matrices[at] + small
 
     def basis(self, number: int, free: BoolArray, wearing: BoolArray) -> Basis | None:
-        """Return the basis of elements in contact and wearing, (n,); None: not positive definite.
+        """Return the basis of elements of a reference in contact and wearing, (n,).
 
-        It is kept for whoever needs it next.
+        None: not positive definite. It is kept for whoever needs it next.
         """
         sets = np.packbits(free).tobytes(), np.packbits(wearing & free).tobytes()
         name = self.names[number], *sets
@@ -109,8 +191,8 @@ class ScaledCompliances:
             _CACHE.move_to_end(name)
             return _CACHE[name]
         basis = _CACHE[name] = _basis(
-            self.matrices[number], self.speed[number] * wearing, self.weights[number],
-            np.flatnonzero(free),
+            self.matrices[number], self.speed[number] * wearing,
+            self.reference_weights[number], np.flatnonzero(free),
         )  # fmt: skip
         most = max(2, _MOST_BYTES // self.matrices[number].nbytes)
         while len(_CACHE) > most:
@@ -133,6 +215,53 @@ def _basis(
     mu[:size] = np.maximum(values, 0.0)
     psi[free, :size] = solve_triangular(factor, vectors, lower=True, trans=1, check_finite=False)
     return Basis(psi, mu, weights @ psi)
+
+
+class ComplianceProducts:
+    """Products of rows with compliances, whose digits do not depend on the other rows.
+
+    Parameters
+    ----------
+    compliances : of which each row has one.
+    which : (h,) int, its number.
+    """
+
+    def __init__(self, compliances: ScaledCompliances, which: IntArray) -> None:
+        self._compliances, self._which = compliances, which
+        self._groups, more = RowProducts(compliances.reference[which]), compliances.differences
+        #: of the rows; None: all are those of references
+        self._change: FloatArray | None = None
+        if more is not None and (more.share[which] != 1.0).any():
+            self._change, self._polynomials = more.change[which][:, None], more.polynomials[which]
+
+    def not_linear(self, q: FloatArray) -> FloatArray:
+        """Return Q C Q' q of ``Differences``, (..., h, n)."""
+        more = self._compliances.differences
+        if more is None or self._change is None:
+            return np.zeros_like(q)
+        inside = self._groups.of(self._groups.of(q, more.factors), more.cores)
+        inside = inside.reshape(*q.shape[:-1], -1, more.rank)
+        inside = np.einsum("hp,...hpr->...hr", self._polynomials, inside)
+        return self._groups.of(inside, more.factors.transpose(0, 2, 1))
+
+    def symmetric(self, q: FloatArray) -> FloatArray:
+        """Return A q, (..., h, n)."""
+        compliances, more = self._compliances, self._compliances.differences
+        product = self._groups.of(q, compliances.matrices)
+        if more is not None and self._change is not None:
+            product += self._change * self._groups.of(q, more.matrices)
+            product += self.not_linear(q)
+        return product
+
+    def gap_of_excess(self, p: FloatArray) -> FloatArray:
+        """Return the gap that the excess opens at pressures (..., h, n) MPa, mm."""
+        compliances, which = self._compliances, self._which
+        gap, more = self._groups.of(p, compliances.transposed_excess), compliances.differences
+        if more is not None and self._change is not None:
+            gap += self._change * self._groups.of(p, more.transposed_excess)
+            gap *= more.share[which][:, None]
+            gap += self.not_linear(compliances.scale[which] * p) / compliances.weights[which]
+        return gap
 
 
 _CACHE: OrderedDict[tuple[bytes, bytes, bytes], Basis | None] = OrderedDict()

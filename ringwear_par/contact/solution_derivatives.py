@@ -10,7 +10,6 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray, inner
 from ringwear_par.contact.hessians import ROUGH, Hessians
 from ringwear_par.contact.problem import ContactProblem, ContactState, part
-from ringwear_par.contact.row_products import RowProducts
 
 #: less than any stiffness
 _TINY = 1e-300
@@ -43,8 +42,8 @@ class SolutionDerivatives:
     def deflections(self, d_p: FloatArray) -> FloatArray:
         """Return the changes of gaps, mm, with those of pressures, (P, B, n) MPa."""
         problem = self._problem
-        products = RowProducts(problem.which).of(problem.scale * d_p, problem.compliances.matrices)
-        return products / problem.weights
+        products = problem.compliances.products(problem.which)
+        return products.symmetric(problem.scale * d_p) / problem.weights
 
     def tangents(
         self,

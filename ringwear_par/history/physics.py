@@ -25,7 +25,7 @@ from ringwear_par.elasticity.bem.body import BodyCost
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.history.derivatives.numbers import Sensitivity
-from ringwear_par.history.elastic.compliances import Compliances, OperatorKey, key_of
+from ringwear_par.history.elastic.compliances import Compliances, OperatorKey
 from ringwear_par.history.inputs import HistoryInputs
 from ringwear_par.schedules import in_time, integral, mean
 from ringwear_par.wear.increment import Closing, WearIncrement
@@ -413,15 +413,10 @@ class Physics:
 
     def joined(self, other: "Physics") -> "Physics":
         """Return the physics of the histories of both."""
-        known = {
-            key_of(pair, case): physics.compliances.history(i)
-            for physics in (self, other)
-            for i, (pair, case) in enumerate(zip(physics.pairs, physics.inputs.cases, strict=True))
-        }
         return Physics.of(
             (*self.inputs.cases, *other.inputs.cases),
             (*self.pairs, *other.pairs),
-            known=known,
+            known={**self.compliances.known, **other.compliances.known},
             derivatives=() if self.sensitivity is None else self.sensitivity.keys,
         )
 

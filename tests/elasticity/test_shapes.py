@@ -80,7 +80,7 @@ def test_partly_overlapping_rings(comm):
     assert case.contact == (38.0, 40.0)
     assert case.open_ends == (False, False)
     history = trace(case, comm)
-    pair, states = history.physics.compliances.history(0), history.states
+    pair, states = history.physics.compliances.every[0], history.states
     assert pair.symmetry_defect < 1e-3
     # the inner edge digs in, at the free end of the lower ring the pressure is small and regular
     p = states[0].contact.pressure

@@ -34,6 +34,8 @@ STEPPINGS = {
     "implicit": Stepping("implicit", 2.0, 8),
     "explicit": Stepping("explicit", 0.05, 8),
 }
+#: moduli that share the references of two families
+OWN = ((10240.123, 1e5), (9973.001, 1.2e5), (1e4, 41234.56), (1e4 / 0.97, 99.9999e3))
 USER = "def rate(p, at):\n    return at.parameters['k'] * at.friction * at.speed * p\n"
 ALONE = MPI.COMM_SELF
 
@@ -105,7 +107,11 @@ def loads(base):
         "moduli": [
             replace(base, lower=replace(base.lower, young=e), upper=replace(base.upper, young=u),
                     **laws)
-            for e, u in ((1e4, 1e5), (3e4, 1e5), (1e4, 1e5), (2e3, 2e5))
+            for e, u in ((1e4, 1e5), (3e4, 1e5), (1e4, 1e5), (2e3, 2e5), *OWN)
+        ],
+        "moduli of other laws": [
+            replace(case, lower=replace(case.lower, young=e), upper=replace(case.upper, young=u))
+            for case, (e, u) in zip(of_laws(base, "power"), ((1e4, 1e5), *OWN), strict=True)
         ],
         "ends": [replace(base, time=replace(base.time, until=t, tolerance=1e-5 / t), **laws)
                  for t in (1.0, 30.0, 200.0)],
@@ -205,8 +211,8 @@ def test_laws_and_schemes(flat, pair, name, stepping):
     same(seen, run(cases, pair, size=1))
 
 
-@pytest.mark.parametrize("name", ["schedules", "displacements", "speeds", "moduli", "ends",
-                                  "sudden"])  # fmt: skip
+@pytest.mark.parametrize("name", ["schedules", "displacements", "speeds", "moduli",
+                                  "moduli of other laws", "ends", "sudden"])  # fmt: skip
 def test_loads(flat, pair, name):
     cases = loads(flat)[name]
     seen = run(cases, pair)

@@ -194,7 +194,7 @@ def cutting(comm):
 
 def test_pressure_on_a_conforming_chamfer_is_that_beside_it_times_the_cosine(cutting):
     """All of the face goes down at one rate along the axis: k p V / cos alpha."""
-    last, slope = cutting.last, cutting.physics.compliances.history(0).slope
+    last, slope = cutting.last, cutting.physics.compliances.every[0].slope
     p, line = last.contact.pressure, cutting.physics.line
     assert 0.05 < last.wear[0].max() < 0.1
     assert not last.wear[1].any()

@@ -10,7 +10,7 @@ the elements at an edge, by their whole pressure where that is regular, and howe
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from mpi4py import MPI
@@ -183,6 +183,9 @@ class ContactPair:
     changes: dict[tuple[int, int, str], ComplianceChange] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
+
+    #: families of compliances, by number, see ``compliance_family``
+    families: dict[int, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __repr__(self) -> str:
         a, b = self.line.edges[[0, -1]]

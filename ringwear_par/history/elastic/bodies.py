@@ -24,6 +24,20 @@ def young(case: Case) -> tuple[float, float]:
     return case.lower.young, case.upper.young
 
 
+def has_family(case: Case) -> bool:
+    """Tell whether the compliance of a case is one of a family, not a reference of its own.
+
+    That is where a modulus has more than four digits: those that are written have a reference each,
+    which serves all cases of a sweep; those that are drawn or sought share one with others. It
+    depends on the case alone, as all of its digits do. Bodies with layers, and elements that follow
+    the wear, have operators of their own anyway; near the axis, compliances may change at once with
+    a ratio of moduli.
+    """
+    plain = all(float(f"{modulus:.3e}") == modulus for modulus in young(case))
+    alone = case.follows_wear or any(ring.layers for ring in case.rings)
+    return not plain and not alone and case.line.edges[0] > 0.0
+
+
 def operator_key(case: Case) -> Hashable:
     """Return the key of the contact pair of a case; equal for cases that can share it."""
     return pair_key(bodies(case), case.contact, case.mesh)

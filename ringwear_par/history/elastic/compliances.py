@@ -1,5 +1,6 @@
 """The compliances of B histories on one contact line, each of its own pair and moduli."""
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Self
@@ -7,13 +8,19 @@ from typing import Self
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.batched import along, take
+from ringwear_par.batched import along, concat, take
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.engine import ContactEngine
-from ringwear_par.contact.scaled_compliances import ScaledCompliances
+from ringwear_par.contact.scaled_compliances import Differences, ScaledCompliances
+from ringwear_par.elasticity.bem.compliance_family import (
+    ComplianceFamily,
+    Members,
+    family_number,
+    family_of,
+)
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
-from ringwear_par.history.elastic.bodies import young
+from ringwear_par.history.elastic.bodies import has_family, young
 
 #: identity of a contact pair, and Young's moduli of lower and upper
 OperatorKey = tuple[int, tuple[float, float]]
@@ -28,17 +35,17 @@ def key_of(pair: ContactPair, case: Case) -> OperatorKey:
 class Compliances:
     """How the contact elements of B histories yield."""
 
-    #: compliances of all different pairs and moduli, that of the first history first
+    #: f references: compliances of pairs and moduli, and those of families
     every: Sequence[ContactCompliance] = field(metadata=along(None))
-    #: (B,) int, the one of each history
+    #: those that are no family's, by their keys
+    known: Mapping[OperatorKey, ContactCompliance] = field(metadata=along(None))
+    #: of the last references
+    families: Sequence[ComplianceFamily] = field(metadata=along(None))
+    #: m different compliances, and (m,) int their references
+    members: Members = field(metadata=along(None))
+    reference: IntArray = field(metadata=along(None))
+    #: (B,) int, the compliance of each history
     which: IntArray
-    #: (m, n) float, mm/MPa, displacements of elements under their own pressures alone, of the
-    #: different compliances
-    diagonals: FloatArray = field(metadata=along(None))
-    #: (B,) float, MPa/mm, uniform pressure over the mean displacement that it makes
-    stiffness: FloatArray
-    #: (B,) float, see ``ContactCompliance``
-    symmetry_defect: FloatArray
 
     @classmethod
     def of(
@@ -49,50 +56,71 @@ class Compliances:
     ) -> Self:
         """Return the compliances of histories; some may be known."""
         keys = [key_of(*row) for row in zip(pairs, cases, strict=True)]
-        pair_of = dict(zip(keys, pairs, strict=True))
-        places = {key: place for place, key in enumerate(pair_of)}
-        every = [known.get(key) or pair.compliance(key[1]) for key, pair in pair_of.items()]
-        return cls._of(every, np.array([places[key] for key in keys]))
+        firsts = dict(zip(keys, zip(pairs, cases, strict=True), strict=True))
+        families: dict[tuple[int, int], list[OperatorKey]] = defaultdict(list)
+        single: dict[OperatorKey, ContactCompliance] = {}
+        for key, (pair, case) in firsts.items():
+            if has_family(case):
+                families[key[0], family_number(key[1])].append(key)
+            else:
+                single[key] = known.get(key) or pair.compliance(key[1])
+        order = [*single, *(key for row in families.values() for key in row)]
+        places = {key: place for place, key in enumerate(order)}
+        members = {
+            family_of(firsts[row[0]][0], number): [key[1] for key in row]
+            for (_, number), row in families.items()
+        }
+        return cls._of(single, members, np.array([places[key] for key in keys]))
 
     @classmethod
     def of_each(cls, compliances: Sequence[ContactCompliance]) -> Self:
         """Return the compliances of histories that have one each."""
-        return cls._of(compliances, np.arange(len(compliances)))
+        single = {(i, (0.0, 0.0)): compliance for i, compliance in enumerate(compliances)}
+        return cls._of(single, {}, np.arange(len(compliances)))
 
     @classmethod
-    def _of(cls, every: Sequence[ContactCompliance], which: IntArray) -> Self:
-        area = every[0].line.area
-        return cls(
-            every,
-            which,
-            np.array([np.diagonal(c.matrix) / area for c in every]),
-            np.array([float(area.sum() / c.matrix.sum()) for c in every])[which],
-            np.array([c.symmetry_defect for c in every])[which],
-        )
+    def _of(
+        cls,
+        single: Mapping[OperatorKey, ContactCompliance],
+        families: Mapping[ComplianceFamily, Sequence[tuple[float, float]]],
+        which: IntArray,
+    ) -> Self:
+        """Return compliances, of families those of some moduli, in this order."""
+        parts = [Members.of_reference(compliance) for compliance in single.values()]
+        parts += [family.members(young) for family, young in families.items()]
+        reference = np.repeat(np.arange(len(parts)), [len(part.share) for part in parts])
+        every = [*single.values(), *(family.reference for family in families)]
+        return cls(every, single, tuple(families), concat(parts), reference, which)
 
     @property
     def diagonal(self) -> FloatArray:
         """(B, n) mm/MPa, displacement of each element under its own pressure alone."""
-        return self.diagonals[self.which]
+        return self.members.diagonal[self.which]
+
+    @property
+    def stiffness(self) -> FloatArray:
+        """(B,) MPa/mm, uniform pressure over the mean displacement that it makes."""
+        return self.members.stiffness[self.which]
+
+    @property
+    def symmetry_defect(self) -> FloatArray:
+        """(B,), see ``ContactCompliance``."""
+        return self.members.symmetry_defect[self.which]
 
     @property
     def twist(self) -> FloatArray:
         """(B, n) mm/MPa, see ``ContactCompliance``."""
-        return np.array([c.twist for c in self.every])[self.which]
+        return self.members.twist[self.which]
 
     @property
     def force_reaction(self) -> FloatArray:
         """(B, 2, n) mm^2, see ``ContactCompliance``."""
-        return np.array([c.force_reaction for c in self.every])[self.which]
+        return np.array([c.force_reaction for c in self.every])[self.reference[self.which]]
 
     @property
     def torque_reaction(self) -> FloatArray:
         """(B, 2, n) mm^3, see ``ContactCompliance``."""
-        return np.array([c.torque_reaction for c in self.every])[self.which]
-
-    def history(self, i: int) -> ContactCompliance:
-        """Return the compliance of one history."""
-        return self.every[self.which[i]]
+        return np.array([c.torque_reaction for c in self.every])[self.reference[self.which]]
 
     def take(self, histories: IntArray) -> "Compliances":
         """Return the compliances of some of the histories."""
@@ -100,13 +128,31 @@ class Compliances:
 
     def scaled(self) -> ScaledCompliances:
         """Return the different compliances as contact problems have them."""
-        line = self.every[0].line
+        line, differences = self.every[0].line, None
+        if self.families:
+            differences = self._differences()
         return ScaledCompliances.of(
             np.array([c.matrix for c in self.every]),
             line.area,
             speed=np.array([line.arm * c.obliquity for c in self.every]),
             excess=np.array([c.excess for c in self.every]),
+            reference=self.reference,
+            differences=differences,
         )
+
+    def _differences(self) -> Differences:
+        """Return how the compliances differ from their references."""
+        first, count, members = self.families[0], len(self.every), self.members
+        rank = first.factors.shape[1]
+        sizes = first.change.shape, first.factors.shape, (rank, first.cores.size // rank)
+        change, factors, cores, excess = (np.zeros((count, *s)) for s in (*sizes, sizes[0]))
+        for i, family in enumerate(self.families, start=count - len(self.families)):
+            change[i], factors[i], excess[i] = family.change, family.factors, family.excess_change.T
+            cores[i] = family.cores.transpose(1, 0, 2).reshape(rank, -1)
+        return Differences(
+            members.share, members.change, members.contraction, members.polynomials, change,
+            factors, cores, excess,
+        )  # fmt: skip
 
     def contacts(self) -> CorrectedContacts:
         """Return the contacts of the histories. Not collective."""

@@ -7,6 +7,7 @@ from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.elasticity.bem.pair import ContactCompliance, largest_stable_step
+from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.physics import Physics
 from ringwear_par.schedules import Table, integral, largest
 from ringwear_par.wear.law import Law
@@ -47,7 +48,7 @@ def stable_steps(physics: Physics, contacts: CorrectedContacts) -> list[float]:
     largest_pressures = pressed(physics, contacts).pressure.max(axis=1).tolist()
     contacts.warm = warm
     return [
-        _stable_step(case, physics.compliances.history(i), largest_pressures[i])
+        _stable_step(case, physics.pairs[i].compliance(young(case)), largest_pressures[i])
         for i, case in enumerate(physics.inputs.cases)
     ]
 

@@ -1,0 +1,92 @@
+"""Compliances that differ a little from a reference: what is interpolated is the compliance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringwear_par.contact.hessians import Hessians
+from ringwear_par.elasticity.bem.compliance_family import family_number, family_of
+from ringwear_par.elasticity.mesh import Mesh
+from ringwear_par.history.elastic.bodies import has_family
+from ringwear_par.history.elastic.compliances import Compliances
+from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.verification.histories import paper_case
+
+pytestmark = pytest.mark.serial
+
+
+@pytest.fixture(scope="module")
+def case():
+    return paper_case(Mesh(24))
+
+
+def with_moduli(case, lower, upper):
+    rings = {"lower": lower, "upper": upper}
+    return replace(case, **{k: replace(getattr(case, k), young=e) for k, e in rings.items()})
+
+
+def test_members_are_the_compliances_of_their_moduli(case, comm):
+    """At both ends of a family and within."""
+    pair = assemble(case, comm)
+    ends = [2.0 ** (0.5 * (3 + by)) for by in (-0.499, 0.2, 0.499)]
+    moduli = [(1e3 * ratio, 1e3) for ratio in ends]
+    assert {family_number(young) for young in moduli} == {3}
+    found = Compliances.of([pair] * 3, [with_moduli(case, *young) for young in moduli], {})
+    scaled, family = found.scaled(), family_of(pair, 3)
+    assert len(found.every) == 1
+    products = scaled.products(np.arange(3))
+    p = np.random.default_rng(1).uniform(1.0, 2.0, (3, pair.line.n))
+    for i, young in enumerate(moduli):
+        exact = pair.compliance(young)
+        size, scale = np.abs(exact.matrix).max(), scaled.scale[i]
+        matrix = scaled.matrix(i) * scale[:, None] * scale
+        assert np.abs(matrix - exact.matrix).max() <= 1e-13 * size
+        product = scale * products.symmetric(scaled.scale * p)[i]
+        assert product == pytest.approx(exact.matrix @ p[i], rel=1e-12)
+        gap = exact.excess @ p[i]
+        error = np.abs(products.gap_of_excess(p)[i] - gap).max()
+        assert error <= 1e-13 * np.abs(exact.collocated @ p[i]).max()
+        assert found.diagonal[i] == pytest.approx(np.diag(exact.matrix) / pair.line.area, rel=1e-12)
+        assert found.stiffness[i] == pytest.approx(pair.line.area.sum() / exact.matrix.sum())
+        assert found.twist[i] == pytest.approx(exact.twist, rel=1e-13)
+        assert found.symmetry_defect[i] == pytest.approx(exact.symmetry_defect, rel=1e-13)
+        # the series that stands for inverses converges as it is said to
+        change = np.linalg.solve(family.reference.matrix, matrix / found.members.share[i])
+        largest = np.abs(np.linalg.eigvals(change) - 1.0).max()
+        assert largest <= 1.02 * found.members.contraction[i] < 0.1
+
+
+@pytest.mark.parametrize("shape", ["speed", "any"])
+def test_inverses_are_those_of_the_members(case, shape, comm):
+    """On the elements in contact, beside a compliance that is a reference itself."""
+    moduli = [(2830.1234, 1e3), (1e4, 1e5), (3.3e3 / 1.1111, 1.1e3)]
+    found = Compliances.of(
+        [assemble(case, comm)] * 3, [with_moduli(case, *young) for young in moduli], {}
+    )
+    scaled, rng = found.scaled(), np.random.default_rng(2)
+    n = len(scaled.area)
+    hessians, free = Hessians(scaled, found.which), rng.uniform(size=(3, n)) < 0.8
+    slope = 3.0 * scaled.speed[scaled.reference[found.which]]
+    if shape == "any":
+        slope *= rng.uniform(0.5, 1.5, (3, n))
+    hessians.set_slopes(slice(None), slope, None)
+    hessians.refresh(np.arange(3), free)
+    right = rng.normal(size=(2, 3, n))
+    solved = hessians.solve(np.arange(3), right)
+    for i, on in enumerate(free):
+        block = (scaled.matrix(int(found.which[i])) + np.diag(slope[i]))[np.ix_(on, on)]
+        exact = np.linalg.solve(block, right[:, i, on].T).T
+        assert solved[:, i, on] == pytest.approx(exact, rel=1e-9, abs=1e-9 * np.abs(exact).max())
+        assert not solved[:, i, ~on].any()
+
+
+def test_moduli_that_are_written_have_references_of_their_own(case, comm):
+    """So that the many histories of one pair of moduli need no series; and so have layers."""
+    own = [(210e3, 70e3), (206.8e3, 3.0), (1e-3, 9.99e11)]
+    shared = [(210000.1, 70e3), (1e4, 1e5 / 3.0)]
+    assert not any(has_family(with_moduli(case, *young)) for young in own)
+    assert all(has_family(with_moduli(case, *young)) for young in shared)
+    solid = replace(case, lower=replace(case.lower, r=(0.0, 40.0)),
+                    upper=replace(case.upper, r=(0.0, 10.0)))  # fmt: skip
+    assert not has_family(with_moduli(solid, *shared[0]))
