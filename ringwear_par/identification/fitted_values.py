@@ -18,8 +18,8 @@ from ringwear_par.results.variables import PARAMETER, Variable
 from ringwear_par.schedules import mean, mean_of_product
 from ringwear_par.wear.law import WearLaw
 
-#: group of results.h5
-GROUP = "values"
+#: group of results.h5, and that of groups of the laws compared, which have one each
+GROUP, LAWS = "values", "laws"
 #: conditions of a test and their units, and what keys each depends on
 CONDITIONS = {"p": "MPa", "V": "mm/s", "pV": "MPa mm/s", "distance": "mm", "mu": "1"}
 _SET_BY = {
@@ -155,8 +155,8 @@ _ARRAYS = {
 }
 
 
-def write_values(file: h5py.File, values: FittedValues) -> None:
-    """Write a group of a file."""
+def write_values(file: h5py.Group, values: FittedValues) -> None:
+    """Write a group of a file, or of a group of it."""
     group = file.create_group(GROUP)
     group.attrs.update(
         {
@@ -179,7 +179,7 @@ def write_values(file: h5py.File, values: FittedValues) -> None:
         write_variable(group, Variable(name, dimensions, "1", meaning), getattr(values, name))
 
 
-def read_values(file: h5py.File) -> FittedValues:
+def read_values(file: h5py.Group) -> FittedValues:
     """Return the group of a file; KeyError or ValueError where there is none, or it is damaged."""
     group = file[GROUP]
     keys, specimens, laws, tables = (

@@ -11,15 +11,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import gammaln, logsumexp
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import Problem, body_of_wear
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.fitted_values import FittedValues
+from ringwear_par.identification.model.histories import Histories
 from ringwear_par.identification.model.readings import Reader
-from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.identification.scatter.likelihood import LinearisedTest, reduce_test
 from ringwear_par.identification.scatter.linearisation import Linearisation
 from ringwear_par.monitoring.histories import SpecimenHistories
@@ -48,7 +48,7 @@ class BankDraws:
     unknowns: FloatArray
     #: (draws,) of the mixture that is known of them
     part: IntArray
-    #: (draws,) logarithm of the prior's density over that of the draws, but for a constant
+    #: (draws,) logarithm of the prior's density over that of the draws
     log_prior_over_proposal: FloatArray
     #: (draws, modes) of their histories
     coordinates: FloatArray
@@ -97,6 +97,8 @@ class Bank:
     ----------
     prior_covariance : (m, m) of the unknowns before the test.
     redraws : how often draws were made anew.
+    log_evidence : logarithm of the probability density of the last readings but for a constant of
+        theirs, the same under all laws.
     """
 
     def __init__(
@@ -104,7 +106,7 @@ class Bank:
         known: FittedValues,
         specimen: str,
         problem: Problem,
-        rounds: Rounds,
+        rounds: Histories,
         draws: int,
         seed: int,
     ) -> None:
@@ -112,12 +114,12 @@ class Bank:
         self._random = np.random.default_rng(seed)
         self.histories = SpecimenHistories(problem, rounds)
         self._rounds = rounds
-        values, part = draw_parts(known, specimen, draws, self._random)
+        values, part, self._share_inside = draw_parts(known, specimen, draws, self._random)
         unknowns = np.where(known.logarithmic, np.log(values), values)
         self.histories.prepare(unknowns)
         coordinates = self.histories.coordinates(unknowns)
         self.draws = BankDraws(unknowns, part, np.zeros(draws), coordinates)
-        self.redraws = 0
+        self.redraws, self.log_evidence = 0, 0.0
         self._linearised: tuple[Problem, Linearised] | None = None
         wearing = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
         self._sizes, self._of_part = np.unique(known.sizes[:, wearing], axis=0, return_inverse=True)
@@ -178,7 +180,9 @@ class Bank:
         for round_number in range(_ROUNDS + 1):
             test = rows_of(self.linearised(problem)[0], chosen)
             likelihood = self._log_likelihood(test)
-            weights = normalised(self._logs(likelihood))
+            logs = self._logs(likelihood)
+            weights = normalised(logs)
+            self.log_evidence = float(logsumexp(logs)) - np.log(len(logs))
             if round_number == _ROUNDS or not are_too_few(weights):
                 break
             tempered = normalised(self._logs(self._exponent(likelihood) * likelihood))
@@ -228,10 +232,15 @@ class Bank:
         unknowns = mean + scale[:, None] * (normal @ factor.T)
         low, high = self.problem.unknown_bounds
         inside = ((unknowns >= low) & (unknowns <= high)).all(axis=1)
-        square = (np.linalg.solve(factor, (unknowns - mean).T) ** 2).sum(axis=0)
-        density = -0.5 * (_DEGREES + len(mean)) * np.log1p(square / _DEGREES)
+        half, square = (
+            0.5 * len(mean),
+            (np.linalg.solve(factor, (unknowns - mean).T) ** 2).sum(axis=0),
+        )
+        density = gammaln(0.5 * _DEGREES + half) - gammaln(0.5 * _DEGREES)
+        density -= half * np.log(np.pi * _DEGREES) + np.log(np.diag(factor)).sum()
+        density = density - (0.5 * _DEGREES + half) * np.log1p(square / _DEGREES)
         part, ratio = self._parts_at(unknowns, weights)
-        ratio -= density
+        ratio -= density + np.log(self._share_inside)
         unknowns = np.clip(unknowns, low, high)
         if self.histories.error is None:  # polynomials may do where draws are nearer
             self.histories.prepare(unknowns)

@@ -135,7 +135,7 @@ class RunningTest:
         return replace(whole, experiments=tests, settings=settings, alternatives={})
 
     def read(self) -> Problem:
-        """Return the problem of this test alone, with its readings so far.
+        """Return the problem of this test alone, with its readings so far, under all laws.
 
         Raises
         ------
@@ -155,7 +155,14 @@ class RunningTest:
         if faults:
             raise InputError(*(f"{self.source}: {legible(self.name)}: {f}" for f in faults))
         series = tuple(averaged(record, experiment.case.time.end) for record in experiment.series)
-        return replace(problem, experiments=(replace(experiment, series=series),))
+        laws = {law: _with_series(other, series) for law, other in problem.alternatives.items()}
+        return replace(_with_series(problem, series), alternatives=laws)
+
+
+def _with_series(problem: Problem, series: tuple[Series, ...]) -> Problem:
+    """Return a problem of one test with other readings."""
+    (experiment,) = problem.experiments
+    return replace(problem, experiments=(replace(experiment, series=series),))
 
 
 def _has_readings(path: Path) -> bool:
