@@ -12,7 +12,6 @@ from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import body_of_wear
 from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.identification.scatter.material import Piece
 from ringwear_par.results.storage.hdf5 import write_variable
 from ringwear_par.results.variables import PARAMETER, Variable
 from ringwear_par.schedules import mean, mean_of_product
@@ -107,7 +106,7 @@ def fitted_values(fit: FitResult) -> FittedValues:
         sizes = np.zeros((1, len(BODIES)))
     else:
         free = np.array(material.free, dtype=np.int64)
-        pieces = material.pieces or (Piece(material.posterior, 1.0),)
+        pieces = material.parts
         weights = np.concatenate([piece.weight * piece.posterior.weights for piece in pieces])
         order = np.argsort(-weights)
         likely = np.cumsum(weights[order]) < 1.0 - (_OF_PIECES if material.pieces else _IMPROBABLE)

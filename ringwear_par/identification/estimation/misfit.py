@@ -125,10 +125,13 @@ class Misfit:
         self.linearise_inputs(x)
         return by_torque or bool(self._scales)
 
-    def linearise_inputs(self, x: FloatArray) -> None:
-        """Let what factors on inputs do be that at unknowns. Not collective."""
+    def linearise_inputs(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> None:
+        """Let what factors on inputs do be that at unknowns, (tests, m) of each test.
+
+        Not collective.
+        """
         if self._scales:
-            by_factors = self._response(x)[:, 1 + self._m :]
+            by_factors = self._response(x, test_unknowns)[:, 1 + self._m :]
             for rows, place, taken in self._scales:
                 self.nuisance_columns[rows, place] = by_factors[rows, : len(taken)] @ taken
 

@@ -135,6 +135,7 @@ def _evaluated(
     times_of = x if misfit.problem.settings.process else None
     for _ in range(_HALVINGS):
         try:
+            misfit.linearise_inputs(x, test_unknowns)
             x = misfit.with_best_nuisances(misfit.values(x), test_unknowns, times_of)
             return x, misfit.evaluate(x, test_unknowns), test_unknowns
         except HistoryError:
