@@ -1,10 +1,11 @@
 """A bank of histories: draws of what is known of a specimen, weighed by the readings of its test.
 
 Readings are compared as fits do it: noise, nuisances and the random part of wear are integrated,
-linearised at the most probable history. A weight is prior times likelihood over the density from
-which a draw was made. Where few draws have all the weight, the likelihood is tempered until enough
-of them count, and all are drawn anew from a Student's t about these (population Monte Carlo: Cappe,
-Guillin, Marin and Robert, J. Comput. Graph. Stat. 13 (2004) 907-929).
+linearised at the most probable history, where a loss weighs readings too. A weight is prior times
+likelihood over the density from which a draw was made. Where few draws have all the weight, the
+likelihood is tempered until enough of them count, and all are drawn anew from a Student's t about
+these (population Monte Carlo: Cappe, Guillin, Marin and Robert, J. Comput. Graph. Stat. 13 (2004)
+907-929).
 """
 
 from dataclasses import dataclass, replace
@@ -157,12 +158,13 @@ class Bank:
         misfit.responses.known[0, problem.values(at).tobytes()] = response
         x = misfit.with_best_nuisances(problem.values(at), at[None])
         evaluation = misfit.evaluate(x, at[None])
-        linear = Linearisation(misfit, evaluation, x, at[None]).tests[0]
+        linearisation = Linearisation(misfit, evaluation, x, at[None])
+        (linear,) = linearisation.tests
         modes = Reader(test).read(self.histories.modes())
-        above_mean = misfit.whitened(response[:, 0] - modes[:, 0])
-        readings = linear.readings - linear.jacobian @ at + above_mean
-        jacobian = misfit.whitened(modes[:, 1:])
-        linearised = replace(linear, readings=readings, jacobian=jacobian), misfit, x
+        modes[:, 0] = response[:, 0] - modes[:, 0]  # above their mean
+        rows = linearisation.roots[:, None] * misfit.whitened(modes)
+        readings = linear.readings - linear.jacobian @ at + rows[:, 0]
+        linearised = replace(linear, readings=readings, jacobian=rows[:, 1:]), misfit, x
         self._linearised = problem, linearised
         return linearised
 
@@ -183,17 +185,26 @@ class Bank:
             logs = self._logs(likelihood)
             weights = normalised(logs)
             self.log_evidence = float(logsumexp(logs)) - np.log(len(logs))
-            if round_number == _ROUNDS or not are_too_few(weights):
+            if round_number == _ROUNDS:
                 break
-            tempered = normalised(self._logs(self._exponent(likelihood) * likelihood))
-            self._linearise_at(tempered)
-            self._draw_anew(tempered)
-            self.redraws += 1
-        mean, covariance = _moments(self.draws.unknowns, weights)
-        off = np.abs(mean - self._reference)
-        if (off > _MOST_OFF_SD * np.sqrt(np.diag(covariance))).any():
+            if are_too_few(weights):
+                tempered = normalised(self._logs(self._exponent(likelihood) * likelihood))
+                self._linearise_at(tempered)
+                self._draw_anew(tempered)
+                self.redraws += 1
+            elif problem.settings.loss != "gaussian" and self._is_off(weights):
+                self._linearise_at(weights)  # which weighs readings otherwise
+            else:
+                break
+        if self._is_off(weights):
             self._linearise_at(weights)
         return weights
+
+    def _is_off(self, weights: FloatArray) -> bool:
+        """Tell whether readings are linearised far from the mean of the draws."""
+        mean, covariance = _moments(self.draws.unknowns, weights)
+        off = np.abs(mean - self._reference)
+        return bool((off > _MOST_OFF_SD * np.sqrt(np.diag(covariance))).any())
 
     def _logs(self, likelihood: FloatArray) -> FloatArray:
         logs = self.draws.log_prior_over_proposal + likelihood

@@ -317,6 +317,27 @@ def test_the_fit_file_may_not_change_what_is_followed(laboratory):
     assert followed.read().keys == (KEY,)
 
 
+def test_a_robust_loss_takes_outliers_for_what_they_are(laboratory, tmp_path):
+    clean = followed(laboratory, tmp_path / "clean")["keys"][KEY]
+    head, *rows = (laboratory / "z5.csv").read_text().splitlines()
+    table = np.array([row.split(",") for row in rows], dtype=float)
+    table[[7, 19, 33, 48], 1] += (3.0, -2.0, 4.0, 3.0)
+    lines = [head, *(f"{t:g},{z:.6g}" for t, z in table)]
+    (laboratory / "spoilt.csv").write_text("\n".join(lines) + "\n")
+    text = (laboratory / "running.toml").read_text().replace("z5.csv", "spoilt.csv")
+    for name in ("gaussian", "student"):
+        changed = text.replace('"starts" = 1', f'"starts" = 1, "loss" = "{name}"')
+        assert changed != text
+        (laboratory / f"{name}.toml").write_text(changed)
+    assert followed(laboratory, tmp_path / "gaussian", "gaussian")["alarm"] is not None
+    robust = followed(laboratory, tmp_path / "student", "student")
+    assert robust["alarm"] is None
+    sd = (clean["interval"][1] - clean["interval"][0]) / 3.92
+    ends = [*clean["interval"], clean["estimate"]]
+    key = robust["keys"][KEY]
+    assert [*key["interval"], key["estimate"]] == pytest.approx(ends, abs=0.6 * sd)
+
+
 def test_long_records_are_averaged():
     x = np.arange(1.0, 5001.0) / 50.0
     series = Series("z", "penetration", x, 2.0 * x, np.full(5000, 0.5))

@@ -220,8 +220,9 @@ class Linearisation:
     """The tests of a misfit, linearised at x (u,) and (tests, m) unknowns of the keys in each test.
 
     Nuisances that are at their bounds stay there. The loss weighs readings by the residuals of the
-    evaluation or by others, ``weighed`` (n,). ``rows`` are of each test among the readings,
-    ``clocks`` of each test where wear is random.
+    evaluation or by others, ``weighed`` (n,); ``roots`` (n,) are by what readings are multiplied
+    for it, and where they are limits. ``rows`` are of each test among the readings, ``clocks`` of
+    each test where wear is random.
     """
 
     def __init__(
@@ -242,14 +243,14 @@ class Linearisation:
         ]
         residuals = evaluation.noise if weighed is None else weighed
         self._roots = np.sqrt(weights(misfit.problem.settings.loss, residuals))
+        self.roots = self._roots * evaluation.roots
         self.clocks: list[TestClocks] = []
         if misfit.problem.settings.process:
             answers, depths = misfit.clocks(x, test_unknowns)
             self.clocks = [
                 TestClocks(
                     experiment.series, misfit.sd[rows],
-                    self._roots[rows] * evaluation.roots[rows] + _NO_WEIGHT, answers[rows],
-                    depths[rows],
+                    self.roots[rows] + _NO_WEIGHT, answers[rows], depths[rows],
                 )
                 for experiment, rows in zip(misfit.problem.experiments, self.rows, strict=True)
             ]  # fmt: skip
