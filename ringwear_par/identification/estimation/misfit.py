@@ -409,6 +409,12 @@ class Misfit:
         return np.choose(outcome.active_mask + 1, [limits[0], outcome.x, limits[1]])
 
     @property
+    def integrated_limits(self) -> BoolArray:
+        """(n,) bool, which limits are integrated over what scatters: those without nuisances."""
+        alone = ~self.nuisance_columns.any(axis=1)
+        return (self.censored != 0) & alone & self.problem.scatters
+
+    @property
     def linear(self) -> BoolArray:
         """(u,) bool, unknowns on which residuals depend linearly, and which have no bounds."""
         free = np.isinf(self.lower) & np.isinf(self.upper)

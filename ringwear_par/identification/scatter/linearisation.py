@@ -18,6 +18,7 @@ from ringwear_par.identification.definition.problem import Series
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.model.noise import log_volume, prior_rows, weights, whitened
 from ringwear_par.identification.scatter.likelihood import (
+    Limits,
     LinearisedTest,
     ReducedTest,
     reduce_test,
@@ -285,6 +286,14 @@ class Linearisation:
         roots = self._roots[rows, None]
         noise = roots[:, 0] * self._evaluation.noise[rows]
         jacobian = roots * self._evaluation.noise_jacobian[rows]
+        limits, limited = None, misfit.integrated_limits[rows]
+        if limited.any():
+            side = (misfit.censored / misfit.sd)[rows][limited]
+            above = (self._evaluation.model - misfit.data)[rows][limited]
+            slopes = misfit.columns(self._x, self._test_unknowns)[rows][limited, : self._m]
+            slopes = side[:, None] * slopes
+            limits = Limits(side * above - slopes @ self._test_unknowns[number], slopes)
+            noise[limited], jacobian[limited] = 0.0, 0.0
         records = [r for r in misfit.records if r.experiment is misfit.problem.experiments[number]]
         values = misfit.censored[rows] == 0  # limits have no density
         volume = 2.0 * float(np.log(misfit.sd[rows][values]).sum())
@@ -298,5 +307,5 @@ class Linearisation:
         keys, columns = jacobian[:, : self._m], jacobian[:, nuisances]
         readings = keys @ self._test_unknowns[number] + columns @ self._x[nuisances]
         return LinearisedTest(
-            readings - noise, keys, columns, *self.priors_of(nuisances), volume, kernels
+            readings - noise, keys, columns, *self.priors_of(nuisances), volume, kernels, limits
         )

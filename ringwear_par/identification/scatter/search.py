@@ -212,6 +212,7 @@ def loss_beyond_squares(misfit: Misfit, evaluation: Evaluation) -> float:
     loss, noise = misfit.problem.settings.loss, evaluation.noise
     beyond = evaluation.residuals[: misfit.n] ** 2 - weights(loss, noise) * noise**2
     values = np.count_nonzero(misfit.censored == 0)
+    beyond[misfit.integrated_limits] = 0.0
     return float(beyond.sum()) + 2.0 * values * log_constant(loss)
 
 
@@ -284,7 +285,11 @@ def _smoothed(
             by_keys = np.einsum("ij,jk,ik->i", rest, posterior.covariance_of_test(number), rest)
             leverage[linear.rows[number]] = projection.leverage[: len(test.readings)] + by_keys
         variances = np.diagonal(posterior.solutions.covariance, axis1=1, axis2=2)
-        of_groups = posterior.weights @ (1.0 - variances[:, posterior.model.m :]).sum(axis=1)
+        # what limits alone determine takes nothing from the readings
+        read = np.array([test.jacobian.any() for test in linear.tests])
+        levels = zip(posterior.model.levels, posterior.model.offsets, strict=False)
+        groups = np.concatenate([offset + np.unique(v.group[read]) for v, offset in levels])
+        of_groups = posterior.weights @ (1.0 - variances[:, groups]).sum(axis=1)
         none = np.zeros((misfit.n, 0))
         return _Smoothed(x, evaluation, leverage, m + float(of_groups), none, none)
     x, fitted = x.copy(), posterior.model.precision[: len(free)] @ np.diag(posterior.covariance)
