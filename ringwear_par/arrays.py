@@ -82,7 +82,9 @@ def short_repr(data: Any) -> str:
     def text(value: Any) -> str:
         return f"array{value.shape}" if isinstance(value, np.ndarray) else repr(value)
 
-    parts = (f"{one.name}={text(getattr(data, one.name))}" for one in fields(data) if one.repr)
+    parts = (
+        f"{field.name}={text(getattr(data, field.name))}" for field in fields(data) if field.repr
+    )
     return f"{type(data).__name__}({', '.join(parts)})"
 
 

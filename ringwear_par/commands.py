@@ -272,7 +272,8 @@ COMMANDS = {
         "write stored results for ParaView or a spreadsheet", "reports.spreadsheets:export", (
         _argument("run", type=_path, metavar="RUN.h5 or DIR"),
         _output("OUT", ".vtkhdf: contours of both bodies at all stored times; .csv: histories of a "
-                "run, cases of a sweep, tests of a fit; .xlsx: all their tables (openpyxl)"),
+                "run, cases of a sweep, tests of a fit or measurement; .xlsx: all their tables "
+                "(openpyxl)"),
         _argument("--decimal", choices=("point", "comma"), default="point",
                   help="decimal mark in .csv; with commas, semicolons are between the columns"),
         _argument("--revolve", type=int, dest="segments", metavar="N",

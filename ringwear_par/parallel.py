@@ -4,11 +4,12 @@ import errno
 import logging
 import mmap
 import os
+import pickle
 import resource
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from itertools import islice
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
@@ -25,21 +26,27 @@ _BLAS_BYTES = 256 * 2**20
 
 
 def on_first_rank(comm: "MPI.Comm", action: Callable[[], T]) -> T:
-    """Return the result of an action on rank 0, or raise its error, on all ranks. Collective."""
+    """Return the result of an action on rank 0, or raise its error, on all ranks. Collective.
+
+    A result that cannot be sent to other ranks is an error, too.
+    """
     result: Any = None
     if comm.rank == 0:
         try:
-            result = action()
+            result = action() if comm.size == 1 else pickle.dumps(action(), pickle.HIGHEST_PROTOCOL)
         except Exception as error:
             if comm.size == 1 and not isinstance(error, RingwearError | OSError):
                 raise
             result = as_ours(error)
             if not isinstance(error, RingwearError | OSError):
                 log.exception("an error that should not be")
-    result = comm.bcast(result)
+    result = as_on_first_rank(comm, result)
     if isinstance(result, RingwearError):
         raise result
-    return result
+    if comm.size == 1:
+        return cast(T, result)
+    with together(comm):
+        return cast(T, pickle.loads(result))
 
 
 def results_of_tasks(
@@ -61,7 +68,7 @@ def results_of_tasks(
                 result = comm.recv(source=at_work.popleft())
                 if isinstance(result, Exception):
                     raise result
-                yield result
+                yield pickle.loads(result)
         finally:  # nobody is left with a result that he cannot send
             for rank in at_work:
                 comm.recv(source=rank)
@@ -81,9 +88,10 @@ def with_help_of_all(comm: "MPI.Comm", action: Callable[[], T]) -> T:
             for rank in range(1, comm.size):
                 comm.send(None, rank)
 
+    result: bytes | RingwearError
     while comm.rank and (task := comm.recv(source=0)) is not None:
         try:
-            result = task()
+            result = pickle.dumps(task(), pickle.HIGHEST_PROTOCOL)
         except Exception as error:
             result = as_ours(error)
         comm.send(result, 0)
@@ -155,9 +163,9 @@ def claim_blas_memory(comm: "MPI.Comm") -> None:
             mmap.mmap(-1, _BLAS_BYTES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS).close()
         except OSError as error:
             raise MemoryError(f"{_BLAS_BYTES / 1e9:.1f} GB to begin with") from error
-        one = np.eye(2)
-        np.linalg.solve(one, one)
-        dpotrf(one)
+        identity = np.eye(2)
+        np.linalg.solve(identity, identity)
+        dpotrf(identity)
 
 
 def blas_threads() -> int:

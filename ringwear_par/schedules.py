@@ -151,13 +151,13 @@ def mean(
     return np.full(end.shape, quantity) if isinstance(end, np.ndarray) else quantity
 
 
-def mean_of_product(one: Quantity, other: Quantity, start: float, end: float) -> float:
+def mean_of_product(a: Quantity, b: Quantity, start: float, end: float) -> float:
     """Return the mean over an interval of time of the product of numbers or tables in time."""
-    inside = (time for time in breakpoints(one, other) if start < time < end)
+    inside = (time for time in breakpoints(a, b) if start < time < end)
     times = np.array([start, *inside, end])
     # a product of lines is a parabola, of which Simpson's rule is exact
     first, middle, last = (
-        in_time(one, t) * in_time(other, t)
+        in_time(a, t) * in_time(b, t)
         for t in (times[:-1], 0.5 * (times[:-1] + times[1:]), times[1:])
     )
     return float(np.diff(times) @ (first + 4.0 * middle + last)) / 6.0 / (end - start)

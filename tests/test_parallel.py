@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from ringwear_par.errors import ComputationError, InputError
+from ringwear_par.errors import ComputationError, InputError, RingwearError
 from ringwear_par.parallel import on_first_rank, results_of_tasks, together, with_help_of_all
 
 
@@ -39,6 +39,38 @@ def test_an_error_of_the_first_rank_is_raised_on_all(comm):
     with pytest.raises(ComputationError, match=r"a\.h5: No space left"):
         on_first_rank(comm, fail)
     comm.Barrier()
+
+
+class _Closed:
+    """What cannot be packed, or cannot be unpacked."""
+
+    def __init__(self, packed):
+        self.packed = packed
+
+    def __reduce__(self):
+        if not self.packed:
+            raise TypeError("cannot be packed")
+        return _open, ()
+
+
+def _open():
+    raise TypeError("cannot be unpacked")
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_result_that_cannot_be_sent_is_an_error_on_all(comm, packed):
+    if comm.size == 1:
+        assert on_first_rank(comm, lambda: _Closed(packed)).packed == packed
+        return
+    for action in (lambda: _Closed(packed), partial(_result_of_last, comm, packed)):
+        with pytest.raises(RingwearError, match="cannot be"):
+            with_help_of_all(comm, action)
+        comm.Barrier()
+
+
+def _result_of_last(comm, packed):
+    with closing(results_of_tasks(comm, [partial(_Closed, packed)] * comm.size)) as results:
+        return len(list(results))
 
 
 @pytest.mark.parametrize("failing", [None, 0, 1, 5])

@@ -9,7 +9,7 @@ import time
 from contextlib import contextmanager
 
 import pytest
-from commands import SHELL_ENVIRONMENT
+from commands import SHELL_ENVIRONMENT, ringwear
 from paths import CASES, PAPER
 from waiting import Waiting
 
@@ -66,11 +66,14 @@ def wait_for(condition, process):
         time.sleep(0.01)
 
 
-def stopped(place, number, words, folder, ranks=0):
-    """Send a signal to a command that waits at a place; return its end and what it said."""
+def stopped(place, number, words, folder, ranks=0, waiting=None):
+    """Send a signal to a command that waits at a place; return its end and what it said.
+
+    So many processes wait, all where no number is given.
+    """
     launcher = ["mpirun", "-n", str(ranks)] if ranks else []
     with started([*launcher, sys.executable, "-c", WAITING, place, *words], folder) as process:
-        wait_for(lambda: len(list(folder.glob("waits_*"))) == (ranks or 1), process)
+        wait_for(lambda: len(list(folder.glob("waits_*"))) == (waiting or ranks or 1), process)
         process.send_signal(number)
         _, errors = process.communicate(timeout=60)
     for path in folder.glob("waits_*"):
@@ -121,6 +124,26 @@ def test_ranks_say_once_what_the_launcher_sent(tmp_path, place, number):
     assert "Traceback" not in errors
     assert status != 0
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not shutil.which("mpirun"), reason="no mpirun")
+def test_a_sweep_is_stopped_while_it_merges(tmp_path):
+    """Nothing is lost: the next command goes on."""
+    (tmp_path / "study.toml").write_text(
+        f'case = "{PAPER}"\n[vary]\n"load.pressure" = {{ values = [60, 80] }}\n'
+        '"mesh.contact_elements" = { values = [16] }\n"time.steps" = { values = [4] }\n'
+    )
+    words, place = ["sweep", "study.toml", "-o", "out"], "ringwear_par.studies.execution.merging"
+    status, errors = stopped(f"{place}:write_results", signal.SIGINT, words, tmp_path, 2, waiting=1)
+    told = [line for line in errors.splitlines() if line.startswith("ringwear: ")]
+    end = "; the same command goes on; SIGTERM is mpirun's word for Ctrl-C and SIGHUP, too"
+    assert told == [f"ringwear: stopped by SIGTERM{end}"]
+    assert status != 0
+    assert (tmp_path / "out" / "STOPPED").exists()
+    again = ringwear(*words, ranks=2, cwd=tmp_path)
+    assert "2 of 2 cases are there already" in again.stderr
+    assert "2 done" in again.stdout
+    assert not (tmp_path / "out" / "STOPPED").exists()
 
 
 def test_nohup_is_respected(tmp_path):
@@ -182,6 +205,25 @@ except Stopped as stopped:
     done = subprocess.run([sys.executable, "-c", program], env=SHELL_ENVIRONMENT, timeout=50,
                           capture_output=True, text=True, check=False)  # fmt: skip
     assert done.stderr == "stopped by SIGINT\n"
+
+
+@pytest.mark.parametrize(
+    ("rank", "seconds", "said"), [("0", 1.0, True), ("0", 0, False), ("1", 1, False)]
+)
+def test_a_word_is_said_before_mpirun_kills_what_does_not_end(rank, seconds, said):
+    program = f"""
+import os, signal, time
+from ringwear_par.results.execution.stop_signals import StopSignals
+
+with StopSignals() as signals:
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep({seconds})
+time.sleep(1.0 - {seconds})
+"""
+    ranks = {"OMPI_COMM_WORLD_SIZE": "2", "OMPI_COMM_WORLD_RANK": rank}
+    done = subprocess.run([sys.executable, "-c", program], env={**SHELL_ENVIRONMENT, **ranks},
+                          timeout=50, capture_output=True, text=True, check=True)  # fmt: skip
+    assert ("stopped by SIGTERM before a step under way has ended; SIGT" in done.stderr) == said
 
 
 @pytest.mark.skipif(not shutil.which("timeout"), reason="no timeout")

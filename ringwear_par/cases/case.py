@@ -23,14 +23,14 @@ from ringwear_par.wear.layered import LayeredLaw
 
 #: dotted keys and values, or "KEY=VALUE" texts
 Overrides = Mapping[str, Any] | Sequence[str]
-#: times closer than this share of them are one
+#: times closer than this share of them are the same
 SAME_TIME = 1e-12
 #: first line of a stored text that is not the whole truth
 CHANGED = "# changed in Python after it was read: not all of this is as run"
 
 
 def is_same_time(time: float, other: float) -> bool:
-    """Tell whether a time is another but for round-off."""
+    """Tell whether two times are the same but for round-off."""
     return abs(time - other) <= SAME_TIME * time
 
 

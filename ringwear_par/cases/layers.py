@@ -24,7 +24,7 @@ _ENTRY = re.compile(r"\[([0-9]{1,3})\]\.(.+)")
 def expanded(keys: Mapping[str, Any]) -> dict[str, Any]:
     """Return dotted keys with the entries of layers in the place of their lists.
 
-    Lists that are none of tables stay, for who reads them.
+    Lists of anything but tables stay, for their reader to refuse.
     """
     keys_by_entry: dict[str, Any] = {}
     for path, value in keys.items():
@@ -104,9 +104,11 @@ def with_entries(path: str, layers: Any, changes: Mapping[str, Any]) -> Any:
             table = table["wear"]
             if last == "law" and isinstance(value, str) and value in LAYER_LAWS:
                 known = {"law", *parameters_of(LAYER_LAWS[value])}
-                for other in [other for other in table if other not in known]:
-                    if f"[{i}].wear.{other}" not in changes:
-                        del table[other]
+                for foreign_key in [
+                    foreign_key for foreign_key in table if foreign_key not in known
+                ]:
+                    if f"[{i}].wear.{foreign_key}" not in changes:
+                        del table[foreign_key]
         if value is None:
             table.pop(last, None)
         else:

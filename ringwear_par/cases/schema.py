@@ -30,6 +30,7 @@ from ringwear_par.cases.values import (
     which_times,
     whole,
 )
+from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.sections import SHAPE_UNITS
 from ringwear_par.wear.law import Law, Parameter, parameters_of
 from ringwear_par.wear.laws import LAWS
@@ -90,7 +91,7 @@ def _values(parameter: Parameter) -> Values:
     return text("the name of a Python file") if parameter.kind == "file" else parameters()
 
 
-def _wear_keys(table: str, of: str, absent: str, laws: Mapping[str, type[Law]]) -> list[Key]:
+def _wear_keys(table: str, owner: str, absent: str, laws: Mapping[str, type[Law]]) -> list[Key]:
     """Return the keys of a table of wear: ``law``, and what the laws declare.
 
     Parameters
@@ -100,7 +101,7 @@ def _wear_keys(table: str, of: str, absent: str, laws: Mapping[str, type[Law]]) 
     laws : that it may wear by.
     """
     formulas = "; ".join(f"{name}: {law.formula}" for name, law in laws.items())
-    meaning = f"rate of wear of {of}: {formulas}; no table {absent}"
+    meaning = f"rate of wear of {owner}: {formulas}; no table {absent}"
     keys = [Key(f"{table}.law", *choice(*laws), "-", meaning, None)]
     declared = [parameters_of(law) for law in laws.values()]
     for name in dict.fromkeys(itertools.chain(*declared)):
@@ -120,12 +121,12 @@ def _wear_key(path: str, users: Mapping[str, Parameter]) -> Key:
     """
     first, *rest = users.values()
     values = _values(first)
-    if any(_values(other).allowed != values.allowed for other in rest):
+    if any(_values(variant).allowed != values.allowed for variant in rest):
         raise ValueError(f"{path}: must allow the same in all laws that have it")
     meaning = first.meaning + "".join(
-        f" ({law}: {other.meaning}, {other.unit})"
-        for law, other in users.items()
-        if (other.meaning, other.unit) != (first.meaning, first.unit)
+        f" ({law}: {variant.meaning}, {variant.unit})"
+        for law, variant in users.items()
+        if (variant.meaning, variant.unit) != (first.meaning, first.unit)
     )
     default = None if first.default in (..., ()) else first.default
     return Key(path, *values, first.unit, f"{meaning} (law = {' or '.join(users)})", default)
@@ -190,15 +191,16 @@ KEYS: tuple[Key, ...] = (
         "largest estimated error that one adaptive step makes in the pressure of an element, "
         "divided by the mean pressure in contact", 0.1,
     ),
-    Key("mesh.contact_elements", *whole(4), "-", "number of contact elements", 64),
+    Key("mesh.contact_elements", *whole(4), "-", "number of contact elements",
+        Mesh.contact_elements),
     Key(
         "mesh.grading", *number(1.0, 6.0, ends=True), "1",
         "grading of the contact elements towards the edges of contact: larger is finer there; 1: "
-        "equal elements", 2.5,
+        "equal elements", Mesh.grading,
     ),
     Key(
         "mesh.quadrature_tolerance", *number(1e-10, 1e-2, ends=True), "1",
-        "relative error of the integrals over boundary elements", 1e-7,
+        "relative error of the integrals over boundary elements", Mesh.quadrature_tolerance,
     ),
     Key(
         "mesh.contact", *pair(0.0), "mm",
@@ -208,13 +210,12 @@ KEYS: tuple[Key, ...] = (
     Key(
         "mesh.geometry", *choice("fixed", "updated"), "-",
         "fixed: elements stay on the unworn bodies, and wear changes the gap alone; updated: "
-        "elements follow the worn profile",
-        "fixed",
+        "elements follow the worn profile", Mesh.geometry,
     ),
     Key(
         "mesh.geometry_tolerance", *number(0.0), "mm",
         "wear depth after which the elements are moved and assembled again (geometry = updated)",
-        0.005,
+        Mesh.geometry_tolerance,
     ),
     Key("output.every", *whole(1), "steps", "store every so many steps, and the last one", 1),
     Key(

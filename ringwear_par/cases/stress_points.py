@@ -111,8 +111,8 @@ def _point_faults(case: Case, points: Sequence[tuple[float, float, Side]]) -> It
             yield f'{subject}: lies between two layers; must have its side, "above" or "below"'
 
 
-def _overlaps(one: tuple[float, float], other: tuple[float, float]) -> bool:
-    return one[0] <= other[1] and other[0] <= one[1]
+def _overlaps(first: tuple[float, float], second: tuple[float, float]) -> bool:
+    return first[0] <= second[1] and second[0] <= first[1]
 
 
 def _size(case: Case) -> float:

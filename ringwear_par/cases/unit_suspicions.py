@@ -1,6 +1,6 @@
-"""Numbers of a case that are more likely in another unit than meant so.
+"""Numbers of a case that are probably in another unit than the case's.
 
-A wrong unit shows by how deep bodies are to wear as the numbers say, which is forecast.
+A wrong unit shows in the depth of wear that the numbers mean, which is forecast.
 """
 
 import math
@@ -181,8 +181,8 @@ _THINNEST = 1e-4
 #: 1/MPa, largest specific wear rate: Archard's K = 0.01 of severe dry sliding (0.007 of mild steel
 #: on itself: J. F. Archard and W. Hirst, Proc. R. Soc. A 236 (1956) 397) over a hardness of 100 MPa
 _FASTEST = 1e-4
-#: mm, from which on lengths are likely in another unit
-_LARGEST = 5000.0
+#: mm, up to and from which on the largest length of a body is likely in another unit
+_SMALLEST, _LARGEST = 0.3, 5000.0
 #: largest mean pressure, in Young's moduli, of linear elasticity
 MOST_PRESSED = 0.1
 #: MPa; what is softer is a rubber or a gel, whose Poisson's ratio is larger than this
@@ -222,8 +222,11 @@ def unit_suspicions(
             )
         if isinstance(material, Ring):
             size = max(material.r[1], material.z[1] - material.z[0])
-            if size > _LARGEST:
-                texts.append(f"{name} measures {size:g} mm; plain lengths are in mm: is it in um?")
+            if not _SMALLEST < size < _LARGEST:
+                unit = "um" if size > _LARGEST else "m"
+                texts.append(
+                    f"{name} measures {size:g} mm; plain lengths are in mm: is it in {unit}?"
+                )
     if load > MOST_PRESSED * softest:
         texts.append(
             f"the mean pressure of {load:.3g} MPa is more than a tenth of a Young's modulus, "
@@ -250,7 +253,7 @@ def _asking(case: Case, key: str, text: str) -> str:
 
 
 def deep_wear(case: Case, deep: Sequence[Forecast] | None = None) -> list[ValidityWarning]:
-    """Return the wear coefficients that are to wear off much of a body. Not collective."""
+    """Return the wear coefficients that would wear off much of a body. Not collective."""
     forecasts = deep_forecasts([case])[0] if deep is None else deep
     return _keyed(case, (_too_deep(case, forecast) for forecast in forecasts))
 
@@ -289,7 +292,7 @@ def without_intended_numbers(
 
 
 def _too_thin(materials: Mapping[str, Ring | RingLayer]) -> Iterator[tuple[str, str]]:
-    """Give the layers, key and sentence, whose thickness is likely in m."""
+    """Yield the layers, key and sentence, whose thickness is likely in m."""
     for name, layer in materials.items():
         if isinstance(layer, RingLayer) and layer.thickness < _THINNEST:
             key, thickness = f"{name}.thickness", layer.thickness
@@ -301,7 +304,7 @@ def _too_thin(materials: Mapping[str, Ring | RingLayer]) -> Iterator[tuple[str, 
 
 
 def _too_fast(case: Case) -> Iterator[tuple[str, str]]:
-    """Give the wear coefficients, key and sentence, by which no material wears."""
+    """Yield the wear coefficients, key and sentence, by which no material wears."""
     for table, wear in case.laws_by_table.items():
         share = largest(case.friction) if isinstance(wear, AboveThreshold) else 1.0
         names = ("k", "k_start") if isinstance(wear, AboveThreshold | ArchardLaw) else ()
@@ -332,7 +335,7 @@ def _too_deep(case: Case, forecast: Forecast) -> tuple[str, str]:
 def _in_gigapascals(
     materials: Mapping[str, Ring | RingLayer], load: float
 ) -> Iterator[tuple[str, str]]:
-    """Give the moduli, key and sentence, that are likely in GPa; not those under too much load."""
+    """Yield the moduli, key and sentence, that are likely in GPa; not those under too much load."""
     for name, material in materials.items():
         young, poisson = material.young, material.poisson
         soft = young < _SOFTEST or (young < _SOFT and load > _PRESSED * young)

@@ -60,10 +60,12 @@ def factor(unit: str, base: str | None) -> float:
     try:
         if base is None:
             return _in_case_units(registry.Quantity(1.0, registry.Unit(text)))
-        one, other = (registry.Quantity(1.0, registry.Unit(name)) for name in (text, base))
-        if one.to_root_units().units != other.to_root_units().units:
+        quantity, base_quantity = (
+            registry.Quantity(1.0, registry.Unit(name)) for name in (text, base)
+        )
+        if quantity.to_root_units().units != base_quantity.to_root_units().units:
             raise RejectedError
-        return float(one.to(other.units).magnitude)
+        return float(quantity.to(base_quantity.units).magnitude)
     except Exception as error:  # a syntax, a name, a dimension: pint has an exception for each
         raise RejectedError from error
 
@@ -226,7 +228,9 @@ def _instead(unit: str, base: str | None) -> str:
     """Return the rule for a unit that is wrong, and the unit that is likely meant."""
     if base is None:
         return " that is known"
-    hint = "; turns are rpm or turn/s" if base == "rad/s" else ""
+    hint = ""
+    if base == "rad/s":
+        hint = "; turns are rpm or turn/s, and v in m/s at a radius r is omega = v/r"
     if base == "N" and unit in _FORCES:
         hint = f", but of a mass: did you mean {_FORCES[unit]}?"
     return f" of {base}{hint}"

@@ -1,4 +1,4 @@
-"""A case that is changed number by number: its histories, its text to take home."""
+"""A case that is changed number by number: its histories, its text for saving."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -86,9 +86,11 @@ class Drawing:
         panel = run_panels.worn_faces(self.result, bodies)
         depths = [run_panels.worn_depth(self.result, body) for body in bodies]
         before = [
-            _before(name, Curve(other.line.r, run_panels.worn_depth(other, body)[-1]), "end")
-            for name, other in self.references.items()
-            for body in run_panels.worn_bodies(other)
+            _before(
+                name, Curve(reference.line.r, run_panels.worn_depth(reference, body)[-1]), "end"
+            )
+            for name, reference in self.references.items()
+            for body in run_panels.worn_bodies(reference)
         ]
         points = []
         for number, readings in enumerate(self.laid):
@@ -108,9 +110,9 @@ class Drawing:
         try:
             panel = run_panels.history([self.result], ["now"], name)
             before = [
-                _before(of, curve, "")
-                for of, other in self.references.items()
-                for curve in run_panels.history([other], [""], name, end).curves
+                _before(reference_name, curve, "")
+                for reference_name, reference in self.references.items()
+                for curve in run_panels.history([reference], [""], name, end).curves
             ]
         except InputError as error:  # no layers
             unit, _ = time_unit(end)
@@ -126,10 +128,10 @@ class Drawing:
         return replace(panel, curves=[*before, *panel.curves], points=points)
 
 
-def _before(of: str, curve: Curve, when: str) -> Curve:
+def _before(reference_name: str, curve: Curve, when: str) -> Curve:
     """Return a curve of the case file or of the pinned numbers."""
-    name = ", ".join(filter(None, (of, curve.name, when)))
-    colour, dash, width = (COLOURS[3], 1, 2.0) if of == PINNED else (_GREY, 3, 1.6)
+    name = ", ".join(filter(None, (reference_name, curve.name, when)))
+    colour, dash, width = (COLOURS[3], 1, 2.0) if reference_name == PINNED else (_GREY, 3, 1.6)
     return replace(curve, name=name, colour=colour, dash=dash, width=width)
 
 

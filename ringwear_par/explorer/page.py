@@ -46,7 +46,7 @@ _BAD_WISH = "the page sent a wish that cannot be read; load it again"
 
 
 class Talk(DataModel):  # type: ignore[misc]
-    """What a page and its server tell each other, in JSON.
+    """The messages between a page and its server, in JSON.
 
     ``request`` (numbers by the names of controls and whether one is moving, those that are pinned,
     the time and chart chosen), ``order`` (to stop what is computed, or to make a report) and
@@ -281,7 +281,7 @@ class Page:
         except binascii.Error:
             return f"{name}: has not arrived whole"
         columns = read_table(table, name, self._explored.case)
-        self._laid.update((next(self._numbers), one) for one in columns)
+        self._laid.update((next(self._numbers), column) for column in columns)
         return ""
 
     # -- what is seen ------------------------------------------------------------------------------
@@ -302,20 +302,24 @@ class Page:
             return
         wanted, result, faults = self._wanted, explored.result, [fault] if fault else []
         good, columns = [], []
-        for number, one in self._laid.items():
+        for number, column in self._laid.items():
             off = None
             try:
-                off = one.off(result, one.values(explored.case, result))
-                good.append(one)
-                faults += one.assumptions
+                off = column.off(result, column.values(explored.case, result))
+                good.append(column)
+                faults += column.assumptions
             except InputError as error:
                 faults += error.faults
-            columns.append({"number": number, **_column(one, off)})
+            columns.append({"number": number, **_column(column, off)})
         menu = wanted["menu"] if wanted["menu"] in MENU else _START["menu"]
         references = {
-            name: other.result for name, (_, other) in self._references.items() if other is not None
+            name: stored.result
+            for name, (_, stored) in self._references.items()
+            if stored is not None
         }
-        compared = {name: other for name, other in references.items() if other is not result}
+        compared = {
+            name: reference for name, reference in references.items() if reference is not result
+        }
         drawing = Drawing(result, compared, explored.case, float(wanted["instant"]), menu, good)
         numbers = key_numbers(result)
         worn = worn_table(numbers)
@@ -364,8 +368,8 @@ def _beside(
 ) -> list[tuple[str, ...]]:
     """Return rows of name, value, unit, and the values of other histories."""
     beside = [
-        {name: value for name, value, _ in rows_of(key_numbers(other))}
-        for other in references.values()
+        {name: value for name, value, _ in rows_of(key_numbers(reference))}
+        for reference in references.values()
     ]
     return [(*row, *(values.get(row[0], "") for values in beside)) for row in rows_of(numbers)]
 
@@ -398,18 +402,18 @@ def _are_texts(values: Any) -> bool:
     return isinstance(values, dict) and all(isinstance(text, str) for text in values.values())
 
 
-def _column(one: MeasuredColumn, off: float | None) -> dict[str, Any]:
+def _column(column: MeasuredColumn, off: float | None) -> dict[str, Any]:
     """Return the entries of the page about a column that is laid over it."""
     far = ""
     if off is not None:
-        kind = one.quantity.partition(".")[0]
+        kind = column.quantity.partition(".")[0]
         cubic = "mm\N{SUPERSCRIPT THREE}", 1.0
         units = {**DISPLAY_UNITS, "volume": cubic, "mass": cubic}
         unit, factor = units.get(kind, ("\N{MICRO SIGN}m", 1e3))
         far = f"{factor * off:.3g} {unit}"
     return {
-        "file": one.file, "column": one.column, "quantity": one.quantity,
-        "unit": in_signs(one.unit), "choices": list(one.choices), "readings": len(one.x),
+        "file": column.file, "column": column.column, "quantity": column.quantity,
+        "unit": in_signs(column.unit), "choices": list(column.choices), "readings": len(column.x),
         "off": far,
     }  # fmt: skip
 

@@ -44,10 +44,10 @@ def refuse_others(folder: Path, command: str) -> None:
     ------
     InputError : its files would be replaced.
     """
-    for name, other in _COMMANDS.items():
-        if other != command and _has_content(folder / name):
+    for name, owner in _COMMANDS.items():
+        if owner != command and _has_content(folder / name):
             raise InputError(
-                f"{folder}: is the folder of ringwear {other} ({name}); must be another, or new"
+                f"{folder}: is the folder of ringwear {owner} ({name}); must be another, or new"
             )
 
 

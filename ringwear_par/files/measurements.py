@@ -54,6 +54,8 @@ class Measurements:
     sha256: str = ""
     #: of the columns, in the row below their names; () where there is none
     units: tuple[str, ...] = ()
+    #: whether cells of the first column are names, perhaps numbers
+    labelled: bool = False
 
     def label(self, name: str) -> str:
         """Return the name of a column with its unit, where that is in the row below."""
@@ -65,7 +67,9 @@ class Measurements:
         """Return the table of one column, for names that several columns have."""
         rows = tuple((row[place],) for row in self.rows)
         units = self.units[place : place + 1]
-        return Measurements(self.name, (self.columns[place],), rows, self.lines, self.sha256, units)
+        one = Measurements(self.name, (self.columns[place],), rows, self.lines, self.sha256, units)
+        vars(one)["_decimals"] = self._decimals  # of all numbers of the table
+        return one
 
     def without(self, texts: Sequence[str]) -> "Measurements":
         """Return the table with nothing in cells that are one of some texts."""
@@ -120,8 +124,8 @@ class Measurements:
         if wrong:
             self._refuse(name, wrong, hour is not None)
         for i, by_commas in grouped:
-            if self._decimals["." if by_commas else ","]:
-                self._refuse_groups(name, i)
+            if line := self._decimals["." if by_commas else ","]:
+                self._refuse_groups(name, i, line)
         if clocks and hour is not None:
             values[clocks] = across_midnight(values[clocks], 24.0 * hour)
         return values[rows]
@@ -162,23 +166,24 @@ class Measurements:
             f"number{' or a clock time (h:mm:ss)' if in_time else ''}, or empty{hint}"
         )
 
-    def _refuse_groups(self, name: str, row: int) -> None:
+    def _refuse_groups(self, name: str, row: int, line: int) -> None:
         cell = self.rows[row][self.columns.index(name)]
-        mark, other = ("comma", "points") if "," in cell else ("point", "commas")
+        mark, usual = ("comma", "points") if "," in cell else ("point", "commas")
         raise InputError(
             f"{self.name}: line {self.lines[row]}: {legible(name)} = {legible(cell)}: has a {mark} "
-            f"where other numbers have decimal {other}; must be without separators of thousands, "
-            "or with the same decimal mark"
+            f"where other numbers, as in line {line}, have decimal {usual}; must be without "
+            "separators of thousands, or with the same decimal mark"
         )
 
     @cached_property
-    def _decimals(self) -> dict[str, bool]:
-        """Whether any number has a decimal point, and a decimal comma, that groups no digits."""
-        marks = {".": False, ",": False}
-        for cell in (cell for row in self.rows for cell in row):
+    def _decimals(self) -> dict[str, int]:
+        """The first line with a decimal point, and with a decimal comma, of no group; or 0."""
+        marks = {".": 0, ",": 0}
+        numbered = zip(self.lines.tolist(), self.rows, strict=True)
+        for line, cell in ((line, c) for line, row in numbered for c in row[self.labelled :]):
             for mark, grouped in ((".", _GROUPED_BY_POINTS), (",", _GROUPED)):
                 if mark in cell and not marks[mark] and NUMBER.fullmatch(cell.replace(mark, ".")):
-                    marks[mark] = not grouped.fullmatch(cell)
+                    marks[mark] = 0 if grouped.fullmatch(cell) else line
         return marks
 
     def first_stamps(self, name: str, rows: BoolArray) -> BoolArray:
@@ -313,4 +318,4 @@ def measurements_in(
         raise InputError(*faults)
     cells = tuple(tuple(row[: len(columns)]) for row in rows)
     lines, sha256 = np.array(table.lines, dtype=int), hashlib.sha256(content).hexdigest()
-    return Measurements(path, columns, cells, lines, sha256, tuple(table.units))
+    return Measurements(path, columns, cells, lines, sha256, tuple(table.units), labelled)

@@ -301,7 +301,7 @@ def _above(lines: Sequence[str], row: int, delimiter: str, labelled: bool) -> in
     """Return the first of the rows above one, broken ones too: names are lines without numbers."""
     while row > 0:
         cells = _cells(lines[row - 1], delimiter)
-        if not (any(map(_is_value, cells)) or _is_row(cells, labelled)):
+        if not (any(map(is_value, cells)) or _is_row(cells, labelled)):
             return row
         row -= 1
     return None
@@ -310,13 +310,14 @@ def _above(lines: Sequence[str], row: int, delimiter: str, labelled: bool) -> in
 def _is_row(cells: Sequence[str], labelled: bool) -> bool:
     """Tell whether cells are those of a row: a number or a stamp is the first, or none is."""
     if labelled:
-        return any(map(_is_value, cells[1:]))
+        return any(map(is_value, cells[1:]))
     if cells[0].lower() in EMPTY:
-        return any(map(_is_value, cells)) or all(cell.lower() in EMPTY for cell in cells)
-    return _is_value(cells[0]) or is_date(cells[0])
+        return any(map(is_value, cells)) or all(cell.lower() in EMPTY for cell in cells)
+    return is_value(cells[0]) or is_date(cells[0])
 
 
-def _is_value(cell: str) -> bool:
+def is_value(cell: str) -> bool:
+    """Tell whether a cell is a number, a stamp or a clock time."""
     number = NUMBER.fullmatch(cell.replace(",", "."))
     return number is not None or is_stamp(cell) or is_clock(cell)
 

@@ -1,4 +1,4 @@
-"""Users' text files: cases, studies, tables, laws; one reader for all; values as TOML has them."""
+"""Users' text files, cases, studies, tables and laws: one reader for all; values of TOML."""
 
 import json
 import re

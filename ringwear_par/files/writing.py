@@ -185,7 +185,7 @@ def unwritable(path: Path, error: OSError) -> RingwearError:
 
 @contextmanager
 def atomic_write(path: Path, mode: int = 0o666) -> Iterator[Path]:
-    """Give a name to write to; what is written becomes the file at the end. Not collective.
+    """Yield a name to write to; what is written becomes the file at the end. Not collective.
 
     What was written is on the disk before it replaces the file; nothing is left of it after an
     error. The name is that of an open descriptor: whoever may write to the folder, what is written

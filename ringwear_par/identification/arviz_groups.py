@@ -41,7 +41,7 @@ _SMALL = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class _FitDraws:
-    """Draws of what a fit knows."""
+    """Draws of the unknowns of a fit."""
 
     #: of what the draws are
     kind: str
@@ -98,8 +98,8 @@ def to_arviz(fit: FitResult) -> "arviz.InferenceData":
     values = [np.array([problem.values(u) for u in keys])]
     posterior = dict(zip(problem.keys, values[0].T[:, None], strict=True))
     if fit.material is not None:
-        for level, tau in zip(fit.material.posterior.model.levels, taus.T, strict=True):
-            key = problem.keys[fit.material.free[level.key]]
+        for level, tau in zip(fit.material.mixed.posterior.model.levels, taus.T, strict=True):
+            key = problem.keys[fit.material.mixed.free[level.key]]
             posterior[f"scatter of {key} between {level.name}s"] = tau[None]
         for key, size in zip(problem.settings.process, sizes.T, strict=True):
             posterior[f"process.{key}"] = size[None]
@@ -149,7 +149,7 @@ def _drawn_of_material(
     misfit: Misfit, material: Material, random: np.random.Generator
 ) -> list[tuple[_FitDraws, Linearisation]]:
     problem, kind = misfit.problem, "mixture over sizes of scatter and random wear"
-    free, m, drawn = [*material.free], len(problem.parameters), []
+    free, m, drawn = [*material.mixed.free], len(problem.parameters), []
     low, high = (limits[free] for limits in problem.unknown_bounds)
     if material.pieces:  # a result keeps no histories elsewhere than at its estimate
         kind, misfit, steps = f"{kind}, in pieces", copy(misfit), misfit.responses.steps
@@ -162,11 +162,11 @@ def _drawn_of_material(
         inside = ((every >= low) & (every <= high)).all(axis=(1, 2))
         if not inside.any():
             continue
-        keys = np.tile(material.x[:m], (np.count_nonzero(inside), 1))
+        keys = np.tile(material.best_fit.x[:m], (np.count_nonzero(inside), 1))
         tests = np.tile(piece.test_unknowns, (len(keys), 1, 1))
         keys[:, free], tests[:, :, free] = draws.material[inside], draws.tests[inside]
         sizes = material.wear.sizes(draws.shares[inside])
-        x = material.x
+        x = material.best_fit.x
         if material.pieces:
             x = misfit.with_best_nuisances(misfit.values(x), piece.test_unknowns)
         evaluation = misfit.evaluate(x, piece.test_unknowns)
@@ -210,8 +210,8 @@ def _marginal(fit: FitResult, linear: Linearisation, number: int, draws: _FitDra
     m, n = draws.keys.shape[1], len(linear.tests[number].readings)
     sizes, of_draw = np.unique(draws.sizes, axis=0, return_inverse=True)
     variances = np.zeros((len(draws.keys), m))
-    for level, tau in zip(fit.material.posterior.model.levels, draws.taus.T, strict=True):
-        variances[:, fit.material.free[level.key]] += tau**2
+    for level, tau in zip(fit.material.mixed.posterior.model.levels, draws.taus.T, strict=True):
+        variances[:, fit.material.mixed.free[level.key]] += tau**2
     logs = np.empty(len(draws.keys))
     for place, tests in enumerate(linear.reduced(sizes if draws.sizes.shape[1] else None)):
         chosen, test = of_draw.ravel() == place, tests[number]

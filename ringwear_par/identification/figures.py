@@ -32,7 +32,7 @@ def plot(fit: FitResult) -> Figure:
     across = 2 if len(curves) == 4 else min(_COLUMNS, max(len(curves), 1))
     down = math.ceil(len(curves) / across)
     heights = _LEGEND + _HEIGHT * down, _MARGIN + _ROW * len(single)
-    inputs = [fit_panels.measured_input(*one) for one in fit.input_readings]
+    inputs = [fit_panels.measured_input(*entry) for entry in fit.input_readings]
     heights = heights[0] + _INPUT * math.ceil(len(inputs) / across), heights[1]
     size = max(_WIDTH * across, _NARROWEST), heights[0] + bool(single) * heights[1]
     rows: list[list[Panel]] = []
@@ -81,10 +81,10 @@ def plot_parameters(fit: FitResult) -> Figure:
 def plot_specimens(fit: FitResult) -> Figure:
     """Return the values of specimens and material of each key that scatters, or InputError."""
     outcome = fit.to_dict()
-    scattering = {k: one for k, one in outcome["parameters"].items() if "each" in one}
+    scattering = {k: entry for k, entry in outcome["parameters"].items() if "each" in entry}
     if not scattering:
         raise InputError("plot_specimens: no key of the fit has scatter; must be a fit with one")
-    widest = max(len(one["each"]) for one in scattering.values())
+    widest = max(len(entry["each"]) for entry in scattering.values())
     size = max(_NARROWEST, 0.7 * min(widest, 16)), _LEGEND + _HEIGHT * len(scattering)
-    panels = [[fit_panels.specimens(k, one, outcome["level"])] for k, one in scattering.items()]
+    panels = [[fit_panels.specimens(k, entry, outcome["level"])] for k, entry in scattering.items()]
     return panel_figure(panels, size)

@@ -64,10 +64,12 @@ def fit_problem(
         result = _fit_law(problem, "", StoredStarts(folder, problem.key), signals, comm)
         alternatives: dict[str, FitResult] = {}
         failed: dict[str, str] = {}
-        for number, (law, other) in enumerate(problem.alternatives.items() if compare else (), 1):
-            stored = StoredStarts(folder, f"{other.key} {law}", number)
+        for number, (law, alternative) in enumerate(
+            problem.alternatives.items() if compare else (), 1
+        ):
+            stored = StoredStarts(folder, f"{alternative.key} {law}", number)
             try:
-                alternatives[law] = _fit_law(other, law, stored, signals, comm)
+                alternatives[law] = _fit_law(alternative, law, stored, signals, comm)
             except StoppedError:
                 raise
             except (ComputationError, InputError) as error:
@@ -108,7 +110,7 @@ def _fit_law(
                 pieces, doubt = posterior_in_pieces(misfit, material)
                 material = replace(material, pieces=pieces, doubt_of_pieces=doubt)
             solution = replace(
-                solution, x=material.x, evaluation=material.evaluation,
+                solution, x=material.best_fit.x, evaluation=material.best_fit.evaluation,
                 parameters=tuple(map(material.estimate, range(len(problem.parameters)))),
                 covariance=material.covariance,
             )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Reasons not to take the numbers of a fit as they are."""
+"""Warnings about a fit: reasons not to trust its numbers as they are."""
 
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
@@ -18,15 +18,15 @@ from ringwear_par.identification.scatter.linearisation import Linearisation
 if TYPE_CHECKING:
     from ringwear_par.identification.fit_result import FitResult
 
-#: of chi2 over its readings, of a series that stands out
+#: chi2 over the number of readings from which on a series stands out
 _HIGH = 2.0
 #: sd, from which on readings do not belong to the others; what share of these they may be
 _FAR, _SHARE, _LISTED = 6.0, 0.1, 4
 #: of the sd with another key free, below which an interval depends on the bound of that
 _NARROWED = 0.5
-#: probability below which what tests differ by is no chance
+#: probability below which differences between tests are not due to chance
 _NO_CHANCE = 0.01
-#: of the largest information of a test: less is none
+#: share of the largest information of a test below which a test has none
 _INFORMED = 1e-6
 #: keys of rates: other numbers are the machine's
 _RATES = ("wear.", "contact.friction")
@@ -46,18 +46,21 @@ def doubts(fit: "FitResult") -> tuple[ValidityWarning, ...]:
 
 def _of_keys(fit: "FitResult") -> Iterator[ValidityWarning]:
     """Yield doubts about keys that are not identified, or at a bound."""
-    for one in fit.parameters:
-        at_bound = one.key in fit.keys_at_bound
-        if one.verdict == "not identified":
+    for parameter in fit.parameters:
+        at_bound = parameter.key in fit.keys_at_bound
+        if parameter.verdict == "not identified":
             bound = "; the estimate is at its bound" * at_bound
-            text = f"{one.key} is not identified: {one.direction}{bound}"
-        elif one.verdict == "at bound" and at_bound:
-            text = f"{one.key} = {one.estimate:g} is at its bound; its interval has one limit only"
-        elif one.verdict == "at bound":
-            text = f"the readings give {one.key} only a limit on one side"
+            text = f"{parameter.key} is not identified: {parameter.direction}{bound}"
+        elif parameter.verdict == "at bound" and at_bound:
+            text = (
+                f"{parameter.key} = {parameter.estimate:g} is at its bound; its interval has one "
+                "limit only"
+            )
+        elif parameter.verdict == "at bound":
+            text = f"the readings give {parameter.key} only a limit on one side"
         else:
             continue
-        yield ValidityWarning(one.verdict.replace(" ", "-"), text, (one.key,))
+        yield ValidityWarning(parameter.verdict.replace(" ", "-"), text, (parameter.key,))
 
 
 def _of_the_model(fit: "FitResult") -> Iterator[ValidityWarning]:
@@ -69,7 +72,9 @@ def _of_the_model(fit: "FitResult") -> Iterator[ValidityWarning]:
             "larger than its sd, or the wear law is another"
         )
         yield ValidityWarning("does-not-fit", text)
-        if fit.alternatives and all(other.flagged for other in fit.alternatives.values()):
+        if fit.alternatives and all(
+            alternative.flagged for alternative in fit.alternatives.values()
+        ):
             yield ValidityWarning("no-law-fits", "none of the laws compared fits either")
     for experiment, series in fit.experiments.items():
         for name, entry in series.items():
@@ -98,7 +103,7 @@ def _outliers(fit: "FitResult") -> Iterator[ValidityWarning]:
             continue
         share = far[worst] @ far[worst] / (far @ far)
         if share < 0.5 and np.count_nonzero(far > _FAR) > len(worst):
-            continue  # most of them are off
+            continue  # most readings are off
         if series.n == 1:
             text = f"{name}: is {far[0]:.3g} sd off the model; check its unit"
             yield ValidityWarning("outliers", text, (), (experiment.name,))
@@ -139,8 +144,8 @@ def _conditions(fit: "FitResult") -> list[ValidityWarning]:
     if fit.material is None:  # linear intervals are those with all keys free
         covariance, narrowed = fit.covariance[:m, :m], [*fit.profiles]
     else:
-        covariance = fit.material.unbounded.covariance
-        narrowed = [one.key for one in fit.parameters]
+        covariance = fit.material.mixed.unbounded.covariance
+        narrowed = [parameter.key for parameter in fit.parameters]
     return conditional_verdicts(fit.parameters, covariance, narrowed, fit.keys_at_bound)
 
 
@@ -151,7 +156,7 @@ def _of_the_search(fit: "FitResult") -> Iterator[ValidityWarning]:
         if not best.converged:
             text = "the best start has not converged: these numbers are where its search ended"
             yield ValidityWarning("not-converged", text)
-        if failed := [one for one in fit.starts if one.error]:
+        if failed := [start for start in fit.starts if start.error]:
             text = f"{len(failed)} of {len(fit.starts)} starts failed: {failed[0].error}"
             yield ValidityWarning("starts-failed", text)
     for key in fit.step_dependent_keys:
@@ -182,11 +187,14 @@ def assumptions(fit: "FitResult") -> list[ValidityWarning]:
         for sentence in series.assumptions + series.suspicions
     ] + [
         ValidityWarning(
-            "assumed-unit", f"{one.key} ({experiment.name}): {sentence}", (), (experiment.name,)
+            "assumed-unit",
+            f"{measured.key} ({experiment.name}): {sentence}",
+            (),
+            (experiment.name,),
         )
         for experiment in fit.misfit.problem.experiments
-        for one in experiment.inputs
-        for sentence in one.assumptions + one.suspicions
+        for measured in experiment.inputs
+        for sentence in measured.assumptions + measured.suspicions
     ]
 
 
@@ -208,7 +216,7 @@ def growths_of_sd(
     for j in set(range(len(covariance))) - set(at_bounds):
         narrow = sd(j, list(at_bounds))
         for i in at_bounds:
-            wide = sd(j, [other for other in at_bounds if other != i])
+            wide = sd(j, [k for k in at_bounds if k != i])
             growths[j, i] = wide / narrow if narrow > 0.0 else 1.0
     return growths
 
@@ -232,14 +240,18 @@ def conditional_verdicts(
     part = covariance[np.ix_(known, known)]
     growths = growths_of_sd(part, [known.index(i) for i in at_bounds])
     for (place, bound), growth in sorted(growths.items()):
-        one, other = estimates[known[place]], estimates[known[bound]]
-        if one.verdict != "identified" or one.key not in narrowed or _NARROWED * growth <= 1.0:
+        estimate, at_bound = estimates[known[place]], estimates[known[bound]]
+        if (
+            estimate.verdict != "identified"
+            or estimate.key not in narrowed
+            or _NARROWED * growth <= 1.0
+        ):
             continue
         text = (
-            f"{one.key} is identified only if {other.key} = {other.estimate:g}, its bound: with "
-            f"that free its sd is {growth:.2g} times as large"
+            f"{estimate.key} is identified only if {at_bound.key} = {at_bound.estimate:g}, its "
+            f"bound: with that free its sd is {growth:.2g} times as large"
         )
-        keys, values = (one.key, other.key), {"growth_of_sd": growth}
+        keys, values = (estimate.key, at_bound.key), {"growth_of_sd": growth}
         warnings.append(ValidityWarning("conditional-verdict", text, keys, (), values))
     return warnings
 

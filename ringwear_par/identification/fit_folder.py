@@ -92,9 +92,9 @@ def _write(file: h5py.File, fit: FitResult) -> None:
         samples = fit.posterior.samples
         axis = Variable("sample", ("sample",), "1", "number of the sample", integer=True)
         write_variable(group, axis, np.arange(len(samples)))
-        for j, one in enumerate(fit.parameters):
-            unit = units[one.key]
-            variable = Variable(one.key, ("sample",), unit, "sample of the posterior")
+        for j, parameter in enumerate(fit.parameters):
+            unit = units[parameter.key]
+            variable = Variable(parameter.key, ("sample",), unit, "sample of the posterior")
             write_variable(group, variable, samples[:, j])
     for number, (experiment, series, part) in enumerate(misfit.records, start=1):
         name = f"{number}_{re.sub(r'[^A-Za-z0-9.]+', '_', series.name)}"
@@ -118,7 +118,10 @@ def _write(file: h5py.File, fit: FitResult) -> None:
         if fit.material is not None:
             for body, key in enumerate(fit.material.process):
                 name = f"excess_{body_of_wear(key)}"
-                excess, excess_sd = fit.material.excess[part], fit.material.excess_sd[part]
+                excess, excess_sd = (
+                    fit.material.best_fit.excess[part],
+                    fit.material.best_fit.excess_sd[part],
+                )
                 meaning = "mean depth worn beyond what the law says, as the readings tell it"
                 put(name, excess[:, body], "mm", meaning)
                 put(f"{name}_sd", excess_sd[:, body], "mm", f"sd of {name}")

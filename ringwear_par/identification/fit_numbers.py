@@ -1,4 +1,4 @@
-"""The contents of fit.json, with each key as who reads it knows it: in his unit, as a wear rate."""
+"""The contents of fit.json, with each key in its user's unit and as a specific wear rate."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -31,7 +31,7 @@ Entry = Mapping[str, Any]
 
 
 def unit_scale(parameter: FittedParameter) -> float:
-    """Return how much the user's unit of a fitted key is in the case's; 1 where it is that."""
+    """Return the size of the user's unit of a fitted key in the case's unit, 1 for the same."""
     return factor(parameter.unit, base_unit(parameter.key)) if parameter.unit else 1.0
 
 
@@ -48,7 +48,7 @@ def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[
 
     def converted(number: Any) -> Any:
         if isinstance(number, list | tuple):
-            return [converted(one) for one in number]
+            return [converted(entry) for entry in number]
         return None if number is None else number / scale
 
     names = ["estimate", "sd", "interval", "next", *(["before"] if "before" in entry else [])]
@@ -145,13 +145,15 @@ def to_dict(fit: FitResult) -> dict[str, Any]:
         "moved_by_shorter_steps": dict(fit.discretisation_shift_sd),
         "doubts": [doubt.to_dict() for doubt in fit.doubts],
         "warnings": [doubt.text for doubt in fit.doubts],
-        "starts": [_started(one, problem.keys) for one in fit.starts],
+        "starts": [_started(start, problem.keys) for start in fit.starts],
         "profiles": {key: _finite(table) for key, table in fit.profiles.items()},
         "alternatives": {
             name: {
-                k: v for k, v in other.to_dict().items() if k not in ("alternatives", "data", "key")
+                k: v
+                for k, v in alternative.to_dict().items()
+                if k not in ("alternatives", "data", "key")
             }
-            for name, other in fit.alternatives.items()
+            for name, alternative in fit.alternatives.items()
         }
         | {name: {"error": reason} for name, reason in fit.failed.items()},
         "method": problem.settings.method,
@@ -232,18 +234,18 @@ def _inputs(fit: FitResult) -> dict[str, dict[str, Any]]:
     inputs: dict[str, Any] = {}
     names, sds = fit.misfit.names, fit.standard_deviations
     for experiment in fit.misfit.problem.experiments:
-        for one in experiment.inputs:
-            curve, readings = one.curve(experiment.case), one.readings(experiment.case)
-            off = readings / np.maximum(curve(one.time), np.finfo(float).tiny) - 1.0
+        for measured in experiment.inputs:
+            curve, readings = measured.curve(experiment.case), measured.readings(experiment.case)
+            off = readings / np.maximum(curve(measured.time), np.finfo(float).tiny) - 1.0
             entry: dict[str, Any] = {
-                "time": list(curve.x), "value": list(curve.y), "unit": one.unit,
-                "n": len(one.time), "scatter": float(np.sqrt(np.mean(off**2))),
+                "time": list(curve.x), "value": list(curve.y), "unit": measured.unit,
+                "n": len(measured.time), "scatter": float(np.sqrt(np.mean(off**2))),
             }  # fmt: skip
-            if one.scale is not None:
-                i, mean = names.index((experiment.name, one.key, SCALE)), one.scale.mean
+            if measured.scale is not None:
+                i, mean = names.index((experiment.name, measured.key, SCALE)), measured.scale.mean
                 entry["scale"] = {"estimate": mean * (1.0 + float(fit.x[i])),
                                   "sd": mean * float(sds[i])}  # fmt: skip
-            inputs.setdefault(experiment.name, {})[one.key] = entry
+            inputs.setdefault(experiment.name, {})[measured.key] = entry
     return inputs
 
 
@@ -286,23 +288,23 @@ def log_evidence(fit: "FitResult") -> float | None:
     problem = misfit.problem
     rough = problem.settings.loss != "gaussian" or misfit.censored.any() or fit.noise_fitted
     known = {"identified"} if material is None else {"identified", "at bound"}
-    if rough or any(one.verdict not in known for one in fit.parameters):
+    if rough or any(parameter.verdict not in known for parameter in fit.parameters):
         return None
     low, high = problem.unknown_bounds
     prior = 0.0
-    for key, (one, unknown) in enumerate(zip(problem.parameters, fit.x, strict=False)):
+    for key, (parameter, unknown) in enumerate(zip(problem.parameters, fit.x, strict=False)):
         width, variance = high[key] - low[key], fit.covariance[key, key]
         value = Mixture(np.ones(1), np.array([unknown]), np.array([variance]))
-        value = value if material is None else material.unbounded.material(key)
+        value = value if material is None else material.mixed.unbounded.material(key)
         prior += float(np.log(value.probability(low[key], high[key])))
-        if one.prior is None:
+        if parameter.prior is None:
             prior -= float(np.log(width))
         else:  # a density of values, its square is among the readings'
-            prior += float(np.log(one.slope(one.value(unknown)) / one.prior.sd))
+            prior += float(np.log(parameter.slope(parameter.value(unknown)) / parameter.prior.sd))
             prior -= 0.5 * float(np.log(2.0 * np.pi))
     if material is not None:
         constant = 0.5 * (m - misfit.n) * np.log(2.0 * np.pi)
-        return material.unbounded.log_mass + prior + float(constant)
+        return material.mixed.unbounded.log_mass + prior + float(constant)
     acting = ~misfit.idle
     covariance = fit.covariance[np.ix_(acting, acting)]
     if not np.isfinite(covariance).all():

@@ -103,7 +103,7 @@ class FitResult(Outcome, Solution):
             return freedom
         freedom += len(self.parameters) + self.material.n_fitted_sizes
         # limits tell of the material, too
-        return max(freedom - self.material.effective_number, 0.0)
+        return max(freedom - self.material.best_fit.effective_number, 0.0)
 
     @property
     def total(self) -> float:
@@ -138,7 +138,7 @@ class FitResult(Outcome, Solution):
         rows[: self.n] &= misfit.censored == 0
         if misfit.problem.settings.process and self.material is not None:
             readings = rows[: self.n]
-            free = (1.0 - self.material.leverage)[readings].sum() + len(misfit.priors)
+            free = (1.0 - self.material.best_fit.leverage)[readings].sum() + len(misfit.priors)
             return float((self.evaluation.residuals[rows] ** 2).sum()), float(free)
         size = np.linalg.norm(self.evaluation.jacobian, axis=0)
         columns = self.evaluation.jacobian / np.where(size > 0.0, size, 1.0)
@@ -200,7 +200,7 @@ class FitResult(Outcome, Solution):
 
     @property
     def band(self) -> FloatArray:
-        """(n,) sd of the model's readings, with nuisances; nothing of what nobody knows."""
+        """(n,) sd of the model's readings, with nuisances; unknowns without sd count as known."""
         if self.material is not None:
             return self.material.band
         rows = self.misfit.columns(self.x)
@@ -227,9 +227,9 @@ class FitResult(Outcome, Solution):
     @property
     def n_at_best(self) -> int:
         """How many starts ended at the best optimum."""
-        best = min(one.objective for one in self.starts)
+        best = min(start.objective for start in self.starts)
         most = best + _SAME * max(best, 1.0)
-        return sum(one.objective <= most for one in self.starts)
+        return sum(start.objective <= most for start in self.starts)
 
     @cached_property
     def doubts(self) -> tuple[ValidityWarning, ...]:
@@ -288,10 +288,10 @@ class FitResult(Outcome, Solution):
     ) -> list[tuple[str, str, str, FloatArray, FloatArray, FloatArray]]:
         """Test, key, unit, times (s) and readings of each input, and the curve there."""
         return [
-            (experiment.name, one.key, one.unit, one.time, one.readings(experiment.case),
-             one.curve(experiment.case)(one.time))
+            (experiment.name, measured.key, measured.unit, measured.time,
+             measured.readings(experiment.case), measured.curve(experiment.case)(measured.time))
             for experiment in self.misfit.problem.experiments
-            for one in experiment.inputs
+            for measured in experiment.inputs
         ]  # fmt: skip
 
     def to_arviz(self) -> "InferenceData":

@@ -1,4 +1,4 @@
-"""What a fit knows of its keys, as predictions draw it: kept in the fit's folder, whole."""
+"""Distributions of a fit's keys, from which predictions draw, stored in the fit's folder."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -105,7 +105,7 @@ def fitted_values(fit: FitResult) -> FittedValues:
         scatters, scattering = np.zeros((1, 0)), np.zeros(0, dtype=np.int64)
         sizes = np.zeros((1, len(BODIES)))
     else:
-        free = np.array(material.free, dtype=np.int64)
+        free = np.array(material.mixed.free, dtype=np.int64)
         pieces = material.parts
         weights = np.concatenate([piece.weight * piece.posterior.weights for piece in pieces])
         order = np.argsort(-weights)
@@ -121,7 +121,7 @@ def fitted_values(fit: FitResult) -> FittedValues:
             means[:, place, free] = of_free[parts]
             covariances[:, place, free[:, None], free] = between[parts]
         scatters = np.concatenate([piece.posterior.solutions.tau for piece in pieces])[parts]
-        levels = [level.key for level in material.posterior.model.levels]
+        levels = [level.key for level in material.mixed.posterior.model.levels]
         scattering = free[np.array(levels, dtype=np.int64)]
         sizes = np.zeros((len(parts), len(BODIES)))
         wearing = [BODIES.index(body_of_wear(key)) for key in material.wear.process]

@@ -335,9 +335,9 @@ def prediction(fit: "FitResult") -> str:
     lines += _parameter_lines(outcome)
     lines += [f"  {line}" for line in process_lines(outcome)]
     lines += [f"  {line}" for line in known_sizes(problem, outcome["specimens"])]
-    for one in fit.parameters:
-        if one.direction:
-            lines.append(f"  {one.key} would not be identified: {one.direction}")
+    for parameter in fit.parameters:
+        if parameter.direction:
+            lines.append(f"  {parameter.key} would not be identified: {parameter.direction}")
     lines += _unit_lines(fit)
     lines += [f"  {line}" for line in input_lines(outcome)]
     lines += _correlation_lines(fit)
@@ -358,20 +358,22 @@ def _parameter_lines(outcome: Mapping[str, Any]) -> list[str]:
     width, lines = max(map(len, parameters)), []
     for key, entry in parameters.items():
         by = ", likelihood profile" * (entry["interval_of"] == "likelihood profile")
-        of = " of the material" * (entry["of"] == "material")
+        subject = " of the material" * (entry["of"] == "material")
         row, *derived = key_rows(key, entry)
         text = _row_text(row, 5)
-        if of or row.verdict != "not identified":
+        if subject or row.verdict != "not identified":
             interval = "" if row.estimate is None else f"  {limits(row.interval)}"
-            text = f"{text}{of}{interval} ({100 * level:g} %{by})"
+            text = f"{text}{subject}{interval} ({100 * level:g} %{by})"
         lines.append(f"  {key.ljust(width)}  {text}  {row.verdict}")
         if row.posterior:
             median, *ends = row.posterior
             text = f"{median:.5g} {row.unit}".rstrip()
             lines.append(f"  {' ' * width}  {text}  {limits(ends)} (posterior)")
-        for other in derived:
-            known = f"  {limits(other.interval)}" if other.interval != [None, None] else ""
-            text = f"{other.label} {_row_text(other, 4)}{known} ({other.note})"
+        for derived_row in derived:
+            known = (
+                f"  {limits(derived_row.interval)}" if derived_row.interval != [None, None] else ""
+            )
+            text = f"{derived_row.label} {_row_text(derived_row, 4)}{known} ({derived_row.note})"
             lines.append(f"  {' ' * width}  {text}")
         lines += [f"    {line}" for line in scatter_lines(entry, level)]
     return lines
@@ -397,8 +399,8 @@ def _unit_lines(fit: "FitResult") -> list[str]:
 def _correlation_lines(fit: "FitResult") -> list[str]:
     strong = [pair for pair in fit.correlations() if abs(pair[2]) > _STRONG]
     return [
-        f"correlation {value:+.3f} between {one} and {other}"
-        for one, other, value in strong[:_LISTED]
+        f"correlation {value:+.3f} between {first} and {second}"
+        for first, second, value in strong[:_LISTED]
     ]
 
 

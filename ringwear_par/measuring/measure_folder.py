@@ -2,8 +2,9 @@
 
 import csv
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from ringwear_par.files.folders import (
     MEASURE,
@@ -32,15 +33,29 @@ def save(result: MeasureResult, folder: Path) -> None:
 def table(result: MeasureResult) -> str:
     """Return the contents of measure.csv: a row a test; empty cells for what was not measured."""
     text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
+    header, rows = table_of(result.to_dict())
+    digits = [
+        ["" if v is None else f"{v:.6g}" if isinstance(v, float) else v for v in row]
+        for row in rows
+    ]
+    csv.writer(text, lineterminator="\n").writerows([header, *digits])
+    return text.getvalue()
+
+
+def table_of(outcome: Mapping[str, Any]) -> tuple[list[str], list[list[Any]]]:
+    """Return names of columns and rows of tests; None for what was not measured.
+
+    Parameters
+    ----------
+    outcome : the contents of measure.json.
+    """
     columns = [
         (q, part) for q in QUANTITIES for part in (("value", "u") if q.measured else ("value",))
     ]
     header = [f"{'u of ' * (part == 'u')}{q.name} / {q.unit}" for q, part in columns]
-    rows.writerow(["test", "steady", *header, "doubts"])
-    for name, entry in result.to_dict()["tests"].items():
+    rows = []
+    for name, entry in outcome["tests"].items():
         numbers = [quantity.of(entry, part) for quantity, part in columns]
-        cells = ["" if number is None else f"{number:.6g}" for number in numbers]
         codes = " ".join(doubt["code"] for doubt in entry["doubts"])
-        rows.writerow([name, "yes" if entry["steady"] else "no", *cells, codes])
-    return text.getvalue()
+        rows.append([name, "yes" if entry["steady"] else "no", *numbers, codes])
+    return ["test", "steady", *header, "doubts"], rows

@@ -82,7 +82,8 @@ def estimate_text(value: float, u: float, unit: str = "") -> str:
 
     Two digits of 2 u are shown (JCGM 100, 7.2.6).
     """
-    power = math.floor(math.log10(abs(value))) if value else 0
+    largest = max(abs(value), COVERAGE * u)
+    power = math.floor(math.log10(largest)) if largest else 0
     power = 0 if _SMALL < power < _LARGE else power
     scale, exponent = 10.0**power, f"e{power:+03d}" if power else ""
     expanded, suffix = COVERAGE * u / scale, f" {unit}" if unit not in ("", "1") else ""
@@ -136,7 +137,7 @@ def summary(result: MeasureResult) -> str:
     """Return the outcome as the command prints it."""
     outcome = result.to_dict()
     tests: Mapping[str, Any] = outcome["tests"]
-    lines = [f"specific wear rate {repeats_text(one)}" for one in outcome["repeats"]]
+    lines = [f"specific wear rate {repeats_text(repeats)}" for repeats in outcome["repeats"]]
     if not lines:
         count = len(tests)
         lines.append(

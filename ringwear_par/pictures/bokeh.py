@@ -169,23 +169,23 @@ def _add_legend(plot: Any, marks: Mapping[str, Any], *, changing: bool) -> None:
 
 def _style(plot: Any, panel: Panel) -> None:
     """Set labels, ticks and ranges of the axes."""
-    for of, axis, drawn, grid, ends in zip(
+    for panel_axis, axis, drawn, grid, ends in zip(
         (panel.x, panel.y), (plot.xaxis[0], plot.yaxis[0]), (plot.x_range, plot.y_range),
         (plot.xgrid[0], plot.ygrid[0]), ranges_of(panel), strict=True,
     ):  # fmt: skip
         drawn.start, drawn.end = ends
-        axis.axis_label = PlainText(text=of.label)
+        axis.axis_label = PlainText(text=panel_axis.label)
         axis.axis_label_text_font_style = "normal"
         axis.axis_label_text_font_size = "13px"
         axis.major_label_text_font_size = "12px"
         axis.minor_tick_line_color = None
-        if not of.log:
+        if not panel_axis.log:
             axis.formatter.power_limit_high = _LARGE
         grid.grid_line_color = "#e4e4e4"
-        if of.categories:
-            axis.ticker = FixedTicker(ticks=list(range(len(of.categories))))
+        if panel_axis.categories:
+            axis.ticker = FixedTicker(ticks=list(range(len(panel_axis.categories))))
             axis.major_label_overrides = {
-                number: PlainText(text=word) for number, word in enumerate(of.categories)
+                number: PlainText(text=word) for number, word in enumerate(panel_axis.categories)
             }
     plot.outline_line_color = None
 

@@ -33,7 +33,7 @@ def _map(outcome: Mapping[str, Any], key: str, factor: float, label: str) -> Pan
 
 
 def _bars(outcome: Mapping[str, Any], key: str, factor: float, label: str) -> Panel:
-    names = tuple(one["name"].replace(" + ", "\n+ ") for one in outcome["designs"])
-    values = np.array([one["sd"][key] for one in outcome["designs"]], dtype=float)
+    names = tuple(design["name"].replace(" + ", "\n+ ") for design in outcome["designs"])
+    values = np.array([design["sd"][key] for design in outcome["designs"]], dtype=float)
     bars = Bars(np.arange(len(values), dtype=float), factor * np.nan_to_num(values), "", COLOURS[0])
     return Panel(Axis(label, zero=True), Axis("", reversed=True, categories=names), bars=[bars])

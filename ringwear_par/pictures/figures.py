@@ -224,8 +224,8 @@ def _laid_out(drawings: Sequence[tuple[str, Drawing]], width: float | None) -> F
     columns = -(-len(drawings) // lines)
     names = [panel for panel, _ in drawings]
 
-    def size(of: Sequence[str]) -> float:
-        return 1.0 if _SECTIONS.isdisjoint(of) else _LARGER
+    def size(panels_of_row: Sequence[str]) -> float:
+        return 1.0 if _SECTIONS.isdisjoint(panels_of_row) else _LARGER
 
     widths = [size(names[column::columns]) for column in range(columns)]
     heights = [size(names[line * columns : (line + 1) * columns]) for line in range(lines)]
@@ -321,7 +321,7 @@ def _short(path: str, keys: Container[str]) -> str:
     """Return a parameter of a law, or the name of a quantity, with its body where both have it."""
     name, _, body = quantity_name(path).partition(", ")
     name = path.rpartition(".")[2] if path.startswith("wear.") else name
-    for name_of_body, other in (BODIES, BODIES[::-1]):
-        if name_of_body in path.split(".") and path.replace(name_of_body, other) in keys:
+    for name_of_body, partner in (BODIES, BODIES[::-1]):
+        if name_of_body in path.split(".") and path.replace(name_of_body, partner) in keys:
             return f"{name} of {body}"
     return name

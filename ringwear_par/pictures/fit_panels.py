@@ -442,13 +442,13 @@ def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
                 Band(ends, low, high, name, (f"{name}, from", f"{name}, to"), opacity=opacity)
             )
     drawn = []
-    alone = [one["alone"] for one in entries.values()]
+    alone = [entry["alone"] for entry in entries.values()]
     for name, values_of, colour, shift in (
         ("a specimen, by its own readings", alone, GREY, -_ASIDE),
         ("a specimen, by all readings", list(entries.values()), COLOURS[1], _ASIDE),
     ):
         values, sds = (
-            np.array([np.nan if one is None else one[n] / scale for one in values_of], dtype=float)
+            np.array([np.nan if v is None else v[n] / scale for v in values_of], dtype=float)
             for n in ("estimate", "sd")
         )
         drawn.append(

@@ -1,4 +1,4 @@
-"""Panels: charts as data, without a word of the library that draws them."""
+"""Panels: charts as data, whatever library draws them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

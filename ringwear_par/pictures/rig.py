@@ -218,7 +218,7 @@ def _apart(values: set[float], least: float) -> list[float]:
     """Return values, the ends first, without those whose labels would cover that of another."""
     rest: list[float] = []
     for value in (max(values), *sorted(values)):
-        if all(abs(value - other) >= least for other in rest):
+        if all(abs(value - neighbour) >= least for neighbour in rest):
             rest.append(value)
     return rest
 

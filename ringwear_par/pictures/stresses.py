@@ -94,7 +94,9 @@ def draw_map(axes: Any, result: Result, label: str, state: StressState, top: flo
     scales = {}
     if stretch != 1.0:
         scales["heights" if stretch > 1.0 else "radii"] = max(stretch, 1.0 / stretch)
-    words = ", ".join(f"{name} {of:.6g}\N{MULTIPLICATION SIGN}" for name, of in scales.items())
+    words = ", ".join(
+        f"{name} {scale:.6g}\N{MULTIPLICATION SIGN}" for name, scale in scales.items()
+    )
     axes.set_title(f"{label}: {time}\n{words}".rstrip())
 
 

@@ -1,4 +1,4 @@
-"""What all figures share: one style, colours that stay apart, words for values."""
+"""What all figures share: one style, colours that stay apart, texts of values."""
 
 import io
 import logging

@@ -219,7 +219,8 @@ def doubts_of(known: FitKnowledge, case: Case, of: str) -> tuple[ValidityWarning
         low, high = float(np.nanmin(tests)), float(np.nanmax(tests))
         if not low * (1.0 - _SAME) <= value <= high * (1.0 + _SAME):
             symbol = f" {unit}" if unit != "1" else ""
-            range_ = f"{low:.4g}{symbol}" if low == high else f"{low:.4g} to {high:.4g}{symbol}"
+            first, last = f"{low:.4g}", f"{high:.4g}"
+            range_ = f"{first}{symbol}" if first == last else f"{first} to {last}{symbol}"
             text = f"extrapolates: {name} = {value:.4g}{symbol}, tests were at {range_}"
             numbers = {"condition": name, "case": value, "tests": [low, high], "unit": unit}
             doubts.append(ValidityWarning("extrapolates", text, values=numbers))

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import numpy as np
+
 from ringwear_par.errors import warning_lines
 from ringwear_par.prediction.prediction import PROBABILITIES, Prediction, depth_words
 from ringwear_par.results.key_numbers import time_words
@@ -14,6 +16,8 @@ _ENDS = {
     "worn_volume_upper": "volume worn off upper",
     "torque": "torque",
 }
+#: draws, of which the ends of an interval of 95 % are between others
+_MANY = 100
 
 
 def summary(prediction: Prediction) -> str:
@@ -33,11 +37,29 @@ def summary(prediction: Prediction) -> str:
     if prediction.depth is not None:
         when = prediction.time_to(prediction.depth)
         lines.append(f"{depth_words(prediction.depth)}: {when.words(end)}")
-    lines.append(f"{len(prediction.values)} draws: {'; '.join(prediction.sources)}")
+    draws = len(prediction.values)
+    known = ""
+    if draws >= _MANY:
+        error = 1e3 * _error_of_ends(prediction)
+        known = f", which leave the ends of the first interval uncertain by {error:.1g} um"
+    lines.append(f"{draws} draws{known}: {'; '.join(prediction.sources)}")
     if prediction.failed:
         lines.append(f"{prediction.failed} draws were left out: they have no history")
     room = 10 - len(lines)
     return "\n".join([*lines, *warning_lines(doubt.text for doubt in prediction.doubts[:room])])
+
+
+def _error_of_ends(prediction: Prediction) -> float:
+    """Return the larger Monte Carlo error of the ends of the interval of the penetration, mm.
+
+    Their standard deviation in other draws, by the order of these: a share p of n draws is known to
+    sqrt(p (1 - p) / n).
+    """
+    shares = np.array([PROBABILITIES[0], PROBABILITIES[-1]])
+    sd = np.sqrt(shares * (1.0 - shares) / len(prediction.values))
+    around = np.clip([shares - sd, shares + sd], 0.0, 1.0)
+    below, above = prediction.quantiles("penetration", around.ravel().tolist())[:, -1].reshape(2, 2)
+    return 0.5 * float((above - below).max())
 
 
 def to_dict(prediction: Prediction) -> dict[str, Any]:

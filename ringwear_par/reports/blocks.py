@@ -21,12 +21,12 @@ class Lines:
 
 @dataclass(frozen=True)
 class Tile:
-    """A key number, large, with what it is above it."""
+    """A key number in large letters, its name above it."""
 
     label: str
     value: str
     unit: str = ""
-    #: in small letters below it
+    #: below it, in small letters
     note: str = ""
     #: whether it is a check that was passed; None: it is no check
     good: bool | None = None
@@ -34,14 +34,14 @@ class Tile:
 
 @dataclass(frozen=True)
 class Tiles:
-    """The answers of a page, beside each other."""
+    """The key numbers at the top of a page, beside each other."""
 
     tiles: Sequence[Tile]
     kind = "tiles"
 
 
 def checks_tile(doubts: int, note: str = "", wrong: int = 0) -> Tile:
-    """Return the tile about what speaks against the results.
+    """Return the tile that says whether the checks were passed.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Source:
-    """A text to be taken home as it is, such as a case file."""
+    """A text that readers may copy, such as a case file."""
 
     label: str
     text: str
@@ -78,7 +78,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture that is drawn already."""
+    """A finished picture."""
 
     caption: str
     content: bytes
@@ -97,22 +97,22 @@ class Picture:
 class Chart:
     """A chart."""
 
-    #: of its element, without blanks, only one on the page
+    #: of its HTML element, without blanks, unique on the page
     name: str
     panel: Panel
-    #: what it shows, for those who do not see it
+    #: what it shows, for readers who cannot see it
     label: str
     #: pixels
     height: int = 320
     #: values of y by instant of the last curve of the panel, where there is a slider
     frames: Sequence[Sequence[float]] = ()
-    #: whether it has no other one beside it
+    #: whether it takes the whole width
     wide: bool = False
     kind = "chart"
 
     @property
     def caption(self) -> str:
-        """What it is called, and what it does not show."""
+        """Its title, and the note about what it does not show."""
         return ", ".join(filter(None, (self.panel.title, self.panel.note)))
 
 
@@ -125,7 +125,7 @@ class Charts:
     instants: Sequence[str] = ()
     #: where it stands at the beginning
     first: int = 0
-    #: words at the pointer, whose numbers are the ``cases`` of points
+    #: texts shown at the pointer, which points name by their ``cases``
     points: Sequence[str] = ()
     kind = "charts"
 
@@ -145,7 +145,7 @@ class Section:
 class Page:
     """A page."""
 
-    #: what it is of, which stands above its title
+    #: what the page is about; above its title
     kind: str
     title: str
     sections: Sequence[Section]

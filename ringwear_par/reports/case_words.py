@@ -26,7 +26,7 @@ def _with_rate(coefficient: re.Match[str]) -> str:
 def case_words(result: Result) -> tuple[list[Block], list[Block]]:
     """Return the drawing of the rig of a result, and its case in words and text. Not collective.
 
-    Laws are told as the result does: those in files of their own are not run.
+    Laws are described as in the result: those in files of their own are not run.
     """
     about, text = result.attributes, result.case
     rig: list[Block] = []

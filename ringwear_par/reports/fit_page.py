@@ -73,7 +73,7 @@ def fit_page(folder: Path) -> Page:
 
 @contextmanager
 def stored_outcome(path: Path, kind: str) -> Iterator[dict[str, Any]]:
-    """Yield the content of a JSON file; whoever misses something in it says that it is damaged."""
+    """Yield the content of a JSON file; an error while it is used means that it is damaged."""
     fault, text = f"{path}: is not {kind}, or is damaged", read_file(path)
     try:
         content = parse_json(text)
@@ -131,7 +131,7 @@ def _summary(outcome: Mapping[str, Any]) -> list[Block]:
 
 
 def _tiles(outcome: Mapping[str, Any]) -> Tiles:
-    """Return the answers of a fit."""
+    """Return the tiles of a fit: its estimates, and whether it has doubts."""
     percent, tiles = f"{100 * outcome['level']:g} %", []
     for key, entry in outcome["parameters"].items():
         row = key_rows(key, entry)[0]
@@ -166,14 +166,14 @@ def _estimates(parameters: Mapping[str, Any], level: float) -> Table:
 def _scatter(outcome: Mapping[str, Any]) -> list[Block]:
     """Return blocks about the specimens: intervals are of them, or of the material behind them."""
     parameters, level = outcome["parameters"], float(outcome["level"])
-    scattering = {key: one for key, one in parameters.items() if one["of"] == "material"}
+    scattering = {key: entry for key, entry in parameters.items() if entry["of"] == "material"}
     if not scattering:
         return [Lines([f"Intervals {of_specimens(outcome)}"])]
     blocks: list[Block] = []
-    for number, (key, one) in enumerate(scattering.items(), start=1):
-        sentences = "; ".join(scatter_lines(one, level))
+    for number, (key, entry) in enumerate(scattering.items(), start=1):
+        sentences = "; ".join(scatter_lines(entry, level))
         blocks.append(Lines([f"{key} of the material, {with_signs(sentences)}"]))
-        panel = fit_panels.specimens(key, one, level)
+        panel = fit_panels.specimens(key, entry, level)
         chart = Chart(f"specimens-{number}", panel, f"Values of {key} in each specimen")
         blocks.append(Charts([chart]))
     return blocks
@@ -273,17 +273,22 @@ def _groups(file: h5py.File) -> Iterator[h5py.Group]:
 def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
     scales = outcome["sd_scales"]
 
-    def sds(one: Mapping[str, Any]) -> list[str]:
+    def sds(design: Mapping[str, Any]) -> list[str]:
         """Return the standard deviations of a design."""
-        known = {key: sd for key, sd in one["sd"].items() if sd is not None}
+        known = {key: sd for key, sd in design["sd"].items() if sd is not None}
         return [
             f"{scale['factor'] * known[key]:.3g}" if key in known else _DASH
             for key, scale in scales.items()
         ]
 
     rows = [
-        [str(number), one["name"], time_words(one["seconds"], one["seconds"]), *sds(one)]
-        for number, one in enumerate(outcome["designs"], start=1)
+        [
+            str(number),
+            design["name"],
+            time_words(design["seconds"], design["seconds"]),
+            *sds(design),
+        ]
+        for number, design in enumerate(outcome["designs"], start=1)
     ]
     rows.append(["fit file", "its own tests", _DASH, *sds(outcome["fit_file"])])
     units = {key: f" ({in_signs(scale['unit'])})" * bool(scale["unit"])
@@ -312,9 +317,9 @@ def _reproduced(outcome: Mapping[str, Any], text: str) -> Section:
     )
     first = "Save the fit file as fit.toml beside its case and its data, then type:"
     starts = [
-        [str(number), _number(one["objective"], 6), "yes" if one["converged"] else "no",
-         str(one["error"] or "")]
-        for number, one in enumerate(outcome["starts"], start=1)
+        [str(number), _number(start["objective"], 6), "yes" if start["converged"] else "no",
+         str(start["error"] or "")]
+        for number, start in enumerate(outcome["starts"], start=1)
     ]  # fmt: skip
     header = ("start", "half the sum of squares, with priors", "converged", "error")
     tables = [Table("Starts", header, starts)] if starts else []

@@ -38,9 +38,9 @@ from ringwear_par.reports.blocks import (
 from ringwear_par.reports.fit_page import stored_outcome
 
 _DASH = "\N{EN DASH}"
-#: what the forms of standards have and no file of a rig tells
+#: entries of the standards' forms that no file of a rig has
 _OPEN = "not in the files; to be added by hand"
-#: more of a page are no answer
+#: most tiles of a page
 _MOST_TILES = 6
 _BUDGETS = {
     "specific_wear_rate": "specific wear rate of the steady part",
@@ -71,7 +71,7 @@ def measure_page(folder: Path) -> Page:
 
 def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
     tests = outcome["tests"]
-    sentences = [f"Specific wear rate {repeats_text(one)}" for one in outcome["repeats"]]
+    sentences = [f"Specific wear rate {repeats_text(repeats)}" for repeats in outcome["repeats"]]
     if not sentences:
         sentences = ["Numbers of these specimens only: repeats of a material scatter more"]
     yield _tiles(outcome)
@@ -104,10 +104,14 @@ def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
 def _tiles(outcome: Mapping[str, Any]) -> Tiles:
     """Return the specific wear rates: means of repeats, and tests that are none."""
     rates = [
-        (", ".join(one["tests"]), one["specific_wear_rate"]["mean"], one["specific_wear_rate"])
-        for one in outcome["repeats"]
+        (
+            ", ".join(repeats["tests"]),
+            repeats["specific_wear_rate"]["mean"],
+            repeats["specific_wear_rate"],
+        )
+        for repeats in outcome["repeats"]
     ]
-    repeated = {name for one in outcome["repeats"] for name in one["tests"]}
+    repeated = {name for repeats in outcome["repeats"] for name in repeats["tests"]}
     for name, entry in outcome["tests"].items():
         if name not in repeated and (rate := entry["specific_wear_rate"]) is not None:
             rates.append((name, rate["value"], rate))

@@ -58,7 +58,7 @@ def study_html(study: Study) -> str:
 
 
 def _with_meanings(text: str) -> str:
-    """Return a text whose keys tell, under a pointer, what they mean."""
+    """Return a text whose keys show their meaning under the pointer."""
 
     def with_meaning(match: re.Match[str]) -> str:
         key = key_of(match[0]) or BY_PATH.get(path_of(match[0]))

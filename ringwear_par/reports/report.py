@@ -17,6 +17,8 @@ from ringwear_par.version import __version__
 
 _ENDINGS = (".html", ".htm")
 #: cells of tables that stand right
+#: where a browser would begin a line within a number
+_EXPONENT = re.compile(r"\d[\d.]*e-\d+")
 _NUMERIC = re.compile(r"[-+\N{MINUS SIGN}]?\d[\d.]*(?:e[-+]?\d+)?(?: %)?")
 
 
@@ -140,7 +142,7 @@ def _other_file(path: Path) -> str:
 def html_text(page: Page) -> str:
     """Return the text of a page; everything that is not of the template is escaped."""
     import jinja2
-    from markupsafe import Markup
+    from markupsafe import Markup, escape
 
     from ringwear_par.pictures import bokeh
 
@@ -151,6 +153,9 @@ def html_text(page: Page) -> str:
 
     surroundings = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     surroundings.tests["numeric"] = lambda cell: _NUMERIC.fullmatch(str(cell)) is not None
+    surroundings.filters["unbroken"] = lambda cell: Markup(
+        _EXPONENT.sub(r'<span class="number">\g<0></span>', str(escape(cell)))
+    )
     # bokeh reads a model before what refers to it
     surroundings.policies["json.dumps_kwargs"] = {"sort_keys": False}
     values: dict[str, Any] = {

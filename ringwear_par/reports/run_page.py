@@ -86,10 +86,11 @@ def answers(numbers: Iterable[KeyNumber]) -> list[Tile]:
     bodies = [body for body in BODIES if f"{body}_worn_volume" in known]
     labels = [("penetration", "penetration")]
     for body in bodies:
-        of = f" of {body}" if len(bodies) > 1 else ""
-        labels += [(f"{body}_worn_volume", f"worn volume{of}"), (f"{body}_mass", f"mass lost{of}"),
-                  (f"{body}_last_rate", f"wear rate{of}, at the end"),
-                  (f"{body}_specific_rate", f"specific wear rate{of}")]  # fmt: skip
+        of_body = f" of {body}" if len(bodies) > 1 else ""
+        labels += [(f"{body}_worn_volume", f"worn volume{of_body}"),
+                  (f"{body}_mass", f"mass lost{of_body}"),
+                  (f"{body}_last_rate", f"wear rate{of_body}, at the end"),
+                  (f"{body}_specific_rate", f"specific wear rate{of_body}")]  # fmt: skip
     labels += [("mean_pressure", "mean pressure"), ("largest_pressure", "largest pressure"),
               ("torque", "torque")]  # fmt: skip
     for name, label in labels:
@@ -184,7 +185,7 @@ def _stresses(result: Result) -> list[Section]:
         blocks.append(Picture("Stress inside", content.getvalue(), "image/png", alt))
         along = along_height(result, "", last)
         charts.append(Chart("depth", along, f"{label} along the height at {along.legend}"))
-    if any(len(of.z) for of in result.stress.interfaces):
+    if any(len(interface.z) for interface in result.stress.interfaces):
         blocks.append(Lines(["Beside von Mises stress: tractions along interfaces of layers."]))
         charts += [
             Chart(f"interface-{number}", panel, f"Line chart: {panel.y.label}, {panel.title}")
@@ -195,9 +196,9 @@ def _stresses(result: Result) -> list[Section]:
     if charts:
         blocks.append(Charts(charts))
     rows = [
-        (f"{state.time:.6g}", body, f"{of.mises:.5g}", f"{of.r:.6g}", f"{of.z:.6g}")
+        (f"{state.time:.6g}", body, f"{maximum.mises:.5g}", f"{maximum.r:.6g}", f"{maximum.z:.6g}")
         for state in states
-        for body, of in zip(BODIES, state.largest, strict=True)
+        for body, maximum in zip(BODIES, state.largest, strict=True)
     ]
     header = ("time (s)", "ring", "von Mises (MPa)", "at r (mm)", "z (mm)")
     caption = f"Largest von Mises stress, {result.stress.exclude:g} mm and more from edges"

@@ -1,4 +1,4 @@
-"""``ringwear export``: the numbers of a run, a sweep or a fit for spreadsheets."""
+"""``ringwear export``: the numbers of runs, sweeps, fits and measurements for spreadsheets."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.errors import InputError
-from ringwear_par.files.folders import FIT, READINGS
+from ringwear_par.files.folders import FIT, MEASURE, READINGS
 from ringwear_par.files.spreadsheets import Sheet, write_csv, write_xlsx
 from ringwear_par.files.writing import check_writable
 from ringwear_par.identification.summary import key_rows
+from ringwear_par.measuring.measure_folder import table_of
 from ringwear_par.reports.fit_page import stored_outcome, stored_readings
 from ringwear_par.results.storage.export import check_tables, titled
 from ringwear_par.results.storage.export import export as export_run
@@ -25,10 +26,10 @@ _TABLES = (".csv", ".xlsx")
 
 
 def export(run: Path, output: Path, decimal: str = "point", **choices: Any) -> str:
-    """Write a run, or the folder of a sweep or a fit, in another format; return what was written.
+    """Write a run or a folder of results in another format; return what was written.
 
-    On one rank. A .csv has the histories of a run, the cases of a sweep or the tests of a fit; an
-    .xlsx has all tables.
+    On one rank. A .csv has the histories of a run, the cases of a sweep or the tests of a fit or a
+    measurement; an .xlsx has all tables.
 
     Parameters
     ----------
@@ -60,9 +61,13 @@ def _sheets(folder: Path) -> list[Sheet]:
         return fit_sheets(folder)
     if (folder / RESULTS).exists():
         return sweep_sheets(read_ensemble(folder))
+    if (folder / MEASURE).exists():
+        with stored_outcome(folder / MEASURE, "the outcome of ringwear measure") as outcome:
+            header, rows = table_of(outcome)
+        return [Sheet("tests", header, rows, len(rows))]
     raise InputError(
-        f"{folder}: holds neither {FIT} nor {RESULTS}; must be a result file, or a folder that "
-        "ringwear sweep (without --slice) or fit has completed"
+        f"{folder}: holds none of {FIT}, {RESULTS} and {MEASURE}; must be a result file, or a "
+        "folder that ringwear sweep (without --slice), fit or measure has completed"
     )
 
 
@@ -97,7 +102,7 @@ def sweep_sheets(ensemble: Ensemble) -> list[Sheet]:
 
 
 def _states(ensemble: Ensemble) -> Iterator[Sequence[Any]]:
-    """Give the histories of all cases, a row a stored state."""
+    """Yield the histories of all cases, a row a stored state."""
     every = np.arange(len(ensemble.ids))
     tables = [ensemble.histories(name, every) for name in HISTORIES]
     for case, (identity, count) in enumerate(zip(ensemble.ids, ensemble.steps_stored, strict=True)):
@@ -132,9 +137,11 @@ def fit_sheets(folder: Path) -> list[Sheet]:
         series = stored_readings(folder / READINGS, float(outcome["level"]))[0]
     header = ("key", "estimate", "sd", "from", "to", "unit", "verdict", "note")
     readings = [
-        (one.experiment, one.name, *map(float, values), one.unit)
-        for one in series
-        for values in zip(one.x, one.data, one.sd, one.model, one.band, one.residuals, strict=True)
+        (curve.experiment, curve.name, *map(float, values), curve.unit)
+        for curve in series
+        for values in zip(
+            curve.x, curve.data, curve.sd, curve.model, curve.band, curve.residuals, strict=True
+        )
     ]
     columns = ("test", "series", "time (s) or r (mm)", "data", "sd", "model", "sd of model",
                "residual over noise", "unit")  # fmt: skip

@@ -214,8 +214,8 @@ def _laboratory(result: Result) -> dict[str, KeyNumber]:
     numbers = laboratory_numbers(course_of(result))
     entries = [(LABORATORY[name], float(values[-1])) for name, values in numbers.items()]
     return {
-        of.key: KeyNumber(of.key, of.group, of.label, value, of.variable.unit, ".4g")
-        for of, value in entries
+        n.key: KeyNumber(n.key, n.group, n.label, value, n.variable.unit, ".4g")
+        for n, value in entries
     }
 
 
@@ -225,7 +225,7 @@ def nominal_area(result: Result) -> float:
 
 
 def _penetration(result: Result, state: State) -> Iterator[KeyNumber]:
-    """Give the penetration and its parts.
+    """Yield the penetration and its parts.
 
     The worn part is the mean of both depths over what presses, the elastic one the rest. Where a
     face is not flat the approach also closes gaps: then there are no parts.
@@ -242,7 +242,7 @@ def _penetration(result: Result, state: State) -> Iterator[KeyNumber]:
 def _worn(
     result: Result, state: State, i: int, laboratory: Mapping[str, KeyNumber]
 ) -> Iterator[KeyNumber]:
-    """Give the wear of a body, nothing of one that does not wear."""
+    """Yield the wear of a body, nothing of one that does not wear."""
     body, about, line = BODIES[i], result.attributes, result.line
     if not about[f"law_{body}"]:
         return
@@ -277,7 +277,7 @@ def _unknown_densities(result: Result, body: BodyName, volume: float) -> str:
 
 
 def _layers(result: Result, body: BodyName) -> Iterator[KeyNumber]:
-    """Give the wear of the layers of a body, nothing of one without."""
+    """Yield the wear of the layers of a body, nothing of one without."""
     if f"share_through_{body}" not in result.layers:
         return
 
@@ -309,7 +309,7 @@ def _layers(result: Result, body: BodyName) -> Iterator[KeyNumber]:
 
 
 def _pressures(result: Result, contact: ContactState) -> Iterator[KeyNumber]:
-    """Give the contact pressures."""
+    """Yield the contact pressures."""
     group, n, p = "pressure", result.line.n, contact.pressure
     mean, touching = contact.force / nominal_area(result), (p > 0.0).sum()
     label = "mean over the nominal annulus"
@@ -329,7 +329,7 @@ def _pressures(result: Result, contact: ContactState) -> Iterator[KeyNumber]:
 def _loads(
     result: Result, contact: ContactState, laboratory: Mapping[str, KeyNumber]
 ) -> Iterator[KeyNumber]:
-    """Give approach, force, torque and energy, and the sliding at the mean radius."""
+    """Yield approach, force, torque and energy, and the sliding at the mean radius."""
     about = result.attributes
     last = {name: float(values[-1]) for name, values in result.histories.items()}
     yield KeyNumber("force", "load", "force", contact.force, "N")
@@ -343,7 +343,7 @@ def _loads(
 
 
 def _stresses(result: Result) -> Iterator[KeyNumber]:
-    """Give the largest stress of each body and its layers at the last state that has stresses."""
+    """Yield the largest stress of each body and its layers at the last state that has stresses."""
     if result.stress is None or not result.stress.states:
         return
     state, exclude = result.stress.states[-1], result.stress.exclude

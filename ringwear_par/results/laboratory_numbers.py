@@ -23,7 +23,7 @@ _HOUR = 3600.0
 
 @dataclass(frozen=True)
 class Course:
-    """What laboratory numbers are computed of: states of one history, or the ends of several."""
+    """What laboratory numbers are computed from: states of one history, or the ends of several."""
 
     #: (s,) s
     time: FloatArray
@@ -52,7 +52,7 @@ def _mass(body: int, course: Course) -> FloatArray | None:
     volumes, densities = course.volumes[body], course.densities[body]
     if volumes is None or np.isnan(densities).all():
         return None
-    lost = np.where(volumes > 0.0, volumes * densities, 0.0)  # of what is not lost none is needed
+    lost = np.where(volumes > 0.0, volumes * densities, 0.0)  # nothing lost needs no density
     return 1e3 * lost.sum(axis=1)
 
 
@@ -67,7 +67,7 @@ def _specific_rate(body: int, course: Course) -> FloatArray | None:
 
 
 def _ratio(volume: FloatArray, divisor: FloatArray) -> FloatArray:
-    """Return a quotient, NaN where it is none."""
+    """Return a volume over a divisor, NaN where that is not positive."""
     return np.divide(volume, divisor, out=np.full(volume.shape, np.nan), where=divisor > 0.0)
 
 
@@ -81,7 +81,7 @@ def _p_v(course: Course) -> FloatArray | None:
 
 @dataclass(frozen=True)
 class LaboratoryNumber:
-    """A number of laboratories: as a variable of states, and as key numbers call it."""
+    """A number that laboratories report: its variable, and its name among the key numbers."""
 
     variable: Variable
     #: name and group of the key number, and its own name within the group

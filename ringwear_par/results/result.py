@@ -26,7 +26,7 @@ _BALANCE = "balance_"
 
 
 class Outcome:
-    """Data whose looks and files are the matter of functions of its room.
+    """Data whose summaries, figures and files are made by functions of other modules.
 
     A class names the modules of these functions, which are loaded when a function is first used:
     no outcome knows any of them.
@@ -47,7 +47,7 @@ class Outcome:
         return getattr(import_module(self.functions[name]), name)(self, *arguments)
 
     def summary(self) -> str:
-        """Return it in a few lines, as the command prints it. Not collective.
+        """Return a summary in a few lines, as the command prints it. Not collective.
 
         Raises
         ------
@@ -56,7 +56,7 @@ class Outcome:
         return str(self.apply("summary"))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as JSON can hold it, for a page or a script. Not collective.
+        """Return its contents as JSON can hold them, for a page or a script. Not collective.
 
         Raises
         ------

@@ -64,7 +64,7 @@ def summary(result: Result, verbose: bool = False) -> str:
 
 
 def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple[str, str]]:
-    """Give the answers of a run, one a line, with four digits."""
+    """Yield the answers of a run, one a line, with four digits."""
 
     def text(name: str) -> str:
         number = numbers[name]

@@ -193,7 +193,7 @@ def _of_both(
     name: str, dimensions: tuple[str, ...], units: str, meaning: str
 ) -> dict[str, Variable]:
     """Return the variables of lower and upper, whose names and meanings have the body's."""
-    of_bodies = (dimensions, tuple("layer_upper" if of == "layer" else of for of in dimensions))
+    of_bodies = (dimensions, tuple("layer_upper" if d == "layer" else d for d in dimensions))
     return variable_table(
         *(
             Variable(name.format(body), axes, units, meaning.format(body))
@@ -358,9 +358,9 @@ INTERFACES = tuple(map(_of_interfaces, BODIES))
 EXCLUDE = Variable("stress_exclude", (), "mm", "radius round edges in which it is not looked for")
 
 
-def _largest(suffix: str, of: str) -> tuple[Variable, ...]:
+def _largest(suffix: str, bodies: str) -> tuple[Variable, ...]:
     return (
-        Variable(f"max_mises{suffix}", _STEP, "MPa", f"largest von Mises stress of {of}"),
+        Variable(f"max_mises{suffix}", _STEP, "MPa", f"largest von Mises stress of {bodies}"),
         Variable(f"max_mises{suffix}_r", _STEP, "mm", "radius at which it is"),
         Variable(f"max_mises{suffix}_z", _STEP, "mm", "height at which it is"),
         Variable(

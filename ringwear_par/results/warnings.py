@@ -113,7 +113,7 @@ class Warnings:
         # the load of one would excuse what others are to be warned of
         first = self._cases[0]
         case = replace(first, load=replace(first.load, force=0.0, displacement=None))
-        alike = np.array([other.rings == case.rings for other in self._cases])
+        alike = np.array([member.rings == case.rings for member in self._cases])
         for numbers in np.array_split(np.flatnonzero(alike), -(-len(calm) // _TOGETHER)):
             if len(numbers) > 1:
                 worst = self.worst(numbers)
@@ -142,7 +142,7 @@ class Warnings:
 def validity_warnings(
     case: Case, worst: Mapping[str, Sequence[float]], deep: Sequence[Forecast] | None = None
 ) -> tuple[ValidityWarning, ...]:
-    """Return where the states of a case left what the method is made for. Not collective.
+    """Return warnings about states of a case that the method is not made for. Not collective.
 
     Parameters
     ----------
@@ -418,7 +418,7 @@ def _infinite_at_interfaces(case: Case, history: StressHistory) -> Iterable[Vali
 def _infinite_ends(
     case: Case, history: StressHistory, state: StressState, body: int
 ) -> Iterator[tuple[int, float, float, float]]:
-    """Give the layer over each interface's free end where stresses rise, its place, and how near.
+    """Yield the layer over each interface's free end where stresses rise, its place, and how near.
 
     All in mm; beyond ``stress.exclude`` a few elements are near.
     """

@@ -139,7 +139,7 @@ def stress_checks(comm: MPI.Comm) -> Iterator[Check]:
             1e-3, torsion,
         ),
     }  # fmt: skip
-    yield from checks_of(all_errors, [(name, *of) for name, of in allowed.items()])
+    yield from checks_of(all_errors, [(name, *limits) for name, limits in allowed.items()])
     exact = list(reference.PAPER_STRESS.values())
     values = [(np.divide(_paper_stresses(n, comm), exact) - 1.0).tolist() for n in SIZES]
     yield from checks_of(

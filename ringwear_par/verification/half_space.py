@@ -93,8 +93,8 @@ def without_truncation(of_two: Iterable[float]) -> float:
 
     Its inverse is linear in 1/R.
     """
-    one, two = of_two
-    return 1.0 / (2.0 / two - 1.0 / one)
+    first, second = of_two
+    return 1.0 / (2.0 / second - 1.0 / first)
 
 
 def half_space_checks(comm: MPI.Comm) -> Iterator[Check]:

@@ -61,7 +61,9 @@ def paper_checks(comm: MPI.Comm) -> Iterator[Check]:
         )  # fmt: skip
     names = ["approach", "torque", *(f"p({r:g})" for r in pressures)]
     allowed = ((1e-5, 1.4e-6), (1e-4, 6e-7), (1e-3, 1.5e-5), (1e-3, 6e-6), (1e-3, 6e-6))
-    rows = [(f"paper, 50 MPa: {name}", *of) for name, of in zip(names, allowed, strict=True)]
+    rows = [
+        (f"paper, 50 MPa: {name}", *limits) for name, limits in zip(names, allowed, strict=True)
+    ]
     yield from checks_of(values, rows, sizes)
     pair = assemble(paper_case(Mesh(128, grading=4.0)), comm)
     for ratio in reference.EDGE_EXPONENT:
@@ -103,8 +105,8 @@ def tao_checks(comm: MPI.Comm) -> Iterator[Check]:
 
     ours, *by_petsc = map(solution, TAO_TYPES)
     largest = ours.pressure.max(axis=1, keepdims=True)
-    for tao_type, other in zip(TAO_TYPES[1:], by_petsc, strict=True):
-        error = float((np.abs(other.pressure - ours.pressure) / largest).max())
+    for tao_type, petsc_result in zip(TAO_TYPES[1:], by_petsc, strict=True):
+        error = float((np.abs(petsc_result.pressure - ours.pressure) / largest).max())
         yield Check(
             f"contact with wear by TAO's {tao_type}: pressure", (_ELEMENTS,), (error,), 1e-8
         )
@@ -193,10 +195,10 @@ def adaptive_checks(pair: ContactPair, comm: MPI.Comm) -> Iterator[Check]:
     yield Check("both wear, thresholds 40 and 60 MPa: steady pressure", (_N,),
                 (float(error),), 1e-3)  # fmt: skip
 
-    one = history(paper_case(Mesh(_N), p0=(0.0, 0.0), k=_BOTH), 300.0)
-    two = history(paper_case(Mesh(_N), p0=(0.0, 0.0), k=(2e-7, 6e-7)), 150.0)
+    slow = history(paper_case(Mesh(_N), p0=(0.0, 0.0), k=_BOTH), 300.0)
+    fast = history(paper_case(Mesh(_N), p0=(0.0, 0.0), k=(2e-7, 6e-7)), 150.0)
     yield identity("similarity: wear of twice k in half the time", _N,
-                   float(np.abs(two.last.wear / one.last.wear - 1.0).max()), 1e-8)  # fmt: skip
+                   float(np.abs(fast.last.wear / slow.last.wear - 1.0).max()), 1e-8)  # fmt: skip
 
 
 def pin_case(n: int) -> Case:

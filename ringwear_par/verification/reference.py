@@ -215,9 +215,9 @@ def burmister(x: FloatArray, layer: Material, base: Material) -> FloatArray:
     That over what a half-space of the layer's material does, (1 - nu) / (G k).
     """
     ratio = shear_modulus(layer) / shear_modulus(base)
-    one, two = 3.0 - 4.0 * layer.poisson, 3.0 - 4.0 * base.poisson
-    lam = 1.0 - (1.0 + one) / (1.0 + ratio * two)
-    kappa = (ratio - 1.0) / (ratio + one)
+    of_layer, of_base = 3.0 - 4.0 * layer.poisson, 3.0 - 4.0 * base.poisson
+    lam = 1.0 - (1.0 + of_layer) / (1.0 + ratio * of_base)
+    kappa = (ratio - 1.0) / (ratio + of_layer)
     th = np.exp(-2.0 * x)
     above = 1.0 + 4.0 * kappa * x * th - lam * kappa * th**2
     return above / (1.0 - (lam + kappa + 4.0 * kappa * x**2) * th + lam * kappa * th**2)
@@ -274,9 +274,9 @@ def torsion_mode(k: float, layers: Sequence[tuple[float, Material]]) -> FloatArr
     for h, material in reversed(layers):
         shear = shear_modulus(material)
         u, t = up[0]
-        grown, other = math.cosh(k * h), math.sinh(k * h)
-        up.insert(0, np.array([grown * u + other / (k * shear) * t, k * shear * other * u
-                               + grown * t]))  # fmt: skip
+        cosh, sinh = math.cosh(k * h), math.sinh(k * h)
+        up.insert(0, np.array([cosh * u + sinh / (k * shear) * t, k * shear * sinh * u
+                               + cosh * t]))  # fmt: skip
     return np.array(up) / up[0][1]
 
 

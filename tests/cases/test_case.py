@@ -82,7 +82,7 @@ def test_an_overriding_load_replaces_the_files():
         ("upper.grip=glued", ['"clamped" or "platen"']),
         ("lower.yung=1", ["lower.yung: unknown key", "did you mean lower.young?"]),
         ("wear.lower.q0=1", ["unknown key", "did you mean wear.lower.p0?"]),
-        ("upper.r=[41, 45]", ["do not overlap"]),
+        ("upper.r=[41, 45]", ["do not overlap", "if upper.r are diameters, write [20.5, 22.5]"]),
         ("lower.young=1" + 400 * "0", ["must be a finite number > 0"]),
         ("load.displacement=1", ["load.displacement = 1", 'needs load.control = "displacement"']),
         ("load.control=displacement", ["load.displacement is missing", "load.pressure = 80"]),

@@ -1,5 +1,6 @@
 """Laws of a case: the key that names one, what laws declare, what is tried before a run."""
 
+import re
 from dataclasses import dataclass, fields, replace
 
 import pytest
@@ -34,6 +35,7 @@ def test_no_law_is_meant_silently(text, overrides):
     told = faults(text, *overrides)
     assert len(told) == 1
     assert told[0].startswith("case.toml: wear.upper.law is missing: must be ")
+    assert re.search(r" where wear\.upper\.(k|p0) is given$", told[0])
     assert all(f'"{name}"' in told[0] for name in LAWS)
     case = parse_case(text, "case.toml", ["wear.upper={law='archard', k=1e-9}"])
     assert case.wear_upper == LAWS["archard"](1e-9)

@@ -200,7 +200,7 @@ def test_all_that_is_wrong_is_told(comm):
     assert caught.value.faults == (
         "wear.lower.k = much: must be a number in 1/MPa, or one with its unit",
         "load.omega = 3 m: must be a number in rad/s, or one with its unit (m is no unit of rad/s; "
-        "turns are rpm or turn/s)",
+        "turns are rpm or turn/s, and v in m/s at a radius r is omega = v/r)",
         "away: is no number of this case that can be moved",
     )
     with pytest.raises(rw.InputError) as caught:

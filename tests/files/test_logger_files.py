@@ -127,10 +127,10 @@ def test_weighings_have_names_first_and_columns_of_one_name():
          "line 3: t = 2026-03-14 08:14:00: goes back, line 2 has 2026-03-14 08:15:00"),
         ("t;z\n2026-03-14 08:15:00;1\n7;2\n", "line 3: t = 7: must be a date with a time"),
         ("t;z\n03/13/2026 08:15:00;1\n13/03/2026 08:15:00;2\n", "the month is first here"),
-        ("t;z\n0.5;1,130\n1.5;1,140\n", "line 2: z = 1,130: has a comma where other numbers have "
-         "decimal points; must be without separators of thousands"),
-        ("t;z\n0,5;1.130\n1,5;1.140\n", "z = 1.130: has a point where other numbers have decimal "
-         "commas"),
+        ("t;z\n0.5;1,130\n1.5;1,140\n", "line 2: z = 1,130: has a comma where other numbers, as in "
+         "line 2, have decimal points; must be without separators of thousands"),
+        ("t;z\n0,5;1.130\n1,5;1.140\n", "z = 1.130: has a point where other numbers, as in line 2, "
+         "have decimal commas"),
         ("t;z\n0.5;1,130.5\n1.5;1\n", "line 2: z = 1,130.5: must be a number, or empty; thousands "
          "must not be separated"),
         ("t;z\n0.5;1 130,5\n1.5;1\n", "thousands must not be separated"),

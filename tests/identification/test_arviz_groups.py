@@ -48,7 +48,7 @@ def dense(fit, number, size):
     covariance += FREE + (s.factor * 0.5) ** 2 * np.outer(t, t) / END**2
     covariance += size * np.outer(answers, answers) * np.minimum.outer(depths, depths)
     mean = fit.evaluation.model[record.rows] - misfit.nuisance_readings(fit.x)[record.rows]
-    random_part = answers * fit.material.excess[record.rows, 0]
+    random_part = answers * fit.material.best_fit.excess[record.rows, 0]
     slope = misfit.columns(fit.x, fit.material.test_unknowns)[record.rows, :m]
     return covariance, mean - random_part + s.factor * 0.1 * t / END, slope
 

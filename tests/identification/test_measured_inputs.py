@@ -239,6 +239,8 @@ def test_all_faults_of_inputs_are_told_together(tables, written):
         'quantity = "torque": must be absent: a load or a speed is its own quantity',
     ):
         assert sentence in text, (sentence, text)
+    of_wrong_case = changed(tables, ("experiment", 1, "set"), {"load.pressure": -1.0})
+    assert sum("input 3: smooth = " in fault for fault in refused(of_wrong_case)) == 1
     few = changed(tables, ("experiment",), [second])
     del few["experiment"][0]["input"][0]["smoth"], few["experiment"][0]["input"][1:]
     del few["fit"]["parameters"][MU]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ringwear_par.measuring.analysis.budget import Estimate, Source, shortest_interval
+from ringwear_par.measuring.measure_numbers import estimate_text
 
 pytestmark = pytest.mark.serial
 
@@ -68,3 +69,8 @@ def test_the_shortest_interval_of_a_leaning_distribution_is_shorter_than_its_qua
     # the mode of densities at both ends: equal for the shortest
     density = [np.exp(-0.5 * np.log(x) ** 2) / x for x in (low, high)]
     assert density[0] == pytest.approx(density[1], rel=0.15)
+
+
+def test_nothing_is_told_in_the_digits_of_its_uncertainty():
+    assert estimate_text(0.0, 1.2e-8) == "0.0e-08 from -2.4e-08 to 2.4e-08 (95 %)"
+    assert estimate_text(1.9e-6, 0.6e-6, "um") == "1.9e-06 um from 0.7e-06 to 3.1e-06 (95 %)"

@@ -26,6 +26,7 @@ from rig_records import record as readings
 
 import ringwear_par as rw
 from ringwear_par.measuring.analysis.repeats import repeats_of
+from ringwear_par.reports.spreadsheets import export
 
 pytestmark = pytest.mark.serial
 EXAMPLE = ROOT / "scripts/measure"
@@ -164,13 +165,19 @@ def test_only_equal_conditions_are_repeats(laboratory):
     assert repeats_of([]) == ()
 
 
-def test_doubts(laboratory):
+def test_doubts(laboratory, tmp_path):
     folder, _, result = laboratory
     codes = {t.name: [doubt.code for doubt in t.doubts] for t in result.tests}
     assert codes["W1"] == ["displacement-against-weighing"]  # of rings that grow
     assert "gap" in codes["W2"]
     assert "not-steady" in codes["W4"]
     case = folder / "rig.toml"
+    rows = [row.split(";") for row in (folder / "W4.csv").read_text().splitlines()]
+    half = len(rows) // 2
+    stuck = rows[:half] + [[time, "999.9", *others] for time, _, *others in rows[half:]]
+    (tmp_path / "stuck.csv").write_text("\n".join(map(";".join, stuck)))
+    (test,) = rw.measure(tmp_path / "stuck.csv", case=case).tests
+    assert [doubt.code for doubt in test.doubts] == ["not-steady", "stands-still"]
     tables = {"case": str(case), "test": [{"name": "W1", "file": str(folder / "W1.csv")}]}
     tables["measure"] = {"steady": {"from": "16 h"}}
     (test,) = rw.measure(tables).tests
@@ -253,6 +260,15 @@ def test_a_folder_holds_numbers_a_table_and_a_picture(laboratory, tmp_path):
     assert value == pytest.approx(stored["tests"]["W1"]["specific_wear_rate"]["value"], rel=1e-5)
     assert rows[0]["temperature, mean / degC"]
     assert not rows[1]["temperature, mean / degC"]
+    export(tmp_path / "out", tmp_path / "out.csv", "comma")
+    header, first, second, *_ = csv.reader(
+        (tmp_path / "out.csv").read_text().splitlines(), delimiter=";"
+    )
+    assert header == list(rows[0])
+    assert float(first[header.index("friction / 1")].replace(",", ".")) == pytest.approx(
+        float(rows[0]["friction / 1"]), rel=1e-5
+    )
+    assert second[header.index("temperature, mean / degC")] == ""
 
 
 def test_a_test_with_one_channel(laboratory, tmp_path):

@@ -106,6 +106,8 @@ def change(name, old, new):
         ("rig.toml", "force = 1130.0", "displacement = 0.1",
          'load.control = "displacement": must be "force"'),
         ("rig.toml", "[wear.lower]", "[wear.upper]", "upper.density is missing"),
+        ("rig.toml", "force = 1130.0", "force = [[0, 9], [1, 0], [2, 9]]", "load.force = a table "
+         "to 9 and load.omega = 6.28319: the load must be > 0 at all times"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_told(name, old, new, said, measure):

@@ -44,6 +44,7 @@ def test_conditions_with_equally_many_repeats_have_a_tile_each(page, tmp_path):
     text = (tmp_path / "page.html").read_text()
     for names in ("W1, W2, W3", "X1, X2, X3", "W4"):
         assert f"specific wear rate of {names}<" in text
+    assert re.search(r'<td><span class="number">1\.\d+e-06</span> from', text)  # on one line
 
 
 def test_the_tables_of_both_standards(page):

@@ -136,6 +136,7 @@ def test_columns_and_units_that_are_named(read):
         ("t_s;Weg_um;z_mm", {}, "the columns Weg_um and z_mm may both be of wear; columns = "),
         ("x_s;z_um", {}, "has the columns x_s, z_um; must have one of time, such as t, time"),
         ("t_s;a;b", {}, "must have one of wear or torque, such as wear, depth"),
+        ("Rig;A\nStart;1.2.26", {"row": lambda _: "T;x"}, "has no reading: no line begins with"),
         ("t_s;z_um", {"columns": {"wear": "Z"}}, "has no column Z for wear; must be one of t_s"),
         ("t_s;z_um", {"units": {"wear": "kg"}}, "must be the unit of a length"),
         ("t_s;w_kg", {"columns": {"wear": "w_kg"}}, "the column w_kg is in kg by its name; must"),

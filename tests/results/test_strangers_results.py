@@ -175,7 +175,10 @@ def test_any_flipped_bit_is_one_sentence(run):
     assert rw.open_result(run).steps_made[-1] == 3
 
 
-def test_a_file_that_another_program_has_changed_is_read(run):
+def test_a_file_that_another_program_has_changed_is_read(run, caplog):
+    with pytest.raises(InputError, match="is not a result file of ringwear, or is damaged"):
+        rw.open_result(__file__)
+    assert not caplog.text  # no word of a checksum
     with h5py.File(run, "r+") as file:
         file.attrs["title"] = "another"
     assert rw.open_result(run).attributes["title"] == "another"

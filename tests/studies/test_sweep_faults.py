@@ -170,7 +170,7 @@ def test_cases_that_never_converge(tmp_path, short):
 def test_what_marks_a_stop_goes_through_no_link(tmp_path):
     elsewhere, mark = tmp_path / "elsewhere", tmp_path / "STOPPED"
     mark.symlink_to(elsewhere)
-    summary._mark(mark)
+    summary.mark_stopped(mark)
     assert not elsewhere.exists()
     assert mark.is_file()
     assert not mark.is_symlink()

@@ -46,7 +46,7 @@ class FileStore:
         Parameters
         ----------
         skip : lines at its beginning that are left out.
-        drop : cells that are empty ones.
+        drop : texts of cells that count as empty.
         """
         return self.read(name, read_measurements, skip=skip).without(drop)
 

@@ -116,9 +116,16 @@ def _overlap_faults(name: str, values: Mapping[str, Any]) -> list[str]:
     lower, upper, contact = values["lower.r"], values["upper.r"], values.get("mesh.contact")
     a, b = max(lower[0], upper[0]), min(lower[1], upper[1])
     if a >= b:
+        body, (inner, outer), other = (
+            ("upper", upper, lower) if upper[0] > lower[0] else ("lower", lower, upper)
+        )
+        halves = 0.5 * inner, 0.5 * outer
+        within = other[0] < halves[1] and halves[0] < other[1]
         return [
             f"{name}: upper.r = {list(upper)} and lower.r = {list(lower)}: the rings do not "
             "overlap; their radii must have an interval in common (mm)"
+            + f"; if {body}.r are diameters, write [{halves[0]:g}, {halves[1]:g}]"
+            * within
         ]
     if contact is None or (contact[0] < b and contact[1] > a):
         return []

@@ -134,10 +134,12 @@ def read_law(
         without those that a misspelt one means.
     faults : what is wrong with the case.
     """
-    if not any(path.startswith(f"{table}.") for path in keys):
+    first = next((path for path in keys if path.startswith(f"{table}.")), None)
+    if first is None:
         return None
     if values.get(f"{table}.law", "") is None:
-        faults.append(f"{name}: {table}.law is missing: {_rule(f'{table}.law')}")
+        rule = _rule(f"{table}.law")
+        faults.append(f"{name}: {table}.law is missing: {rule} where {first} is given")
     law = values.get(f"{table}.law")
     if law is None:
         return None
@@ -260,7 +262,7 @@ _ALIASES: dict[str, tuple[str, ...]] = {
 _NEAR, _NEAR_SHORT, _NEAR_ELSEWHERE = 0.6, 0.5, 0.75
 #: entries of a layer
 _LAYER_ENTRIES = tuple(dict.fromkeys(key.path.partition(".")[0] for key in LAYER_KEYS))
-#: what is meant as one
+#: names that are meant as an entry of a layer
 _LIKE_A_LAYER = re.compile(r"(lower|upper)\.layers?(?:[\[.](\d{1,3})\]?|\[[^\]]*\])?\.", re.ASCII)
 #: longer than any key, and slow to compare
 _LONGEST = 100

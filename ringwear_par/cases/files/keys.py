@@ -34,14 +34,14 @@ _ALTERNATIVES = (
 _FILES = frozenset({"wear.lower.file", "wear.upper.file"})
 _PROFILES = frozenset({"lower.profile", "upper.profile"})
 _PARAMETERS = frozenset({"wear.lower.parameters", "wear.upper.parameters"})
-#: tables that say something by being there
+#: tables whose mere presence means something
 _NEVER_EMPTY = {"stress", "stress.grid"}
 _FIXED_STEPS = frozenset({"time.step", "time.steps"})
 
 
 @contextmanager
 def naming(prefix: str) -> Iterator[None]:
-    """Say where faults are that do not tell: "--set", "case.toml:"."""
+    """Begin each fault with where it is, such as "--set" or "case.toml:"."""
     try:
         yield
     except InputError as error:
@@ -191,7 +191,7 @@ def _entries(tables: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]
         path = f"{prefix}{name}"
         if isinstance(value, Mapping) and path not in BY_PATH:
             yield from _entries(value, f"{path}.")
-            if not value and path not in TABLES - _NEVER_EMPTY:  # to be told so
+            if not value and path not in TABLES - _NEVER_EMPTY:  # so that it is reported
                 yield path, value
         else:
             yield path, plain(value)
@@ -257,7 +257,7 @@ def in_full(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
     Parameters
     ----------
-    keys : in which numbers may have units of their own; wrong ones stay, for who reads them.
+    keys : in which numbers may have units of their own; wrong ones stay, to be refused by readers.
     folder : from which the names of files count.
 
     Raises
@@ -296,7 +296,7 @@ def _value_in_full(path: str, value: Any, folder: Path) -> Any:
     if path in _FILES and isinstance(value, str):
         try:
             return str((folder / value).resolve())
-        except (OSError, RuntimeError, ValueError):  # who reads it will be told
+        except (OSError, RuntimeError, ValueError):  # its reader reports it
             return value
     if path in _PROFILES and isinstance(value, dict):
         return _face_in_full(path, value, folder)
@@ -338,7 +338,7 @@ def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
         keys.pop("time.end", None)
     merged = {**keys, **changes}
     lost = unread_keys(merged).keys() - changes.keys()
-    if lost:  # what the file gave in vain is for it to be told
+    if lost:  # keys that had no meaning in the file before stay, and are reported
         lost -= unread_keys(keys).keys()
     return {path: value for path, value in merged.items() if path not in lost}
 

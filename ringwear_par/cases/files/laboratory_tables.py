@@ -18,7 +18,13 @@ from ringwear_par.cases.files.weighings import (
 )
 from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.cases.tables import Key, TableReader
-from ringwear_par.cases.units import bare_name, factor, has_unit, number_and_unit
+from ringwear_par.cases.units import (
+    bare_name,
+    factor,
+    has_unit,
+    number_and_unit,
+    unit_of_column,
+)
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible
@@ -28,7 +34,7 @@ from ringwear_par.files.text import parse_value, shortened
 
 log = logging.getLogger(__name__)
 
-#: words in names of columns, by what these are of; letters alone are names as they are
+#: words in names of columns by their role; single letters count with their case
 _WORDS: dict[str, set[str]] = {
     "name": {"name", "test", "versuch"},
     "specimen": {"specimen", "probe"},
@@ -44,12 +50,16 @@ _WORDS: dict[str, set[str]] = {
 _TEXTS, _MASSES = ("name", "specimen", "batch", "lab"), (*KINDS, "sd")
 #: a case has one of them
 _LOADS = {"load.force", "load.pressure"}
-#: units of what is no key of a case
+#: units of roles that are no key of a case
 _UNITS = {"at": "s", **dict.fromkeys(_MASSES, "g")}
 #: of masses in g: differences have the digits that were typed, and no more
 _DIGITS = 12
 #: of a case
 _TABLES = {path.partition(".")[0] for path in BY_PATH}
+#: rows of them are no tests
+_STATISTICS = {"mean", "average", "mittelwert", "mittel", "median", "sum", "summe", "sd", "std",
+               "stdev", "stabw", "min", "max"}  # fmt: skip
+_SPEEDS = "; a speed v in m/s at a radius r is load.omega = v/r"
 #: in texts of ``[[tests.data]]``: the name of a column
 _PLACE = re.compile(r"\{([^{}]+)\}")
 
@@ -107,7 +117,8 @@ def laboratory_tests(
         return {}
     in_table: list[str] = []
     columns = _columns(table, names, units, worn, in_table)
-    tests = {} if in_table else _Rows(table, columns, sd, templates, in_table).tests()
+    rows = _Rows(table, columns, sd, templates, in_table)
+    tests = rows.check() if in_table else rows.tests()
     if worn and not in_table:
         _name_unused(table, columns, templates)
     for fault in in_table:
@@ -116,7 +127,7 @@ def laboratory_tests(
 
 
 def _texts(reader: TableReader, key: str) -> Mapping[str, str]:
-    """Return a table of texts by what columns are of."""
+    """Return a table of texts by the role of columns."""
     table = reader.raw(key, {})
     if not isinstance(table, Mapping) or not all(isinstance(v, str) for v in table.values()):
         reader.wrong(key, "must be a table of texts")
@@ -198,7 +209,7 @@ def _bodies(name: str) -> list[str]:
 
 
 def _base(role: str) -> str:
-    """Return a unit of what a role is of, "" for none."""
+    """Return the unit of a role, "" for none."""
     key = key_of(role)
     unit = _UNITS.get(role.partition(".")[0], "") if key is None else key.unit
     return "" if unit in ("-", "1") else unit
@@ -249,7 +260,7 @@ def _column(
 
 
 def _refuse_twins(table: Measurements, columns: Sequence[_Column], faults: list[str]) -> None:
-    """Refuse columns of the same, but of masses, whose mean counts."""
+    """Refuse two columns of one role; of masses the mean counts."""
     known: dict[tuple[str, str], int] = {}
     for column in columns:
         first = known.setdefault((column.role, column.body), column.place)
@@ -266,12 +277,13 @@ def _name_unused(
     columns: Sequence[_Column],
     templates: Mapping[str, list[Mapping[str, Any]]],
 ) -> None:
-    """Warn of columns that neither are of something nor stand in a template."""
+    """Warn of columns that have no role and stand in no template."""
     used = {table.columns[column.place] for column in columns}
     for template in (template for tables in templates.values() for template in tables):
         used |= {name for text in template.values() for name in _PLACE.findall(str(text))}
     if unused := [name for name in table.columns if name and name not in used]:
-        log.warning("%s: %s", table.name, unused_columns(unused))
+        speeds = any(unit_of_column(table.label(name), "m/s") for name in unused)
+        log.warning("%s: %s%s", table.name, unused_columns(unused), _SPEEDS * speeds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,7 +304,11 @@ class _Rows:
         place = next(column.place for column in self.columns if column.role == "name")
         rows: dict[str, list[int]] = {}
         for number, row in enumerate(self.table.rows):
-            if row[place]:
+            if row[place].lower().strip(" .:") in _STATISTICS:
+                self._fault(
+                    number, f"{legible(row[place])}: is no test by its name; must be left out"
+                )
+            elif row[place]:
                 rows.setdefault(row[place], []).append(number)
             else:
                 self._fault(number, "names no test; must begin with a name")
@@ -302,6 +318,13 @@ class _Rows:
             if len(self.faults) == before:
                 tests[f"{self.table.name}: line {self.table.lines[numbers[0]]}"] = test
         return tests
+
+    def check(self) -> dict[str, dict[str, Any]]:
+        """Check all cells of the columns that are right; return no tests."""
+        for column in self.columns:
+            for number in range(len(self.table.rows)):
+                self._value(column, number)
+        return {}
 
     def _fault(self, number: int, sentence: str) -> None:
         self.faults.append(f"{self.table.name}: line {self.table.lines[number]}: {sentence}")
@@ -414,11 +437,24 @@ class _Rows:
             return cell
         if not column.unit and not NUMBER.fullmatch(cell.replace(",", ".")):
             return parse_value(cell)
+        hour = factor("h", column.unit) if column.unit and _base(column.role) == "s" else None
         try:
-            (value,) = cells.numbers(cells.columns[0], np.arange(len(cells.rows)) == number)
+            (read,) = cells.numbers(cells.columns[0], np.arange(len(cells.rows)) == number, hour)
         except InputError as error:
-            self.faults.extend(fault for fault in error.faults if fault not in self.faults)
+            self._add(error.faults)
             return None
+        value = parse_value(cell) if cell.isdigit() else float(read)
         if column.unit:
-            return f"{float(value)!r} {column.unit}"
-        return parse_value(cell) if cell.isdigit() else float(value)
+            value = f"{float(read)!r} {column.unit}"
+        if key := key_of(column.role):
+            try:
+                key.value(value)
+            except RejectedError:
+                name, line = legible(cells.columns[0]), cells.lines[number]
+                self._add([f"{cells.name}: line {line}: {name} = {legible(cell)}: {key.rule}"])
+                return None
+        return value
+
+    def _add(self, faults: Sequence[str]) -> None:
+        """Add faults that are not there."""
+        self.faults.extend(fault for fault in faults if fault not in self.faults)

@@ -145,7 +145,7 @@ def _tested(case: Case, body: str, law: Law) -> int:
                 subject = "derivative of the rate with respect to worn depth"
                 failed += _print_test(test, f"{subject}, t = {time:g} s, {worn:g} mm worn")
         for name in law.numeric:
-            # memory is worth something only where something is worn
+            # a law's memory has an effect only where something is worn
             wears, where = law.rate(p, at).any(), f"t = {time:g} s, {_WORN:g} mm worn"
             if wears and not depends(law, at, p, name):
                 print(f"  {'-':4} the rate does not depend on {name}, {where}")

@@ -1,9 +1,9 @@
 """Reading cases: from a text or tables to dotted keys, overrides, and from keys to a ``Case``."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from ringwear_par.cases.case import (
     Case,
@@ -37,11 +37,13 @@ from ringwear_par.cases.schema import SCHEMES
 from ringwear_par.cases.stress import Grid, Stress
 from ringwear_par.cases.stress_points import check_stress
 from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.elasticity.sections import Grip, Polyline
+from ringwear_par.elasticity.sections import Polyline
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import read_text, toml_text
 from ringwear_par.schedules import Quantity, Table
 from ringwear_par.wear.law import Law
+
+T = TypeVar("T")
 
 _WEAR = ("wear.lower", "wear.upper")
 
@@ -172,12 +174,16 @@ def _read_layers(
     for table in layer_tables(keys):
         if table.startswith(path):
             law = read_law(origin.name, f"{table}.wear", raw, values, faults)
-            names = [f"{table}.{name}" for name in ("thickness", "young", "poisson")]
-            if values.keys() >= set(names):
-                thickness, young, poisson = (values[name] for name in names)
-                density = values.get(f"{table}.density")
-                layers.append(RingLayer(thickness, young, poisson, law, density))
+            if values.keys() >= {f"{table}.{name}" for name in ("thickness", "young", "poisson")}:
+                layers.append(_of_keys(RingLayer, table, values, wear=law))
     return tuple(layers)
+
+
+def _of_keys(kind: type[T], table: str, values: Mapping[str, Any], **more: Any) -> T:
+    """Return a dataclass whose fields are called as the keys of a table, and ``more``."""
+    keys = {field.name: f"{table}.{field.name}" for field in fields(kind)}  # type: ignore[arg-type]
+    read = {name: values[key] for name, key in keys.items() if key in values}
+    return kind(**{**read, **more})
 
 
 def _build(
@@ -186,34 +192,20 @@ def _build(
     faces: Mapping[str, Polyline],
     layers: Mapping[str, tuple[RingLayer, ...]],
 ) -> Case:
-    def ring(which: str, grip: Grip) -> Ring:
-        r, z, young, poisson = (values[f"{which}.{k}"] for k in ("r", "z", "young", "poisson"))
-        density = values[f"{which}.density"]
-        return Ring(r, z, young, poisson, grip, faces[which], density, layers[f"{which}.layers"])
+    def ring(body: str, **grip: Any) -> Ring:
+        body_layers = layers[f"{body}.layers"]
+        return _of_keys(Ring, body, values, face=faces[body], layers=body_layers, **grip)
 
     case = Case(
-        lower=ring("lower", "clamped"),
-        upper=ring("upper", values["upper.grip"]),
+        lower=ring("lower", grip="clamped"),
+        upper=ring("upper"),
         friction=values["contact.friction"],
         wear_lower=laws[0],
         wear_upper=laws[1],
-        load=Load(values["load.omega"], values["load.force"], values["load.displacement"]),
+        load=_of_keys(Load, "load", values),
         time=_stepping(values),
-        mesh=Mesh(
-            values["mesh.contact_elements"],
-            values["mesh.grading"],
-            values["mesh.quadrature_tolerance"],
-            values["mesh.contact"],
-            values["mesh.geometry"],
-            values["mesh.geometry_tolerance"],
-        ),
-        output=Output(
-            values["output.every"],
-            values["output.fields"],
-            values["output.profiles"],
-            values["output.times"] or (),
-            values["output.boundary"],
-        ),
+        mesh=_of_keys(Mesh, "mesh", values),
+        output=_of_keys(Output, "output", values, times=values["output.times"] or ()),
         title=values["title"],
     )
     if values["load.pressure"] is not None:
@@ -228,19 +220,14 @@ def _build(
 
 
 def _stress(values: Mapping[str, Any]) -> Stress:
-    points, times, exclude = (values[f"stress.{key}"] for key in ("points", "times", "exclude"))
-    body, r, z, n = (values[f"stress.grid.{key}"] for key in ("body", "r", "z", "n"))
-    return Stress(points or (), Grid(body, r, z, n) if n else None, times, exclude)
+    grid = _of_keys(Grid, "stress.grid", values) if values["stress.grid.n"] else None
+    return _of_keys(Stress, "stress", values, points=values["stress.points"] or (), grid=grid)
 
 
 def _stepping(values: Mapping[str, Any]) -> Stepping:
-    scheme, step, steps = (values[f"time.{key}"] for key in ("scheme", "step", "steps"))
-    if not SCHEMES[scheme]:
-        return Stepping(scheme, step, steps)
+    if not SCHEMES[values["time.scheme"]]:
+        return _of_keys(Stepping, "time", values)
     end = values["time.end"]
-    return Stepping(
-        scheme,
-        until=step * steps if end is None else end,
-        tolerance=values["time.tolerance"],
-        pressure_tolerance=values["time.pressure_tolerance"],
-    )
+    if end is None:
+        end = values["time.step"] * values["time.steps"]
+    return _of_keys(Stepping, "time", values, step=0.0, steps=0, until=end)

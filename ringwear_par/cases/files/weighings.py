@@ -17,7 +17,7 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, read_measurements, unused_columns
 from ringwear_par.files.table_text import EMPTY
 
-#: what a column of masses is of, and the words of its name that tell it
+#: kinds of columns of masses, and the words in their names
 KINDS = {
     "before": {"before", "vor", "vorher", "initial"},
     "after": {"after", "nach", "nachher", "final"},

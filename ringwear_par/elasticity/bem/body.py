@@ -47,7 +47,7 @@ class BodyCost:
 
 @dataclass(frozen=True)
 class Response:
-    """Boundary values for each load, on every rank, those of one zone after those of another."""
+    """Boundary values for each load, on every rank, zone after zone."""
 
     #: (wanted nodes, 3, n_loads) float, mm at E = 1
     displacement: FloatArray
@@ -188,19 +188,19 @@ def solve_assembled(bodies: Sequence[Assembled], comm: MPI.Comm) -> list[Respons
 def _wanted(
     body: Assembled, normal: Solution, torsion: Solution, comm: MPI.Comm
 ) -> tuple[FloatArray, FloatArray]:
-    """Return displacements and tractions that are wanted of a solution. Collective on comm."""
+    """Return the displacements and tractions that a problem asks for. Collective on comm."""
     nodes, elements = body.problem.nodes, body.problem.elements
     columns = [
-        np.concatenate([of.displacement[at] for of, at in zip(body.dofs, nodes, strict=True)]),
-        np.concatenate([of.traction[at] for of, at in zip(body.dofs, elements, strict=True)]),
+        np.concatenate([dofs.displacement[at] for dofs, at in zip(body.dofs, nodes, strict=True)]),
+        np.concatenate([dofs.traction[at] for dofs, at in zip(body.dofs, elements, strict=True)]),
     ]
-    sign = np.concatenate([of.sign[at] for of, at in zip(body.dofs, elements, strict=True)])
+    sign = np.concatenate([dofs.sign[at] for dofs, at in zip(body.dofs, elements, strict=True)])
     n_loads = body.rows.normal.loads.shape[1]
-    displacement, traction = (np.zeros((*of.shape, n_loads)) for of in columns)
+    displacement, traction = (np.zeros((*dofs.shape, n_loads)) for dofs in columns)
     for c, (x, start) in enumerate((normal, normal, torsion)):
-        for target, of in zip((displacement, traction), columns, strict=True):
-            local = of[:, c] - start
-            here = (of[:, c] >= 0) & (local >= 0) & (local < len(x))
+        for target, dofs in zip((displacement, traction), columns, strict=True):
+            local = dofs[:, c] - start
+            here = (dofs[:, c] >= 0) & (local >= 0) & (local < len(x))
             target[here, c] = x[local[here]]
     for array in (displacement, traction):  # each entry is known to one rank: the sum is exact
         comm.Allreduce(MPI.IN_PLACE, array, MPI.SUM)
@@ -244,7 +244,7 @@ def boundary_responses(
     """
     zones = body_zones(body, line, mesh, worn, slope, fine=fine)
     counts = [(len(zone.boundary.nodes), len(zone.boundary.elements)) for zone in zones]
-    nodes, elements = (tuple(map(np.arange, of)) for of in zip(*counts, strict=True))
+    nodes, elements = (tuple(map(np.arange, numbers)) for numbers in zip(*counts, strict=True))
     problem = BoundaryProblem(zones, mesh.quadrature_tolerance, nodes, elements)
     response = solve_bodies([problem], comm)[0]
     responses, after = [], np.cumsum(counts, axis=0)[:-1]

@@ -183,7 +183,7 @@ def face_elements(
     section: Section, contact: tuple[float, float], mesh: Mesh, *, fine: bool = False
 ) -> int:
     """Return how many elements the contact face has, and each side of an interface."""
-    flats = sum(n for of in _flats(section, contact, mesh, fine) for *_, n in of)
+    flats = sum(n for side in _flats(section, contact, mesh, fine) for *_, n in side)
     return mesh.contact_elements + flats
 
 

@@ -84,13 +84,13 @@ _2_52_AND_BIAS = 2.0**52 + 1023.0
 def _polynomial(coefficients: tuple[float, ...], x: float) -> float:
     # odd and even powers apart: two short chains are quicker than a long one
     n, x2 = len(coefficients), x * x
-    one, other = coefficients[0], coefficients[1]
+    first, second = coefficients[0], coefficients[1]
     for i in range(2, n - n % 2, 2):
-        one = one * x2 + coefficients[i]
-        other = other * x2 + coefficients[i + 1]
+        first = first * x2 + coefficients[i]
+        second = second * x2 + coefficients[i + 1]
     if n % 2 == 0:
-        return one * x + other
-    return one * x2 + coefficients[n - 1] + other * x
+        return first * x + second
+    return first * x2 + coefficients[n - 1] + second * x
 
 
 @compiled(inline="always")

@@ -47,7 +47,7 @@ def moving_parts(
     if not wears:
         elements = np.zeros(len(unworn[0].elements), dtype=bool)
         elements[unworn[0].contact] = True
-        still = [Moving(*(np.zeros(len(of), bool) for of in zone[:2])) for zone in unworn]
+        still = [Moving(*(np.zeros(len(flags), bool) for flags in zone[:2])) for zone in unworn]
         return Moving(still[0].nodes, elements), *still[1:]
     height = section.height + float(section.depth(line.edges).min())
     little = 1e-3 * min((section.height, *section.layers))

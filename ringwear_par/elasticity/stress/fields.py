@@ -123,8 +123,8 @@ class StressState:
 
     @property
     def of_both(self) -> Largest:
-        """The larger of the largest."""
-        return max(self.largest, key=lambda of: -math.inf if math.isnan(of.mises) else of.mises)
+        """The largest von Mises stress of both bodies."""
+        return max(self.largest, key=lambda x: -math.inf if math.isnan(x.mises) else x.mises)
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class StressHistory:
     @property
     def layers(self) -> tuple[int, int]:
         """Number of layers of lower and upper, the body itself included; 0 of one without."""
-        lower, upper = (len(of.z) + 1 if len(of.z) else 0 for of in self.interfaces)
+        lower, upper = (len(body.z) + 1 if len(body.z) else 0 for body in self.interfaces)
         return lower, upper
 
     @property

@@ -1,4 +1,4 @@
-"""Where a body is looked at for its largest von Mises stress.
+"""Points of a body at which the largest von Mises stress is looked for.
 
 Edges of the contact are left out with a radius round them, as stresses are infinite there as long
 as no wear has rounded them; and ends of interfaces, where they are infinite for ever. So are the

@@ -246,10 +246,10 @@ def _beside_interfaces(
     return sides
 
 
-def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
-    if one is None or other is None:
-        return one is other
-    return bool(np.array_equal(one, other))
+def _same(first: FloatArray | None, second: FloatArray | None) -> bool:
+    if first is None or second is None:
+        return first is second
+    return bool(np.array_equal(first, second))
 
 
 def load_stress_kernels(comm: MPI.Comm) -> None:

@@ -119,18 +119,18 @@ def faces(boundary: BoundaryMesh) -> Faces:
     nodes, elements = boundary.nodes, boundary.elements
     k = len(elements)
     kind = np.zeros(k, dtype=np.int64)
-    for i, of in enumerate(("contact", "fixed", "above", "below"), 1):
-        kind[getattr(boundary, of)] = i
+    for i, name in enumerate(("contact", "fixed", "above", "below"), 1):
+        kind[getattr(boundary, name)] = i
     follow, starts = _following(elements)
     along = nodes[elements[:, 2]] - nodes[elements[:, 0]]
     length, angle = np.hypot(*along.T), np.arctan2(along[:, 1], along[:, 0])
 
     def breaks(e: int) -> bool:
         """Tell whether a run ends behind an element."""
-        other = follow[e]
-        if other < 0 or kind[other] != kind[e]:
+        neighbour = follow[e]
+        if neighbour < 0 or kind[neighbour] != kind[e]:
             return True
-        turn = (angle[other] - angle[e] + math.pi) % (2.0 * math.pi) - math.pi
+        turn = (angle[neighbour] - angle[e] + math.pi) % (2.0 * math.pi) - math.pi
         return bool(abs(turn) > CORNER_ANGLE)
 
     heads = [*starts, *(int(follow[e]) for e in range(k) if follow[e] >= 0 and breaks(e))]

@@ -52,7 +52,7 @@ class Influence:
 
 @dataclass(frozen=True)
 class Located:
-    """Where points are to a boundary."""
+    """Where points lie relative to a boundary."""
 
     #: (p,) int, the nearest
     element: IntArray
@@ -160,8 +160,7 @@ class _Recipe:
             away = _smooth(min(max(share, 0.0), 1.0))
             self._integrate(p, point, 1.0 - away)
         weights = [
-            away
-            * math.prod((distance - other) / (depth - other) for other in depths if other != depth)
+            away * math.prod((distance - node) / (depth - node) for node in depths if node != depth)
             for depth in depths
         ]
         self._take_surface(p, element, t, weights[0])

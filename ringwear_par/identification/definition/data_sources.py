@@ -32,11 +32,13 @@ from ringwear_par.files.text import shortened
 from ringwear_par.identification.definition.problem import BASE, Problem
 from ringwear_par.identification.definition.schema import SD
 
-#: readings of which data are smoothed by their median
+#: window of the running median that smooths data, in readings
 _SMOOTH = 9
-#: of the largest reading: below it a relative error means nothing
+#: s; records that begin so late, but within a day, may have times of day
+_HOUR = 3600.0
+#: share of the largest reading below which a relative error means nothing
 _NEAR_ZERO = 0.05
-#: the true value is at most the reading, at least; else the reading is one
+#: by word: the true value is at most the reading (-1), at least (1), or equal to it (0)
 _SIDES = {"below": -1, "above": 1, "": 0}
 
 
@@ -44,14 +46,16 @@ _SIDES = {"below": -1, "above": 1, "": 0}
 class Readings:
     """Readings and where they are from."""
 
-    #: (n,) as a series has them.
+    #: (n,) times or radii, and values, in the units of a series
     x: FloatArray
     value: FloatArray
-    #: of the data, and how much it is in the units of a case.
+    #: unit of the data, and its size in the unit of a case
     unit: str
     factor: float
-    #: sentences about columns whose unit nobody names, and about times of day.
+    #: sentences about columns whose unit nobody names.
     assumptions: tuple[str, ...] = ()
+    #: sentences about times that are of the day, or may be.
+    suspicions: tuple[str, ...] = ()
     #: the table and which of its rows have readings; None of others.
     data: Measurements | None = None
     rows: BoolArray | None = None
@@ -67,7 +71,7 @@ def read_readings(
 ) -> Readings | None:
     """Return the readings of a table of a fit file at ``at`` (s) or until the end (s) of the test.
 
-    None, and faults, where there are none; ``kind`` is the first part of the quantity.
+    None, and faults, where there are none; ``kind`` is a name in ``READING_KINDS``.
     """
     where, once = ("r", ()) if kind == "profile" else ("times", ("value",))
     single_key = next((key for key in ("file", *once) if key in reader), "")
@@ -106,7 +110,7 @@ def _single(reader: TableReader, kind: str, at: float) -> Readings | None:
 def _planned(
     reader: TableReader, kind: str, at: float | None, end: float, plans: bool
 ) -> Readings | None:
-    """Return readings that are to be taken, or why there are none in words."""
+    """Return readings that are planned; None, and faults, where there are none."""
     where = "r" if kind == "profile" else "times"
     file_keys = {"columns", "units", "skip", "drop"} & reader.keys()
     once = kind in ("mass", "volume", "through") or (at is not None and kind != "profile")
@@ -186,31 +190,32 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
         column_names[role], units_by_role[role], factors[role] = column, unit, scale
     if len(column_names) < len(roles):
         return None
-    sentences: list[str] = []
     rows = data.filled(*column_names.values())
     if "time" in column_names:
         rows = data.first_stamps(column_names["time"], rows)
     hour = factor("h", "s") / factors["time"] if "time" in roles else None
     x = factors[roles[0]] * _column(reader, data, column_names[roles[0]], rows, hour)
-    if (
-        hour is not None
-        and len(x)
-        and x[0] > end
-        and has_hours(data.first_cell(column_names["time"]))
-    ):
-        x = x - x[0]
+    doubts: list[str] = []
+    if hour is not None and len(x) and has_hours(data.first_cell(column_names["time"])):
         first = legible(data.first_cell(column_names["time"]))
-        sentences.append(
-            f"the times begin with {first}, after the end of the test; they are taken as times of "
-            "day, that of the first reading as 0"
-        )
+        if x[0] > end:
+            x = x - x[0]
+            doubts.append(
+                f"the times begin with {first}, after the end of the test; they are taken as times "
+                "of day, that of the first reading as 0"
+            )
+        elif _HOUR <= x[0] < 24.0 * _HOUR:
+            doubts.append(
+                f"the times begin with {first}, taken as elapsed since the start of the test; if "
+                "they are times of day, their column must have the date before them"
+            )
     value = factors["value"] * _column(reader, data, column_names["value"], rows)
     if "time" in assumed and data.names_seconds(column_names["time"], rows):
         assumed.remove("time")
-    sentences += [assumption(column_names[role], units_by_role[role]) for role in assumed]
+    sentences = [assumption(column_names[role], units_by_role[role]) for role in assumed]
     return Readings(
-        x, value, units_by_role["value"], factors["value"], tuple(sentences), data, rows,
-        data.lines[rows], data.name,
+        x, value, units_by_role["value"], factors["value"], tuple(sentences), tuple(doubts),
+        data, rows, data.lines[rows], data.name,
     )  # fmt: skip
 
 
@@ -317,7 +322,7 @@ def _sd_column(reader: TableReader, column: str, readings: Readings) -> FloatArr
 
 
 def _scatter(value: FloatArray) -> float:
-    """Return a guess of the noise of readings: what second differences scatter by."""
+    """Return a guess of the noise of readings, by the scatter of their second differences."""
     second = np.abs(np.diff(value, 2)) / math.sqrt(6.0)
     guess = 1.4826 * float(np.median(second)) if len(second) else 0.0
     return guess or 1e-3 * float(np.abs(value).max(initial=0.0)) or 1e-9

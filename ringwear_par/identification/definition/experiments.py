@@ -55,7 +55,7 @@ class ExperimentReader:
         self._name, self._folder, self._base, self._files = name, folder, base, files
         self._plans = plans
         self._keys: dict[str, dict[str, Any]] = {}
-        #: what was wrong with cases; of fitted keys the same need not be said of every experiment
+        #: faults that were reported: those of fitted keys are said once, not of every experiment
         self._reported: set[str] = set()
 
     def all(
@@ -78,8 +78,8 @@ class ExperimentReader:
             experiment = self._experiment(place, table, parameters, faults)
             if experiment is None:
                 continue
-            for other in experiments:
-                self._refuse_twin(experiment, other, faults)
+            for earlier in experiments:
+                self._refuse_twin(experiment, earlier, faults)
             experiments.append(experiment)
         return tuple(experiments)
 
@@ -99,7 +99,7 @@ class ExperimentReader:
         refuse_known(said, measured, parameters, changes, faults)
         case: Case | None = None
         inputs: tuple[MeasuredInput, ...] = ()
-        if self._base is not None and len(faults) < MOST_FAULTS:  # no more are told
+        if self._base is not None and len(faults) < MOST_FAULTS:  # more are not shown
             keys = override(override(self._base, _STEPPING), changes)
             keys = override(with_places(keys, measured), {**_STEPPING, **_OUTPUT})
             self._keys[name] = keys
@@ -108,6 +108,8 @@ class ExperimentReader:
                 inputs, curves = read_inputs(said, tables, case, self._files, faults)
                 case = case.replace(curves) if curves else None
                 self._keys[name] = override(keys, curves)
+            elif tables:
+                read_inputs(said, tables, None, self._files, faults)
         groups = read_groups(reader, name)
         data = reader.raw("data")
         reader.finish()
@@ -121,7 +123,7 @@ class ExperimentReader:
             )
             if readings is None:
                 continue
-            if any(_same_readings(readings, other) for other in series):
+            if any(_same_readings(readings, earlier) for earlier in series):
                 reader.fault(
                     f"data {number_} ({readings.quantity}): {readings.file} is there twice; must "
                     "be once"
@@ -161,17 +163,17 @@ class ExperimentReader:
         refuse_unfit(said, parameters, case, faults)
         return case
 
-    def _refuse_twin(self, one: Experiment, other: Experiment, faults: list[str]) -> None:
-        """Refuse an experiment that is there already."""
-        said = f'{self._name}: experiment "{legible(one.name)}"'
-        if one.name == other.name:
+    def _refuse_twin(self, experiment: Experiment, earlier: Experiment, faults: list[str]) -> None:
+        """Refuse an experiment with the name or the readings of an earlier one."""
+        said = f'{self._name}: experiment "{legible(experiment.name)}"'
+        if experiment.name == earlier.name:
             faults.append(f"{said}: is there twice; names must differ")
             return
-        for series in one.series:
-            if any(_same_readings(series, twin) for twin in other.series):
+        for series in experiment.series:
+            if any(_same_readings(series, twin) for twin in earlier.series):
                 faults.append(
                     f"{said}: {series.quantity}: {series.file} has the readings of experiment "
-                    f'"{legible(other.name)}"; every experiment must have its own'
+                    f'"{legible(earlier.name)}"; every experiment must have its own'
                 )
 
     def changed(
@@ -187,7 +189,7 @@ class ExperimentReader:
         for experiment in experiments:
             said = f'{self._name}: compare.{legible(name)}: experiment "{legible(experiment.name)}"'
             refuse_both(said, parameters, changes, faults)
-            measured = [one.key for one in experiment.inputs]
+            measured = [entry.key for entry in experiment.inputs]
             refuse_known(said, measured, parameters, changes, faults)
             full_changes = in_full(changes, self._folder)
             keys = override(self._keys[experiment.name], full_changes)
@@ -198,13 +200,13 @@ class ExperimentReader:
         return tuple(changed)
 
 
-def _same_readings(one: Series, other: Series) -> bool:
+def _same_readings(a: Series, b: Series) -> bool:
     """Tell whether two series share lines of a file, with the same readings."""
-    if one.lines is None or other.lines is None or one.file != other.file:
+    if a.lines is None or b.lines is None or a.file != b.file:
         return False
-    _, first, second = np.intersect1d(one.lines, other.lines, return_indices=True)
-    same = len(first) and one.quantity == other.quantity
-    return bool(same and np.array_equal(one.value[first], other.value[second]))
+    _, first, second = np.intersect1d(a.lines, b.lines, return_indices=True)
+    same = len(first) and a.quantity == b.quantity
+    return bool(same and np.array_equal(a.value[first], b.value[second]))
 
 
 def _named(series: list[Series]) -> tuple[Series, ...]:
@@ -212,13 +214,13 @@ def _named(series: list[Series]) -> tuple[Series, ...]:
     counts: dict[str, int] = {}
     named = []
     several = [quantity for quantity, n in Counter(s.quantity for s in series).items() if n > 1]
-    for one in series:
-        at = one.at
-        if at is None and one.n == 1 and one.quantity in several:  # weighings
-            at = float(one.x[0])
-        name = one.quantity if at is None else f"{one.quantity} at {at:g} s"
+    for record in series:
+        at = record.at
+        if at is None and record.n == 1 and record.quantity in several:  # weighings
+            at = float(record.x[0])
+        name = record.quantity if at is None else f"{record.quantity} at {at:g} s"
         counts[name] = counts.get(name, 0) + 1
         if counts[name] > 1:
             name = f"{name} ({counts[name]})"
-        named.append(replace(one, name=name))
+        named.append(replace(record, name=name))
     return tuple(named)

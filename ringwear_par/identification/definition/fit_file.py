@@ -1,4 +1,4 @@
-"""Fit files: a base case, the keys sought, and experiments with their measurements."""
+"""Fit files: a base case, the keys to fit, and experiments with their measurements."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -38,7 +38,7 @@ from ringwear_par.identification.definition.scatter import (
 )
 
 _TABLES = ("case", "fit", "experiment", "tests", "compare", "design")
-#: how faults begin of a test that is a row of a table
+#: beginning of the faults of a test that is a row of a table
 _ROW = re.compile(r'.*?: line \d+: experiment "(?:[^"\\]|\\.)*": ')
 _LOADS = ("load.pressure", "load.force")
 
@@ -91,7 +91,7 @@ def read_fit(
             check(problem, faults)
         before = len(faults)
         check_process(problem, faults)
-        # what is wrong with it whatever the law is said once
+        # faults that do not depend on the law are said once
         process = process if len(faults) == before else {}
     settings = replace(settings, intervals=("linear",), process=process)
     alternatives = {}
@@ -138,7 +138,7 @@ def experiment_tables(
 
 
 def _said_once(faults: Sequence[str]) -> list[str]:
-    """Return faults of which those that all rows of a table have stand at the first one alone."""
+    """Return the faults; one that all rows of a table have is said of the first row only."""
     rows: dict[str, list[str]] = {}
     for fault in faults:
         row = _ROW.match(fault)
@@ -227,11 +227,11 @@ def _read_alternatives(
 
 
 def _check_counts(problem: Problem, faults: list[str]) -> None:
-    """Refuse what has fewer readings than are sought."""
+    """Refuse a problem with fewer readings than unknowns."""
     readings = sum(experiment.n for experiment in problem.experiments)
-    series = [one for experiment in problem.experiments for one in experiment.series]
+    series = [record for experiment in problem.experiments for record in experiment.series]
     free = sum(p.prior is None for p in problem.parameters) + sum(
-        n.free for one in series for n in one.nuisances
+        n.free for record in series for n in record.nuisances
     )
     if readings < free:
         faults.append(

@@ -1,4 +1,4 @@
-"""``fit.parameters``: which case keys are sought, from where and within which bounds."""
+"""``fit.parameters``: which case keys are fitted, from which starts and within which bounds."""
 
 import math
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from ringwear_par.identification.definition.scatter import read_scatter
 from ringwear_par.identification.definition.schema import PARAMETER
 from ringwear_par.studies.definition.variations import split_key, unnested
 
-#: other units of keys, by the case's
+#: other units in which keys may be given, by the unit of the case
 _EXAMPLES = {"1/MPa": "mm3/(N m)", "MPa": "GPa", "mm": "um", "mm/s": "um/h", "rad/s": "rpm"}
 
 
@@ -50,7 +50,7 @@ def read_parameters(
 
 
 def _is_other(unit: str, key: str) -> bool:
-    """Tell whether a unit is one of a key, and another than the case's."""
+    """Tell whether a unit fits a key and is not the case's own."""
     try:
         return bool(unit) and not math.isclose(factor(unit, base_unit(key)), 1.0)
     except RejectedError:  # of another law of the case
@@ -58,7 +58,7 @@ def _is_other(unit: str, key: str) -> bool:
 
 
 def read_units(said: str, table: Any, parameters: Any, faults: list[str]) -> dict[str, str]:
-    """Return the units in which fitted keys are told, as ``fit.units`` names them."""
+    """Return the units in which fitted keys are reported, as ``fit.units`` names them."""
     if not isinstance(table, Mapping):
         faults.append(f"{said} = {shortened(table)}: must be a table of units by fitted key")
         return {}

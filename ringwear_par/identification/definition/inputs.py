@@ -1,5 +1,6 @@
 """``[[experiment.input]]``: what a rig measured of a test's case, as tables in time of its keys."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -23,7 +24,7 @@ from ringwear_par.identification.definition.series import check_times, lines_of,
 from ringwear_par.schedules import in_time, points_of
 from ringwear_par.studies.definition.variations import split_key
 
-#: of the test, that an input must cover
+#: share of the test that an input must cover
 _COVERED = 0.95
 #: coefficients of friction, from rolling to clean metals; others are likely in another unit
 _FRICTIONS = 1e-3, 2.0
@@ -38,7 +39,7 @@ def input_keys(tables: Any) -> list[str]:
 
 
 def with_places(keys: Mapping[str, Any], measured: Sequence[str]) -> dict[str, Any]:
-    """Return the keys of a case with numbers in the places of what was measured."""
+    """Return the keys of a case, with plain numbers in place of what was measured."""
     changed = dict(keys)
     for key in measured:
         if key in _LOADS:
@@ -74,11 +75,12 @@ def _of_input(name: str, key: str) -> str:
 
 
 def read_inputs(
-    said: str, tables: Any, case: Case, files: FileStore, faults: list[str]
+    said: str, tables: Any, case: Case | None, files: FileStore, faults: list[str]
 ) -> tuple[tuple[MeasuredInput, ...], dict[str, Any]]:
     """Return the inputs of an experiment, and the keys of its case that they are.
 
-    None, and faults, where one is wrong. The case has numbers in the places of what was measured.
+    None, and faults, where one is wrong, or without a case, which has numbers in the places of what
+    was measured.
     """
     if not isinstance(tables, list):
         faults.append(f"{said}: input: must be tables, [[experiment.input]]")
@@ -86,28 +88,31 @@ def read_inputs(
     before, curves = len(faults), dict[str, Any]()
     read = [_input(f"{said}: input {i}", table, case, files, faults)
             for i, table in enumerate(tables, start=1)]  # fmt: skip
-    inputs = [one for one in read if one is not None]
-    inputs.sort(key=lambda one: one.of_torque)  # its friction needs the load
-    for i, one in enumerate(inputs):
+    if case is None:
+        return (), {}
+    inputs = [entry for entry in read if entry is not None]
+    inputs.sort(key=lambda entry: entry.of_torque)  # its friction needs the load
+    for i, entry in enumerate(inputs):
         if len(faults) > before:
             return (), {}
-        if one.of_torque:
-            _check_friction(said, one, case, faults)
+        if entry.of_torque:
+            _check_friction(said, entry, case, faults)
         if len(faults) > before:
             return (), {}
-        one = replace(one, radius=0.5 * sum(case.contact))
-        inputs[i] = one = replace(one, suspicions=_suspicions(one, case))
-        curves[one.key] = points_of(one.curve(case))
+        entry = replace(entry, radius=0.5 * sum(case.contact))
+        inputs[i] = entry = replace(entry, suspicions=entry.suspicions + _suspicions(entry, case))
+        curves[entry.key] = points_of(entry.curve(case))
         case = case.replace(curves)
     return (tuple(inputs), curves) if len(faults) == before else ((), {})
 
 
 def _input(
-    said: str, table: Any, case: Case, files: FileStore, faults: list[str]
+    said: str, table: Any, case: Case | None, files: FileStore, faults: list[str]
 ) -> MeasuredInput | None:
     before = len(faults)
     reader = TableReader(said, table, faults, INPUT)
-    key, quantity, end = reader.read("key"), reader.read("quantity"), case.time.end
+    key, quantity = reader.read("key"), reader.read("quantity")
+    end = math.inf if case is None else case.time.end
     reader.place = said if key is None else f"{said} ({key})"
     excluded, smooth = read_intervals(reader, "exclude", "s"), reader.read("smooth")
     scale = None
@@ -118,7 +123,7 @@ def _input(
         if scale is not None and scale.mean <= 0.0:
             of_scale.wrong("prior", "must have a mean > 0")
     if key is None:
-        for name in ("file", "columns", "units"):  # of which it depends what they must be
+        for name in ("file", "columns", "units"):  # what they must be depends on the key
             reader.raw(name)
         reader.finish()
         return None
@@ -132,9 +137,9 @@ def _input(
         kind = "torque" if of_torque else key.partition(".")[2]
         readings = read_readings(reader, kind, None, end, files, plans=False)
     else:
-        reader.read("file")  # which says what is missing
+        reader.read("file")  # reports what is missing
     reader.finish()
-    if readings is None or len(faults) > before:
+    if readings is None or case is None or len(faults) > before:
         return None
     keep = np.ones(len(readings.x), dtype=bool)
     x = rounded_end(readings.x, end)
@@ -166,29 +171,29 @@ def _input(
         return None
     return MeasuredInput(
         key, x, value, smooth, scale, file=readings.where, file_unit=readings.unit,
-        assumptions=readings.assumptions,
+        assumptions=readings.assumptions, suspicions=readings.suspicions,
     )  # fmt: skip
 
 
-def _suspicions(one: MeasuredInput, case: Case) -> tuple[str, ...]:
+def _suspicions(entry: MeasuredInput, case: Case) -> tuple[str, ...]:
     """Return a sentence about a friction that is likely in another unit, if it is."""
-    typical, (low, high) = float(np.median(one.readings(case))), _FRICTIONS
-    if not one.of_torque or low <= typical <= high:
+    typical, (low, high) = float(np.median(entry.readings(case))), _FRICTIONS
+    if not entry.of_torque or low <= typical <= high:
         return ()
     return (
-        f"{one.file}: readings in {one.file_unit} mean a friction of {typical:.3g}, where contacts "
-        f"have {low:g} to {high:g}; look at the unit of the torque, and at the load",
+        f"{entry.file}: readings in {entry.file_unit} mean a friction of {typical:.3g}, where "
+        f"contacts have {low:g} to {high:g}; look at the unit of the torque, and at the load",
     )
 
 
-def _check_friction(said: str, one: MeasuredInput, case: Case, faults: list[str]) -> None:
+def _check_friction(said: str, entry: MeasuredInput, case: Case, faults: list[str]) -> None:
     """Refuse a torque whose load is not known, or 0."""
     force = case.load.force
     if force is None:
-        faults.append(f'{said}: input ({one.key}): needs load.control = "force"')
-    elif (np.asarray(in_time(force, one.time)) <= 0.0).any():
-        first = one.time[np.asarray(in_time(force, one.time)) <= 0.0][0]
+        faults.append(f'{said}: input ({entry.key}): needs load.control = "force"')
+    elif (np.asarray(in_time(force, entry.time)) <= 0.0).any():
+        first = entry.time[np.asarray(in_time(force, entry.time)) <= 0.0][0]
         faults.append(
-            f"{said}: input ({one.key}): the load is 0 at {first:g} s; exclude must leave out "
+            f"{said}: input ({entry.key}): the load is 0 at {first:g} s; exclude must leave out "
             "readings without load"
         )

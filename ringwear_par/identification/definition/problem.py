@@ -1,4 +1,4 @@
-"""What is to be found from which measurements, complete and consistent, as frozen dataclasses."""
+"""What is to be fitted to which measurements, complete and consistent, as frozen dataclasses."""
 
 import hashlib
 import json
@@ -25,11 +25,11 @@ Quantity = Literal[
 
 
 class ReadingKind(NamedTuple):
-    """What readings of a kind are, whose quantity is its name or begins with it and a point."""
+    """A kind of readings, as "penetration", or "profile" of the quantity "profile.lower"."""
 
-    #: that they are in here
+    #: of the readings within the program
     unit: str
-    #: that they may have
+    #: kinds that these readings may have
     nuisances: tuple[str, ...]
     #: whether they are of what is worn off: of the body that the quantity names, or of both
     of_wear: bool = True
@@ -46,7 +46,7 @@ READING_KINDS = {
     "volume": ReadingKind("mm^3", ("offset",)),
     "through": ReadingKind("s", ()),
 }
-#: what readings and numbers of tests are in here; forces of a compliance are in kN
+#: units of readings and numbers within the program; forces of a compliance are in kN
 BASE = {
     "time": "s", "r": "mm", "density": "g/mm^3", "force": "N", "pressure": "MPa", "omega": "rad/s",
     **{name: kind.unit for name, kind in READING_KINDS.items()},
@@ -63,7 +63,7 @@ class Prior(NamedTuple):
     sd: float
 
 
-#: by what tests differ where values scatter, the smallest groups first
+#: groups of tests between which values may scatter, the smallest first
 GROUPS = ("specimen", "batch", "lab")
 
 
@@ -74,11 +74,11 @@ class Scatter:
     Sizes are standard deviations of the key's unknown.
     """
 
-    #: by the name of the groups; None where it is fitted
+    #: sizes by the name of the groups; None where the size is fitted
     sizes: Mapping[str, float | None]
     #: of the half-t prior of sizes that are fitted
     scale: float = 0.3
-    #: what a dry run and a design take sizes to be that are fitted
+    #: sizes that a dry run and a design assume for those that are to be fitted
     start: float = 0.15
 
 
@@ -109,7 +109,7 @@ def body_of_wear(key: str) -> str:
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """A case key whose value is sought.
+    """A case key whose value is fitted.
 
     Its unknown is the value itself or, where ``log``, its natural logarithm.
     """
@@ -133,7 +133,7 @@ class FittedParameter:
     def value(self, unknown: float) -> float:
         """Return the value of an unknown, within the bounds to the last bit."""
         low, high = self.bounds
-        if self.log:  # minimisers may try what no exponential can hold
+        if self.log:  # minimisers may try unknowns whose exponential overflows
             at = min(max(unknown, self.unknown(low) - 1.0), self.unknown(high) + 1.0)
             unknown = float(np.exp(at))
         return min(max(float(unknown), low), high)
@@ -144,7 +144,7 @@ class FittedParameter:
 
 
 def reflected(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return points (..., m) that bounds (m,) have thrown back inside."""
+    """Return points (..., m), those beyond the bounds (m,) reflected to their inside."""
     beyond = low + np.mod(points - low, 2.0 * (high - low))
     return np.where(beyond > high, 2.0 * high - beyond, beyond)
 
@@ -166,7 +166,7 @@ def friction_power(case: Case) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True)
 class Nuisance:
-    """Something that a measurement has besides what is measured."""
+    """An unknown part of a measurement, as an offset or a drift, besides the measured quantity."""
 
     #: "offset", "drift" (in total over the test), "compliance" (per kN), "level", "tilt" (per mm
     #: of radius), "thermal" (the growth of a warm rig in the end), or its time constant
@@ -181,12 +181,12 @@ class Nuisance:
 
     @property
     def expected(self) -> float:
-        """What it is without any reading."""
+        """Its value before any reading: the mean of its prior, or its start."""
         return self.start if self.prior is None else self.prior.mean
 
     @property
     def free(self) -> bool:
-        """Whether nothing but readings says what it is."""
+        """Whether readings alone determine it: it has no prior, and a side without bound."""
         return self.prior is None and np.inf in map(abs, self.bounds)
 
 
@@ -212,7 +212,7 @@ class Series:
     at: float | None = None
     #: g/mm^3, of all that a mass is of; None: each layer has its own, which the case tells
     density: float | None = 1.0
-    #: what is fitted along
+    #: nuisances, which are fitted with the keys
     nuisances: tuple[Nuisance, ...] = ()
     #: s, of the noise; 0: it is white
     correlation_time: float = 0.0
@@ -265,7 +265,7 @@ class MeasuredInput:
     time: FloatArray
     value: FloatArray
     smooth: Smoothing = "auto"
-    #: of a factor on what was read; None: it is exact
+    #: prior of a factor on the readings; None: they are exact
     scale: Prior | None = None
     #: mm, at which friction acts by the pressures of the test, a number or a table in time
     radius: schedules.Quantity = 0.0
@@ -317,7 +317,7 @@ class Experiment:
     @property
     def torque_input(self) -> MeasuredInput | None:
         """The measured friction, if there is one."""
-        return next((one for one in self.inputs if one.of_torque), None)
+        return next((entry for entry in self.inputs if entry.of_torque), None)
 
     @property
     def conditions(self) -> str:
@@ -341,7 +341,7 @@ class Experiment:
 
     @property
     def bends_within(self) -> bool:
-        """Whether layers may be worn through: readings bend where a step's end meets that."""
+        """Whether layers may be worn through, where readings have kinks."""
         return any(isinstance(law, LayeredLaw) for law in self.case.laws)
 
 
@@ -403,7 +403,7 @@ class Problem:
     #: the TOML text
     text: str
     settings: Settings
-    #: sought; the same in all experiments
+    #: fitted; the same in all experiments
     parameters: tuple[FittedParameter, ...]
     experiments: tuple[Experiment, ...]
     #: other laws with parameters of their own, by name
@@ -420,7 +420,7 @@ class Problem:
 
     @cached_property
     def key(self) -> str:
-        """What tells it, its cases with users' laws, its data and this version from others."""
+        """A hash of the problem: its cases with users' laws, its data, and this version."""
         cases = [experiment.case for experiment in self.experiments]
         laws = [law for case in cases for law in (case.wear_lower, case.wear_upper)]
         content = [
@@ -438,10 +438,12 @@ class Problem:
     @property
     def factors(self) -> tuple[str, ...]:
         """Schedules of cases with respect to factors on which there must be derivatives."""
-        inputs = [one for experiment in self.experiments for one in experiment.inputs]
-        scaled = {one.key.replace("pressure", "force") for one in inputs if one.scale is not None}
-        if scaled & {"load.force"} and any(one.of_torque for one in inputs):
-            scaled.add("contact.friction")  # of which the torque tells less where the load is more
+        inputs = [entry for experiment in self.experiments for entry in experiment.inputs]
+        scaled = {
+            entry.key.replace("pressure", "force") for entry in inputs if entry.scale is not None
+        }
+        if scaled & {"load.force"} and any(entry.of_torque for entry in inputs):
+            scaled.add("contact.friction")  # a torque means less friction where the load is larger
         return tuple(sorted(scaled))
 
     @property

@@ -1,4 +1,4 @@
-"""What is random of tests: ``scatter`` of fitted keys, and ``fit.process``, of the wear itself.
+"""Random parts of tests: ``scatter`` of fitted keys, and ``fit.process``, of the wear itself.
 
 Values of keys differ between specimens, batches and laboratories.
 """
@@ -36,7 +36,7 @@ _MOST_FITTED = 3
 _SETTINGS = ("load.",)
 #: of the names of groups
 PLURALS = {"specimen": "specimens", "batch": "batches", "lab": "laboratories"}
-#: what may be random of wear
+#: tables of wear that may be random
 _RANDOM = tuple(f"wear.{body}" for body in BODIES)
 #: of a record: noise that is correlated for longer looks like that of wear
 _LONGEST_CORRELATION = 0.1
@@ -122,11 +122,11 @@ def check_scatter(problem: Problem, faults: list[str]) -> None:
     for group, place in (("batch", 1), ("lab", 2)):
         seen: dict[str, str] = {}
         for experiment in experiments:
-            specimen, of = experiment.groups[0], experiment.groups[place]
-            if seen.setdefault(specimen, of) != of:
+            specimen, label = experiment.groups[0], experiment.groups[place]
+            if seen.setdefault(specimen, label) != label:
                 faults.append(
-                    f'{name}: specimen "{legible(specimen)}" is of {group} "{legible(of)}" and of '
-                    f'"{legible(seen[specimen])}"; must be of one {group}'
+                    f'{name}: specimen "{legible(specimen)}" is of {group} "{legible(label)}" and '
+                    f'of "{legible(seen[specimen])}"; must be of one {group}'
                 )
     for key, group in fitted:
         if group_numbers(experiments, group).max() == 0:
@@ -210,11 +210,13 @@ def check_process(problem: Problem, faults: list[str]) -> None:
         return
     for key in process:
         body = body_of_wear(key)
-        if all(one.case.laws[BODIES.index(body)] is None for one in experiments):
+        if all(experiment.case.laws[BODIES.index(body)] is None for experiment in experiments):
             faults.append(
                 f"{name}: fit.process.{key}: {body} does not wear; must be a body with a wear law"
             )
-        elif not any(series.tells_wear(body) for one in experiments for series in one.series):
+        elif not any(
+            series.tells_wear(body) for experiment in experiments for series in experiment.series
+        ):
             faults.append(
                 f"{name}: fit.process.{key}: no reading is of a depth, mass, volume or profile of "
                 f"{body}; must have one at least"

@@ -158,7 +158,9 @@ _VARIED = {
 
 
 def _quantities_with(kind: str) -> str:
-    return ", ".join(name for name, of in READING_KINDS.items() if kind in of.nuisances)
+    return ", ".join(
+        name for name, reading_kind in READING_KINDS.items() if kind in reading_kind.nuisances
+    )
 
 
 def _range_of(name: str) -> Values:

@@ -103,11 +103,11 @@ def read_series(
     reader.finish()
     if len(faults) > before:
         return None
-    suspicions: tuple[str, ...] = ()
+    suspicions = readings.suspicions
     if kind != "profile" and readings.lines is not None and len(x) >= _RECORD:
         last = float(x.max())
         if 0.0 < last < _SHORT_RECORD * end:
-            suspicions = (
+            suspicions += (
                 f"readings end at {last:.4g} s of a test of {end:g} s; look at the unit of time",
             )
     series = Series(

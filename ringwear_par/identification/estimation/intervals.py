@@ -19,13 +19,13 @@ Verdict = Literal["identified", "at bound", "not identified"]
 _UNINFORMED = 1e-10
 #: of such a direction: others up to it are as weak
 _AS_WEAK = 10.0
-#: components of a direction that are told
+#: share of the largest component of a direction from which on keys are mentioned
 _MENTIONED = 0.15
 #: largest half interval of a logarithm
 _WIDEST_LOG = 1.5
-#: correlation with keys of which nothing is known at which nothing is known of another
+#: correlation with keys of which nothing is known, from which on a key counts as such too
 _FULLY_CORRELATED = 0.999
-#: of a prior's sd: more is but the prior
+#: share of a prior's sd: an sd above it says no more than the prior
 _MERE_PRIOR = 0.95
 
 
@@ -39,9 +39,9 @@ class ParameterEstimate:
     sd: float | None
     #: None on a side that is not limited.
     interval: tuple[float | None, float | None]
-    #: whether the readings tell it.
+    #: whether the readings determine it.
     verdict: Verdict
-    #: what they tell instead, "" where they tell it.
+    #: what they determine instead, "" where they determine the key.
     direction: str = ""
 
 
@@ -68,7 +68,7 @@ def without_nuisances(matrix: FloatArray, m: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """An information matrix taken apart."""
+    """The eigenvalues and eigenvectors of an information matrix."""
 
     #: (u,) square roots of its diagonal, 1 for none
     size: FloatArray
@@ -78,7 +78,7 @@ class Spectrum:
 
     @classmethod
     def of(cls, matrix: FloatArray) -> "Spectrum":
-        """Take a matrix (u, u) apart."""
+        """Return the spectrum of a matrix (u, u)."""
         diagonal = np.sqrt(np.diag(matrix))
         size = np.where(diagonal > 0, diagonal, 1.0)
         values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
@@ -204,7 +204,7 @@ def _judged(
 
 
 def direction(misfit: Misfit, spectrum: Spectrum, j: int) -> str:
-    """Return in words what the readings, by their spectrum, tell instead of an unknown."""
+    """Return in words what the readings, by their spectrum, determine instead of an unknown."""
     names, parameters = misfit.names, misfit.problem.parameters
     weak = spectrum.weakest(j)
     taking = np.flatnonzero(np.abs(weak[j]) > _MENTIONED * np.abs(weak[j]).max()).tolist()

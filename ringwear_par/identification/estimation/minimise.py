@@ -23,7 +23,7 @@ _GRADIENT = 1e-5
 _GOOD_GRADIENT = 1e-2
 #: iterations on one scale, and how often the scale is that of the place reached
 _ITERATIONS, _SCALES = 8, 10
-#: decrease of half the sum of squares on one scale that is none: 0.01 sd along the valley
+#: decrease of half the sum of squares that counts as none: 0.01 sd along the valley
 _NO_GAIN = 1e-4
 #: trials one after another without such a decrease that end the search where readings bend, and
 #: what may be between them
@@ -141,7 +141,7 @@ def _gradient(evaluation: Evaluation, x: FloatArray, box: _Box, free: BoolArray)
 
 
 class _NoProgressError(Exception):
-    """No trial of late was better by as much as counts."""
+    """The latest trials brought no decrease that counts."""
 
 
 class _Reduced:

@@ -112,9 +112,9 @@ class Misfit:
         self._lay_out_unknowns()
 
     def renew_inputs(self, x: FloatArray) -> bool:
-        """Let friction be as torques tell it by the histories at unknowns; tell if any does.
+        """Update friction by torques and histories at unknowns; tell whether any input changed.
 
-        What factors on inputs do is then that at these unknowns. Not collective.
+        Factors on inputs are linearised at these unknowns. Not collective.
         """
         by_torque = any(e.torque_input is not None for e in self.problem.experiments)
         if by_torque:
@@ -126,7 +126,7 @@ class Misfit:
         return by_torque or bool(self._scales)
 
     def linearise_inputs(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> None:
-        """Let what factors on inputs do be that at unknowns, (tests, m) of each test.
+        """Linearise the effect of factors on inputs at unknowns, (tests, m) of each test.
 
         Not collective.
         """
@@ -136,7 +136,7 @@ class Misfit:
                 self.nuisance_columns[rows, place] = by_factors[rows, : len(taken)] @ taken
 
     def _lay_out_unknowns(self) -> None:
-        """Lay the unknowns out."""
+        """Number the unknowns, and set their bounds, priors and columns."""
         self.names: list[str | tuple[str, str, str]] = list(self.problem.keys)
         limits = [[p.unknown(b) for b in p.bounds] for p in self.problem.parameters]
         priors: list[tuple[int, Prior]] = [
@@ -167,18 +167,18 @@ class Misfit:
         for experiment in self.problem.experiments:
             rows = slice(start, start + experiment.n)
             start = rows.stop
-            for one in experiment.inputs:
-                if one.scale is None:
+            for measured in experiment.inputs:
+                if measured.scale is None:
                     continue
-                prior = Prior(0.0, one.scale.sd / one.scale.mean)
-                key, place = one.key.replace("pressure", "force"), len(self.names) - self._m
+                prior = Prior(0.0, measured.scale.sd / measured.scale.mean)
+                key, place = measured.key.replace("pressure", "force"), len(self.names) - self._m
                 taken = np.array([float(factor == key) for factor in self._factors])
                 if key == "load.force" and experiment.torque_input is not None:
                     taken[self._factors.index("contact.friction")] = -1.0
                 self._scales.append((rows, place, taken))
                 columns.append(np.zeros(self.n))
                 priors.append((len(self.names), prior))
-                self.names.append((experiment.name, one.key, SCALE))
+                self.names.append((experiment.name, measured.key, SCALE))
                 limits.append([-np.inf, np.inf])
                 nuisances.append(Nuisance(SCALE, prior))
         self.lower, self.upper = np.array(limits).T

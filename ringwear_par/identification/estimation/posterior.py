@@ -68,7 +68,7 @@ class MarginalLikelihood:
         self._inverse = None if self._student or not self._free else self._inverse_of(ones)
 
     def __call__(self, values: FloatArray, readings: FloatArray) -> float:
-        """Return it for values (m,) of the keys and the model's readings (n,)."""
+        """Return that logarithm at values (m,) of the keys and readings (n,) of the model."""
         unadjusted = self._misfit.whitened(readings - self._data)
         weights = np.ones(len(unadjusted))
         noise, rest = unadjusted, -self._prior_values
@@ -86,7 +86,7 @@ class MarginalLikelihood:
             square = student_loss(noise).sum()
         square += rest @ rest
         square += sum(((values[j] - prior.mean) / prior.sd) ** 2 for j, prior in self._priors)
-        # priors are densities of values, those sought here of unknowns
+        # priors are densities of values, and here densities of unknowns are needed
         slopes = self._misfit.problem.slopes(values)
         return float(sum(np.log(slopes[j]) for j, _ in self._priors) - 0.5 * square)
 
@@ -151,7 +151,7 @@ def sample_posterior(
     marginal = MarginalLikelihood(misfit, x)
 
     def log_probability(points: FloatArray) -> FloatArray:
-        """Return (w,) of unknowns (w, m)."""
+        """Return log probabilities (w,) of unknowns (w, m)."""
         scores = np.full(len(points), -np.inf)
         inside = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
         values = np.array([misfit.values(point) for point in points[inside]]).reshape(-1, m)

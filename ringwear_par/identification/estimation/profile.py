@@ -28,7 +28,7 @@ from ringwear_par.identification.model.rounds import WaitFor, side_by_side
 _CLOSE = 0.01
 #: points on a side; where readings are limits nothing says how far away these are
 _MOST_POINTS, _MOST_OF_LIMITS = 8, 24
-#: decrease of the sum of squares that is a better optimum, and no rest of the minimiser's
+#: decrease of the sum of squares that means a better optimum, not what a minimiser leaves
 _BETTER = 1e-2
 
 
@@ -110,18 +110,20 @@ def likelihood_profiles(
             for j, side, root in searched
         ]
         of_searches = side_by_side(searches, misfit.responses.compute)
-        better = [one.better for one in of_searches if one.better is not None]
+        better = [search.better for search in of_searches if search.better is not None]
         if better:
-            best = min(better, key=lambda one: one.evaluation.objective)
+            best = min(better, key=lambda candidate: candidate.evaluation.objective)
             return Profiles(tuple(estimates), {}, known, better=best.x)
-        limits |= {(j, side): one for (j, side, _), one in zip(searched, of_searches, strict=True)}
+        limits |= {
+            (j, side): limit for (j, side, _), limit in zip(searched, of_searches, strict=True)
+        }
         # an interval with two ends has them at another level than one with one end
         searched = [
             (j, side, two_sided)
             for j, side, root in searched
             if root < two_sided and None not in ends_of(j)
         ]
-    inexact_limits = {j for (j, _), one in limits.items() if not one.close}
+    inexact_limits = {j for (j, _), limit in limits.items() if not limit.close}
     profiles = {}
     for j, points in tables.items():
         parameter = misfit.problem.parameters[j]

@@ -32,7 +32,7 @@ _NO_RESPONSE = 1e-6
 #: of the noise of all readings: a key by which they change less is not felt, over a factor of e
 #: where its logarithm is sought, else over ten times the whole of its bounds
 _NOT_FELT, _WIDTHS = 0.5, 10.0
-#: points that are asked at least
+#: fewest points at which responses are looked for
 _POINTS = 8
 #: correlation of readings with the model below which they have the wrong sign, and at how many sd
 _OPPOSITE, _SURE = -0.5, 5.0
@@ -107,20 +107,20 @@ def input_trends(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
     """Return warnings about measured inputs whose curves do not follow their readings."""
     warnings = []
     for experiment in experiments:
-        for one in experiment.inputs:
-            if one.smooth == "none":
+        for measured in experiment.inputs:
+            if measured.smooth == "none":
                 continue
-            value = one.readings(experiment.case)
+            value = measured.readings(experiment.case)
             least = (_EXACT * float(value.mean())) ** 2
-            probability = trend(value - one.curve(experiment.case)(one.time), least=least)
+            probability = trend(value - measured.curve(experiment.case)(measured.time), least=least)
             if probability >= _NO_NOISE:
                 continue
             text = (
-                f"readings of {one.key} ({experiment.name}) trend away from their curve (p = "
+                f"readings of {measured.key} ({experiment.name}) trend away from their curve (p = "
                 f"{probability:.1g}), which is too smooth for a jump or a fast change; smooth must "
                 f'be a shorter time, or "none" (at most {MOST_POINTS} readings)'
             )
-            values = {"input": one.key, "p": probability}
+            values = {"input": measured.key, "p": probability}
             warnings.append(ValidityWarning("input-trend", text, (), (experiment.name,), values))
     return warnings
 
@@ -268,12 +268,12 @@ class _Record:
 
     def opposes(self, rows: slice = slice(None), *, harmless: bool = False) -> bool:
         """Tell whether readings fall where the model's rise, beside (harmless) nuisances."""
-        of = [i for i, n in enumerate(self._nuisances) if not harmless or n.kind in _HARMLESS]
-        columns, both = self._columns[rows, of], self._both[rows]
-        for column, i in enumerate(of):  # priors are one reading more, of the nuisance itself
+        numbers = [i for i, n in enumerate(self._nuisances) if not harmless or n.kind in _HARMLESS]
+        columns, both = self._columns[rows, numbers], self._both[rows]
+        for column, i in enumerate(numbers):  # priors are one reading more, of the nuisance itself
             prior = self._nuisances[i].prior
             if prior is not None:
-                columns = np.vstack([columns, np.eye(len(of))[column] / prior.sd])
+                columns = np.vstack([columns, np.eye(len(numbers))[column] / prior.sd])
                 both = np.vstack([both, [prior.mean / prior.sd, 0.0]])
         both = NuisanceProjection(columns).rest(both)
         (data, wear), sizes = both.T, np.linalg.norm(both, axis=0)

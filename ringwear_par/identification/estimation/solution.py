@@ -44,7 +44,7 @@ class Solution:
     parameters: tuple[ParameterEstimate, ...]
     #: (u, u) of the unknowns
     covariance: FloatArray
-    #: what came of each, the best optimum among them
+    #: outcome of each start, the best optimum among them
     starts: tuple[StartOutcome, ...] = ()
     #: computed in all
     histories: int = 0

@@ -196,10 +196,10 @@ def solve_starts(
     """Return the outcomes of all starts, which advance side by side. Not collective."""
     numbers = range(misfit.problem.settings.starts)
     stored = [progress.read(number) for number in numbers]
-    outcomes = [one for one in stored if one is not None]
+    outcomes = [outcome for outcome in stored if outcome is not None]
     left = [number for number in numbers if stored[number] is None]
     # of the search as a whole, whenever it was stopped
-    histories.count += sum(one.histories for one in outcomes)
+    histories.count += sum(outcome.histories for outcome in outcomes)
     histories.tell(_state(name, len(numbers), outcomes))
     if left:
         unknowns = start_points(misfit, histories)
@@ -217,7 +217,7 @@ def solve_starts(
     for first in range(0, len(left), _MOST_TOGETHER):
         part = left[first : first + _MOST_TOGETHER]
         side_by_side([partial(solved, number) for number in part], compute)
-    return sorted(outcomes, key=lambda one: one.number)
+    return sorted(outcomes, key=lambda outcome: outcome.number)
 
 
 def solve_from(misfit: Misfit, number: int, x: FloatArray) -> StartOutcome:
@@ -229,7 +229,7 @@ def solve_from(misfit: Misfit, number: int, x: FloatArray) -> StartOutcome:
 
 def _state(name: str, total: int, outcomes: list[StartOutcome]) -> str:
     """Return how many starts have ended, and how well."""
-    best = min((2.0 * one.objective for one in outcomes if not one.error), default=None)
+    best = min((2.0 * outcome.objective for outcome in outcomes if not outcome.error), default=None)
     law = f"{name}: " if name else ""
     smallest = "" if best is None else f", smallest chi2 (with priors) {best:.6g}"
     return f"{law}{len(outcomes)} of {total} starts have ended{smallest}"

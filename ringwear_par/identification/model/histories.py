@@ -33,7 +33,7 @@ _MOST_PAIRS = 64
 _BODIES_A_START = 16
 #: of a test with constant conditions
 STEPS = 40
-#: of tests of which rough histories will do: they say where a search is to go
+#: of rough histories, which only show a search where to go
 ROUGH_STEPS = 10
 #: sd, by which steps half as long may move what a fit seeks
 MOST_SHIFT_SD = 0.2
@@ -171,7 +171,7 @@ class HistoryError(ComputationError):
 
 
 def cases_at(case: Case, keys: Sequence[str], points: FloatArray) -> list[Case | HistoryError]:
-    """Return a case at some values (p, m) of keys, or why there is none: each is good, not all."""
+    """Return the cases (p,) at values (p, m) of keys, an error in place of each that is refused."""
 
     def read(point: FloatArray) -> Case | HistoryError:
         try:

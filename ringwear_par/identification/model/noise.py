@@ -30,7 +30,7 @@ def whitened(series: Series, rows: FloatArray) -> FloatArray:
 
 
 def log_volume(series: Series) -> float:
-    """Return the logarithm of what ``whitened`` divides volumes by."""
+    """Return the logarithm of the factor that ``whitened`` divides volumes by."""
     if not series.correlation_time or series.n < 2:
         return 0.0
     steps = np.diff(series.x) / series.correlation_time
@@ -75,7 +75,8 @@ def censored_rows(
     root = np.sqrt(np.maximum(-2.0 * log_probability, 0.0))
     # both vanish where the model is far on the right side
     over_curvature, over_root = (
-        np.divide(ratio, of, out=np.zeros_like(ratio), where=of > 0.0) for of in (curvature, root)
+        np.divide(ratio, divisor, out=np.zeros_like(ratio), where=divisor > 0.0)
+        for divisor in (curvature, root)
     )
     return -side * over_curvature, curvature, -side * root, over_root
 
@@ -106,9 +107,12 @@ def prior_rows(priors: Sequence[tuple[int, Prior]], count: int) -> tuple[FloatAr
 
 
 class NuisanceProjection:
-    """Least squares over nuisances, of which those that do the same count once.
+    """Least squares with linear nuisances eliminated; nuisances that do the same count once.
 
-    Columns (n, k) are what a unit of each adds to residuals.
+    Columns C (n, k) are what a unit of each nuisance adds to residuals y (n,). With C = U S V' and
+    P = 1 - U U', y = P y + U U' y are orthogonal parts, of which C b can only cancel the second:
+    the least ||y - C b|| is ||P y||, for b = V S^-1 U' y. What y says of other unknowns with
+    columns J is therefore in P y and P J: (P J)'(P J) = J'J - J'C (C'C)^+ C'J is their information.
     """
 
     def __init__(self, columns: FloatArray) -> None:
@@ -130,10 +134,10 @@ class NuisanceProjection:
         return np.einsum("ij,ij->i", self._basis, self._basis)
 
     def rest(self, rows: FloatArray) -> FloatArray:
-        """Return the rest of rows (n, ...) that nuisances cannot make."""
+        """Return rows (n, ...) less the part that nuisances explain, P rows."""
         return rows - self._basis @ (self._basis.T @ rows)
 
     def solution(self, residuals: FloatArray) -> FloatArray:
-        """Return the nuisances (k,) that make most of residuals (n,)."""
+        """Return the nuisances (k,) that fit residuals (n,) best, b."""
         solution: FloatArray = self._right.T @ ((self._basis.T @ residuals) / self._values)
         return solution / self._size

@@ -140,10 +140,10 @@ class Reader:
             depths = trajectory.volume[self._clocks, :, 0].T / self._area
             readings = [
                 np.concatenate(
-                    [of, np.broadcast_to(interpolations[s.name](depths), (s.n, depths.shape[1]))],
+                    [rows, np.broadcast_to(interpolations[s.name](depths), (s.n, depths.shape[1]))],
                     axis=1,
                 )
-                for s, of in zip(self._series, readings, strict=True)
+                for s, rows in zip(self._series, readings, strict=True)
             ]
         return np.concatenate(readings)
 

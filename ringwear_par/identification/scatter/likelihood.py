@@ -133,7 +133,7 @@ def reduce_test(test: LinearisedTest, sizes: FloatArray | None = None) -> list[R
         )  # fmt: skip
         for i in np.flatnonzero((sizes[:, 1:] == other_sizes).all(axis=1)):
             reduced[i] = _reduce(turned, sizes[i, 0] * variances)
-    return [one for one in reduced if one is not None]
+    return [test_at_size for test_at_size in reduced if test_at_size is not None]
 
 
 def _reduce(test: LinearisedTest, variances: FloatArray) -> ReducedTest:

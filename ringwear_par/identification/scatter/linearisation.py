@@ -1,9 +1,9 @@
 """Tests of a fit linearised at their own values of the keys, and the clocks of random wear.
 
 All series of a test share the clock of a body's wear, its mean worn depth S, which grows in
-increments of variance size times dS. A reading at S_i answers to what is worn too much by g_i a
-millimetre, so that two readings have a covariance of size g_i g_j min(S_i, S_j). Long records are
-averaged in blocks for it.
+increments of variance size times dS. If a body has worn a millimetre more than its mean at S_i, the
+reading there changes by g_i, so that two readings have a covariance of size g_i g_j min(S_i, S_j).
+Long records are averaged in blocks for it.
 """
 
 import itertools
@@ -130,19 +130,19 @@ class TestClocks:
         answers: FloatArray,
         depths: FloatArray,
     ) -> None:
-        ends = np.cumsum([0, *(one.n for one in series)]).tolist()
+        ends = np.cumsum([0, *(record.n for record in series)]).tolist()
         self._parts = [slice(low, high) for low, high in itertools.pairwise(ends)]
         self._depths = depths
         self._blocks = [
-            Blocks.of(one, sd[part] / roots[part])
-            for one, part in zip(series, self._parts, strict=True)
+            Blocks.of(record, sd[part] / roots[part])
+            for record, part in zip(series, self._parts, strict=True)
         ]
         self._ends = np.cumsum([len(blocks.first) for blocks in self._blocks])[:-1]
         self._responses = []
         for answer, depth in zip((answers / sd[:, None]).T, depths.T, strict=True):
             of_series = [
-                _responses(one, blocks, roots[part], answer[part], depth[part])
-                for one, blocks, part in zip(series, self._blocks, self._parts, strict=True)
+                _responses(record, blocks, roots[part], answer[part], depth[part])
+                for record, blocks, part in zip(series, self._blocks, self._parts, strict=True)
             ]
             self._responses.append(_Responses(*map(np.concatenate, zip(*of_series, strict=True))))
 
@@ -168,9 +168,11 @@ class TestClocks:
     def kernels(self) -> tuple[FloatArray, ...]:
         """(b, b) of each body, covariance of the blocks for a size of 1 mm, in units of noise."""
         kernels = []
-        for of in self._responses:
-            kernel = of.of_growth(of.covariance(of.low), of.covariance(of.high))
-            kernels.append(0.5 * (kernel + kernel.T) + np.diag(of.between))
+        for response in self._responses:
+            kernel = response.of_growth(
+                response.covariance(response.low), response.covariance(response.high)
+            )
+            kernels.append(0.5 * (kernel + kernel.T) + np.diag(response.between))
         return tuple(kernels)
 
     def smoothed(
@@ -183,9 +185,9 @@ class TestClocks:
         inverse, less what model and nuisances take.
         """
         excesses, sds = [], []
-        for size, of, depth in zip(sizes, self._responses, self._depths.T, strict=True):
-            points = np.unique(of.high)
-            across = size * of.covariance(points)
+        for size, response, depth in zip(sizes, self._responses, self._depths.T, strict=True):
+            points = np.unique(response.high)
+            across = size * response.covariance(points)
             variance = size * points - np.einsum(
                 "ij,ik,kj->j", across, precision, across, optimize=True
             )
@@ -272,8 +274,8 @@ class Linearisation:
         name = self.misfit.problem.experiments[test].name
         return [
             j
-            for j, of in enumerate(self.misfit.names)
-            if not isinstance(of, str) and of[0] == name and not self._at_bounds[j]
+            for j, unknown in enumerate(self.misfit.names)
+            if not isinstance(unknown, str) and unknown[0] == name and not self._at_bounds[j]
         ]
 
     def priors_of(self, nuisances: Sequence[int]) -> tuple[FloatArray, FloatArray]:

@@ -18,6 +18,7 @@ from ringwear_par.identification.estimation.intervals import (
     is_vague,
 )
 from ringwear_par.identification.estimation.misfit import Evaluation
+from ringwear_par.identification.scatter.likelihood import ReducedTest
 from ringwear_par.identification.scatter.posterior import (
     Mixture,
     ScatterPosterior,
@@ -32,7 +33,7 @@ _LIMIT = 2.8
 _NEAR = 1e-3
 #: sd, from which on the end of a linear interval is doubted
 _MOST_BENT = 0.2
-#: groups of which the prior says more than they do
+#: number of groups up to which the prior says more than they do
 _FEW = 2
 #: relative half width of the material's interval for which specimens are counted
 _WANTED, _MOST_SPECIMENS = 0.10, 10_000
@@ -50,15 +51,46 @@ class Piece:
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
-    """What a fit with scatter knows of the material and of its specimens."""
+class MixedRound:
+    """The mixed model of one round of the search for a material."""
 
-    parameters: tuple[FittedParameter, ...]
     #: numbers of the keys that are not at their bounds
     free: tuple[int, ...]
     #: of these, and of all keys as if there were no bounds
     posterior: ScatterPosterior
     unbounded: ScatterPosterior
+    #: mm, of the process noise of bodies; normal equations of the free keys there
+    sizes: FloatArray
+    reduced: Sequence[ReducedTest]
+    #: (m,) means of the material's unknowns, (tests, m) of each test's, and their sd
+    material: FloatArray
+    of_tests: FloatArray
+    sds: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class BestFit:
+    """The best fit of all tests, the random part of their wear included."""
+
+    #: (u,) unknowns: the means of the material's, and the best nuisances of all tests
+    x: FloatArray
+    evaluation: Evaluation
+    #: (n,) share of each reading that is fitted
+    leverage: FloatArray
+    #: number of keys, and by how much readings determine deviations of specimens and of wear
+    effective_number: float
+    #: (n, bodies) mm, by which bodies have worn more than their mean, and its sd
+    excess: FloatArray
+    excess_sd: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What a fit with scatter knows of the material and of its specimens."""
+
+    parameters: tuple[FittedParameter, ...]
+    mixed: MixedRound
+    best_fit: BestFit
     sizes: tuple[Size, ...]
     #: names of the groups of each level
     names: tuple[tuple[str, ...], ...]
@@ -69,25 +101,15 @@ class Material:
     level: float
     #: (tests, m) unknowns of the keys in each test
     test_unknowns: FloatArray
-    #: (u,) unknowns: those of the material, and the nuisances of all tests
-    x: FloatArray
-    evaluation: Evaluation
-    #: (u, u) of these unknowns, and (n,) sd of the model's readings
+    #: (u, u) of the unknowns, and (n,) sd of the model's readings
     covariance: FloatArray
     band: FloatArray
     #: -2 log likelihood of the readings with the priors' squares, nuisances at their best
     deviance: float
-    #: whether the values of tests have come to stay
+    #: whether the values of tests have converged
     converged: bool
-    #: number of keys, and by how much readings determine deviations of specimens and of wear
-    effective_number: float
     #: bodies whose wear is random
     wear: RandomWear
-    #: (n,) share of each reading that is fitted
-    leverage: FloatArray
-    #: (n, bodies) mm, by which bodies have worn more than their mean, and its sd
-    excess: FloatArray
-    excess_sd: FloatArray
     #: keys that readings do not tell from drifts, and which these are
     confounded_with_drift: Mapping[str, str]
     #: of the posterior without linearising about the estimate; none where that does
@@ -98,7 +120,7 @@ class Material:
     @property
     def parts(self) -> tuple[Piece, ...]:
         """The pieces, or the whole posterior as one."""
-        return self.pieces or (Piece(self.posterior, 1.0, self.test_unknowns),)
+        return self.pieces or (Piece(self.mixed.posterior, 1.0, self.test_unknowns),)
 
     @property
     def n_fitted_sizes(self) -> int:
@@ -108,29 +130,29 @@ class Material:
     @property
     def process(self) -> dict[str, dict[str, Any]]:
         """Entries of fit.json of each body whose wear is random."""
-        return self.wear.entries(self.posterior, self.level)
+        return self.wear.entries(self.mixed.posterior, self.level)
 
     @property
     def sizes_of_process(self) -> FloatArray:
         """(bodies,) mm, the median where it was fitted."""
-        return self.wear.sizes(self.wear.estimated_shares(self.posterior))
+        return self.wear.sizes(self.wear.estimated_shares(self.mixed.posterior))
 
     def material(self, key: int) -> Mixture:
         """Return the distribution of a key's unknown; at its bound, as if that were none."""
-        if key in self.free:
-            return self.posterior.material(self.free.index(key))
-        return self.unbounded.material(key)
+        if key in self.mixed.free:
+            return self.mixed.posterior.material(self.mixed.free.index(key))
+        return self.mixed.unbounded.material(key)
 
     def levels_of(self, key: int) -> list[int]:
         """Return the numbers of the levels at which a key scatters."""
-        if key not in self.free:
+        if key not in self.mixed.free:
             return []
-        place = self.free.index(key)
-        return [i for i, v in enumerate(self.posterior.model.levels) if v.key == place]
+        place = self.mixed.free.index(key)
+        return [i for i, v in enumerate(self.mixed.posterior.model.levels) if v.key == place]
 
     def size(self, level: int) -> SizePosterior:
         """Return the posterior of the size of a level's scatter."""
-        return self.posterior.size(level, self.level)
+        return self.mixed.posterior.size(level, self.level)
 
     def interval(self, key: int, mixture: Mixture) -> tuple[float, float]:
         """Return the interval of a key's value, of what is known of its unknown."""
@@ -140,7 +162,7 @@ class Material:
 
     def estimate(self, key: int) -> ParameterEstimate:
         """Return the estimate of the material's value of a key."""
-        parameter, mixture, unknown = self.parameters[key], self.material(key), self.x[key]
+        parameter, mixture, unknown = self.parameters[key], self.material(key), self.best_fit.x[key]
         value, sd, (low, high) = parameter.value(unknown), mixture.sd, mixture.interval(self.level)
         natural = sd * parameter.slope(value)
         if parameter.key in self.confounded_with_drift:
@@ -192,7 +214,7 @@ class Material:
         return n
 
     def _name(self, level: int) -> str:
-        return self.posterior.model.levels[level].name
+        return self.mixed.posterior.model.levels[level].name
 
     def _median_size(self, level: int) -> float:
         known = self.sizes[level].known
@@ -200,15 +222,15 @@ class Material:
 
     def entry(self, key: int) -> dict[str, Any]:
         """Return the entries of a key in fit.json, beside its estimate."""
-        if key not in self.free:
+        if key not in self.mixed.free:
             return {}
         levels = self.levels_of(key)
         parts = ["scatter"] * bool(self.sizes) + ["process"] * bool(self.wear.shares)
         interval_of = f"{' and '.join(parts)} integrated"
         if not levels:
             return {"interval_of": interval_of}
-        parameter, place = self.parameters[key], self.free.index(key)
-        following = self.posterior.next_specimen(place)
+        parameter, place = self.parameters[key], self.mixed.free.index(key)
+        following = self.mixed.posterior.next_specimen(place)
         sizes = {self._name(i): self._median_size(i) for i in levels}
         entry: dict[str, Any] = {
             "of": "material",
@@ -259,7 +281,7 @@ class Material:
     def _nonlinear_intervals(self) -> Iterator[ValidityWarning]:
         """Yield a doubt for each key whose linear interval is off, by what is known in pieces."""
         weights = [piece.weight * piece.posterior.weights for piece in self.pieces]
-        for place, key in enumerate(self.free if self.pieces else ()):
+        for place, key in enumerate(self.mixed.free if self.pieces else ()):
             parts = [piece.posterior.material(place) for piece in self.pieces]
             means, variances = (
                 np.concatenate([getattr(part, name) for part in parts])
@@ -267,7 +289,7 @@ class Material:
             )
             mixture, linear = Mixture(np.concatenate(weights), means, variances), self.material(key)
             ends = zip(mixture.interval(self.level), linear.interval(self.level), strict=True)
-            off = np.array([(end - other) / linear.sd for end, other in ends])
+            off = np.array([(end - linear_end) / linear.sd for end, linear_end in ends])
             estimate = self.estimate(key)
             known = [limit is not None for limit in estimate.interval]
             if not (np.abs(off[known]) > _MOST_BENT).any():
@@ -297,14 +319,14 @@ class Material:
 
     def _groups_entry(self, key: int, levels: Sequence[int]) -> dict[str, Any]:
         """Return each group of the level with the smallest groups: shrunk, and alone."""
-        parameter, place = self.parameters[key], self.free.index(key)
+        parameter, place = self.parameters[key], self.mixed.free.index(key)
         finest = max(levels, key=lambda i: len(self.names[i]))
-        groups = self.posterior.model.levels[finest].group
+        groups = self.mixed.posterior.model.levels[finest].group
         variance = sum(self._median_size(i) ** 2 for i in levels)
         entries = {}
         for number, name in enumerate(self.names[finest]):
             tests = np.flatnonzero(groups == number)
-            shrunk = self.posterior.of_test(int(tests[0]), place)
+            shrunk = self.mixed.posterior.of_test(int(tests[0]), place)
             value = parameter.value(shrunk.mean)
             entries[name] = {
                 "estimate": value,

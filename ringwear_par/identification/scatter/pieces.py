@@ -114,19 +114,19 @@ class _Pieces:
     def __init__(self, misfit: Misfit, material: Material) -> None:
         problem = misfit.problem
         self._misfit, self._material, self._m = misfit, material, len(problem.parameters)
-        self._free = [*material.free]
+        self._free = [*material.mixed.free]
         self._low, self._high = misfit.lower[: self._m], misfit.upper[: self._m]
         levels, self._scatters, _ = levels_of(problem, None)
-        self._levels = material.posterior.model.levels
+        self._levels = material.mixed.posterior.model.levels
         scattering = {level.key for level in self._levels}
         self.shared = [p for p in range(len(self._free) * bool(levels)) if p not in scattering]
-        mixtures = [material.posterior.material(place) for place in self.shared]
+        mixtures = [material.mixed.posterior.material(place) for place in self.shared]
         self._mean = np.array([mixture.mean for mixture in mixtures])
         self._sd = np.array([mixture.sd for mixture in mixtures])
 
     def first(self) -> list[tuple[int, ...]]:
         """Return the points at which the linear posterior is probable."""
-        covariance = self._material.posterior.covariance[np.ix_(self.shared, self.shared)]
+        covariance = self._material.mixed.posterior.covariance[np.ix_(self.shared, self.shared)]
         scaled = covariance / np.outer(self._sd, self._sd)
         inverse = np.linalg.inv(scaled + _WIDTH**2 * np.eye(len(self.shared)))
         reach = range(-7, 8)
@@ -148,17 +148,22 @@ class _Pieces:
     def at(self, numbers: Sequence[tuple[int, ...]]) -> dict[tuple[int, ...], _Place]:
         """Return the pieces about points."""
         material, misfit = self._material, self._misfit
-        linear = Linearisation(misfit, material.evaluation, material.x, material.test_unknowns)
+        linear = Linearisation(
+            misfit, material.best_fit.evaluation, material.best_fit.x, material.test_unknowns
+        )
         places = {
             number: self._solved(
-                self._centre(number), linear, material.evaluation, material.x,
+                self._centre(number), linear, material.best_fit.evaluation, material.best_fit.x,
                 material.test_unknowns,
             )
             for number in numbers
         }  # fmt: skip
         for _ in range(_ROUNDS):
             moving = {n: p for n, p in places.items() if p.has_histories and p.moved > _STILL}
-            tests = [misfit.values_of_tests(material.x, p.test_unknowns) for p in moving.values()]
+            tests = [
+                misfit.values_of_tests(material.best_fit.x, p.test_unknowns)
+                for p in moving.values()
+            ]
             misfit.responses.prepare([pair for values in tests for pair in enumerate(values)])
             for number, place in moving.items():
                 places[number] = self._relinearised(place)
@@ -169,7 +174,7 @@ class _Pieces:
         return centre
 
     def _relinearised(self, place: _Place) -> _Place:
-        misfit, x = self._misfit, self._material.x.copy()
+        misfit, x = self._misfit, self._material.best_fit.x.copy()
         keys = np.array(self._free)[self.shared]
         x[keys] = np.clip(place.centre, self._low[keys], self._high[keys])
         try:
@@ -197,7 +202,7 @@ class _Pieces:
         loss = precision[shared] * piece / product * (mean[shared] - centre) ** 2
         mean[shared] = (precision[shared] * mean[shared] + piece * centre) / product
         precision[shared] = product
-        at_bounds = {j: float(material.x[j]) for j in range(self._m) if j not in free}
+        at_bounds = {j: float(material.best_fit.x[j]) for j in range(self._m) if j not in free}
         models = partial(
             models_at_shares, linear, material.wear, at_bounds, self._levels, (precision, mean)
         )

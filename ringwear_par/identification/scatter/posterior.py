@@ -235,8 +235,8 @@ class ScatterPosterior:
         s, w = self.solutions, self.weights
         within = np.einsum("g,gki,gij,glj->kl", w, first, s.covariance, second, optimize=True)
         means = [np.einsum("gki,gi->gk", rows, s.effects) for rows in (first, second)]
-        one, other = (values - w @ values for values in means)
-        return within + np.einsum("g,gk,gl->kl", w, one, other)
+        a, b = (values - w @ values for values in means)
+        return within + np.einsum("g,gk,gl->kl", w, a, b)
 
     @property
     def covariance(self) -> FloatArray:

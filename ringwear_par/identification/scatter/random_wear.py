@@ -1,4 +1,4 @@
-"""Sizes of the random part of wear: as shares of depths while they are sought, and as reported."""
+"""Sizes of the random part of wear: as shares of depths while they are fitted, and as reported."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -158,9 +158,9 @@ def confounded_with_drift(problem: Problem) -> dict[str, str]:
     for of_wear in problem.settings.process:
         body = body_of_wear(of_wear)
         tests = [
-            (one.name, series)
-            for one in problem.experiments
-            if (series := [s for s in one.series if s.tells_wear(body)])
+            (experiment.name, series)
+            for experiment in problem.experiments
+            if (series := [s for s in experiment.series if s.tells_wear(body)])
         ]
         # a test without one series that does not drift
         drifting = [(name, s[0].name) for name, s in tests if all(map(_drifts, s))]

@@ -4,7 +4,7 @@ Lindstrom and Bates (1990), Biometrics 46, 673-687.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -25,18 +25,17 @@ from ringwear_par.identification.model.noise import log_constant, weights
 from ringwear_par.identification.scatter.likelihood import (
     Level,
     MixedModel,
-    ReducedTest,
     uncorrelated,
     with_fixed,
 )
 from ringwear_par.identification.scatter.linearisation import Linearisation, projected_precision
-from ringwear_par.identification.scatter.material import Material
+from ringwear_par.identification.scatter.material import BestFit, Material, MixedRound
 from ringwear_par.identification.scatter.posterior import ScatterPosterior, Size, integrate
 from ringwear_par.identification.scatter.random_wear import RandomWear, confounded_with_drift
 
 #: sd by which no test's unknowns move any more, and most rounds until then
 _STILL, _MOST_ROUNDS = 1e-3, 60
-#: rounds after which the depth stays that shares are of
+#: rounds after which the depths that shares refer to stay fixed
 _SETTLING = 3
 #: in a round, most of a logarithm, and of the width of the bounds; least share of a move
 _LOG_MOVE, _MOVE, _LEAST_SHARE = 1.0, 0.25, 0.05
@@ -73,15 +72,14 @@ def estimate_material(
             prior = prior[0], x[:m].copy()
         linear = Linearisation(misfit, evaluation, x, test_unknowns, weighed)
         mixed = _solve(problem, linear, levels, prior, scatters, wear)
-        smoothed = _smoothed(misfit, x, evaluation, test_unknowns, linear, mixed)
+        best_fit = _best_fit(misfit, x, evaluation, test_unknowns, linear, mixed)
         growth = np.ones(len(misfit.records))
         if sizes is None:
-            growth = misfit.noise_growth(smoothed.evaluation, smoothed.leverage)
+            growth = misfit.noise_growth(best_fit.evaluation, best_fit.leverage)
             growth = np.where(fitted_noise, growth, 1.0)
             misfit.noise_scale = growth * misfit.noise_scale
-            weighed = smoothed.evaluation.noise if wear.shares else None
-        x = smoothed.x.copy()
-        x[:m] = np.clip(mixed.material, low, high)
+            weighed = best_fit.evaluation.noise if wear.shares else None
+        x = best_fit.x
         move = np.clip(mixed.of_tests, low, high) - test_unknowns
         distance = float((np.abs(move) / mixed.sds).max())
         converged = max(distance, float(np.abs(growth - 1.0).max())) <= _STILL
@@ -93,34 +91,14 @@ def estimate_material(
         if distance > _STILL:
             test_unknowns = test_unknowns + np.clip(share * move, -longest, longest)
     alone, alone_sd = _alone(problem.parameters, mixed)
-    constant = loss_beyond_squares(misfit, smoothed.evaluation)
+    constant = loss_beyond_squares(misfit, best_fit.evaluation)
     return Material(
-        problem.parameters, mixed.free, mixed.posterior, mixed.unbounded, tuple(scatters),
-        tuple(names), alone, alone_sd, problem.settings.level,
-        before if not converged else test_unknowns, x, smoothed.evaluation,
-        _covariance(linear, mixed, x), misfit.sd * np.sqrt(smoothed.leverage),
-        float(mixed.posterior.solutions.marginal.min()) + constant, converged,
-        smoothed.effective_number, wear, smoothed.leverage, smoothed.excess, smoothed.excess_sd,
+        problem.parameters, mixed, best_fit, tuple(scatters), tuple(names), alone, alone_sd,
+        problem.settings.level, before if not converged else test_unknowns,
+        _covariance(linear, mixed, x), misfit.sd * np.sqrt(best_fit.leverage),
+        float(mixed.posterior.solutions.marginal.min()) + constant, converged, wear,
         confounded_with_drift(problem),
     )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class MixedRound:
-    """The mixed model of one round."""
-
-    #: numbers of the keys that are not at their bounds
-    free: tuple[int, ...]
-    #: of these, and of all keys as if there were no bounds
-    posterior: ScatterPosterior
-    unbounded: ScatterPosterior
-    #: mm, of the process noise of bodies; normal equations of the free keys there
-    sizes: FloatArray
-    reduced: Sequence[ReducedTest]
-    #: (m,) means of the material's unknowns, (tests, m) of each test's, and their sd
-    material: FloatArray
-    of_tests: FloatArray
-    sds: FloatArray
 
 
 def _evaluated(
@@ -252,31 +230,18 @@ def integrated(
         ) from error
 
 
-@dataclass(frozen=True, eq=False)
-class _Smoothed:
-    """The best fit of all tests, the random part of their wear included."""
-
-    #: (u,) unknowns, with the best nuisances
-    x: FloatArray
-    evaluation: Evaluation
-    #: (n,) share of each reading that is fitted, and the number of keys and random parts that are
-    leverage: FloatArray
-    effective_number: float
-    #: (n, bodies) mm, by which bodies have worn more than their mean, and its sd
-    excess: FloatArray
-    excess_sd: FloatArray
-
-
-def _smoothed(
+def _best_fit(
     misfit: Misfit,
     x: FloatArray,
     evaluation: Evaluation,
     test_unknowns: FloatArray,
     linear: Linearisation,
     mixed: MixedRound,
-) -> _Smoothed:
+) -> BestFit:
     m, posterior = len(misfit.problem.parameters), mixed.posterior
     leverage, free = np.zeros(misfit.n), list(mixed.free)
+    best = x.copy()
+    best[:m] = np.clip(mixed.material, misfit.lower[:m], misfit.upper[:m])
     if not linear.clocks:
         for number, test in enumerate(linear.tests):
             keys, projection = test.jacobian[:, free], test.nuisance_projection
@@ -291,8 +256,8 @@ def _smoothed(
         groups = np.concatenate([offset + np.unique(v.group[read]) for v, offset in levels])
         of_groups = posterior.weights @ (1.0 - variances[:, groups]).sum(axis=1)
         none = np.zeros((misfit.n, 0))
-        return _Smoothed(x, evaluation, leverage, m + float(of_groups), none, none)
-    x, fitted = x.copy(), posterior.model.precision[: len(free)] @ np.diag(posterior.covariance)
+        return BestFit(best, evaluation, leverage, m + float(of_groups), none, none)
+    fitted = posterior.model.precision[: len(free)] @ np.diag(posterior.covariance)
     fitted -= len(x) - m - int(misfit.idle.sum())
     excess, excess_sd = np.zeros((2, misfit.n, len(mixed.sizes)))
     for number, (test, clocks) in enumerate(zip(linear.tests, linear.clocks, strict=True)):
@@ -306,13 +271,14 @@ def _smoothed(
         alone, whitening = uncorrelated(test, mixed.sizes)
         readings = alone.readings - alone.jacobian @ test_unknowns[number]
         right = np.concatenate([readings, test.prior_values])
-        best = alone.nuisance_projection.solution(right)
-        x[nuisances] = np.clip(best, misfit.lower[nuisances], misfit.upper[nuisances])
-        rest = whitening.T @ (readings - alone.nuisances @ x[nuisances])
+        solution = alone.nuisance_projection.solution(right)
+        best[nuisances] = np.clip(solution, misfit.lower[nuisances], misfit.upper[nuisances])
+        rest = whitening.T @ (readings - alone.nuisances @ best[nuisances])
         excess[rows], excess_sd[rows] = clocks.smoothed(mixed.sizes, rest, precision[:b, :b])
     random_part = (misfit.clocks(x, test_unknowns)[0] * excess).sum(axis=1)
-    evaluation = misfit.evaluate(x, test_unknowns, random_part)
-    return _Smoothed(x, evaluation, leverage, float(fitted), excess, excess_sd)
+    nuisances_best = np.append(x[:m], best[m:])  # priors of keys are at those of the round before
+    evaluation = misfit.evaluate(nuisances_best, test_unknowns, random_part)
+    return BestFit(best, evaluation, leverage, float(fitted), excess, excess_sd)
 
 
 def _alone(

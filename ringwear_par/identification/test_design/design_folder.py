@@ -12,7 +12,8 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.keys import flatten
-from ringwear_par.cases.units import has_unit, in_unit
+from ringwear_par.cases.schema import BY_PATH
+from ringwear_par.cases.units import factor, has_unit, in_unit
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import legible
 from ringwear_par.files.folders import DESIGN, MAP, NEXT, json_bytes, write_outcome
@@ -57,7 +58,7 @@ def next_tests(design: DesignResult) -> str:
     ]
     for place, name in zip(best.tests, names, strict=False):
         test = design.candidates[place]
-        changes = _set_of(measured, test)
+        changes = _set_of(measured, test, problem.design.units)
         lines += [
             "", "[[experiment]]", f"name = {toml_value(name)}",
             "set = " + toml_value(changes),
@@ -85,9 +86,22 @@ def _common_name(series: Series) -> str:
     return series.quantity if series.profile else series.name
 
 
-def _set_of(measured: Mapping[str, Any], test: Candidate) -> dict[str, Any]:
-    """Return all case keys that an experiment of a fit file sets for a test."""
-    settings, changes = flatten(measured.get("set", {}), "set"), test.changes()
+def _set_of(
+    measured: Mapping[str, Any], test: Candidate, units: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return all case keys that an experiment of a fit file sets for a test.
+
+    Parameters
+    ----------
+    units : of keys as the fit file has them; schedules are in those of a case.
+    """
+    settings = flatten(measured.get("set", {}), "set")
+    changes = {
+        key: f"{value / factor(units[key], BY_PATH[key].unit):.9g} {units[key]}"
+        if key in units and isinstance(value, float)
+        else value
+        for key, value in test.changes().items()
+    }
     loads = {*LOADS, "load.displacement"} if set(LOADS) & changes.keys() else set()
     return {key: value for key, value in settings.items() if key not in loads} | changes
 

@@ -69,12 +69,12 @@ def to_dict(design: DesignResult) -> dict[str, Any]:
         "sd_scales": {scale.key: asdict(scale) for scale in sd_scales(design)},
         "designs": [
             {
-                "name": name_of_tests(design, one),
-                "experiments": [design.candidates[i].to_dict() for i in one.tests],
-                "seconds": sum(design.candidates[i].seconds for i in one.tests),
-                **_predicted(keys, one),
+                "name": name_of_tests(design, candidate),
+                "experiments": [design.candidates[i].to_dict() for i in candidate.tests],
+                "seconds": sum(design.candidates[i].seconds for i in candidate.tests),
+                **_predicted(keys, candidate),
             }
-            for one in design.designs
+            for candidate in design.designs
         ],
         "fit_file": _predicted(keys, design.planned),
         "versions": dict(design.versions),
@@ -85,7 +85,7 @@ def plot(design: DesignResult) -> Figure:
     """Return the map of predicted standard deviations, or bars of those of the best designs."""
     outcome = to_dict(design)
     panels = design_panels(outcome)
-    lines = sum(len(one["experiments"]) for one in outcome["designs"])
+    lines = sum(len(entry["experiments"]) for entry in outcome["designs"])
     return panel_figure([panels], (_WIDTH * len(panels), max(_HEIGHT, _LINE * lines)))
 
 
@@ -114,7 +114,7 @@ def _map(design: DesignResult) -> dict[str, Any] | None:
         places = [test.loads[0] for test in ends]
     else:
         unit, length = time_unit(seconds[-1])
-        y = {"label": f"duration ({unit})", "values": [one / length for one in seconds]}
+        y = {"label": f"duration ({unit})", "values": [duration / length for duration in seconds]}
         for i in plain:
             test = design.candidates[i]
             cell = seconds.index(test.seconds), loads.index(test.loads[0])
@@ -147,17 +147,17 @@ def _keep_better(
         cells[cell] = score, sds
 
 
-def _predicted(keys: tuple[str, ...], one: Design) -> dict[str, Any]:
+def _predicted(keys: tuple[str, ...], candidate: Design) -> dict[str, Any]:
     pairs = itertools.combinations(range(len(keys)), 2)
     return {
-        "score": _finite(one.score),
-        "sd": {key: _finite(v) for key, v in zip(keys, one.sd.tolist(), strict=True)},
+        "score": _finite(candidate.score),
+        "sd": {key: _finite(v) for key, v in zip(keys, candidate.sd.tolist(), strict=True)},
         "sd_range": {
             key: [_finite(v) for v in ends]
-            for key, ends in zip(keys, one.range.T.tolist(), strict=True)
+            for key, ends in zip(keys, candidate.range.T.tolist(), strict=True)
         },
         "correlation": {
-            f"{keys[i]}, {keys[j]}": _finite(float(one.correlation[i, j])) for i, j in pairs
+            f"{keys[i]}, {keys[j]}": _finite(float(candidate.correlation[i, j])) for i, j in pairs
         },
     }
 
@@ -196,10 +196,10 @@ def summary(design: DesignResult) -> str:
         lines.append(
             "noise of the wear itself (fit.process) is not counted: tests tell less than this"
         )
-    names = [name_of_tests(design, one) for one in design.designs[:_LISTED]]
+    names = [name_of_tests(design, candidate) for candidate in design.designs[:_LISTED]]
     width = max(map(len, names))
-    for name, one in zip(names, design.designs, strict=False):
-        lines.append(f"  {name.ljust(width)}  {spreads(design, one)}")
+    for name, candidate in zip(names, design.designs, strict=False):
+        lines.append(f"  {name.ljust(width)}  {spreads(design, candidate)}")
     seconds = sum(experiment.case.time.end for experiment in problem.experiments)
     planned = f"the fit file's{' again' if design.after else ''}, {time_words(seconds, seconds)}"
     lines.append(f"  {planned.ljust(width)}  {spreads(design, design.planned)}")
@@ -212,10 +212,10 @@ def summary(design: DesignResult) -> str:
     return "\n".join(lines)
 
 
-def name_of_tests(design: DesignResult, one: Design, separator: str = " + ") -> str:
+def name_of_tests(design: DesignResult, candidate: Design, separator: str = " + ") -> str:
     """Return the tests of a design in a few words."""
     units = design.problem.design.units
-    return separator.join(name_of(design.candidates[i], units) for i in one.tests)
+    return separator.join(name_of(design.candidates[i], units) for i in candidate.tests)
 
 
 def name_of(test: Candidate, units: Mapping[str, str]) -> str:
@@ -243,10 +243,10 @@ def name_of(test: Candidate, units: Mapping[str, str]) -> str:
     return ", ".join(words)
 
 
-def spreads(design: DesignResult, one: Design) -> str:
+def spreads(design: DesignResult, candidate: Design) -> str:
     """Return the predicted standard deviations of a design in a sentence."""
     texts = []
-    for scale, sd, low, high in zip(sd_scales(design), one.sd, *one.range, strict=True):
+    for scale, sd, low, high in zip(sd_scales(design), candidate.sd, *candidate.range, strict=True):
         if not np.isfinite(sd):
             texts.append(f"{scale.key} not identified")
             continue

@@ -116,8 +116,10 @@ def with_noise(problem: Problem, prior: PriorInformation) -> Problem:
         return replace(series, sd=np.full(series.n, noise[0] * scale * series.factor))
 
     experiments = tuple(
-        replace(one, series=tuple(renoised(one, series) for series in one.series))
-        for one in problem.experiments
+        replace(
+            experiment, series=tuple(renoised(experiment, series) for series in experiment.series)
+        )
+        for experiment in problem.experiments
     )
     return replace(problem, experiments=experiments)
 
@@ -206,7 +208,7 @@ def information_of_tests(
     numbers = list(groups.values())
     whole = []
     for group in numbers:  # the test that has all series of those of one case
-        series = {id(one): one for number in group for one in tests[number].series}
+        series = {id(record): record for number in group for record in tests[number].series}
         whole.append(replace(tests[group[0]], series=tuple(series.values())))
     settings = replace(problem.settings, process={})  # not counted: series share a clock
     union_problem = replace(problem, experiments=tuple(whole), alternatives={}, settings=settings)

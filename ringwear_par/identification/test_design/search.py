@@ -160,8 +160,8 @@ class Search:
         """Return predicted sd (c, c, m) after two candidates; scores (c, c), -inf over budget."""
         information, c = self._information[0], len(self._seconds)
         rows = [
-            self._natural(_inverse(information + one + self._before + self._floor))
-            for one in information
+            self._natural(_inverse(information + matrix + self._before + self._floor))
+            for matrix in information
         ]
         upper = np.stack(np.triu_indices(c), axis=1)
         scores = np.full((c, c), -np.inf)

@@ -1,4 +1,4 @@
-"""Least squares with errors of which each remembers the one before: AR(1)."""
+"""Least squares with errors that are correlated with the one before, AR(1)."""
 
 from typing import NamedTuple
 

@@ -72,7 +72,7 @@ class Estimate:
             return True
         most = _AGREEMENT * COVERAGE * self.u
         ends = zip(self.interval, self.shortest, strict=True)
-        return all(abs(end - other) <= most for end, other in ends)
+        return all(abs(end - limit) <= most for end, limit in ends)
 
     def share(self, source: Source) -> float:
         """Return the share of a source in the square of the uncertainty."""
@@ -136,7 +136,7 @@ def shortest_interval(
 def source_of(
     known: Mapping[str, Uncertainty], name: str, value: float, unit: str, sensitivity: float
 ) -> list[Source]:
-    """Return the source of type B of an input, none where nobody says how well it is known."""
+    """Return the source of type B of an input, none where its uncertainty is not given."""
     if name not in known:
         return []
     return [Source(name, "B", known[name].of(value), unit, sensitivity)]

@@ -198,11 +198,11 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[ValidityWarning]:
     part, record, doubts = numbers.part, numbers.test.record, []
     if not part.steady:
         never = [
-            f"no late part of the record shows for certain that {of} changes by at most "
+            f"no late part of the record shows for certain that {subject} changes by at most "
             f"{100 * limit:g} %"
             if has_starts(blocks)
-            else f"the record has too few readings to show that {of} is steady"
-            for of, limit, blocks, start in (
+            else f"the record has too few readings to show that {subject} is steady"
+            for subject, limit, blocks, start in (
                 ("the wear rate", problem.limits.wear, numbers.wear_blocks, part.wear),
                 ("friction", problem.limits.friction, numbers.friction_blocks, part.friction),
             )
@@ -215,6 +215,13 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[ValidityWarning]:
         if share < _SHORT:
             text = f"the steady part is only {100 * share:.0f} % of the test; test for longer"
             doubts.append(ValidityWarning("steady-part-short", text))
+    depths = np.zeros(0) if record.wear is None else record.wear[record.time >= part.start]
+    if len(depths) and np.nanmin(depths) == np.nanmax(depths):
+        text = (
+            f"{record.columns['wear']} stands still from {_hours(part.start)} on: is the sensor at "
+            "its end? exclude leaves out a part of the record"
+        )
+        doubts.append(ValidityWarning("stands-still", text))
     friction, (low, high) = numbers.friction, _FRICTIONS
     if friction is not None and not low <= abs(friction.value) <= high:
         text = (
@@ -241,9 +248,9 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[ValidityWarning]:
             )
             doubts.append(ValidityWarning("displacement-against-weighing", text))
     before = problem.tests[: problem.tests.index(numbers.test)]
-    for other in before:
-        if other.record.sha256 == record.sha256:
-            text = f"{other.record.file} and {record.file} are the same file: no repeats"
+    for earlier in before:
+        if earlier.record.sha256 == record.sha256:
+            text = f"{earlier.record.file} and {record.file} are the same file: no repeats"
             doubts.append(ValidityWarning("same-file", text))
     return doubts + _gaps(record)
 
@@ -267,9 +274,9 @@ def _gaps(record: Record) -> list[ValidityWarning]:
             channels.setdefault(gap, []).append(channel)
     return [
         ValidityWarning(
-            "gap", f"no readings of {' and '.join(of)} for {_hours(gap)} from {_hours(start)} on"
+            "gap", f"no readings of {' and '.join(names)} for {_hours(gap)} from {_hours(start)} on"
         )
-        for (gap, start), of in channels.items()
+        for (gap, start), names in channels.items()
     ]
 
 

@@ -62,9 +62,9 @@ def repeats_of(tests: Iterable[TestNumbers]) -> tuple[Repeats, ...]:
     return tuple(_repeats(group) for group in groups if len(group) > 1)
 
 
-def _same(one: Conditions, other: Conditions) -> bool:
-    pairs = ((one.force, other.force), (one.omega, other.omega), (one.area, other.area))
-    return all(abs(a - b) <= _SAME * max(abs(a), abs(b)) for a, b in pairs)
+def _same(a: Conditions, b: Conditions) -> bool:
+    pairs = ((a.force, b.force), (a.omega, b.omega), (a.area, b.area))
+    return all(abs(x - y) <= _SAME * max(abs(x), abs(y)) for x, y in pairs)
 
 
 def _repeats(tests: Sequence[TestNumbers]) -> Repeats:

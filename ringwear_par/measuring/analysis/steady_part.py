@@ -12,7 +12,7 @@ from ringwear_par.measuring.analysis.autoregression import regress
 MOST_BLOCKS, READINGS_OF_A_BLOCK = 200, 3
 #: block means that a steady part has at least
 FEWEST_BLOCKS = 20
-#: block means that a change is told of, whatever it is of
+#: fewest block means that a change is computed from
 _FEWEST_OF_A_PART = 6
 #: shares of the test: starts are tried to the latest, in steps, and several in a row must be steady
 _LATEST, _STEP, _IN_A_ROW = 0.7, 0.01, 6

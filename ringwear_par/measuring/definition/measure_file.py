@@ -25,6 +25,7 @@ from ringwear_par.files.text import shortened
 from ringwear_par.measuring.definition import schema
 from ringwear_par.measuring.definition.problem import Limits, Problem, Test, Uncertainty
 from ringwear_par.measuring.definition.records import CHANNELS, Record, read_record
+from ringwear_par.schedules import quantity_text
 
 _TABLES = ("case", "measure", "test")
 #: of a test: a record may end so much before it, and be so much longer
@@ -279,7 +280,11 @@ class _Tests:
             )
             return
         if not test.slides:
-            reader.fault("load.omega, and the load at any time, must be > 0 in a test")
+            reader.fault(
+                f"load.force = {quantity_text(test.force)} and load.omega = "
+                f"{quantity_text(case.load.omega)}: the load must be > 0 at all times of the test, "
+                "and the speed at some; in a pause load.omega is 0"
+            )
         if not (1.0 - _SHORTER) * length <= test.duration:
             reader.fault(
                 f"time.end = {test.duration:g} s: the record is {length:g} s long; must be at "

@@ -14,6 +14,7 @@ from ringwear_par.cases.units import factor, named_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, and_more, unused_columns
+from ringwear_par.files.table_text import is_value
 from ringwear_par.files.text import shortened
 
 #: units of channels; of a temperature the letter behind the degree
@@ -142,7 +143,7 @@ def read_record(
     inside, duration = np.ones(len(time), dtype=bool), float(time[-1])
     for low, high in exclude:
         inside &= (time < low) | (time > high)
-    time, values = time[inside], {name: one[inside] for name, one in values.items()}
+    time, values = time[inside], {name: column[inside] for name, column in values.items()}
     for channel in ("wear", "torque"):
         if (
             channel in values
@@ -250,6 +251,11 @@ def _columns(
 
 
 def _missing(table: Measurements, channel: str, words: str) -> str:
+    if not any(is_value(row[0]) for row in table.rows):
+        return (
+            f"{table.name}: has no reading: no line begins with a number or a time; must have a "
+            "line of column names, and lines of numbers below it"
+        )
     return (
         f"{table.name}: has the columns {legible(', '.join(table.columns), 200)}; must have one of "
         f"{channel}, such as {words}"
@@ -275,7 +281,7 @@ def _known_column(
             )
         if known:
             return known[0]
-    # in the unit of something else, which is told
+    # in the unit of something else, which is reported
     return next((column for columns in candidates for column in columns), None)
 
 
@@ -354,7 +360,8 @@ def _times(table: Measurements, column: str, unit: str | None) -> tuple[FloatArr
         raise InputError(
             f"{table.name}: line {table.lines[fallen]}: {legible(column)} = "
             f"{legible(table.rows[fallen][cell])}{and_more(len(back), 'line')}: goes back, line "
-            f"{table.lines[before]} has {legible(table.rows[before][cell])}; must not fall"
+            f"{table.lines[before]} has {legible(table.rows[before][cell])}; must not fall, "
+            "also where a test that was stopped goes on"
         )
     first = np.concatenate([[True], np.diff(times) > 0.0])[: len(times)]
     rows = np.zeros(len(filled), dtype=bool)

@@ -1,4 +1,4 @@
-"""Preparation of ``ringwear run``: a case, an output to write, and the run that it goes on with."""
+"""Preparation of ``ringwear run``: a case, an output to write, and the run that it continues."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -118,15 +118,15 @@ def _difference(before: Result, case: Case) -> str:
             "another name"
         )
     growing = "time.end" if case.time.adaptive else "time.steps"
-    other = f"holds another case; --restart needs the same case, only {growing} may grow"
+    refusal = f"holds another case; --restart needs the same case, only {growing} may grow"
     # to read a case is to run the laws that it names: of a stored one only what this one runs too
     if named_files(read_keys(before.case, str(before.path))) != law_files(case):
-        return other
+        return refusal
     stored = parse_case(before.case, str(before.path))
     same = replace(stored, time=case.time, title=case.title, text=case.text)
     longer = replace(stored.time, steps=case.time.steps, until=case.time.until)
     if same != case or longer != case.time:
-        return other
+        return refusal
     reached = restored(before)
     time, steps = float(reached.state.time[0]), int(reached.progress.steps[0])
     if case.time.adaptive and time > case.time.end:

@@ -101,7 +101,7 @@ class SweepProgress(_Progress):
         self._before, self._total, self._ended = (done, failed), total, ended
 
     def __call__(self, snapshot: Snapshot | None = None) -> bool:
-        """Tell, if it is time."""
+        """Show how far the sweep is, if the last time is long enough ago."""
         if not self._is_due(_BAR_SECONDS if self._on_terminal else PROGRESS_SECONDS):
             return False
         done, failed = self._ended()

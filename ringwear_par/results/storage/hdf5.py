@@ -54,7 +54,7 @@ class UnreadableError(InputError):
 
 @contextmanager
 def reading(path: Path, software: str, kind: str, must: str = "") -> Iterator[h5py.File]:
-    """Give a file of ours to read; anything that goes wrong meanwhile means that it is none.
+    """Yield a file of this software to read; any error meanwhile means that it is not one.
 
     Not collective.
 
@@ -96,6 +96,8 @@ def _is_whole(path: Path, inode: int, size: int, changed: int) -> bool:
         file.seek(size - _SEAL_BYTES)
         ending = file.read()
         if not ending.startswith(_SEAL):
+            if not h5py.is_hdf5(path):
+                return True  # who opens it says so
             log.warning("%s: carries no checksum (another program wrote it): not verified", path)
             return True
         return ending[len(_SEAL) :] == b"%0*x\n" % (_DIGITS, _checksum(file, size - _SEAL_BYTES))
@@ -275,7 +277,7 @@ class _Disk(io.FileIO):
 
 @contextmanager
 def atomic_hdf5(path: Path, sealed: bool = True) -> Iterator[tuple[h5py.File, Callable[[], None]]]:
-    """Give a file to fill, which is there once it is whole. Call on one rank only.
+    """Yield a file to fill, which gets its name once it is complete. Call on one rank only.
 
     With it comes what raises the error of a disk that has failed since: it need not be called, but
     saves the memory and the time of what is written for nothing.

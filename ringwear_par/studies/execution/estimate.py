@@ -26,7 +26,7 @@ _START_SECONDS, _CASE_SECONDS = 0.7, 1e-4
 
 
 def estimate(plan: Plan, comm: MPI.Intracomm) -> str:
-    """Return the numbers of cases and operators, and the time they will take by timed ones.
+    """Return the numbers of cases and operators, and the time they will take by a trial.
 
     Collective on comm; the same on all ranks. RingwearError where all of these fail.
     """

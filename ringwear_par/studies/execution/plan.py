@@ -168,7 +168,7 @@ class Plan:
 def make_plan(study: Study, request: Request, locks: ExitStack | None) -> Plan:
     """Look which cases of a study are stored; locks keep the lock on their folder. On one rank.
 
-    Without them it is a mere look. InputError for the folder, a file in it or memory;
+    Without locks the folder is only looked at. InputError for the folder, a file in it or memory;
     ComputationError for a folder that a killed sweep still uses.
     """
     path, part = request.folder, request.part

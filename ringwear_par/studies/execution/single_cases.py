@@ -22,7 +22,7 @@ LONG_STEPS = 20_000
 
 
 def is_batchable(case: Case) -> bool:
-    """Tell whether a case is stepped side by side with others, if there are some or not."""
+    """Tell whether a case may be stepped side by side with others."""
     return case.about_steps <= LONG_STEPS and not must_run_alone(case)
 
 

@@ -2,7 +2,6 @@
 
 import logging
 from collections import Counter
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -107,12 +106,11 @@ def trouble_of(
         if isinstance(troubles[0], InputError):
             return troubles[0]
         if comm.rank == 0:  # beside results of an earlier study, which look complete
-            with suppress(OSError), atomic_write(plan.folder.stopped):
-                pass
+            mark_stopped(plan.folder.stopped)
         return ComputationError(f"{troubles[0]}; {ended}, and the same command goes on")
     stopped = summary.computed < plan.cases_left
     if stopped:
-        on_first_rank(comm, lambda: _mark(plan.folder.stopped))
+        on_first_rank(comm, lambda: mark_stopped(plan.folder.stopped))
     stored = summary.done, summary.failed
     # cases that failed before and are still stored must not make up for lost ones
     lost = max(counted[0] - stored[0], sum(counted) - sum(stored))
@@ -135,7 +133,7 @@ def trouble_of(
     return None
 
 
-def _mark(path: Path) -> None:
+def mark_stopped(path: Path) -> None:
     """Make an empty file in place of whatever has its name, or say why it cannot be."""
     try:
         with atomic_write(path):

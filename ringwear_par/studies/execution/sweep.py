@@ -18,7 +18,7 @@ from mpi4py import MPI
 from ringwear_par.errors import RingwearError
 from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads, with_help_of_all
 from ringwear_par.results.execution.progress import SweepProgress
-from ringwear_par.results.execution.stop_signals import StopSignals
+from ringwear_par.results.execution.stop_signals import Stopped, StopSignals, name_of, remark
 from ringwear_par.studies.definition.study import Study, read_study_together
 from ringwear_par.studies.execution.case_queue import SharedQueue
 from ringwear_par.studies.execution.estimate import estimate
@@ -26,7 +26,7 @@ from ringwear_par.studies.execution.merging import merge_if_well
 from ringwear_par.studies.execution.pairs import load_kernels_of, pair_of
 from ringwear_par.studies.execution.plan import Plan, Request, make_plan
 from ringwear_par.studies.execution.single_cases import is_batchable
-from ringwear_par.studies.execution.summary import Summary, Timings, trouble_of
+from ringwear_par.studies.execution.summary import Summary, Timings, mark_stopped, trouble_of
 from ringwear_par.studies.execution.team_store import TeamStore
 from ringwear_par.studies.execution.teams import Team
 
@@ -174,28 +174,34 @@ def _compute(
         queue.destroy()
         troubles = [error for error in comm.allgather(trouble) if error is not None]
         received = max(comm.allgather(signals.received))
-        of_ranks = tuple(comm.allgather(timings))
-        summary = Summary(
-            plan.request.folder,
-            plan.folder.part,
-            plan.total,
-            plan.done + done,
-            plan.failed + failed,
-            done + failed,
-            len(pairs) or sum(t.operators for t in of_ranks) // team.size,
-            0.0,
-            1e-6 * comm.allreduce(peak_memory(), MPI.MAX),
-            of_ranks,
-            sum((t.flagged for t in of_ranks), plan.flagged),
+    of_ranks = tuple(comm.allgather(timings))
+    summary = Summary(
+        plan.request.folder,
+        plan.folder.part,
+        plan.total,
+        plan.done + done,
+        plan.failed + failed,
+        done + failed,
+        len(pairs) or sum(t.operators for t in of_ranks) // team.size,
+        0.0,
+        1e-6 * comm.allreduce(peak_memory(), MPI.MAX),
+        of_ranks,
+        sum((t.flagged for t in of_ranks), plan.flagged),
+    )
+    counted = summary.done, summary.failed
+    if comm.rank == 0 and remark(received):  # mpirun kills a second later
+        log.info("stopped by %s: %d cases are merged yet", name_of(received), sum(counted))
+    try:
+        done, failed = with_help_of_all(
+            comm, lambda: merge_if_well(plan, summary, not troubles, comm)
         )
-        counted = summary.done, summary.failed
-        try:
-            done, failed = with_help_of_all(
-                comm, lambda: merge_if_well(plan, summary, not troubles, comm)
-            )
-            merged = not troubles and not plan.folder.part
-            summary = replace(summary, done=done, failed=failed, merged=merged)
-        except RingwearError as error:  # of the disk
-            troubles.append(error)
+        merged = not troubles and not plan.folder.part
+        summary = replace(summary, done=done, failed=failed, merged=merged)
+    except RingwearError as error:  # of the disk
+        troubles.append(error)
+    except (Stopped, KeyboardInterrupt):  # nothing is lost: shards go once all is merged
+        if comm.rank == 0:
+            mark_stopped(plan.folder.stopped)
+        raise
     summary = replace(summary, seconds=time.perf_counter() - started)
     return summary, trouble_of(plan, summary, counted, troubles, received, comm)

@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 
 class StorageError(ComputationError):
-    """The disk; not the fault of a case."""
+    """A failure of the disk, not of a case."""
 
 
 class TeamStore:

@@ -90,7 +90,7 @@ class Team:
         return True
 
     def _simulate_batched(self, resources: PairResources, cases: CaseSet) -> bool:
-        """Compute cases of a pair side by side, and store them in blocks; tell as above."""
+        """Compute cases of a pair side by side, store them; tell whether all have ended."""
 
         def stop() -> bool:
             self._observe()

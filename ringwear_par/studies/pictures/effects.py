@@ -120,7 +120,7 @@ def _medians(arrangement: Arrangement, values: FloatArray) -> list[Curve | Band 
         if len(x) <= _MANY:
             return []
         parts = np.array_split(np.argsort(x, kind="stable"), min(20, len(x) // 50))
-        along, middle = (np.array([np.median(of[part]) for part in parts]) for of in (x, y))
+        along, middle = (np.array([np.median(column[part]) for part in parts]) for column in (x, y))
         return [Curve(along, middle, "running median", COLOURS[1], 1)]
     repeated = [y[x == level] for level in levels]
     middle = np.array([np.median(part) for part in repeated])
@@ -134,8 +134,8 @@ def _medians(arrangement: Arrangement, values: FloatArray) -> list[Curve | Band 
     summary: list[Curve | Band | Points] = []
     if key.categories:  # a box each
         levels, low, high = (
-            np.stack([of, of, np.full(len(of), np.nan)], axis=1).ravel()
-            for of in (levels, low, high)
+            np.stack([ends, ends, np.full(len(ends), np.nan)], axis=1).ravel()
+            for ends in (levels, low, high)
         )
         levels[::3] -= _BOX
         levels[1::3] += _BOX

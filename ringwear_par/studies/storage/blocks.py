@@ -32,11 +32,11 @@ from ringwear_par.results.storage.hdf5 import UnreadableError
 from ringwear_par.results.variables import LINE
 from ringwear_par.studies.storage.stored_variables import FIELDS, shape_of, sizes_of
 
-#: a case's status is a place in this
+#: the status of a case is an index into this
 STATUS = ("incomplete", "failed", "done")
 INCOMPLETE, FAILED, DONE = range(3)
 #: of each case: ``rows`` stored states of so many contact ``elements``; wall time; worst balance or
-#: KKT residual of the steps; place in the ``kinds`` of its block
+#: KKT residual of the steps; index into the ``kinds`` of its block
 CASE = np.dtype([
     ("id", "S16"), ("status", "i1"), ("rows", "<i8"), ("elements", "<i8"), ("seconds", "<f8"),
     ("imbalance", "<f8"), ("kind", "<i4"),
@@ -81,7 +81,7 @@ def reporting_damage(path: Path) -> Iterator[None]:
 
 
 class Kind(NamedTuple):
-    """Words that many cases have in common."""
+    """Version, flags and error, which many cases have in common."""
 
     #: of ringwear-par that computed them
     version: str

@@ -39,7 +39,7 @@ _ENTRY = re.compile(rf"(.+)\[(\d+|{BODY})\]")
 
 @dataclass(frozen=True)
 class EndValue:
-    """A number of each case, or one a layer or point, which have names of their own."""
+    """A number of each case, or of each of its layers or points, each a column of ``cases.csv``."""
 
     #: in the table
     name: str
@@ -52,7 +52,7 @@ class EndValue:
     smooth: bool = True
 
     def of(self, table: FloatArray, last: IntArray) -> FloatArray:
-        """Return it of cases, (cases,) or (cases, layers or points), NaN where there is none.
+        """Return values of cases, (cases,) or (cases, layers or points), NaN where there is none.
 
         By the row ``last`` (cases,), -1 for none, of a table (cases, ...) of its source, padded
         with NaN.

@@ -139,7 +139,7 @@ def read_shard(path: Path) -> ShardContents | None:
 
 @contextmanager
 def _mapped(file: BinaryIO, path: Path) -> Iterator[Any]:
-    """Give the contents of a shard, locked, without reading them."""
+    """Yield the contents of a shard, locked, without reading them."""
     _lock(file, path, fcntl.LOCK_SH)
     if not os.fstat(file.fileno()).st_size:  # nothing is mapped of an empty file
         yield b""

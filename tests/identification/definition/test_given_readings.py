@@ -108,21 +108,29 @@ def test_columns_in_units_of_something_else(quantity, column, good, tmp_path):
     assert "or units.value must be given" in "\n".join(faults)
 
 
-@pytest.mark.parametrize(("start", "sentences"), [("0:00:00", 0), ("0:02:00", 1)])
-def test_times_of_day_are_told(start, sentences, good, tmp_path):
-    """Clock times that begin after the end of the test (100 s); others have elapsed."""
-    minutes = int(start[2:4])
-    rows = [f"0:{minutes + i // 60:02d}:{i % 60:02d};{0.1 * i}" for i in range(0, 100, 2)]
+@pytest.mark.parametrize(
+    ("hour", "minute", "end", "first", "said"),
+    [
+        (0, 0, 100.0, 0.0, ""),
+        (0, 2, 100.0, 0.0, "times begin with 0:02:00, after the end of the test; they are taken as "
+         "times of day"),
+        (8, 0, 36e3, 28800.0, "times begin with 8:00:00, taken as elapsed since the start of the "
+         "test; if they are times of day, their column must have the date"),
+    ],
+)  # fmt: skip
+def test_times_of_day_are_told(hour, minute, end, first, said, good, tmp_path):
+    """Clock times that begin after the end of the test; others have elapsed."""
+    rows = [f"{hour}:{minute + i // 60:02d}:{i % 60:02d};{0.1 * i}" for i in range(0, 100, 2)]
     path = tmp_path / "z.csv"
     path.write_text("\n".join(["t;z_um", *rows, "OVL;OVL"]))
     tables = changed(good, (*PEN, "file"), str(path))
     tables["experiment"][0]["data"][0] |= {
         "columns": {"time": "t", "value": "z_um"}, "drop": ["OVL"],
     }  # fmt: skip
+    tables["experiment"][0]["set"]["time.end"] = end
     series = read_fit(tables).experiments[0].series[0]
-    assert series.x[[0, -1]].tolist() == [0.0, 98.0]
-    said = f"the times begin with {start}, after the end of the test; they are taken as times of "
-    assert [said in sentence for sentence in series.assumptions] == [True] * sentences
+    assert series.x[[0, -1]] == pytest.approx([first, first + 98.0])
+    assert [said in sentence for sentence in series.suspicions] == [True] * bool(said)
 
 
 def test_what_is_taken_for_a_unit_is_told(good, tmp_path, comm):

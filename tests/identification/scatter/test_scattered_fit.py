@@ -112,7 +112,7 @@ def test_a_posterior_that_bends_is_followed(tables):
         del one["fit"]["parameters"][P0]
         for test in one["experiment"]:
             test["set"] = {**test["set"], P0: value}
-        known.append(rw.fit(one, MPI.COMM_SELF).material.posterior.log_mass)
+        known.append(rw.fit(one, MPI.COMM_SELF).material.mixed.posterior.log_mass)
     density = np.zeros(len(at))
     for piece in found.material.pieces:
         p0 = piece.posterior.material(place)

@@ -325,8 +325,8 @@ def test_the_folder_holds_what_to_do_next(tables, laboratory, tmp_path, comm, ca
 
 
 def test_next_tests_have_the_noise_of_the_readings_that_they_are_measured_as(tables, comm):
-    """Of two records of one quantity each its own, of profiles that of the last one."""
-    source = tables()
+    """Of two records of one quantity each its own, of profiles that of the last one; its units."""
+    source = tables({**VARY, "load.pressure": ["300 bar", "1000 bar"]})
     data = source["experiment"][0]["data"]
     early = {"quantity": "profile.lower", "r": {"from": 28.0, "to": 32.0, "count": 9},
              "unit": "mm", "at": 0.2 * END, "sd": 0.6}  # fmt: skip
@@ -334,6 +334,7 @@ def test_next_tests_have_the_noise_of_the_readings_that_they_are_measured_as(tab
     source["experiment"][0]["data"] = [early, *data, other]
     found = rw.design(source, comm)
     for test in tomllib.loads(next_tests(found))["experiment"]:
+        assert test["set"]["load.pressure"].endswith(" bar")
         told = [(one["quantity"], one["unit"], one["sd"]) for one in test["data"]]
         assert sorted(told) == [
             ("penetration", "mm", 0.07), ("penetration", "um", 0.2), ("profile.lower", "um", 0.08),
