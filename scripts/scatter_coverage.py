@@ -2,24 +2,27 @@
 """How often intervals of a material hold the truth, where specimens scatter and wear is random.
 
     python scripts/scatter_coverage.py specimens [--trials 1000]    # some 3 minutes
+    python scripts/scatter_coverage.py limits [--trials 1000]       # some 5 minutes
     python scripts/scatter_coverage.py wear [--trials 400]          # some 10 minutes
     python scripts/scatter_coverage.py predict [--trials 200]       # some 10 minutes
     python scripts/scatter_coverage.py chain [--trials 200]         # some 15 minutes
 
 ``specimens``: repeats whose k scatter (normal in its logarithm), each known to 2 % from its own
-readings. ``wear``: records of 150 readings of 15 um of wear, which grows at random (a gamma
-process), by a sensor of 0.2 um whose zero is not known. Intervals are those of the program, at
-95 %; beside them those of one k for all, as of a fit without scatter. ``predict``: fits of k and p0
-to records of specimens at 40 and 60 MPa, and how often the band of the next specimen's penetration
-at 80 MPa and another speed holds that of a new one. ``chain``: nine specimens in three conditions,
-of each a record that drifts and three weighings, from simulated histories to the printed intervals
-of a fit. Seeds are fixed; under mpirun ranks share the rows out.
+readings. ``limits``: of those below the material's k it is only known that they are. ``wear``:
+records of 150 readings of 15 um of wear, which grows at random (a gamma process), by a sensor of
+0.2 um whose zero is not known. Intervals are those of the program, at 95 %; beside them those of
+one k for all, as of a fit without scatter. ``predict``: fits of k and p0 to records of specimens at
+40 and 60 MPa, and how often the band of the next specimen's penetration at 80 MPa and another speed
+holds that of a new one. ``chain``: nine specimens in three conditions, of each a record that drifts
+and three weighings, from simulated histories to the printed intervals of a fit. Seeds are fixed;
+under mpirun ranks share the rows out.
 """
 
 import argparse
 import logging
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +34,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.problem import Series
 from ringwear_par.identification.scatter.likelihood import (
     Level,
+    Limits,
     LinearisedTest,
     MixedModel,
     ReducedTest,
@@ -64,15 +68,23 @@ TIMED = {
 }  # fmt: skip
 
 
-def specimens_row(tau: float, count: int, trials: int, rng: np.random.Generator) -> str:
-    """Return the row of repeats that scatter by tau (relative)."""
+def specimens_row(
+    tau: float, count: int, trials: int, rng: np.random.Generator, limit: float = -np.inf
+) -> str:
+    """Return the row of repeats that scatter by tau (relative), those below a limit unread."""
+    below = Limits(np.array([limit / OWN_SD]), np.array([[-1.0 / OWN_SD]]))
+    unread = ReducedTest(np.zeros((1, 1)), np.zeros(1), 0.0, 0.0, limits=below)
     level = Level(0, "specimen", np.arange(count))
     information, common = np.array([[OWN_SD**-2]]), TWO_SIDED * OWN_SD / np.sqrt(count)
     hits, widths = np.zeros(4), []
     for _ in range(trials):
-        values = np.hypot(tau, OWN_SD) * rng.standard_normal(count)
+        values = np.full(count, -np.inf)
+        while (values <= limit).all():  # such a fit is refused
+            values = np.hypot(tau, OWN_SD) * rng.standard_normal(count)
         tests = [
             ReducedTest(information, np.array([v / OWN_SD**2]), (v / OWN_SD) ** 2, 0.0)
+            if v > limit
+            else unread
             for v in values
         ]
         models = [MixedModel(tests, [level], np.zeros(1), np.zeros(1))]
@@ -265,6 +277,11 @@ TABLES: dict[str, tuple[str, tuple[float, ...], tuple[int, ...], Callable[..., s
         "| scatter | specimens | one k for all | k of the material | scatter | next specimen |\n"
         "|---|---|---|---|---|---|",
         SCATTERS, SPECIMENS, specimens_row, 1000,
+    ),
+    "limits": (
+        "| scatter | specimens | (one k for all, all read) | k of the material | scatter | "
+        "next specimen |\n|---|---|---|---|---|---|",
+        SCATTERS, SPECIMENS[1:], partial(specimens_row, limit=0.0), 1000,
     ),
     "wear": (
         "| share at the end | records | one sensor's noise | k | share |\n|---|---|---|---|---|",

@@ -1,27 +1,34 @@
 """``to_arviz`` of fits: draws of what they know, and the log likelihood of each reading.
 
-Readings are linearised at the estimate, as linear intervals and those with scatter are. The log
-likelihood of a reading is that given all others of its test: with the inverse q of their
-covariance, in which nuisances and the random part of wear are, and the readings' distance d from
-the model, it is -log(2 pi)/2 + log(q_ii)/2 - (q d)_i^2/(2 q_ii) (Sundararajan and Keerthi, Neural
-Comput. 13 (2001) 1103-1118). What leaves one reading out is then right for correlated ones.
+Draws are those of predictions: within the bounds, and of all pieces of a posterior. Readings are
+linearised at the estimate, or about the place of each piece. The log likelihood of a reading is
+that given all others of its test: with the inverse q of their covariance, in which nuisances and
+the random part of wear are, and the readings' distance d from the model, it is -log(2 pi)/2 +
+log(q_ii)/2 - (q d)_i^2/(2 q_ii) (Sundararajan and Keerthi, Neural Comput. 13 (2001) 1103-1118).
+What leaves one reading out is then right for correlated ones.
 """
 
+from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
+from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.fit_result import FitResult
+from ringwear_par.identification.model.histories import Histories
 from ringwear_par.identification.model.noise import whitened
+from ringwear_par.identification.model.rounds import Responses
 from ringwear_par.identification.scatter.likelihood import ReducedTest
 from ringwear_par.identification.scatter.linearisation import (
     MOST_READINGS,
     Linearisation,
     projected_precision,
 )
+from ringwear_par.identification.scatter.material import Material
 
 if TYPE_CHECKING:
     import arviz
@@ -67,42 +74,51 @@ def to_arviz(fit: FitResult) -> "arviz.InferenceData":
             f"fit: to_arviz needs records of at most {MOST_READINGS} readings beside process"
         )
     random = np.random.default_rng(_SEED)
-    draws, linear = _drawn(fit, random), _linearised(fit)
-    likelihoods, replicas, marginals = [], [], []
-    for number, rows in enumerate(linear.rows):
-        likelihood, replica = _of_readings(linear, number, draws, random)
+    likelihoods, replicas, marginals, drawn = [], [], [], _drawn(fit, random)
+    for draws, linear in drawn:
+        of_readings = [
+            _of_readings(linear, number, draws, random) for number in range(len(linear.rows))
+        ]
+        likelihood, replica = map(np.hstack, zip(*of_readings, strict=True))
         likelihoods.append(likelihood)
-        replicas.append(misfit.data[rows] + replica)
+        replicas.append(misfit.data + replica)
         if draws.taus.shape[1]:
-            marginals.append(_marginal(fit, linear, number, draws))
+            of_tests = [_marginal(fit, linear, n, draws) for n in range(len(linear.rows))]
+            marginals.append(np.stack(of_tests, axis=1))
+    order = random.permutation(sum(len(draws.keys) for draws, _ in drawn))
+    likelihood, replica = (np.vstack(parts)[order] for parts in (likelihoods, replicas))
+    keys, taus, sizes = (
+        np.vstack([getattr(draws, name) for draws, _ in drawn])[order]
+        for name in ("keys", "taus", "sizes")
+    )
     names = [
         (r.experiment.name, r.series.name, x) for r in misfit.records for x in r.series.x.tolist()
     ]
     test, series, place = zip(*names, strict=True)
-    values = [np.array([problem.values(u) for u in draws.keys])]
+    values = [np.array([problem.values(u) for u in keys])]
     posterior = dict(zip(problem.keys, values[0].T[:, None], strict=True))
     if fit.material is not None:
-        for level, tau in zip(fit.material.mixed.posterior.model.levels, draws.taus.T, strict=True):
+        for level, tau in zip(fit.material.mixed.posterior.model.levels, taus.T, strict=True):
             key = problem.keys[fit.material.mixed.free[level.key]]
             posterior[f"scatter of {key} between {level.name}s"] = tau[None]
-        for key, size in zip(problem.settings.process, draws.sizes.T, strict=True):
+        for key, size in zip(problem.settings.process, sizes.T, strict=True):
             posterior[f"process.{key}"] = size[None]
     groups: dict[str, Any] = {
         "posterior": posterior,
-        "posterior_predictive": {"reading": np.concatenate(replicas, axis=1)[None]},
-        "log_likelihood": {"reading": np.concatenate(likelihoods, axis=1)[None]},
+        "posterior_predictive": {"reading": replica[None]},
+        "log_likelihood": {"reading": likelihood[None]},
         "observed_data": {"reading": misfit.data},
     }
     dims = {"reading": ["place"]}
     data = arviz.from_dict(**groups, dims=dims)
-    data.posterior.attrs.update({"of_draws": draws.kind, **fit.versions})
+    data.posterior.attrs.update({"of_draws": drawn[0][0].kind, **fit.versions})
     where = {"test": ("place", list(test)), "series": ("place", list(series)),
              "at": ("place", np.array(place))}  # fmt: skip
     for group in ("posterior_predictive", "log_likelihood", "observed_data"):
         data[group] = data[group].assign_coords(where)
     if marginals:
         tests = [experiment.name for experiment in problem.experiments]
-        variables = {"test": np.stack(marginals, axis=1)[None]}
+        variables = {"test": np.vstack(marginals)[order][None]}
         marginal = arviz.convert_to_dataset(
             variables, dims={"test": ["name"]}, coords={"name": tests}
         )
@@ -110,37 +126,53 @@ def to_arviz(fit: FitResult) -> "arviz.InferenceData":
     return data
 
 
-def _drawn(fit: FitResult, random: np.random.Generator) -> _FitDraws:
-    m, tests = len(fit.parameters), len(fit.misfit.problem.experiments)
+def _drawn(fit: FitResult, random: np.random.Generator) -> list[tuple[_FitDraws, Linearisation]]:
+    """Return draws within the bounds, those of each piece of the posterior, and its tests."""
+    misfit, m, tests = fit.misfit, len(fit.parameters), len(fit.misfit.problem.experiments)
     if fit.material is not None:
-        material, free = fit.material, list(fit.material.mixed.free)
-        drawn = material.mixed.posterior.draw(tests, DRAWS, random)
-        keys = np.tile(fit.x[:m], (DRAWS, 1))
-        test_unknowns = np.tile(material.test_unknowns, (DRAWS, 1, 1))
-        keys[:, free], test_unknowns[:, :, free] = drawn.material, drawn.tests
-        sizes = material.wear.sizes(drawn.shares)
-        return _FitDraws("mixture over sizes of scatter and random wear", keys, test_unknowns,
-                      drawn.tau, sizes)  # fmt: skip
+        return _drawn_of_material(fit.misfit, fit.material, random)
     if fit.posterior is not None:
         samples = fit.posterior.samples
-        kind, keys = "samples", np.array([fit.misfit.problem.unknowns(v) for v in samples])
+        kind, keys = "samples", np.array([misfit.problem.unknowns(v) for v in samples])
     else:
         if not np.isfinite(fit.covariance[:m, :m]).all():
             raise InputError("fit: to_arviz needs keys that are identified")
         kind = "linear model"
         keys = random.multivariate_normal(fit.x[:m], fit.covariance[:m, :m], DRAWS)
-    none = np.zeros((len(keys), 0))
-    return _FitDraws(kind, keys, np.repeat(keys[:, None], tests, axis=1), none, none)
+    none, of_tests = np.zeros((len(keys), 0)), np.repeat(keys[:, None], tests, axis=1)
+    unknowns = np.tile(fit.x[:m], (tests, 1))
+    linear = Linearisation(misfit, misfit.evaluate(fit.x, unknowns), fit.x, unknowns)
+    return [(_FitDraws(kind, keys, of_tests, none, none), linear)]
 
 
-def _linearised(fit: FitResult) -> Linearisation:
-    """Return all tests, linearised at the estimates."""
-    x, m = fit.x, len(fit.parameters)
-    if fit.material is None:
-        unknowns = np.tile(x[:m], (len(fit.misfit.problem.experiments), 1))
-    else:
-        unknowns = fit.material.test_unknowns
-    return Linearisation(fit.misfit, fit.misfit.evaluate(x, unknowns), x, unknowns)
+def _drawn_of_material(
+    misfit: Misfit, material: Material, random: np.random.Generator
+) -> list[tuple[_FitDraws, Linearisation]]:
+    problem, kind = misfit.problem, "mixture over sizes of scatter and random wear"
+    free, m, drawn = [*material.mixed.free], len(problem.parameters), []
+    low, high = (limits[free] for limits in problem.unknown_bounds)
+    if material.pieces:  # a result keeps no histories elsewhere than at its estimate
+        kind, misfit, steps = f"{kind}, in pieces", copy(misfit), misfit.responses.steps
+        misfit.responses = Responses(problem, Histories(problem, MPI.COMM_SELF))
+        misfit.responses.steps = steps
+    counts = random.multinomial(DRAWS, [piece.weight for piece in material.parts])
+    for piece, count in zip(material.parts, counts.tolist(), strict=True):
+        draws = piece.posterior.draw(len(piece.test_unknowns), count, random)
+        every = np.concatenate([draws.material[:, None], draws.tests], axis=1)
+        inside = ((every >= low) & (every <= high)).all(axis=(1, 2))
+        if not inside.any():
+            continue
+        keys = np.tile(material.best_fit.x[:m], (np.count_nonzero(inside), 1))
+        tests = np.tile(piece.test_unknowns, (len(keys), 1, 1))
+        keys[:, free], tests[:, :, free] = draws.material[inside], draws.tests[inside]
+        sizes = material.wear.sizes(draws.shares[inside])
+        x = material.best_fit.x
+        if material.pieces:
+            x = misfit.with_best_nuisances(misfit.values(x), piece.test_unknowns)
+        evaluation = misfit.evaluate(x, piece.test_unknowns)
+        linear = Linearisation(misfit, evaluation, x, piece.test_unknowns)
+        drawn.append((_FitDraws(kind, keys, tests, draws.tau[inside], sizes), linear))
+    return drawn
 
 
 def _of_readings(

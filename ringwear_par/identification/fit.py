@@ -107,7 +107,8 @@ def _fit_law(
             sizes = expected_sizes(problem) if expected else None
             material = estimate_material(misfit, solution.x, sizes)
             if not expected:
-                material = replace(material, pieces=posterior_in_pieces(misfit, material))
+                pieces, doubt = posterior_in_pieces(misfit, material)
+                material = replace(material, pieces=pieces, doubt_of_pieces=doubt)
             solution = replace(
                 solution, x=material.best_fit.x, evaluation=material.best_fit.evaluation,
                 parameters=tuple(map(material.estimate, range(len(problem.parameters)))),

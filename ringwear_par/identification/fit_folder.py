@@ -26,7 +26,7 @@ from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import BASE, Problem, body_of_wear
 from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.identification.fitted_values import fitted_values, write_values
+from ringwear_par.identification.fitted_values import LAWS, fitted_values, write_values
 from ringwear_par.pictures.style import picture
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
 from ringwear_par.results.variables import PARAMETER, PARAMETER_UNIT, SOFTWARE, Variable
@@ -82,6 +82,10 @@ def _write(file: h5py.File, fit: FitResult) -> None:
         {"software": SOFTWARE, "fit": misfit.problem.text, "keys": keys, **fit.versions}
     )
     write_values(file, fitted_values(fit))
+    for number, (law, other) in enumerate(fit.alternatives.items(), start=1):
+        group = file.create_group(f"{LAWS}/{number}")
+        group.attrs["law"] = law
+        write_values(group, fitted_values(other))
     _write_inputs(file, fit)
     if fit.posterior is not None:
         group = file.create_group("posterior")

@@ -19,6 +19,7 @@ from ringwear_par.identification.definition.problem import SCALE, FittedParamete
 from ringwear_par.identification.estimation.intervals import ParameterEstimate
 from ringwear_par.identification.estimation.starts import StartOutcome
 from ringwear_par.identification.fit_result import FitResult
+from ringwear_par.identification.scatter.posterior import Mixture
 from ringwear_par.results.laboratory_numbers import LABORATORY, course_of, laboratory_numbers
 from ringwear_par.results.result import Result
 from ringwear_par.studies.execution.many import simulate_all
@@ -276,28 +277,34 @@ def log_evidence(fit: "FitResult") -> float | None:
     The likelihood is integrated over keys and nuisances by Laplace's approximation at the estimate:
     exact where the model is linear over its intervals. With scatter or random wear, sizes are
     integrated over their grid as well. A key without a prior is uniform within its bounds, or its
-    logarithm is where the scale is logarithmic, so that wide bounds make a law less probable. Free
-    nuisances count alike under all laws: of evidences only differences mean anything.
+    logarithm is where the scale is logarithmic, so that wide bounds make a law less probable; what
+    lies beyond the bounds of a key does not count. Free nuisances count alike under all laws: of
+    evidences only differences mean anything.
 
-    None where it is not that easily known: a key is not identified or at its bound, noise is fitted
-    or not normal, readings are limits.
+    None where it is not that easily known: a key is not identified, or at its bound without scatter
+    and random wear; noise is fitted or not normal, readings are limits.
     """
-    misfit, m = fit.misfit, len(fit.parameters)
+    misfit, m, material = fit.misfit, len(fit.parameters), fit.material
     problem = misfit.problem
     rough = problem.settings.loss != "gaussian" or misfit.censored.any() or fit.noise_fitted
-    if rough or any(parameter.verdict != "identified" for parameter in fit.parameters):
+    known = {"identified"} if material is None else {"identified", "at bound"}
+    if rough or any(parameter.verdict not in known for parameter in fit.parameters):
         return None
     low, high = problem.unknown_bounds
     prior = 0.0
-    for parameter, unknown, width in zip(problem.parameters, fit.x, high - low, strict=False):
+    for key, (parameter, unknown) in enumerate(zip(problem.parameters, fit.x, strict=False)):
+        width, variance = high[key] - low[key], fit.covariance[key, key]
+        value = Mixture(np.ones(1), np.array([unknown]), np.array([variance]))
+        value = value if material is None else material.mixed.unbounded.material(key)
+        prior += float(np.log(value.probability(low[key], high[key])))
         if parameter.prior is None:
             prior -= float(np.log(width))
         else:  # a density of values, its square is among the readings'
             prior += float(np.log(parameter.slope(parameter.value(unknown)) / parameter.prior.sd))
             prior -= 0.5 * float(np.log(2.0 * np.pi))
-    if fit.material is not None:
+    if material is not None:
         constant = 0.5 * (m - misfit.n) * np.log(2.0 * np.pi)
-        return fit.material.mixed.posterior.log_mass + prior + float(constant)
+        return material.mixed.unbounded.log_mass + prior + float(constant)
     acting = ~misfit.idle
     covariance = fit.covariance[np.ix_(acting, acting)]
     if not np.isfinite(covariance).all():

@@ -101,8 +101,9 @@ class FitResult(Outcome, Solution):
         freedom = values + len(self.misfit.priors) - self.n_fitted
         if self.material is None:
             return freedom
-        m = len(self.parameters)
-        return freedom + m + self.material.n_fitted_sizes - self.material.best_fit.effective_number
+        freedom += len(self.parameters) + self.material.n_fitted_sizes
+        # limits tell of the material, too
+        return max(freedom - self.material.best_fit.effective_number, 0.0)
 
     @property
     def total(self) -> float:

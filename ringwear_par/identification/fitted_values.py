@@ -12,14 +12,13 @@ from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import body_of_wear
 from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.identification.scatter.material import Piece
 from ringwear_par.results.storage.hdf5 import write_variable
 from ringwear_par.results.variables import PARAMETER, Variable
 from ringwear_par.schedules import mean, mean_of_product
 from ringwear_par.wear.law import WearLaw
 
-#: group of results.h5
-GROUP = "values"
+#: group of results.h5, and that of groups of the laws compared, which have one each
+GROUP, LAWS = "values", "laws"
 #: conditions of a test and their units, and what keys each depends on
 CONDITIONS = {"p": "MPa", "V": "mm/s", "pV": "MPa mm/s", "distance": "mm", "mu": "1"}
 _SET_BY = {
@@ -107,7 +106,7 @@ def fitted_values(fit: FitResult) -> FittedValues:
         sizes = np.zeros((1, len(BODIES)))
     else:
         free = np.array(material.mixed.free, dtype=np.int64)
-        pieces = material.pieces or (Piece(material.mixed.posterior, 1.0),)
+        pieces = material.parts
         weights = np.concatenate([piece.weight * piece.posterior.weights for piece in pieces])
         order = np.argsort(-weights)
         likely = np.cumsum(weights[order]) < 1.0 - (_OF_PIECES if material.pieces else _IMPROBABLE)
@@ -155,8 +154,8 @@ _ARRAYS = {
 }
 
 
-def write_values(file: h5py.File, values: FittedValues) -> None:
-    """Write a group of a file."""
+def write_values(file: h5py.Group, values: FittedValues) -> None:
+    """Write a group of a file, or of a group of it."""
     group = file.create_group(GROUP)
     group.attrs.update(
         {
@@ -179,7 +178,7 @@ def write_values(file: h5py.File, values: FittedValues) -> None:
         write_variable(group, Variable(name, dimensions, "1", meaning), getattr(values, name))
 
 
-def read_values(file: h5py.File) -> FittedValues:
+def read_values(file: h5py.Group) -> FittedValues:
     """Return the group of a file; KeyError or ValueError where there is none, or it is damaged."""
     group = file[GROUP]
     keys, specimens, laws, tables = (

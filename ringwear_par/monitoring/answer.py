@@ -105,6 +105,8 @@ class Answer:
     #: relative error of histories; None: all draws were stepped
     interpolated: float | None
     doubts: tuple[str, ...]
+    #: probability of each law before the test and by the readings, by name; empty: one law only
+    laws: Mapping[str, tuple[float, float]]
 
     @property
     def ended(self) -> bool:
@@ -151,6 +153,12 @@ class Answer:
         if self.depth is not None:
             depth, when = self.depth
             lines.append(f"  {depth_words(depth)}: {when.words(self.end)}")
+        if self.laws:
+            shares = [
+                f"{law} {100 * now:.2g} % (before the test {100 * before:.2g} %)"
+                for law, (before, now) in self.laws.items()
+            ]
+            lines.append(f"  probability of laws: {', '.join(shares)}")
         return [*lines, *(f"warning: {words}" for words in self.warnings)]
 
     def _at(self, time: float) -> str:

@@ -1,25 +1,26 @@
 """A bank of histories: draws of what is known of a specimen, weighed by the readings of its test.
 
 Readings are compared as fits do it: noise, nuisances and the random part of wear are integrated,
-linearised at the most probable history. A weight is prior times likelihood over the density from
-which a draw was made. Where few draws have all the weight, the likelihood is tempered until enough
-of them count, and all are drawn anew from a Student's t about these (population Monte Carlo: Cappe,
-Guillin, Marin and Robert, J. Comput. Graph. Stat. 13 (2004) 907-929).
+linearised at the most probable history, where a loss weighs readings too. A weight is prior times
+likelihood over the density from which a draw was made. Where few draws have all the weight, the
+likelihood is tempered until enough of them count, and all are drawn anew from a Student's t about
+these (population Monte Carlo: Cappe, Guillin, Marin and Robert, J. Comput. Graph. Stat. 13 (2004)
+907-929).
 """
 
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import gammaln, logsumexp
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.identification.definition.problem import Problem, body_of_wear
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.fitted_values import FittedValues
+from ringwear_par.identification.model.histories import Histories
 from ringwear_par.identification.model.readings import Reader
-from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.identification.scatter.likelihood import LinearisedTest, reduce_test
 from ringwear_par.identification.scatter.linearisation import Linearisation
 from ringwear_par.monitoring.histories import SpecimenHistories
@@ -48,7 +49,7 @@ class BankDraws:
     unknowns: FloatArray
     #: (draws,) of the mixture that is known of them
     part: IntArray
-    #: (draws,) logarithm of the prior's density over that of the draws, but for a constant
+    #: (draws,) logarithm of the prior's density over that of the draws
     log_prior_over_proposal: FloatArray
     #: (draws, modes) of their histories
     coordinates: FloatArray
@@ -97,6 +98,8 @@ class Bank:
     ----------
     prior_covariance : (m, m) of the unknowns before the test.
     redraws : how often draws were made anew.
+    log_evidence : logarithm of the probability density of the last readings but for a constant of
+        theirs, the same under all laws.
     """
 
     def __init__(
@@ -104,7 +107,7 @@ class Bank:
         known: FittedValues,
         specimen: str,
         problem: Problem,
-        rounds: Rounds,
+        rounds: Histories,
         draws: int,
         seed: int,
     ) -> None:
@@ -112,12 +115,12 @@ class Bank:
         self._random = np.random.default_rng(seed)
         self.histories = SpecimenHistories(problem, rounds)
         self._rounds = rounds
-        values, part = draw_parts(known, specimen, draws, self._random)
+        values, part, self._share_inside = draw_parts(known, specimen, draws, self._random)
         unknowns = np.where(known.logarithmic, np.log(values), values)
         self.histories.prepare(unknowns)
         coordinates = self.histories.coordinates(unknowns)
         self.draws = BankDraws(unknowns, part, np.zeros(draws), coordinates)
-        self.redraws = 0
+        self.redraws, self.log_evidence = 0, 0.0
         self._linearised: tuple[Problem, Linearised] | None = None
         wearing = [BODIES.index(body_of_wear(key)) for key in problem.settings.process]
         self._sizes, self._of_part = np.unique(known.sizes[:, wearing], axis=0, return_inverse=True)
@@ -155,12 +158,13 @@ class Bank:
         misfit.responses.stored[0, problem.values(at).tobytes()] = response
         x = misfit.with_best_nuisances(problem.values(at), at[None])
         evaluation = misfit.evaluate(x, at[None])
-        linear = Linearisation(misfit, evaluation, x, at[None]).tests[0]
+        linearisation = Linearisation(misfit, evaluation, x, at[None])
+        (linear,) = linearisation.tests
         modes = Reader(test).read(self.histories.modes())
-        above_mean = misfit.whitened(response[:, 0] - modes[:, 0])
-        readings = linear.readings - linear.jacobian @ at + above_mean
-        jacobian = misfit.whitened(modes[:, 1:])
-        linearised = replace(linear, readings=readings, jacobian=jacobian), misfit, x
+        modes[:, 0] = response[:, 0] - modes[:, 0]  # above their mean
+        rows = linearisation.roots[:, None] * misfit.whitened(modes)
+        readings = linear.readings - linear.jacobian @ at + rows[:, 0]
+        linearised = replace(linear, readings=readings, jacobian=rows[:, 1:]), misfit, x
         self._linearised = problem, linearised
         return linearised
 
@@ -178,18 +182,29 @@ class Bank:
         for round_number in range(_ROUNDS + 1):
             test = rows_of(self.linearised(problem)[0], chosen)
             likelihood = self._log_likelihood(test)
-            weights = normalised(self._logs(likelihood))
-            if round_number == _ROUNDS or not are_too_few(weights):
+            logs = self._logs(likelihood)
+            weights = normalised(logs)
+            self.log_evidence = float(logsumexp(logs)) - np.log(len(logs))
+            if round_number == _ROUNDS:
                 break
-            tempered = normalised(self._logs(self._exponent(likelihood) * likelihood))
-            self._linearise_at(tempered)
-            self._draw_anew(tempered)
-            self.redraws += 1
-        mean, covariance = _moments(self.draws.unknowns, weights)
-        off = np.abs(mean - self._reference)
-        if (off > _MOST_OFF_SD * np.sqrt(np.diag(covariance))).any():
+            if are_too_few(weights):
+                tempered = normalised(self._logs(self._exponent(likelihood) * likelihood))
+                self._linearise_at(tempered)
+                self._draw_anew(tempered)
+                self.redraws += 1
+            elif problem.settings.loss != "gaussian" and self._is_off(weights):
+                self._linearise_at(weights)  # which weighs readings otherwise
+            else:
+                break
+        if self._is_off(weights):
             self._linearise_at(weights)
         return weights
+
+    def _is_off(self, weights: FloatArray) -> bool:
+        """Tell whether readings are linearised far from the mean of the draws."""
+        mean, covariance = _moments(self.draws.unknowns, weights)
+        off = np.abs(mean - self._reference)
+        return bool((off > _MOST_OFF_SD * np.sqrt(np.diag(covariance))).any())
 
     def _logs(self, likelihood: FloatArray) -> FloatArray:
         logs = self.draws.log_prior_over_proposal + likelihood
@@ -228,10 +243,15 @@ class Bank:
         unknowns = mean + scale[:, None] * (normal @ factor.T)
         low, high = self.problem.unknown_bounds
         inside = ((unknowns >= low) & (unknowns <= high)).all(axis=1)
-        square = (np.linalg.solve(factor, (unknowns - mean).T) ** 2).sum(axis=0)
-        density = -0.5 * (_DEGREES + len(mean)) * np.log1p(square / _DEGREES)
+        half, square = (
+            0.5 * len(mean),
+            (np.linalg.solve(factor, (unknowns - mean).T) ** 2).sum(axis=0),
+        )
+        density = gammaln(0.5 * _DEGREES + half) - gammaln(0.5 * _DEGREES)
+        density -= half * np.log(np.pi * _DEGREES) + np.log(np.diag(factor)).sum()
+        density = density - (0.5 * _DEGREES + half) * np.log1p(square / _DEGREES)
         part, ratio = self._parts_at(unknowns, weights)
-        ratio -= density
+        ratio -= density + np.log(self._share_inside)
         unknowns = np.clip(unknowns, low, high)
         if self.histories.error is None:  # polynomials may do where draws are nearer
             self.histories.prepare(unknowns)

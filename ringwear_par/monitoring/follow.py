@@ -5,7 +5,6 @@ import re
 import shlex
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from mpi4py import MPI
 from ringwear_par.errors import InputError, legible, reason_of
 from ringwear_par.files.folders import FOLLOW, check_folder
 from ringwear_par.identification.definition.problem import Problem
+from ringwear_par.identification.model.histories import Histories
 from ringwear_par.identification.model.rounds import Rounds, StoppedError
 from ringwear_par.monitoring.answer_files import PAGE, AnswerFiles
 from ringwear_par.monitoring.bank import Bank
@@ -85,23 +85,30 @@ def run_follow(
     running, percent, mm = on_first_rank(comm, begin)
     followed = followed_test(running, after, comm)
     problem, name = followed.problem, legible(running.name)
-    plan = replace(problem, experiments=(planned(problem.experiments[0]),))
     options = {"after": after, "test": test, "to": to, "depth": depth, "draws": draws, "seed": seed}
     words = [w for name, v in options.items() if v is not None for w in (f"--{name}", str(v))]
     command = ["ringwear", "follow", str(source), "-o", str(folder), *words]
     files = AnswerFiles(folder, shlex.join(command))
     with StopSignals() as signals:
-        rounds = Rounds(plan, comm, signals)
+        rounds = Rounds(planned(problem), comm, signals)
 
         def lead() -> None:
             rounds.tell(f"{draws} draws of {name}")
             specimen, values = followed.specimen, followed.known.values
             whom = specimen if specimen == NEXT else f"specimen {legible(specimen)}"
             targets = Targets(_key_of(problem), percent, mm)
+
+            def new_bank(law: str) -> Bank:
+                if not law:
+                    return Bank(values, specimen, problem, rounds, draws, seed)
+                other = problem.alternatives[law]
+                histories = Histories(planned(other), MPI.COMM_SELF)  # by this rank alone
+                of_law = followed.known.laws[law].values
+                return Bank(of_law, specimen, other, histories, draws, seed)
+
             state = RunningTestState(
-                lambda: Bank(values, specimen, problem, rounds, draws, seed),
-                targets, whom, followed.doubts,
-            )  # fmt: skip
+                new_bank, followed.log_evidences, targets, whom, followed.doubts
+            )
             _follow(followed, state, files, once, lambda: bool(signals.received))
 
         try:

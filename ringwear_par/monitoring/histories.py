@@ -25,9 +25,8 @@ from ringwear_par.identification.definition.problem import (
     Series,
     body_of_wear,
 )
-from ringwear_par.identification.model.histories import HistoryError, step_times
+from ringwear_par.identification.model.histories import Histories, HistoryError, step_times
 from ringwear_par.identification.model.readings import Reader, Trajectory
-from ringwear_par.identification.model.rounds import Rounds
 
 log = logging.getLogger(__name__)
 
@@ -43,8 +42,9 @@ _SMALL = 1e-6
 _MOST_FAILED = 0.1
 
 
-def planned(test: Experiment) -> Experiment:
-    """Return a test whose readings are all that is read of a history, at the ends of its steps."""
+def planned(problem: Problem) -> Problem:
+    """Return a problem of one test whose readings are all of a history, at the ends of steps."""
+    (test,) = problem.experiments
     case = test.case
     times = np.append(0.0, step_times(test))
     quantities: list[Quantity] = ["approach", "torque", "volume.lower", "volume.upper"]
@@ -56,13 +56,13 @@ def planned(test: Experiment) -> Experiment:
                unit=BASE[q.partition(".")[0]], density=None if q in masses else 1.0)
         for q in quantities
     ]  # fmt: skip
-    return replace(test, series=tuple(series))
+    return replace(problem, experiments=(replace(test, series=tuple(series)),))
 
 
 class SpecimenHistories:
     """Histories of one test at any values of the fitted keys.
 
-    On the first rank, within ``Rounds.lead``.
+    On the first rank, within ``Rounds.lead`` where all ranks share them.
 
     Parameters
     ----------
@@ -70,9 +70,9 @@ class SpecimenHistories:
     rounds : computes histories of its ``planned`` test.
     """
 
-    def __init__(self, problem: Problem, rounds: Rounds) -> None:
+    def __init__(self, problem: Problem, rounds: Histories) -> None:
         self._problem, self._rounds = problem, rounds
-        self._test = planned(problem.experiments[0])
+        (self._test,) = planned(problem).experiments
         self.time = self._test.series[0].x
         #: rms error of polynomials over the spread of the draws; None: all draws are stepped
         self.error: float | None = None

@@ -1,11 +1,12 @@
 """What is known of a specimen before its test: from the fit of other tests."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mpi4py import MPI
 
-from ringwear_par.errors import InputError, legible
+from ringwear_par.errors import InputError, legible, reason_of
 from ringwear_par.files.folders import FIT
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.history.derivatives.keys import is_elastic
@@ -28,12 +29,26 @@ class FollowedTest:
     known: FitKnowledge
     #: whom that is about
     specimen: str
+    #: why there is no probability of a law that the fit compared, by name
+    not_compared: Mapping[str, str]
+
+    @property
+    def log_evidences(self) -> dict[str, float]:
+        """Logarithms of the fit's evidences of the laws compared, "" for its own; or none."""
+        laws = self.problem.alternatives
+        known = {"": self.known, **{law: self.known.laws[law] for law in laws}} if laws else {}
+        return {law: of.log_evidence for law, of in known.items() if of.log_evidence is not None}
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """Sentences about what speaks against the draws."""
         case = self.problem.experiments[0].case
-        return tuple(doubt.text for doubt in doubts_of(self.known, case, self.specimen))
+        doubts = [doubt.text for doubt in doubts_of(self.known, case, self.specimen)]
+        doubts += [
+            f"law {legible(law)} is not compared: {reason}"
+            for law, reason in self.not_compared.items()
+        ]
+        return tuple(doubts)
 
     def read(self) -> Problem:
         """Return the problem with the readings so far.
@@ -42,18 +57,30 @@ class FollowedTest:
         ------
         InputError : its faults; the file has other keys or another case than at the beginning.
         """
-        problem, name = self.running.read(), legible(self.running.name)
-        (test,), (before,) = problem.experiments, self.problem.experiments
-        changed = {
-            "fit.parameters": problem.parameters != self.problem.parameters,
-            f"the case of {name}": test.case.text != before.case.text,
-        }
+        problem, before = self.running.read(), self.problem
+        name = legible(self.running.name)
+        keys = ("fit.parameters", f"the case of {name}")
+        changed = dict(zip(keys, _differences(problem, before), strict=True))
+        # one that is missing is as changed as any
+        laws = {law: problem.alternatives.get(law, problem) for law in before.alternatives}
+        if not any(changed.values()):
+            differences = (_differences(laws[law], of) for law, of in before.alternatives.items())
+            changed["compare"] = any(map(any, differences))
         if any(changed.values()):
-            keys = " and ".join(key for key, differs in changed.items() if differs)
+            parts = " and ".join(part for part, differs in changed.items() if differs)
             raise InputError(
-                f"{self.running.source}: {keys} changed; must stay while {name} is followed"
+                f"{self.running.source}: {parts} changed; must stay while {name} is followed"
             )
-        return replace(problem, settings=self.problem.settings)
+        alternatives = {
+            law: replace(of, settings=before.alternatives[law].settings) for law, of in laws.items()
+        }
+        return replace(problem, settings=before.settings, alternatives=alternatives)
+
+
+def _differences(problem: Problem, before: Problem) -> tuple[bool, bool]:
+    """Tell whether the keys of two problems of one test differ, and whether its case does."""
+    (test,), (former,) = problem.experiments, before.experiments
+    return problem.parameters != before.parameters, test.case.text != former.case.text
 
 
 def followed_test(running: RunningTest, after: Path | None, comm: MPI.Intracomm) -> FollowedTest:
@@ -84,26 +111,50 @@ def _followed_test(running: RunningTest, known: FitKnowledge, tests: set[str]) -
     InputError : the fit knows too little, or other things.
     """
     problem, place = running.read(), f"{running.source}: {legible(running.name)}"
-    (experiment,), values = problem.experiments, known.values
     if running.name in tests:
         raise InputError(
             f"{place}: is among the tests of {known.name}, so that its readings would count twice; "
             "must be followed after a fit without it"
         )
+    (experiment,) = problem.experiments
+    specimen = experiment.groups[0] or experiment.name
+    specimen = specimen if specimen in known.values.specimens else NEXT
+    laws: dict[str, Problem] = {}
+    not_compared: dict[str, str] = {}
+    for law, of_law in known.laws.items():
+        if law not in problem.alternatives:
+            not_compared[law] = f"{running.source} has no compare.{legible(law)}"
+        elif known.log_evidence is None or of_law.log_evidence is None:
+            not_compared[law] = "the fit does not know the evidence of both laws"
+        else:
+            try:
+                laws[law] = _followed(problem.alternatives[law], of_law, place, specimen)
+            except InputError as error:
+                not_compared[law] = reason_of(error)
+    problem = replace(_followed(problem, known, place, specimen), alternatives=laws)
+    return FollowedTest(running, problem, known, specimen, not_compared)
+
+
+def _followed(problem: Problem, known: FitKnowledge, place: str, specimen: str) -> Problem:
+    """Return a problem with the random wear that a fit knows.
+
+    Raises
+    ------
+    InputError : the fit knows too little, or other things.
+    """
+    (experiment,), values = problem.experiments, known.values
     if not len(values.scattering) and not values.sizes.any():
         raise InputError(f"{known.name}: {NOT_KNOWN}")
     if problem.keys != values.keys:
         raise InputError(
-            f"{running.source}: fits {', '.join(problem.keys)}; must be {', '.join(values.keys)}, "
+            f"{problem.name}: fits {', '.join(problem.keys)}; must be {', '.join(values.keys)}, "
             f"as {known.name}"
         )
     if is_elastic(experiment.case, problem.keys):
         raise InputError(
-            f"{running.source}: a modulus, a Poisson's ratio or a thickness is fitted; a test is "
+            f"{problem.name}: a modulus, a Poisson's ratio or a thickness is fitted; a test is "
             "followed with numbers of wear laws and friction only"
         )
-    specimen = experiment.groups[0] or experiment.name
-    specimen = specimen if specimen in values.specimens else NEXT
     check_predicted(known, experiment.case, place, specimen)
     # the size itself is drawn
     process = {
@@ -111,8 +162,7 @@ def _followed_test(running: RunningTest, known: FitKnowledge, tests: set[str]) -
         for body, sizes in zip(("lower", "upper"), values.sizes.T, strict=True)
         if sizes.any()
     }
-    settings = replace(problem.settings, process=process)
-    return FollowedTest(running, replace(problem, settings=settings), known, specimen)
+    return replace(problem, settings=replace(problem.settings, process=process))
 
 
 def _tests_of(folder: Path) -> set[str]:

@@ -1,6 +1,6 @@
 """The state of a running test: its readings are judged window by window, and answered."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +9,7 @@ from ringwear_par.arrays import BoolArray, FloatArray
 from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.fit_numbers import in_users_unit
+from ringwear_par.identification.summary import probabilities
 from ringwear_par.monitoring.answer import Alarm, Answer, Goal, KeyAnswer
 from ringwear_par.monitoring.bank import Bank, are_too_few, effective_count, quantiles
 from ringwear_par.monitoring.outlook import surprise, time_to, times_of, widths
@@ -41,19 +42,28 @@ class RunningTestState:
 
     Parameters
     ----------
-    new_bank : returns the bank of its histories before there are readings.
+    new_bank : returns the bank of its histories before there are readings, under a law that is
+        compared by its name; "": under that of the fit.
+    evidences : logarithms of the fit's, by law; empty where none is compared.
     whom : in words, of whom the draws are before the test.
     """
 
     def __init__(
-        self, new_bank: Callable[[], Bank], targets: Targets, whom: str, doubts: tuple[str, ...]
+        self,
+        new_bank: Callable[[str], Bank],
+        evidences: Mapping[str, float],
+        targets: Targets,
+        whom: str,
+        doubts: tuple[str, ...],
     ) -> None:
         self._new_bank, self._targets, self._whom, self._doubts = new_bank, targets, whom, doubts
+        self._evidences = evidences
         self._begin()
 
     def _begin(self) -> None:
         """Make the bank, without readings: at first, and where another record has replaced them."""
-        self._bank = self._new_bank()
+        self._bank = self._new_bank("")
+        self._other_banks = {law: self._new_bank(law) for law in self._evidences if law}
         count = len(self._bank.draws.unknowns)
         self._before = self._intervals(np.full(count, 1.0 / count))
         self._judged = 0.0
@@ -85,6 +95,7 @@ class RunningTestState:
         bank = self._bank
         counted = times < (np.inf if self._alarm is None else self._alarm.time)
         weights = bank.update(problem, counted)
+        laws = self._probabilities_of_laws(problem, counted)
         intervals = self._intervals(weights)
         end, now = experiment.case.time.end, float(times.max())
         until = float(times[counted].max(initial=0.0))
@@ -121,8 +132,20 @@ class RunningTestState:
         return Answer(
             experiment.name, self._whom, now, end, len(times), settings.level, keys, goal, depth,
             self._alarm, np.array(self._trace), len(weights), worth, bank.redraws,
-            bank.histories.error, doubts,
+            bank.histories.error, doubts, laws,
         )  # fmt: skip
+
+    def _probabilities_of_laws(
+        self, problem: Problem, counted: BoolArray
+    ) -> dict[str, tuple[float, float]]:
+        """Return how probable each law is before the test, and by the readings that count."""
+        of_readings = {"": self._bank.log_evidence}
+        for law, bank in self._other_banks.items():
+            bank.update(problem.alternatives[law], counted)
+            of_readings[law] = bank.log_evidence
+        before = probabilities(self._evidences)
+        now = probabilities({law: e + of_readings[law] for law, e in self._evidences.items()})
+        return {law or "this law": (share, now[law]) for law, share in before.items()}
 
     def _compare(self, readings: dict[str, FloatArray]) -> None:
         """Begin anew where the readings (n,) of a series are not those of before, and more."""

@@ -135,7 +135,7 @@ class RunningTest:
         return replace(whole, experiments=tests, settings=settings, alternatives={})
 
     def read(self) -> Problem:
-        """Return the problem of this test alone, with its readings so far.
+        """Return the problem of this test alone, with its readings so far, under all laws.
 
         Raises
         ------
@@ -150,12 +150,17 @@ class RunningTest:
             "a table of the case while a test runs"
             for measured in experiment.inputs
         ]
-        if problem.settings.loss != "gaussian":
-            faults.append('fit.loss: must be "gaussian" where a test is followed')
         if faults:
             raise InputError(*(f"{self.source}: {legible(self.name)}: {f}" for f in faults))
         series = tuple(averaged(record, experiment.case.time.end) for record in experiment.series)
-        return replace(problem, experiments=(replace(experiment, series=series),))
+        laws = {law: _with_series(other, series) for law, other in problem.alternatives.items()}
+        return replace(_with_series(problem, series), alternatives=laws)
+
+
+def _with_series(problem: Problem, series: tuple[Series, ...]) -> Problem:
+    """Return a problem of one test with other readings."""
+    (experiment,) = problem.experiments
+    return replace(problem, experiments=(replace(experiment, series=series),))
 
 
 def _has_readings(path: Path) -> bool:
@@ -178,11 +183,14 @@ def _faults(series: Series) -> list[str]:
         )
     if series.sd_fitted:
         faults.append(
-            f'{series.name}: sd = "fit": must be a number while a test runs, such as that of the '
-            "fit of earlier tests"
+            f'{series.name}: sd = "fit": must be a number while a test runs, such as the sd of '
+            "experiments in fit.json of earlier tests"
         )
     if series.censored is not None and series.censored.any():
-        faults.append(f"{series.name}: censored readings cannot be followed; must be left out")
+        faults.append(
+            f"{series.name}: censored readings have no normal density, by which draws are weighed; "
+            "must be left out while a test runs"
+        )
     return faults
 
 

@@ -25,16 +25,16 @@ def draw_values(
     ------
     ComputationError : hardly any are within them.
     """
-    drawn, part = draw_parts(values, of, draws, random)
+    drawn, part, _ = draw_parts(values, of, draws, random)
     return drawn, values.sizes[part].T * (of != MATERIAL)
 
 
 def draw_parts(
     values: FittedValues, of: str, draws: int, random: np.random.Generator
-) -> tuple[FloatArray, IntArray]:
+) -> tuple[FloatArray, IntArray, float]:
     """Return values of the fitted keys (draws, m), and the part of the mixture of each, (draws,).
 
-    Values are within their bounds.
+    Values are within their bounds. Also returned is the share of all that are.
 
     Raises
     ------
@@ -42,12 +42,12 @@ def draw_parts(
     """
     low, high = values.bounds.T
     drawn, parts = np.zeros((0, len(values.keys))), np.zeros(0, dtype=np.int64)
-    for _ in range(_ROUNDS):
+    for number in range(1, _ROUNDS + 1):
         more, part_values = _values(values, of, draws, random)
         inside = ((more >= low) & (more <= high)).all(axis=1)
         drawn, parts = np.vstack([drawn, more[inside]]), np.append(parts, part_values[inside])
         if len(drawn) >= draws:
-            return drawn[:draws], parts[:draws]
+            return drawn[:draws], parts[:draws], len(drawn) / (number * draws)
     raise ComputationError(
         f"almost all values that the fit knows are beyond the bounds of {', '.join(values.keys)}"
     )

@@ -1,8 +1,9 @@
 """What predictions take from a fit or its folder, what they refuse, what they doubt."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.fitted_values import (
     CONDITIONS,
     GROUP,
+    LAWS,
     FittedValues,
     conditions_of,
     fitted_values,
@@ -46,6 +48,10 @@ class FitKnowledge:
     verdicts: Mapping[str, str]
     #: how many it has
     warnings: int
+    #: logarithm of its evidence, see ``log_evidence`` of fits; None: it is not known
+    log_evidence: float | None
+    #: the same of the laws that it was compared with, by name
+    laws: "Mapping[str, FitKnowledge]" = field(default_factory=dict)
 
     @property
     def specimens(self) -> int:
@@ -61,7 +67,8 @@ def fit_knowledge(fit: FitResult | Path | str) -> FitKnowledge:
     InputError : a folder of anything else, or of a fit that is not done.
     """
     if isinstance(fit, FitResult):
-        return _knowledge("fit", fit.to_dict(), fitted_values(fit))
+        laws = {law: fitted_values(other) for law, other in fit.alternatives.items()}
+        return _knowledge("fit", fit.to_dict(), fitted_values(fit), laws)
     if not isinstance(fit, Path | str):
         raise InputError(
             f"fit: a fit or its folder is needed, not {type(fit).__name__}; rw.fit returns one"
@@ -76,8 +83,11 @@ def fit_knowledge(fit: FitResult | Path | str) -> FitKnowledge:
                 "predictions draw from; must be of a fit made again"
             )
         values = read_values(file)
+        laws = {
+            str(group.attrs["law"]): read_values(group) for group in file.get(LAWS, {}).values()
+        }
     try:
-        return _knowledge(str(folder), parse_json(read_text(folder / FIT)), values)
+        return _knowledge(str(folder), parse_json(read_text(folder / FIT)), values, laws)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise InputError(f"{folder / FIT}: is not the outcome of a fit, or is damaged") from error
 
@@ -93,8 +103,13 @@ def _fault(folder: Path) -> str:
     return f"holds no {FIT}"
 
 
-def _knowledge(name: str, outcome: Mapping[str, Any], values: FittedValues) -> FitKnowledge:
-    """Return the knowledge of an outcome and its values.
+def _knowledge(
+    name: str,
+    outcome: Mapping[str, Any],
+    values: FittedValues,
+    laws: Mapping[str, FittedValues] = MappingProxyType({}),
+) -> FitKnowledge:
+    """Return the knowledge of an outcome and its values, and of the laws compared.
 
     Raises
     ------
@@ -106,7 +121,9 @@ def _knowledge(name: str, outcome: Mapping[str, Any], values: FittedValues) -> F
     return FitKnowledge(
         name, values, {key: str(p["unit"]) for key, p in parameters.items()},
         {key: str(p["verdict"]) for key, p in parameters.items()},
-        len(outcome["doubts"]),
+        len(outcome["doubts"]), outcome.get("log_evidence"),
+        {law: _knowledge(f"{name}, {law}", outcome["alternatives"][law], of_law)
+         for law, of_law in laws.items()},
     )  # fmt: skip
 
 

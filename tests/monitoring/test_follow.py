@@ -12,10 +12,12 @@ from laboratory import CASE, END, fit_tables, history, penetration, write_table
 from mpi4py import MPI
 from scipy.special import logsumexp
 
+import ringwear_par as rw
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import parse_json, toml_text
 from ringwear_par.identification.definition.problem import ProcessNoise, Series
 from ringwear_par.identification.model.rounds import Rounds
+from ringwear_par.identification.summary import probabilities
 from ringwear_par.monitoring import bank
 from ringwear_par.monitoring.bank import Bank, quantiles
 from ringwear_par.monitoring.follow import run_follow
@@ -33,23 +35,23 @@ KEY, P0, TRUE_K = "wear.lower.k", 25.0, 1.3e-7
 FACTOR = 1.15
 
 
-def experiment(folder, number, factor, rng):
+def experiment(folder, number, factor, rng, load=80.0):
     """Write the record of a specimen, and return its experiment."""
     values = {KEY: TRUE_K * factor, "wear.lower.p0": P0}
-    t, z = penetration(history(80.0, values), rng)
+    t, z = penetration(history(load, values), rng)
     write_table(folder / f"z{number}.csv", ("t_s", "z_um"), t, 1e3 * z)
     record = {
         "quantity": "penetration", "file": f"z{number}.csv", "sd": 0.2,
         "columns": {"time": "t_s", "value": "z_um"},
         "nuisance": {"offset": {}, "drift": {"prior": {"normal": [0.0, 0.5]}}},
     }  # fmt: skip
-    changes = {"load.pressure": 80.0, "load.omega": 3.5, "time.end": END, "wear.lower.p0": P0}
+    changes = {"load.pressure": load, "load.omega": 3.5, "time.end": END, "wear.lower.p0": P0}
     return {"name": f"test {number}", "set": changes, "data": [record]}
 
 
 @pytest.fixture(scope="module")
 def laboratory(tmp_path_factory):
-    """A folder with a fit of four specimens, and the fit file of a fifth one that runs."""
+    """A folder with a fit of four specimens, and fit files of more of them, of which one runs."""
     folder, rng = tmp_path_factory.mktemp("laboratory"), np.random.default_rng(3)
     (folder / "case.toml").write_text(CASE)
     factors = (0.8, 1.0, 1.1, 1.3, FACTOR)
@@ -57,16 +59,20 @@ def laboratory(tmp_path_factory):
     tables = fit_tables(folder, tests, starts=1)
     key = {**tables["fit"]["parameters"][KEY], "scatter": "fit"}
     tables["fit"]["parameters"], tables["fit"]["units"] = {KEY: key}, {KEY: "mm3/(N m)"}
-    for name, chosen in (("fit", tests[:4]), ("running", tests[4:])):
+    law = {"wear.lower.law": "archard"}
+    tables["compare"] = {"archard": {"set": law, "parameters": {KEY: {**key, "start": 1e-8}}}}
+    light = experiment(folder, 6, FACTOR, rng, 45.0)
+    files = {"fit": tests[:4], "running": tests[4:], "light": [light], "all": [*tests[:4], light]}
+    for name, chosen in files.items():
         (folder / f"{name}.toml").write_text(toml_text({**tables, "experiment": chosen}))
-    assert ringwear("fit", folder / "fit.toml", "-o", folder / "out").returncode == 0
+    assert ringwear("fit", folder / "fit.toml", "-o", folder / "out", "--compare").returncode == 0
     return folder
 
 
-def followed(laboratory, folder, **options):
+def followed(laboratory, folder, name="running", **options):
     """Follow the running test once, and return what is stored of it."""
     options = {"after": laboratory / "out", "once": True, "draws": 4000, **options}
-    run_follow(laboratory / "running.toml", folder, MPI.COMM_SELF, **options)
+    run_follow(laboratory / f"{name}.toml", folder, MPI.COMM_SELF, **options)
     return parse_json((folder / "follow.json").read_text())
 
 
@@ -120,6 +126,17 @@ def test_the_posterior_of_a_running_test(laboratory, tmp_path):
     assert half[3] - half[1] > key["interval"][1] - key["interval"][0]
     page = (tmp_path / "a" / "follow.html").read_text()
     assert 'http-equiv="refresh"' not in page  # it has ended
+
+
+def test_laws_are_as_probable_as_by_a_fit_of_all_tests(laboratory, tmp_path):
+    stored = followed(laboratory, tmp_path / "out", "light")
+    fit = rw.fit(laboratory / "all.toml", MPI.COMM_SELF, compare=True)
+    evidences = {"this law": fit, **fit.alternatives}
+    shares = probabilities({law: of.to_dict()["log_evidence"] for law, of in evidences.items()})
+    now = {law: share for law, (_, share) in stored["laws"].items()}
+    assert 0.6 < shares["this law"] < 0.99
+    assert now == pytest.approx(shares, abs=0.02)
+    assert "\n  probability of laws: this law" in "\n".join(stored["summary"])
 
 
 def test_half_a_test_tells_when_it_is_enough(laboratory, tmp_path):
@@ -213,8 +230,7 @@ def fine_record(laboratory, name, factor):
 def bank_of(followed, draws=2000):
     """Return the bank of a followed test, before its readings."""
     problem = followed.problem
-    plan = replace(problem, experiments=(planned(problem.experiments[0]),))
-    rounds = Rounds(plan, MPI.COMM_SELF, StopSignals())
+    rounds = Rounds(planned(problem), MPI.COMM_SELF, StopSignals())
     return Bank(followed.known.values, followed.specimen, problem, rounds, draws, 0)
 
 
@@ -228,7 +244,7 @@ def test_draws_that_are_made_anew_and_a_record_that_is_replaced(laboratory, monk
 
     def state():
         return RunningTestState(
-            lambda: bank_of(tests["slow"], 4000), Targets(0, 10.0, None), "", ()
+            lambda _: bank_of(tests["slow"], 4000), {}, Targets(0, 10.0, None), "", ()
         )
 
     replaced = state()
@@ -299,6 +315,27 @@ def test_the_fit_file_may_not_change_what_is_followed(laboratory):
             followed.read()
     path.write_text(text)
     assert followed.read().keys == (KEY,)
+
+
+def test_a_robust_loss_takes_outliers_for_what_they_are(laboratory, tmp_path):
+    clean = followed(laboratory, tmp_path / "clean")["keys"][KEY]
+    head, *rows = (laboratory / "z5.csv").read_text().splitlines()
+    table = np.array([row.split(",") for row in rows], dtype=float)
+    table[[7, 19, 33, 48], 1] += (3.0, -2.0, 4.0, 3.0)
+    lines = [head, *(f"{t:g},{z:.6g}" for t, z in table)]
+    (laboratory / "spoilt.csv").write_text("\n".join(lines) + "\n")
+    text = (laboratory / "running.toml").read_text().replace("z5.csv", "spoilt.csv")
+    for name in ("gaussian", "student"):
+        changed = text.replace('"starts" = 1', f'"starts" = 1, "loss" = "{name}"')
+        assert changed != text
+        (laboratory / f"{name}.toml").write_text(changed)
+    assert followed(laboratory, tmp_path / "gaussian", "gaussian")["alarm"] is not None
+    robust = followed(laboratory, tmp_path / "student", "student")
+    assert robust["alarm"] is None
+    sd = (clean["interval"][1] - clean["interval"][0]) / 3.92
+    ends = [*clean["interval"], clean["estimate"]]
+    key = robust["keys"][KEY]
+    assert [*key["interval"], key["estimate"]] == pytest.approx(ends, abs=0.6 * sd)
 
 
 def test_long_records_are_averaged():

@@ -125,10 +125,13 @@ class Misfit:
         self.linearise_inputs(x)
         return by_torque or bool(self._scales)
 
-    def linearise_inputs(self, x: FloatArray) -> None:
-        """Linearise the effect of factors on inputs at unknowns. Not collective."""
+    def linearise_inputs(self, x: FloatArray, test_unknowns: FloatArray | None = None) -> None:
+        """Linearise the effect of factors on inputs at unknowns, (tests, m) of each test.
+
+        Not collective.
+        """
         if self._scales:
-            by_factors = self._response(x)[:, 1 + self._m :]
+            by_factors = self._response(x, test_unknowns)[:, 1 + self._m :]
             for rows, place, taken in self._scales:
                 self.nuisance_columns[rows, place] = by_factors[rows, : len(taken)] @ taken
 
@@ -404,6 +407,12 @@ class Misfit:
         )  # fmt: skip
         # it stays within the bounds, however close
         return np.choose(outcome.active_mask + 1, [limits[0], outcome.x, limits[1]])
+
+    @property
+    def integrated_limits(self) -> BoolArray:
+        """(n,) bool, which limits are integrated over what scatters: those without nuisances."""
+        alone = ~self.nuisance_columns.any(axis=1)
+        return (self.censored != 0) & alone & self.problem.scatters
 
     @property
     def linear(self) -> BoolArray:

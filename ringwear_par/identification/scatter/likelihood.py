@@ -14,9 +14,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.special import log_ndtr
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.identification.model.noise import NuisanceProjection
+
+#: of factors that stand for limits: most sweeps, share of a move, and moves that are none; least
+#: share of a variance, for round-off
+_MOST_SWEEPS, _DAMPED, _STILL, _LEAST = 60, 0.7, 1e-6, 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Readings of a test that are mere limits: with probability Phi(a + J x) these hold."""
+
+    #: (l,) float, a
+    offsets: FloatArray
+    #: (l, m) float, J
+    jacobian: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +47,7 @@ class ReducedTest:
     #: log determinants of V, and of the nuisances' normal matrix
     log_volume: float
     log_nuisances: float = 0.0
+    limits: Limits | None = None
 
 
 def with_fixed(test: ReducedTest, values: Mapping[int, float]) -> ReducedTest:
@@ -43,9 +59,13 @@ def with_fixed(test: ReducedTest, values: Mapping[int, float]) -> ReducedTest:
     at, across = np.array([values[j] for j in fixed]), test.information[np.ix_(free, fixed)]
     square = test.square - 2.0 * at @ test.score[fixed]
     square += at @ test.information[np.ix_(fixed, fixed)] @ at
+    limits = test.limits
+    if limits is not None:
+        rows = limits.jacobian
+        limits = Limits(limits.offsets + rows[:, fixed] @ at, rows[:, free])
     return replace(
         test, information=test.information[np.ix_(free, free)],
-        score=test.score[free] - across @ at, square=float(square),
+        score=test.score[free] - across @ at, square=float(square), limits=limits,
     )  # fmt: skip
 
 
@@ -67,6 +87,8 @@ class LinearisedTest:
     #: (n, n) float of each body whose wear is random: the covariance that this adds, for a size of
     #: 1 mm
     process: tuple[FloatArray, ...] = ()
+    #: beside these readings; None: there are none
+    limits: Limits | None = None
 
     @property
     def nuisance_projection(self) -> NuisanceProjection:
@@ -126,7 +148,7 @@ def _reduce(test: LinearisedTest, variances: FloatArray) -> ReducedTest:
     products = rest.T @ rest
     return ReducedTest(
         products[1:, 1:], products[1:, 0], float(products[0, 0]),
-        test.log_volume + float(np.log1p(variances).sum()), projection.log_volume,
+        test.log_volume + float(np.log1p(variances).sum()), projection.log_volume, test.limits,
     )  # fmt: skip
 
 
@@ -201,6 +223,14 @@ class MixedModel:
         self._prior_right[: self.m] = prior_precision * off
         self._constant += float(prior_precision @ off**2)
         self._log_nuisances = sum(test.log_nuisances for test in tests)
+        limited = [(i, test.limits) for i, test in enumerate(tests) if test.limits is not None]
+        #: (l, m + groups) and (l,) of all limits, by the effects from the centre on
+        self._limit_rows = np.zeros((0, size))
+        if limited:
+            self._limit_rows = np.vstack([of.jacobian @ self.columns(i) for i, of in limited])
+            self._limit_offsets = np.concatenate(
+                [of.offsets + of.jacobian @ self._centre for _, of in limited]
+            )
 
     def columns(self, test: int) -> FloatArray:
         """Return (m, m + groups) what unit effects are in the unknowns of a test, at tau = 1."""
@@ -225,17 +255,62 @@ class MixedModel:
         diagonal = np.arange(len(self._right))
         hessian[:, diagonal, diagonal] += self.precision
         right = scale * self._right + self._prior_right
+        beyond = np.zeros(len(tau))
+        if len(self._limit_rows):
+            beyond = self._add_limits(hessian, right, scale)
         factor = np.linalg.cholesky(hessian)
         inverse = np.linalg.inv(factor)
         covariance = np.swapaxes(inverse, 1, 2) @ inverse
         reduced = np.einsum("gij,gj->gi", inverse, right)
-        square = self._constant - (reduced**2).sum(axis=1)
+        square = self._constant - (reduced**2).sum(axis=1) + beyond
         effects = np.einsum("gji,gj->gi", inverse, reduced)
         effects[:, :m] += self._centre
         log_determinant = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         groups = np.linalg.slogdet(hessian[:, m:, m:])[1]
         restricted = square + log_determinant + self._log_nuisances
         return Solutions(tau, effects, covariance, restricted, square + groups)
+
+    def _add_limits(self, hessian: FloatArray, right: FloatArray, scale: FloatArray) -> FloatArray:
+        """Add what limits say to the normal equations, and return what to -2 log likelihood, (G,).
+
+        A limit cuts the distribution of what it is of, which scatters by more than its noise: its
+        mode says little. Each is replaced by the normal factor that has the same moments beside all
+        others (expectation propagation; Minka, UAI 17 (2001) 362-369).
+
+        Parameters
+        ----------
+        hessian, right : (G, m + groups, m + groups) and (G, m + groups), changed in place.
+        scale : (G, m + groups), see ``scales``.
+        """
+        rows = scale[:, None, :] * self._limit_rows
+        precision, shift = np.zeros((2, *rows.shape[:2]))
+        for _ in range(_MOST_SWEEPS):
+            whole = hessian + np.einsum("gli,gl,glj->gij", rows, precision, rows, optimize=True)
+            covariance = np.linalg.inv(whole)
+            across = np.einsum("gli,gij->glj", rows, covariance)
+            mean = np.einsum("gli,gi->gl", across, right + np.einsum("gl,gli->gi", shift, rows))
+            variance = np.einsum("gli,gli->gl", across, rows)
+            # without the limit itself
+            rest = 1.0 / np.maximum(1.0 / variance - precision, _LEAST / variance)
+            rest_mean = rest * (mean / variance - shift)
+            root = np.sqrt(1.0 + rest)
+            z = (self._limit_offsets + rest_mean) / root
+            log_probability = log_ndtr(z)
+            ratio = np.exp(-0.5 * z * z - 0.5 * np.log(2.0 * np.pi) - log_probability)
+            cut_mean = rest_mean + rest * ratio / root
+            cut = rest - rest**2 * ratio * (z + ratio) / (1.0 + rest)
+            cut = np.maximum(cut, _LEAST * rest)
+            new = 1.0 / cut - 1.0 / rest
+            move = _DAMPED * (new - precision)
+            precision = precision + move
+            shift = shift + _DAMPED * (cut_mean / cut - rest_mean / rest - shift)
+            if (np.abs(move) < _STILL * (1.0 / variance + new)).all():
+                break
+        hessian += np.einsum("gli,gl,glj->gij", rows, precision, rows, optimize=True)
+        right += np.einsum("gl,gli->gi", shift, rows)
+        factor = (rest_mean / rest + shift) ** 2 / (1.0 / rest + precision) - rest_mean**2 / rest
+        log_factor = 0.5 * (factor - np.log1p(precision * rest))
+        return -2.0 * (log_probability - log_factor).sum(axis=1)
 
 
 def of_new_specimen(information: FloatArray, variances: FloatArray) -> FloatArray:

@@ -18,6 +18,7 @@ from ringwear_par.identification.definition.problem import Series
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.model.noise import log_volume, prior_rows, weights, whitened
 from ringwear_par.identification.scatter.likelihood import (
+    Limits,
     LinearisedTest,
     ReducedTest,
     reduce_test,
@@ -222,8 +223,9 @@ class Linearisation:
     """The tests of a misfit, linearised at x (u,) and (tests, m) unknowns of the keys in each test.
 
     Nuisances that are at their bounds stay there. The loss weighs readings by the residuals of the
-    evaluation or by others, ``weighed`` (n,). ``rows`` are of each test among the readings,
-    ``clocks`` of each test where wear is random.
+    evaluation or by others, ``weighed`` (n,); ``roots`` (n,) are by what readings are multiplied
+    for it, and where they are limits. ``rows`` are of each test among the readings, ``clocks`` of
+    each test where wear is random.
     """
 
     def __init__(
@@ -244,14 +246,14 @@ class Linearisation:
         ]
         residuals = evaluation.noise if weighed is None else weighed
         self._roots = np.sqrt(weights(misfit.problem.settings.loss, residuals))
+        self.roots = self._roots * evaluation.roots
         self.clocks: list[TestClocks] = []
         if misfit.problem.settings.process:
             answers, depths = misfit.clocks(x, test_unknowns)
             self.clocks = [
                 TestClocks(
                     experiment.series, misfit.sd[rows],
-                    self._roots[rows] * evaluation.roots[rows] + _NO_WEIGHT, answers[rows],
-                    depths[rows],
+                    self.roots[rows] + _NO_WEIGHT, answers[rows], depths[rows],
                 )
                 for experiment, rows in zip(misfit.problem.experiments, self.rows, strict=True)
             ]  # fmt: skip
@@ -286,6 +288,14 @@ class Linearisation:
         roots = self._roots[rows, None]
         noise = roots[:, 0] * self._evaluation.noise[rows]
         jacobian = roots * self._evaluation.noise_jacobian[rows]
+        limits, limited = None, misfit.integrated_limits[rows]
+        if limited.any():
+            side = (misfit.censored / misfit.sd)[rows][limited]
+            above = (self._evaluation.model - misfit.data)[rows][limited]
+            slopes = misfit.columns(self._x, self._test_unknowns)[rows][limited, : self._m]
+            slopes = side[:, None] * slopes
+            limits = Limits(side * above - slopes @ self._test_unknowns[number], slopes)
+            noise[limited], jacobian[limited] = 0.0, 0.0
         records = [r for r in misfit.records if r.experiment is misfit.problem.experiments[number]]
         values = misfit.censored[rows] == 0  # limits have no density
         volume = 2.0 * float(np.log(misfit.sd[rows][values]).sum())
@@ -299,5 +309,5 @@ class Linearisation:
         keys, columns = jacobian[:, : self._m], jacobian[:, nuisances]
         readings = keys @ self._test_unknowns[number] + columns @ self._x[nuisances]
         return LinearisedTest(
-            readings - noise, keys, columns, *self.priors_of(nuisances), volume, kernels
+            readings - noise, keys, columns, *self.priors_of(nuisances), volume, kernels, limits
         )

@@ -46,6 +46,8 @@ class Piece:
     posterior: ScatterPosterior
     #: its probability
     weight: float
+    #: (tests, m) unknowns of the keys in each test, about which these are linearised
+    test_unknowns: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +114,13 @@ class Material:
     confounded_with_drift: Mapping[str, str]
     #: of the posterior without linearising about the estimate; none where that does
     pieces: tuple[Piece, ...] = ()
+    #: what is wrong with these, or that there are none
+    doubt_of_pieces: str = ""
+
+    @property
+    def parts(self) -> tuple[Piece, ...]:
+        """The pieces, or the whole posterior as one."""
+        return self.pieces or (Piece(self.mixed.posterior, 1.0, self.test_unknowns),)
 
     @property
     def n_fitted_sizes(self) -> int:
@@ -263,6 +272,8 @@ class Material:
                     warnings.append(
                         ValidityWarning("few-specimens", text, (parameter.key,), (), values)
                     )
+        if self.doubt_of_pieces:
+            warnings.append(ValidityWarning("posterior-pieces", self.doubt_of_pieces))
         return (*warnings, *self._nonlinear_intervals(), *self.wear.warnings(self.process))
 
     def _nonlinear_intervals(self) -> Iterator[ValidityWarning]:

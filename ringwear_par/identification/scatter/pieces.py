@@ -9,7 +9,7 @@ same everywhere, so that the sum of the pieces is the posterior itself.
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -37,6 +37,11 @@ _PROBABLE = -7.0
 _MOST_SHARED = 2
 #: weight of pieces whose tests still move up to which the others are good enough
 _UNSETTLED = 0.01
+#: weight of pieces without histories from which a warning tells of it, and up to which others do
+_NOTABLE, _MOST_LOST = 0.001, 0.5
+#: texts of warnings
+_LINEAR = "predictions and running tests draw linearly about the estimate"
+_LEAVE_OUT = "predictions and running tests leave out"
 #: most pieces; most rounds until tests settle, and sd that they may still move
 _MOST, _ROUNDS, _STILL = 80, 5, 0.05
 
@@ -51,47 +56,52 @@ class _Place:
     test_unknowns: FloatArray
     moved: float
     posterior: ScatterPosterior
-    #: of the piece, but for a constant
+    #: of the piece, but for a constant; as linear as the whole where there is no history
     log_mass: float
+    has_histories: bool = True
 
 
-def posterior_in_pieces(misfit: Misfit, material: Material) -> tuple[Piece, ...]:
-    """Return the pieces of a material's posterior. Not collective.
+def posterior_in_pieces(misfit: Misfit, material: Material) -> tuple[tuple[Piece, ...], str]:
+    """Return the pieces of a material's posterior, and what is wrong with them. Not collective.
 
     ``()`` where all keys scatter, wear is random, there would be too many of them, or tests do not
     settle of pieces that weigh.
     """
     pieces = _Pieces(misfit, material)
     if not 0 < len(pieces.shared) <= _MOST_SHARED or material.wear.shares or not material.converged:
-        return ()
-    done: dict[tuple[int, ...], _Place | None] = {}
-    computed: dict[tuple[int, ...], _Place] = {}
+        return (), ""
+    done: dict[tuple[int, ...], _Place] = {}
     wanted = pieces.first()
     while wanted and len(done) + len(wanted) <= _MOST:
         done |= pieces.at(wanted)
-        computed = {number: place for number, place in done.items() if place is not None}
-        if not computed:
-            return ()
-        least = max(place.log_mass for place in computed.values()) + _PROBABLE
+        least = max(place.log_mass for place in done.values()) + _PROBABLE
         neighbours = {
             (*number[:axis], number[axis] + step, *number[axis + 1 :])
-            for number, place in computed.items()
-            if place.log_mass > least
+            for number, place in done.items()
+            if place.has_histories and place.log_mass > least
             for axis in range(len(number))
             for step in (-1, 1)
         }
         wanted = [number for number in sorted(neighbours - {*done}) if pieces.may_be(number)]
-    if wanted or not computed:
-        return ()
-    logs = np.array([place.log_mass for place in computed.values()])
+    if wanted:
+        return (), f"{_LINEAR}: more than {_MOST} pieces are needed"
+    if not done:
+        return (), ""
+    places = list(done.values())
+    logs = np.array([place.log_mass for place in places])
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
-    if weights[[place.moved > _STILL for place in computed.values()]].sum() > _UNSETTLED:
-        return ()
+    lost = float(weights[[not place.has_histories for place in places]].sum())
+    off = float(weights[[place.has_histories and place.moved > _STILL for place in places]].sum())
+    if off + lost > _MOST_LOST or off > _UNSETTLED:
+        reason = "there are no histories" if lost > off else "tests do not settle"
+        return (), f"{_LINEAR}: {reason} for {100.0 * max(off, lost):.2g} % of what is known"
+    text = f"{_LEAVE_OUT} {100.0 * lost:.2g} % of what is known: there are no histories"
     return tuple(
-        Piece(place.posterior, weight)
-        for place, weight in zip(computed.values(), weights.tolist(), strict=True)
-    )
+        Piece(place.posterior, weight, place.test_unknowns)
+        for place, weight in zip(places, (weights / (1.0 - lost)).tolist(), strict=True)
+        if place.has_histories
+    ), text if lost > _NOTABLE else ""
 
 
 class _Pieces:
@@ -136,13 +146,13 @@ class _Pieces:
             ((centre > self._low[keys] - margin) & (centre < self._high[keys] + margin)).all()
         )
 
-    def at(self, numbers: Sequence[tuple[int, ...]]) -> dict[tuple[int, ...], _Place | None]:
-        """Return the pieces about points; None without histories there."""
+    def at(self, numbers: Sequence[tuple[int, ...]]) -> dict[tuple[int, ...], _Place]:
+        """Return the pieces about points."""
         material, misfit = self._material, self._misfit
         linear = Linearisation(
             misfit, material.best_fit.evaluation, material.best_fit.x, material.test_unknowns
         )
-        places: dict[tuple[int, ...], _Place | None] = {
+        places = {
             number: self._solved(
                 self._centre(number), linear, material.best_fit.evaluation, material.best_fit.x,
                 material.test_unknowns,
@@ -150,7 +160,7 @@ class _Pieces:
             for number in numbers
         }  # fmt: skip
         for _ in range(_ROUNDS):
-            moving = {n: p for n, p in places.items() if p is not None and p.moved > _STILL}
+            moving = {n: p for n, p in places.items() if p.has_histories and p.moved > _STILL}
             tests = [
                 misfit.values_of_tests(material.best_fit.x, p.test_unknowns)
                 for p in moving.values()
@@ -164,7 +174,7 @@ class _Pieces:
         centre: FloatArray = self._mean + _APART * self._sd * np.array(number)
         return centre
 
-    def _relinearised(self, place: _Place) -> _Place | None:
+    def _relinearised(self, place: _Place) -> _Place:
         misfit, x = self._misfit, self._material.best_fit.x.copy()
         keys = np.array(self._free)[self.shared]
         x[keys] = np.clip(place.centre, self._low[keys], self._high[keys])
@@ -172,7 +182,7 @@ class _Pieces:
             x = misfit.with_best_nuisances(misfit.values(x), place.test_unknowns)
             evaluation = misfit.evaluate(x, place.test_unknowns)
         except HistoryError:
-            return None
+            return replace(place, has_histories=False)
         linear = Linearisation(misfit, evaluation, x, place.test_unknowns)
         return self._solved(place.centre, linear, evaluation, x, place.test_unknowns)
 

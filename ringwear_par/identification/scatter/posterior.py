@@ -59,6 +59,11 @@ class Mixture:
         spread = self.variances + (self.means - self.mean) ** 2
         return float(np.sqrt(self.weights @ spread))
 
+    def probability(self, low: float, high: float) -> float:
+        """Return the probability between two numbers."""
+        ends = [(end - self.means) / np.sqrt(self.variances) for end in (low, high)]
+        return float(self.weights @ (ndtr(ends[1]) - ndtr(ends[0])))
+
     def quantile(self, probability: float) -> float:
         """Return the number below which the mixture has a probability, between 0 and 1."""
         sd = np.sqrt(self.variances)

@@ -114,6 +114,7 @@ def _evaluated(
     times_of = x if misfit.problem.settings.process else None
     for _ in range(_HALVINGS):
         try:
+            misfit.linearise_inputs(x, test_unknowns)
             x = misfit.with_best_nuisances(misfit.values(x), test_unknowns, times_of)
             return x, misfit.evaluate(x, test_unknowns), test_unknowns
         except HistoryError:
@@ -190,6 +191,7 @@ def loss_beyond_squares(misfit: Misfit, evaluation: Evaluation) -> float:
     loss, noise = misfit.problem.settings.loss, evaluation.noise
     beyond = evaluation.residuals[: misfit.n] ** 2 - weights(loss, noise) * noise**2
     values = np.count_nonzero(misfit.censored == 0)
+    beyond[misfit.integrated_limits] = 0.0
     return float(beyond.sum()) + 2.0 * values * log_constant(loss)
 
 
@@ -249,7 +251,11 @@ def _best_fit(
             by_keys = np.einsum("ij,jk,ik->i", rest, posterior.covariance_of_test(number), rest)
             leverage[linear.rows[number]] = projection.leverage[: len(test.readings)] + by_keys
         variances = np.diagonal(posterior.solutions.covariance, axis1=1, axis2=2)
-        effective_groups = posterior.weights @ (1.0 - variances[:, posterior.model.m :]).sum(axis=1)
+        # what limits alone determine takes nothing from the readings
+        read = np.array([test.jacobian.any() for test in linear.tests])
+        levels = zip(posterior.model.levels, posterior.model.offsets, strict=False)
+        groups = np.concatenate([offset + np.unique(v.group[read]) for v, offset in levels])
+        effective_groups = posterior.weights @ (1.0 - variances[:, groups]).sum(axis=1)
         none = np.zeros((misfit.n, 0))
         return BestFit(best, evaluation, leverage, m + float(effective_groups), none, none)
     fitted = posterior.model.precision[: len(free)] @ np.diag(posterior.covariance)

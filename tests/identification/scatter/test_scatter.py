@@ -1,10 +1,14 @@
 """Scatter between specimens: against dense likelihoods, limits, and its coverage."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from ringwear_par.identification.scatter.likelihood import (
     Level,
+    Limits,
     LinearisedTest,
     MixedModel,
     ReducedTest,
@@ -166,6 +170,31 @@ def test_intervals_hold_the_material_the_size_and_the_next_specimen(tau, count, 
     tolerance = 4.0 * np.sqrt(0.05 * 0.95 / sets)
     assert hits / sets == pytest.approx(0.96, abs=tolerance)
     assert np.median(widths) == pytest.approx(half_width, rel=0.1)
+
+
+def test_limits_cut_what_scatters():
+    """Half of the specimens are known to be below a limit only, by quadrature over the material."""
+    values, limit, sd = np.array([0.1, 0.35, -0.05]), -0.1, 0.03
+    known = [ReducedTest(np.eye(1) / sd**2, v / sd**2 * np.ones(1), (v / sd) ** 2, 0.0)
+             for v in values]  # fmt: skip
+    below = Limits(np.array([limit / sd]), np.array([[-1.0 / sd]]))
+    nothing = ReducedTest(np.zeros((1, 1)), np.zeros(1), 0.0, 0.0)
+    tests = [*known, *[replace(nothing, limits=below)] * 3]
+    level, tau = Level(0, "specimen", np.arange(6)), np.array([0.1, 0.25, 0.6])
+    solved = MixedModel(tests, [level], np.zeros(1), np.zeros(1)).solve(tau[:, None])
+    beta = np.linspace(-4.0, 4.0, 40_001)
+    for i, spread in enumerate(np.hypot(tau, sd)):
+        logs = norm.logpdf(values[:, None], beta, spread).sum(axis=0)
+        logs += 3.0 * norm.logcdf((limit - beta) / spread)
+        density = np.exp(logs - logs.max())
+        mean = beta @ density / density.sum()
+        width = np.sqrt((beta - mean) ** 2 @ density / density.sum())
+        assert solved.effects[i, 0] == pytest.approx(mean, abs=0.02 * width)
+        assert np.sqrt(solved.covariance[i, 0, 0]) == pytest.approx(width, rel=0.02)
+        mass = logs.max() + np.log(density.sum() * (beta[1] - beta[0]))
+        # in units of the noise, and with a constant of three readings less one unknown
+        mass += 3.0 * np.log(sd) + 0.5 * 2.0 * np.log(2.0 * np.pi)
+        assert -0.5 * solved.restricted[i] == pytest.approx(mass, abs=0.01)
 
 
 def test_unknowns_that_tests_know_well_and_far_from_zero():
