@@ -202,6 +202,25 @@ except Stopped as stopped:
     assert done.stderr == "stopped by SIGINT\n"
 
 
+@pytest.mark.parametrize(
+    ("rank", "seconds", "said"), [("0", 1.0, True), ("0", 0, False), ("1", 1, False)]
+)
+def test_a_word_is_said_before_mpirun_kills_what_does_not_end(rank, seconds, said):
+    program = f"""
+import os, signal, time
+from ringwear_par.results.execution.stop_signals import StopSignals
+
+with StopSignals() as signals:
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep({seconds})
+time.sleep(1.0 - {seconds})
+"""
+    ranks = {"OMPI_COMM_WORLD_SIZE": "2", "OMPI_COMM_WORLD_RANK": rank}
+    done = subprocess.run([sys.executable, "-c", program], env={**SHELL_ENVIRONMENT, **ranks},
+                          timeout=50, capture_output=True, text=True, check=True)  # fmt: skip
+    assert ("stopped by SIGTERM before a step under way has ended; SIGT" in done.stderr) == said
+
+
 @pytest.mark.skipif(not shutil.which("timeout"), reason="no timeout")
 def test_a_second_signal_does_not_take_the_word_away(tmp_path):
     """As `timeout` sends it: to the program, and to its group."""

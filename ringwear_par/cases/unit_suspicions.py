@@ -181,8 +181,8 @@ _THINNEST = 1e-4
 #: 1/MPa, largest specific wear rate: Archard's K = 0.01 of severe dry sliding (0.007 of mild steel
 #: on itself: J. F. Archard and W. Hirst, Proc. R. Soc. A 236 (1956) 397) over a hardness of 100 MPa
 _FASTEST = 1e-4
-#: mm, from which on lengths are likely in another unit
-_LARGEST = 5000.0
+#: mm, up to and from which on the largest length of a body is likely in another unit
+_SMALLEST, _LARGEST = 0.3, 5000.0
 #: largest mean pressure, in Young's moduli, of linear elasticity
 MOST_PRESSED = 0.1
 #: MPa; what is softer is a rubber or a gel, whose Poisson's ratio is larger than this
@@ -222,8 +222,11 @@ def unit_suspicions(
             )
         if isinstance(material, Ring):
             size = max(material.r[1], material.z[1] - material.z[0])
-            if size > _LARGEST:
-                texts.append(f"{name} measures {size:g} mm; plain lengths are in mm: is it in um?")
+            if not _SMALLEST < size < _LARGEST:
+                unit = "um" if size > _LARGEST else "m"
+                texts.append(
+                    f"{name} measures {size:g} mm; plain lengths are in mm: is it in {unit}?"
+                )
     if load > MOST_PRESSED * softest:
         texts.append(
             f"the mean pressure of {load:.3g} MPa is more than a tenth of a Young's modulus, "

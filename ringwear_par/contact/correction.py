@@ -69,8 +69,6 @@ class CorrectedContacts:
         self.engine, self._products = engine, RowProducts(engine.which)
         count = len(engine.which)
         self._every, self._total = np.arange(count), float(engine.compliances.area.sum())
-        #: (B, n) MPa/mm, of each element alone
-        self._stiffness = engine.compliances.stiffness[engine.which]
         #: (B,) the largest errors that were left, and their elements
         self.largest_errors = np.zeros(count), np.zeros(count, dtype=np.int64)
         self._shift_at: tuple[FloatArray, FloatArray] | None = None
@@ -153,7 +151,7 @@ class CorrectedContacts:
             iterations[not_converged] += state.iterations[not_converged]
             residual[not_converged] = state.residual[not_converged]
             before, shift = shift, self._shift(state.pressure)
-            error, element = self._errors(state, shift - before, largest_allowed)
+            error, element = self._errors(state, before, shift, largest_allowed)
             errors[not_converged] = error[not_converged]
             elements[not_converged] = element[not_converged]
             not_converged = not_converged[~(error[not_converged] <= largest_allowed)]
@@ -175,19 +173,24 @@ class CorrectedContacts:
         return replace(state, iterations=iterations, residual=residual)
 
     def _errors(
-        self, solution: ContactState, change: FloatArray, largest_allowed: float
+        self,
+        solution: ContactState,
+        before: FloatArray,
+        after: FloatArray,
+        largest_allowed: float,
     ) -> tuple[FloatArray, IntArray]:
-        """Return the errors of pressures for changes of the shift, (B, n) mm, and their elements.
+        """Return the errors of pressures for a change of shift, (B, n) mm, and their elements.
 
         Of the worst element of each history, relative to its pressure or to the mean, whichever is
         larger. As if each element were alone, in few operations; where that is too large, by the
         response of all.
         """
         p, area = solution.pressure, self.engine.compliances.area
-        mean = np.maximum(np.divide(solution.force, self._total), _TINY)[:, None]
-        errors = np.abs(change) * self._stiffness / np.maximum(p, mean)
-        elements = errors.argmax(axis=1)
-        largest = errors[self._every, elements]
+        largest, elements = np.empty(len(p)), np.empty(len(p), dtype=np.int64)
+        self.engine.loops.correction_errors(
+            *p.shape, self.engine.which, before, after, self.engine.compliances.stiffness, p,
+            np.maximum(solution.force / self._total, _TINY), largest, elements,
+        )  # fmt: skip
         too_large = largest > largest_allowed
         if not too_large.any():
             return largest, elements
@@ -196,7 +199,7 @@ class CorrectedContacts:
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = np.maximum(p, np.divide(solution.force, carrying)[:, None])
             errors = np.where(
-                touching, np.abs(self.engine.derivatives.response(change)) / scale, 0.0
+                touching, np.abs(self.engine.derivatives.response(after - before)) / scale, 0.0
             )
         worst = errors.argmax(axis=1)
         # where nothing touches the gap must be that of no pressure
@@ -216,7 +219,7 @@ class CorrectedContacts:
         errors, elements = self.largest_errors
         self.largest_errors = errors[histories], elements[histories]
         self._products, self._shift_at = RowProducts(self.engine.which), None
-        self._every, self._stiffness = np.arange(len(histories)), self._stiffness[histories]
+        self._every = np.arange(len(histories))
 
     def take(self, histories: IntArray) -> "CorrectedContacts":
         """Return the contacts of some of the histories."""

@@ -22,6 +22,7 @@ from ringwear_par.contact.problem import (
     ContactProblem,
     ContactState,
     WarmStart,
+    part,
 )
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.contact.solution_derivatives import SolutionDerivatives
@@ -116,12 +117,13 @@ class ContactEngine:
             )
         self.compliances, self.which, self._tao_type = compliances, which, tao_type
         self._problem = ContactProblem(compliances, which)
+        self.loops = self._problem.loops
         self._hessians = Hessians(compliances, which)
         #: of the last solutions
         self.derivatives = SolutionDerivatives(self._problem, self._hessians)
         self._callbacks = _Callbacks(self._problem, self._hessians)
         #: (B, n) unknowns and gradients, and (B,) iterations of the last solutions
-        self._q, self._g = (np.zeros_like(self.scale) for _ in "qg")
+        self._q, self._g = (np.zeros((len(which), len(compliances.area))) for _ in "qg")
         self._iterations = np.zeros(len(which), dtype=np.int64)
         #: our own method; None: one of PETSc's is at work
         self._newton: ActiveSetNewton | None = None
@@ -264,7 +266,7 @@ class ContactEngine:
         """Take the pressures of histories that need none; the gradient is the weighted gap."""
         problem = self._problem
         self._q[histories], problem.is_known[histories] = 0.0, False
-        self._g[histories] = problem.weights[histories] * (
+        self._g[histories] = part(problem.weights, histories) * (
             problem.gaps[histories] - problem.approaches[histories, None]
         )
         self._hessians.forget(histories)
@@ -289,8 +291,9 @@ class ContactEngine:
             nearest = float(gaps[history].min())
             problem.gaps, problem.forces = gaps.copy(), None
             problem.gaps[history] -= nearest
-            area, weights, scale = problem.area, problem.weights[history], problem.scale[history]
-            matrix = self.compliances.matrices[self.which[history]]
+            compliances, number, area = self.compliances, self.which[history], problem.area
+            weights, scale = compliances.weights[number], compliances.scale[number]
+            matrix = compliances.matrices[number]
             force = float(forces[history])
             stiffness = float(area.sum() ** 2 / (scale @ matrix @ scale))  # of uniform pressure
             mean = float(area @ problem.gaps[history] / area.sum())
@@ -298,7 +301,7 @@ class ContactEngine:
             def contact_at(approach: float) -> tuple[float, float]:
                 problem.approaches[history] = approach
                 self._solve_at_approach(history)
-                response = self._hessians.solve(row, problem.weights[row])[0]
+                response = self._hessians.solve(row, weights[None])[0]
                 return float(weights @ self._q[history]), float(weights @ response)
 
             find_approach(force, mean + force / stiffness, stiffness, contact_at)
@@ -317,7 +320,7 @@ class ContactEngine:
         """
         problem, tao, row = self._problem, self._tao, self._problem.at_work
         beyond = problem.approaches[history] - problem.gaps[history]
-        overlap = problem.weights[history] * np.maximum(beyond, 0.0)
+        overlap = self.compliances.weights[self.which[history]] * np.maximum(beyond, 0.0)
         if not overlap.any():
             self._separate(row)
             return
@@ -342,7 +345,7 @@ class ContactEngine:
 
     @property
     def scale(self) -> FloatArray:
-        """(B, n), unknowns over pressures, 1/MPa."""
+        """(B, n), or (1, n) if it is the same of all: unknowns over pressures, 1/MPa."""
         return self._problem.scale
 
     @property

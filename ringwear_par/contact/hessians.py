@@ -11,8 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner, largest, smallest
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
 from ringwear_par.batched import keep
+from ringwear_par.compiled import contact_rows
+from ringwear_par.compiled.machine_code import load
 from ringwear_par.contact.basis_stack import BROKEN, BasisStack
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
@@ -22,7 +24,7 @@ from ringwear_par.wear.increment import WearIncrement
 #: with 64, 128 and 256 elements), and as much memory as two
 LARGEST_WITH_BASES = 256
 #: what slopes may differ by from their shape, relative: round-off
-_ROUND_OFF = 1e-12
+_ROUND_OFF = np.array([1e-12])
 #: instead of the number of a basis: a factor of its own
 _FACTOR = -1
 #: residuals, relative to the first, at which conjugate gradients end: of estimates, within Newton's
@@ -44,9 +46,8 @@ class Hessians:
 
     def __init__(self, compliances: ScaledCompliances, which: IntArray) -> None:
         self._compliances, self._matrices, self._which = compliances, compliances.matrices, which
-        self._weights = weights = compliances.weights[which]
-        count, n = weights.shape
-        self._per_speed = (1.0 / compliances.speed)[which]
+        count, n = len(which), len(compliances.area)
+        self._per_speed, self._loops = 1.0 / compliances.speed, load(contact_rows)
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
         #: (B, n) the diagonal
@@ -59,8 +60,8 @@ class Hessians:
         #: elements that the inverses are of, and whether they are of the slopes
         self._free = np.zeros((count, n), dtype=bool)
         self._valid = np.zeros(count, dtype=bool)
-        #: packed bits of the elements in contact and of those that wear
-        self._sets = np.zeros((count, -(-2 * n // 8)), dtype=np.uint8)
+        #: (B, n) elements that bases take to wear
+        self._wearing = np.zeros((count, n), dtype=bool)
         #: bases, and the number of that of each history
         self._stack, self._number = BasisStack(compliances), np.full(count, BROKEN)
         #: (B, n) inverses in the bases, exact where the slope has the shape, else preconditioners
@@ -77,7 +78,7 @@ class Hessians:
         self.coupling = self.coupling[histories] if len(self.coupling) else self.coupling
         keep(
             self,
-            ("_which", "_weights", "_per_speed", "_free", "_valid", "_sets", "_number",
+            ("_which", "_free", "_valid", "_wearing", "_number",
              "_inverse", "_regular", "_response", "_stiffness"),
             histories,
         )  # fmt: skip
@@ -136,68 +137,60 @@ class Hessians:
         ----------
         in_bases : whether sets are worth a basis; those that come and go are not.
         """
-        rows = slice(None) if len(histories) == len(self._valid) else histories
-        slope, touching = self.slope[rows], free[rows]
-        new = (touching != self._free[rows]).any(axis=1)
-        new |= ~self._valid[rows]
+        count, n = len(histories), free.shape[1]
+        new, new_sets = np.empty((2, count), dtype=bool)
+        rates = np.empty(count)
         coupled = bool(len(self.coupling))
         if coupled:
-            new[:] = True
-        if not new.all():
-            if not new.any():
-                return
-            rows = histories = histories[new]
-            slope, touching = slope[new], touching[new]
-        self._free[rows], self._valid[rows] = touching, not coupled
-        if coupled or not in_bases or slope.shape[1] > LARGEST_WITH_BASES:
-            self._factorise(histories)
-            return
-        rate = slope * self._per_speed[rows]
-        rate *= touching
-        wearing, most = rate > 0.0, largest(rate)
-        least = smallest(rate)
-        regular = least >= (1.0 - _ROUND_OFF) * most
-        if not regular.all():
-            regular = ~(wearing & (rate < ((1.0 - _ROUND_OFF) * most)[:, None])).any(axis=1)
-        if self.through_layers and not regular.all():
-            self._factorise(histories[~regular])
-            rows = histories = histories[regular]
-            touching, wearing, most = touching[regular], wearing[regular], most[regular]
-            regular = regular[regular]
-            if not len(histories):
-                return
-        self._regular[rows] = regular
-        if not regular.all():
-            places = np.flatnonzero(~regular)
-            wearing[places] = True
-            ordered = np.sort(np.where(touching[places], rate[places], np.inf), axis=1)
-            middle = touching[places].sum(axis=1) // 2
-            most[places] = ordered[np.arange(len(places)), middle]  # the median
-        wearing[~wearing.any(axis=1)] = True  # so as not to need a basis without wear
-        self._choose_bases(histories, touching, wearing)
-        numbers = self._number[rows]
-        if numbers.min() < 0:
-            valid = numbers >= 0
-            rows, most, numbers = histories[valid], most[valid], numbers[valid]
-        inverse, force = most[:, None] * self._stack.mu[numbers], self._stack.force[numbers]
-        inverse += 1.0
-        np.divide(1.0, inverse, out=inverse)
-        self._inverse[rows], response = inverse, inverse * force
-        self._response[rows], self._stiffness[rows] = response, inner(force, response)
-
-    def _choose_bases(self, histories: IntArray, free: BoolArray, wearing: BoolArray) -> None:
-        """Take the bases of the sets of histories, (h, n)."""
-        sets = np.packbits(np.concatenate([free, wearing & free], axis=1), axis=1)
-        new = (sets != self._sets[histories]).any(axis=1) | (self._number[histories] < 0)
+            self._valid[histories] = False
+        self._loops.shape(
+            count, n, histories, self._which, self.slope, self._per_speed, free, self._valid,
+            self._free, self._wearing, rates, new, new_sets, self._regular, _ROUND_OFF,
+        )  # fmt: skip
         if not new.any():
             return
-        self._sets[histories] = sets
+        if not new.all():
+            histories, new_sets, rates = histories[new], new_sets[new], rates[new]
+        self._valid[histories] = not coupled
+        if coupled or not in_bases or n > LARGEST_WITH_BASES:
+            self._factorise(histories)
+            return
+        irregular = ~self._regular[histories]
+        if irregular.any():
+            if self.through_layers:
+                self._factorise(histories[irregular])
+                histories, new_sets = histories[~irregular], new_sets[~irregular]
+                rates = rates[~irregular]
+                if not len(histories):
+                    return
+            else:
+                rates[irregular] = self._median_rates(histories[irregular])
+        new_sets |= self._number[histories] < 0
+        if new_sets.any():
+            self._choose_bases(histories[new_sets])
+            valid = self._number[histories] >= 0
+            histories, rates = histories[valid], rates[valid]
+        self._loops.invert(
+            len(histories), n, histories, self._number, rates, self._stack.mu, self._stack.force,
+            self._inverse, self._response, self._stiffness,
+        )  # fmt: skip
+
+    def _median_rates(self, histories: IntArray) -> FloatArray:
+        """Return the medians of slopes over speeds on elements in contact, (h,)."""
+        per_speed, free = self._per_speed[self._which[histories]], self._free[histories]
+        rates = self.slope[histories] * per_speed
+        ordered = np.sort(np.where(free, rates, np.inf), axis=1)
+        return ordered[np.arange(len(ordered)), free.sum(axis=1) // 2]
+
+    def _choose_bases(self, histories: IntArray) -> None:
+        """Take the bases of the sets of histories."""
         self._rows.clear()
+        free, wearing = self._free[histories], self._wearing[histories]
+        sets = np.packbits(np.concatenate([free, wearing], axis=1), axis=1)
         alike: dict[tuple[int, bytes], list[int]] = defaultdict(list)
-        which, width = self._which[histories].tolist(), sets.shape[1]
-        packed = sets.tobytes()
-        for place in np.flatnonzero(new).tolist():
-            alike[which[place], packed[place * width : (place + 1) * width]].append(place)
+        which, width, packed = self._which[histories].tolist(), sets.shape[1], sets.tobytes()
+        for place, compliance in enumerate(which):
+            alike[compliance, packed[place * width : (place + 1) * width]].append(place)
         for (compliance, name), places in alike.items():
             if self._stack.is_full:
                 self._stack.make_room(self._number)
@@ -226,8 +219,7 @@ class Hessians:
             if len(modal) == len(every):
                 places = slice(None)
             numbers = every[places]
-            ours = slice(None) if len(numbers) == len(self._number) else histories[places]
-            rows = _Rows(places, ours, numbers, self._stack.force[numbers], RowProducts(numbers))
+            rows = _Rows(places, histories[places], numbers, RowProducts(numbers))
             known = self._rows[whole] = histories, rows
         return known[1]
 
@@ -273,20 +265,16 @@ class Hessians:
         self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None, tolerance: float
     ) -> tuple[FloatArray, FloatArray]:
         """Return steps in the bases, (..., h, n), and of approaches, (..., h)."""
-        if missing is None:
-            change, solved = np.zeros(modal.shape[:-1]), -modal
-        else:
-            carried = missing + inner(self._response[rows.histories], modal)
-            change = _divided(carried, self._stiffness[rows.histories])
-            solved = change[..., None] * rows.force
-            solved -= modal
-        solved *= self._inverse[rows.histories]
-        irregular = np.flatnonzero(~self._regular[rows.histories])
+        irregular, count = np.flatnonzero(~self._regular[rows.histories]), len(rows.histories)
+        sides = modal[..., irregular, :] if len(irregular) else modal
+        change, solved = np.empty(modal.shape[:-1]), modal
+        self._loops.solve_in_bases(
+            change.size, modal.shape[-1], count, rows.histories, self._number, self._stack.force,
+            self._inverse, self._response, self._stiffness, change if missing is None else missing,
+            missing is not None, solved, change,
+        )  # fmt: skip
         if len(irregular):
-            sides = modal[..., irregular, :]
-            many = np.broadcast_to(
-                np.arange(len(self._number))[rows.histories][irregular], sides.shape[:-1]
-            )
+            many = np.broadcast_to(rows.histories[irregular], sides.shape[:-1])
             x, more = self._iterate(
                 many.ravel(),
                 -sides.reshape(many.size, -1),
@@ -306,7 +294,8 @@ class Hessians:
     ) -> None:
         """Set steps and changes of approaches of histories that have factors of their own."""
         places = np.flatnonzero(self._number[histories] < 0)
-        weights, sides = self._weights[histories[places]], gradient[..., places, :]
+        weights = self._compliances.weights[self._which[histories[places]]]
+        sides = gradient[..., places, :]
         right = np.concatenate([sides.reshape(-1, *weights.shape), weights[None]])
         solved = np.zeros_like(right)
         whole = self._free[histories[places]].all(axis=1).tolist()
@@ -407,12 +396,10 @@ class _Rows(NamedTuple):
 
     #: of these rows among those that are solved
     places: IntArray | slice
-    #: of the rows
-    histories: IntArray | slice
+    #: (h,) int, of the rows
+    histories: IntArray
     #: (h,) int, of their bases
     numbers: IntArray
-    #: (h, n) float, see ``Basis``
-    force: FloatArray
     #: of the rows by basis
     groups: RowProducts
 

@@ -13,14 +13,15 @@ Newton method, SIAM J. Control Optim. 20 (1982).
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner, largest
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
 from ringwear_par.contact.hessians import NEAR, SOLVED, Hessians
-from ringwear_par.contact.problem import FORCE_TOLERANCE, GRADIENT_TOLERANCE, ContactProblem
+from ringwear_par.contact.problem import FORCE_TOLERANCE, GRADIENT_TOLERANCE, ContactProblem, part
 from ringwear_par.contact.tao import Guard
 from ringwear_par.petsc import PETSc
 
 PLAIN_ITERATIONS = 25
 ROUND_OFF = 1e-13
+_TOLERANCES = [np.array([x]) for x in (ROUND_OFF, GRADIENT_TOLERANCE, FORCE_TOLERANCE)]
 #: share of the slope at the start of a damped step that is left at its end, and the shortest step
 _SLOPE_LEFT, _SHORTEST = 1e-8, 1e-10
 
@@ -92,7 +93,7 @@ class ActiveSetNewton:
             hessians.refresh(histories, free)
             missing = None
             if problem.forces is not None:
-                missing = problem.forces[rows] - inner(problem.weights[rows], q[rows])
+                missing = problem.forces[rows] - inner(part(problem.weights, rows), q[rows])
             steps, changes = hessians.steps(histories, g[rows], missing, NEAR)
             problem.approaches[rows] += changes
             q[rows] += steps
@@ -112,53 +113,36 @@ class ActiveSetNewton:
         Unknowns that leave their set become 0. Return the histories whose unknowns are no numbers,
         and whether any unknowns of others became 0.
         """
-        problem = self._problem
-        histories, rows = problem.at_work, problem.rows
-        x, slopes = q[rows], g[rows]
-        before = free[rows]
-        fine, broken = self._optimal(x, slopes)
-        if before.all() and x.min() > 0.0:
-            keep, same = before, np.ones_like(fine)
-        else:
-            keep = (before & (x > 0.0)) | (~before & (slopes < 0.0))
-            same = (keep == before).all(axis=1)
-        if same.all() and fine.all() and not broken.any():
+        problem, histories = self._problem, self._problem.at_work
+        fine, broken, same = self._judge(q, g, free)
+        if (settled := fine & same & ~broken).all():
             problem.at_work = histories[:0]
             return [], False
-        leaving = ~same & ~broken
-        free[rows] = np.where(leaving[:, None], keep, before)
-        cleared = (leaving[:, None] & ~keep & (x != 0.0)) | broken[:, None]
-        q[rows] = np.where(cleared, 0.0, x)
-        problem.is_known[histories[broken]] = False
-        problem.at_work = histories[~((same & fine) | broken)]
-        return histories[broken].tolist(), bool(cleared[~broken].any())
+        lost, leaving = histories[broken], histories[~same & ~broken]
+        cleared = np.zeros(len(leaving), dtype=bool)
+        self._problem.loops.change_sets(len(leaving), q.shape[1], leaving, q, g, free, cleared)
+        q[lost], problem.is_known[lost] = 0.0, False
+        problem.at_work = histories[~(settled | broken)]
+        return lost.tolist(), bool(cleared.any())
 
-    def _optimal(self, x: FloatArray, gradient: FloatArray) -> tuple[BoolArray, BoolArray]:
-        """Return who of the histories at work is optimal on its sets, (h,), and whose x is broken.
+    def _judge(
+        self, q: FloatArray, g: FloatArray, free: BoolArray
+    ) -> tuple[BoolArray, BoolArray, BoolArray]:
+        """Return who of the histories at work is optimal on its sets, who broken, and who on them.
 
-        That is where the natural residual min(g, diag(H) x) is small against the overlap, or at the
-        round-off of x, and the force is met.
+        See the loop of this name; broken are those whose unknowns are no numbers.
         """
-        problem, rows = self._problem, self._problem.rows
-        diagonal = self._hessians.diagonal[rows]
-        natural = gradient / diagonal
-        np.minimum(x, natural, out=natural)
-        worst, most = largest(np.abs(natural)), np.maximum(largest(x), 0.0)
-        carried = inner(problem.weights[rows], x)
-        # where wear makes the diagonal large, round-off in q is more than the tolerance in g
-        fine = worst <= ROUND_OFF * most
-        if not fine.all():
-            defect, beyond = natural * diagonal, problem.approaches[rows, None] - problem.gaps[rows]
-            overlap = np.maximum(beyond, 0.0) * problem.weights[rows]
-            allowed = GRADIENT_TOLERANCE * np.sqrt(inner(overlap, overlap))
-            fine |= np.sqrt(inner(defect, defect)) <= allowed
-        if problem.forces is not None:
-            force = problem.forces[rows]
-            fine &= np.abs(carried - force) <= FORCE_TOLERANCE * force
-        self.residuals[rows] = np.divide(
-            worst, most, out=np.full_like(worst, np.inf), where=most > 0.0
-        )
-        return fine, ~np.isfinite(worst + carried)
+        problem, histories = self._problem, self._problem.at_work
+        verdicts = np.empty((3, len(histories)), dtype=bool)
+        with_forces = problem.forces is not None
+        forces = problem.approaches if problem.forces is None else problem.forces
+        problem.loops.judge(
+            len(histories), q.shape[1], histories, problem.which, q, g, self._hessians.diagonal,
+            problem.compliances.weights, problem.gaps, problem.approaches, forces, with_forces,
+            free, self.residuals, *verdicts, *_TOLERANCES,
+        )  # fmt: skip
+        fine, broken, same = verdicts
+        return fine, broken, same
 
     def _begin(self, q: FloatArray, g: FloatArray, free: BoolArray) -> None:
         """Let the sets be those of the present values; where nothing touches, guess."""
@@ -195,10 +179,11 @@ class ActiveSetNewton:
             self._search(q, g, row, step)
             if self._monitored:
                 self._monitor(tao, iteration)
-            fine, broken = self._optimal(q[[row]], g[[row]])
+            free[row] = q[row] > 0.0
+            fine, broken, same = self._judge(q, g, free)
             if broken[0]:
                 break
-            if fine[0] and (g[row][q[row] == 0.0] >= 0.0).all():
+            if fine[0] and same[0]:
                 return histories[:0], iteration
         return histories, iteration
 

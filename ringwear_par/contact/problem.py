@@ -17,6 +17,8 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, inner, largest, short_repr
 from ringwear_par.batched import keep
+from ringwear_par.compiled import contact_rows
+from ringwear_par.compiled.machine_code import load
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.wear.increment import WearIncrement
 
@@ -89,22 +91,27 @@ class ContactProblem:
 
     def __init__(self, compliances: "ScaledCompliances", which: IntArray) -> None:
         self.compliances, self.which = compliances, which
-        self.area = compliances.area
-        #: (B, n) 1/MPa, pressure times this is the unknown; gap times the weights the gradient
-        self.scale, self.weights = compliances.scale[which], compliances.weights[which]
-        self._per_scale = (1.0 / compliances.scale)[which]
-        self._per_weight = (1.0 / compliances.weights)[which]
-        self._slope_scale = (compliances.weights / compliances.scale)[which]
+        self.area, self.loops = compliances.area, load(contact_rows)
+        scale, weights = compliances.scale, compliances.weights
+        #: (B, n) or (1, n), 1/MPa, pressure times this is the unknown; gap times the weights the
+        #: gradient
+        self.scale, self.weights, self._per_scale, self._per_weight, self._slope_scale = (
+            compliances.of_histories(values, which)
+            for values in (scale, weights, 1.0 / scale, 1.0 / weights, weights / scale)
+        )
         self.every = np.arange(len(which))
         #: (B, n) A q of the last unknowns, and (B,) whether those are the ones that there are now
-        self._product, self.is_known = np.zeros_like(self.scale), np.zeros(len(which), dtype=bool)
+        self._product, self.is_known = (
+            np.zeros((len(which), len(self.area))),
+            np.zeros(len(which), dtype=bool),
+        )
         #: (B, n) MPa at the last gradient, where it was of all histories
         self._pressure: FloatArray | None = None
         #: (B, n) slopes that depths have over pressures, and those of gradients over unknowns
         self._slopes: tuple[FloatArray, FloatArray] | None = None
         self.at_work = self.every
         #: (B, n) mm, and (B,) mm
-        self.gaps, self.approaches = np.zeros_like(self.scale), np.zeros(len(which))
+        self.gaps, self.approaches = np.zeros_like(self._product), np.zeros(len(which))
         #: (B,) N, where approaches are those that carry given forces
         self.forces: FloatArray | None = None
         self.wear: WearIncrement | None = None
@@ -143,12 +150,10 @@ class ContactProblem:
 
     def keep(self, histories: IntArray) -> None:
         """Go on with some of the histories, none of which is at work."""
-        keep(
-            self,
-            ("which", "scale", "weights", "_per_scale", "_per_weight", "_slope_scale", "_product",
-             "is_known", "gaps", "approaches"),
-            histories,
-        )  # fmt: skip
+        keep(self, ("which", "_product", "is_known", "gaps", "approaches"), histories)
+        if len(self.compliances.matrices) > 1:
+            names = "scale", "weights", "_per_scale", "_per_weight", "_slope_scale"
+            keep(self, names, histories)
         self.every = np.arange(len(histories))
         self.at_work = self.every
         self._pressure = self._products = self._wear_at_work = self.wear = self.forces = None
@@ -160,7 +165,7 @@ class ContactProblem:
 
     def rows_in(self, vector: FloatArray) -> FloatArray:
         """Return the rows of all histories, (B, n), in a vector that may have room for more."""
-        return vector[: self.weights.size].reshape(self.weights.shape)
+        return vector[: self._product.size].reshape(self._product.shape)
 
     @property
     def at_work(self) -> IntArray:
@@ -184,7 +189,7 @@ class ContactProblem:
 
     def pressures(self, q: FloatArray, rows: IntArray | slice) -> FloatArray:
         """Return the pressures of unknowns, MPa."""
-        return q * self._per_scale[rows]
+        return q * part(self._per_scale, rows)
 
     def gaps_of(self, gradient: FloatArray) -> FloatArray:
         """Return the gaps between the deformed profiles of all histories, mm."""
@@ -221,11 +226,13 @@ class ContactProblem:
             p = self.pressures(q, rows)
         self._pressure = None  # where a law raises, nothing is known of these unknowns
         self.is_known[rows] &= recall
-        gradient = np.subtract(self.gaps[rows], self.approaches[rows, None], out=out)
-        if wear is not None:
-            gradient += wear.depth(p)
-        gradient *= self.weights[rows]
-        gradient += self._product[rows] if recall else self._products_of(q)
+        depths = np.zeros_like(q) if wear is None else wear.depth(p)
+        products = self._product[rows] if recall else self._products_of(q)
+        gradient = np.empty_like(q) if out is None else out
+        self.loops.gradient(
+            *q.shape, self.at_work, self.which, self.gaps, self.approaches, depths,
+            self.compliances.weights, products, gradient,
+        )  # fmt: skip
         self._pressure = p if whole else None
         return gradient
 
@@ -242,7 +249,7 @@ class ContactProblem:
         """Return the sum of the objectives, N mm."""
         rows, wear = self.rows, self._increment()
         self._pressure = None
-        linear = self.weights[rows] * (self.gaps[rows] - self.approaches[rows, None])
+        linear = part(self.weights, rows) * (self.gaps[rows] - self.approaches[rows, None])
         objectives = inner(q, 0.5 * self._products_of(q) + linear)
         if wear is not None:
             objectives = objectives + inner(self.area, wear.potential(self.pressures(q, rows)))
@@ -265,7 +272,7 @@ class ContactProblem:
         p = self._pressure if recall and isinstance(rows, slice) else None
         if p is None:
             p = self.pressures(q, rows)
-        slope = wear.d_depth_dp(p)
+        slope = np.ascontiguousarray(wear.d_depth_dp(p))
         if self._slopes is None or self._slopes[0] is not slope:
             self._slopes = slope, self.scaled_slopes(slope, rows)
         diagonal = self._slopes[1]
@@ -282,8 +289,8 @@ class ContactProblem:
         (h, n) mm/MPa, or of non-local wear (h, n, n).
         """
         if slopes.ndim == self.weights.ndim:
-            return slopes * self._slope_scale[rows]
-        return self.weights[rows][..., None] * slopes / self.scale[rows][:, None, :]
+            return slopes * part(self._slope_scale, rows)
+        return part(self.weights, rows)[..., None] * slopes / part(self.scale, rows)[:, None, :]
 
     def residuals(
         self, histories: IntArray, q: FloatArray, gradient: FloatArray, slope: FloatArray
@@ -306,6 +313,11 @@ class ContactProblem:
             other = self.scaled_slopes(self.wear.d_depth_dp(self.pressures(q, every)), every)
             worst = _natural(q[rows], gradient[rows], np.maximum(slope, other)[rows])
         return np.divide(worst, most, out=np.full(len(histories), np.inf), where=most > 0.0)
+
+
+def part(values: FloatArray, rows: IntArray | slice) -> FloatArray:
+    """Return the values of some rows, (h, n); where all have the same, (1, n)."""
+    return values if len(values) == 1 else values[rows]
 
 
 def _natural(q: FloatArray, gradient: FloatArray, slope: FloatArray) -> FloatArray:

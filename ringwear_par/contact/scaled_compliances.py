@@ -90,6 +90,10 @@ class ScaledCompliances:
             np.ascontiguousarray(excess.transpose(0, 2, 1)), np.array(names, dtype=object),
         )  # fmt: skip
 
+    def of_histories(self, values: FloatArray, which: IntArray) -> FloatArray:
+        """Return values (m, n) for each history, (B, n); where all have the same, (1, n)."""
+        return values if len(values) == 1 else values[which]
+
     def take(self, numbers: IntArray) -> "ScaledCompliances":
         """Return some of the compliances, in ascending order."""
         return self if len(numbers) == len(self.matrices) else take(self, numbers)

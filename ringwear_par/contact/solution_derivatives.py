@@ -9,7 +9,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, inner
 from ringwear_par.contact.hessians import ROUGH, Hessians
-from ringwear_par.contact.problem import ContactProblem, ContactState
+from ringwear_par.contact.problem import ContactProblem, ContactState, part
 from ringwear_par.contact.row_products import RowProducts
 
 #: less than any stiffness
@@ -69,9 +69,9 @@ class SolutionDerivatives:
         histories : (h,) int.
         """
         hessians, rows = self._hessians, self._problem.rows_of(histories)
-        weights, scale = self._problem.weights[rows], self._problem.scale[rows]
+        weights, scale = part(self._problem.weights, rows), part(self._problem.scale, rows)
         by_gap = hessians.solve(histories, d_gap[:, rows] * weights)
-        by_approach = hessians.solve(histories, weights)
+        by_approach = hessians.solve(histories, np.broadcast_to(weights, by_gap.shape[1:]))
         mismatch = None if slope is None else self._hessian_mismatch(slope, rows)
         if mismatch is not None:
             by_gap -= hessians.solve(histories, np.array([mismatch(x) for x in by_gap]))

@@ -54,6 +54,8 @@ class Measurements:
     sha256: str = ""
     #: of the columns, in the row below their names; () where there is none
     units: tuple[str, ...] = ()
+    #: whether cells of the first column are names, perhaps numbers
+    labelled: bool = False
 
     def label(self, name: str) -> str:
         """Return the name of a column with its unit, where that is in the row below."""
@@ -65,7 +67,9 @@ class Measurements:
         """Return the table of one column, for names that several columns have."""
         rows = tuple((row[place],) for row in self.rows)
         units = self.units[place : place + 1]
-        return Measurements(self.name, (self.columns[place],), rows, self.lines, self.sha256, units)
+        one = Measurements(self.name, (self.columns[place],), rows, self.lines, self.sha256, units)
+        vars(one)["_decimals"] = self._decimals  # of all numbers of the table
+        return one
 
     def without(self, texts: Sequence[str]) -> "Measurements":
         """Return the table with nothing in cells that are one of some texts."""
@@ -176,7 +180,7 @@ class Measurements:
         """The first line with a decimal point, and with a decimal comma, of no group; or 0."""
         marks = {".": 0, ",": 0}
         numbered = zip(self.lines.tolist(), self.rows, strict=True)
-        for line, cell in ((line, cell) for line, row in numbered for cell in row):
+        for line, cell in ((line, c) for line, row in numbered for c in row[self.labelled :]):
             for mark, grouped in ((".", _GROUPED_BY_POINTS), (",", _GROUPED)):
                 if mark in cell and not marks[mark] and NUMBER.fullmatch(cell.replace(mark, ".")):
                     marks[mark] = 0 if grouped.fullmatch(cell) else line
@@ -314,4 +318,4 @@ def measurements_in(
         raise InputError(*faults)
     cells = tuple(tuple(row[: len(columns)]) for row in rows)
     lines, sha256 = np.array(table.lines, dtype=int), hashlib.sha256(content).hexdigest()
-    return Measurements(path, columns, cells, lines, sha256, tuple(table.units))
+    return Measurements(path, columns, cells, lines, sha256, tuple(table.units), labelled)

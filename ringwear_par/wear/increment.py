@@ -139,7 +139,7 @@ class WearIncrement:
         p = _not_negative(p)
         if law.remembers:
             at = self.after_step(law, at, p)
-        return averaged_rate(law, at, average, p)
+        return np.ascontiguousarray(averaged_rate(law, at, average, p))
 
     def _bodies_at(self, p: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         """Return rates, mm/s, and depths of those that wear in contact all along, mm.
@@ -381,7 +381,7 @@ class WearIncrement:
 
 def _not_negative(p: FloatArray) -> FloatArray:
     """Return pressures, 0 where they are negative: few iterates have such, and looking is quick."""
-    return p if np.min(p, initial=0.0) >= 0.0 else np.maximum(p, 0.0)
+    return p if p.min(initial=0.0) >= 0.0 else np.maximum(p, 0.0)
 
 
 def total_of(parts: Sequence[FloatArray] | FloatArray) -> FloatArray:

@@ -25,6 +25,14 @@ def test_numbers_of_our_cases_are_not_doubted(path):
         assert told(path) == {}
 
 
+@pytest.mark.parametrize(("factor", "unit"), [(1e-3, "m"), (1e3, "um")])
+def test_rings_in_other_lengths_are_doubted(factor, unit):
+    case = rw.read_case(PAPER)
+    keys = {f"{body}.{axis}": [factor * end for end in getattr(getattr(case, body), axis)]
+            for body in ("lower", "upper") for axis in "rz"}  # fmt: skip
+    assert told(PAPER, **keys)[""].endswith(f" mm; plain lengths are in mm: is it in {unit}?")
+
+
 def test_a_thickness_in_metres_is_doubted():
     key = "lower.layers[0].thickness"
     (text,) = told(LAYERED, **{key: 4e-6}).values()

@@ -181,6 +181,7 @@ method = "grid"
         ("", ["[vary]", "missing"]),
         ('[vary]\n"wear.lower.q" = { values = [1] }', ["wear.lower.q", "unknown key"]),
         ('[vary]\n"wear.lower.k" = 3', ["wear.lower.k", "must be { values"]),
+        ('[vary]\n"load.omega" = { normal = [3, 1] }', ['vary."load.omega": normal: must be { va']),
         ('[vary]\n"wear.lower.k" = { log = [0, 1], count = 3 }', ["[0, 1]", "> 0"]),
         ('[vary]\n"wear.lower.k" = { linear = [1, 2] }', ["count is missing", "from 2"]),
         ('[vary]\n"title" = { values = ["a"] }', ["title"]),

@@ -18,7 +18,13 @@ from ringwear_par.cases.files.weighings import (
 )
 from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.cases.tables import Key, TableReader
-from ringwear_par.cases.units import bare_name, factor, has_unit, number_and_unit
+from ringwear_par.cases.units import (
+    bare_name,
+    factor,
+    has_unit,
+    number_and_unit,
+    unit_of_column,
+)
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible
@@ -50,6 +56,10 @@ _UNITS = {"at": "s", **dict.fromkeys(_MASSES, "g")}
 _DIGITS = 12
 #: of a case
 _TABLES = {path.partition(".")[0] for path in BY_PATH}
+#: rows of them are no tests
+_STATISTICS = {"mean", "average", "mittelwert", "mittel", "median", "sum", "summe", "sd", "std",
+               "stdev", "stabw", "min", "max"}  # fmt: skip
+_SPEEDS = "; a speed v in m/s at a radius r is load.omega = v/r"
 #: in texts of ``[[tests.data]]``: the name of a column
 _PLACE = re.compile(r"\{([^{}]+)\}")
 
@@ -272,7 +282,8 @@ def _name_unused(
     for template in (template for tables in templates.values() for template in tables):
         used |= {name for text in template.values() for name in _PLACE.findall(str(text))}
     if unused := [name for name in table.columns if name and name not in used]:
-        log.warning("%s: %s", table.name, unused_columns(unused))
+        speeds = any(unit_of_column(table.label(name), "m/s") for name in unused)
+        log.warning("%s: %s%s", table.name, unused_columns(unused), _SPEEDS * speeds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,7 +304,11 @@ class _Rows:
         place = next(column.place for column in self.columns if column.role == "name")
         rows: dict[str, list[int]] = {}
         for number, row in enumerate(self.table.rows):
-            if row[place]:
+            if row[place].lower().strip(" .:") in _STATISTICS:
+                self._fault(
+                    number, f"{legible(row[place])}: is no test by its name; must be left out"
+                )
+            elif row[place]:
                 rows.setdefault(row[place], []).append(number)
             else:
                 self._fault(number, "names no test; must begin with a name")
@@ -422,8 +437,9 @@ class _Rows:
             return cell
         if not column.unit and not NUMBER.fullmatch(cell.replace(",", ".")):
             return parse_value(cell)
+        hour = factor("h", column.unit) if column.unit and _base(column.role) == "s" else None
         try:
-            (read,) = cells.numbers(cells.columns[0], np.arange(len(cells.rows)) == number)
+            (read,) = cells.numbers(cells.columns[0], np.arange(len(cells.rows)) == number, hour)
         except InputError as error:
             self._add(error.faults)
             return None

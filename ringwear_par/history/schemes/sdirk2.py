@@ -13,11 +13,14 @@ dealt with apart, see ``closing_elements``.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, columns, largest
+from ringwear_par.compiled import step_rows
+from ringwear_par.compiled.machine_code import load
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.physics import Physics, Sliding
@@ -30,7 +33,7 @@ from ringwear_par.history.schemes.interfaces import Passage, end_at_interfaces
 from ringwear_par.history.schemes.step import Step, advanced
 from ringwear_par.history.schemes.tangent import StepTangent, tangent_of_step
 from ringwear_par.history.state import State
-from ringwear_par.wear.increment import WearIncrement, total_of
+from ringwear_par.wear.increment import WearIncrement
 
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 # weights of the rates at 0, gamma and 1; what the integral of the quadratic through them has more
@@ -43,6 +46,7 @@ _LACKING = 1.0 / 6.0 - (
 )
 #: the first stage is solved over gamma h, and its wear enters with the weight (1 - gamma) h
 _FIRST_STAGE_FACTOR = (1.0 - GAMMA) / GAMMA
+_GAMMA, _PROPAGATION = np.array([GAMMA]), np.array([_LACKING / GAMMA, _FIRST_STAGE_FACTOR])
 
 
 def step(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
@@ -100,83 +104,98 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         for i, d_p in enumerate(step_tangent.weighted, start=1):
             step_tangent.work(_WEIGHTS[i] * length, sliding[i], pressures[i], d_p)
     after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, step_tangent)
-    # of both bodies: at the rate of the start, in the first stage, in a last one of usual length
-    at_start = columns(length) * total_of(state.rates)
-    in_first, in_last = (
-        increment.total_if_always_in_contact(p)
-        for increment, p in ((first, stage.pressure), (last, contact.pressure))
-    )
+    stages = (first, stage.pressure), (last, contact.pressure)
+    in_first, in_last = (wear_of.total_if_always_in_contact(p) for wear_of, p in stages)
     if closing is not None:
         in_last = in_last / np.where(closing.mask, 1.0, weights_last)
-    errors = np.empty((3, *at_start.shape))
-    np.multiply(_DEFECT[0], at_start, out=errors[0])
-    errors[0] += (_DEFECT[1] / GAMMA) * in_first
-    in_last = in_last / GAMMA
-    errors[0] += _DEFECT[2] * in_last
-    np.subtract(in_last, at_start, out=errors[1])
-    if closing is not None:  # those make one step of first order, see ``entry_error``
-        errors[:2, closing.mask] = 0.0
-    errors[2] = state.error
-    feedback = _Feedback(
-        last, last.slope(contact.pressure), last.memory(contact.pressure, worn_last)
-    )
-    # the filter: the pressure that a depth too many takes away, times d depth / d p
-    respond = contacts.engine.derivatives.response
-    growth = errors
-    if not isinstance(feedback.memory, float):
-        growth = np.concatenate([errors[:1], feedback.memory * errors[1:]])
-    reliefs = respond(growth)
-    off = np.abs(reliefs[0])
     came = entry_error(physics, closing, state, after, worn_last)
-    if came is not None:
-        np.maximum(came, off, out=off)
-    defect = errors[0] + last.depth_change(feedback.slope, reliefs[0])
-    # (1 + (1 - 2 gamma) z) / (1 - gamma z)^2 of the error before, z being h J
-    errors = feedback.after_relief(errors[1:], reliefs[1:])
-    errors[0] *= _LACKING / GAMMA
-    errors[1] *= (1.0 - GAMMA) / GAMMA
-    errors[1] += state.error
-    errors += feedback.after_relief(errors, respond(_weighted(feedback.memory, errors)))
-    defect += errors[0]
-    carried = errors[1]
-    after = replace(after, error=carried + defect)
+    errors = _errors_of(
+        contacts, state, length, in_first, in_last, last, contact.pressure, worn_last,
+        None if closing is None else closing.mask,
+    )  # fmt: skip
+    after = replace(after, error=errors.at_end)
     passage = Passage.of(physics, state, after, end, sliding[2], contact.pressure)
+    wear_error = errors.of_step
     if passage is not None:
-        defect = defect * passage.growth_at(_mean_pressure(physics, contact))
+        growth = passage.growth_at(_mean_pressure(physics, contact))
+        wear_error = largest(np.abs(errors.defect * growth))
+    relief = errors.relief if came is None else np.maximum(came, np.abs(errors.relief))
+    pressure_errors = np.empty_like(length)
+    load(step_rows).largest_ratios(
+        *relief.shape, relief, state.contact.pressure, _least_scale(physics, contact),
+        pressure_errors,
+    )  # fmt: skip
     judged = Step(
         after,
-        _largest(defect),
-        _largest(after.error),
+        wear_error,
+        errors.of_history,
         np.abs(length * _sum(_DEFECT, powers)),
         powers.max(axis=0),
-        _largest(off / _scale(physics, state.contact, contact)),
-        _largest(carried),
+        pressure_errors,
+        errors.of_before,
         _closing(state.contact.pressure, losses),
     )
     return end_at_interfaces(contacts, state, judged, passage, step_tangent)
 
 
-@dataclass(frozen=True)
-class _Feedback:
-    """Wear of a stage for a depth d at its start, ((I - gamma h J)^-1 - I) d; J: d rate/d depth."""
+class _Errors(NamedTuple):
+    """Estimated errors of steps and histories."""
 
-    #: the increment of the last stage
-    last: WearIncrement
-    #: of its depth over pressure
-    slope: FloatArray
-    #: see ``WearIncrement.memory``
-    memory: FloatArray | float
+    #: (B, n) mm, of the wear of steps, and of histories at their ends
+    defect: FloatArray
+    at_end: FloatArray
+    #: (B, n) MPa, the pressure that a step's unfiltered error takes away
+    relief: FloatArray
+    #: (B,) mm, the largest of the steps, of the histories, and of these what was before the steps
+    of_step: FloatArray
+    of_history: FloatArray
+    of_before: FloatArray
 
-    def after_relief(self, depths: FloatArray, reliefs: FloatArray) -> FloatArray:
-        """Return the wear that more of depth at the start brings about, (P, ..., n) mm.
 
-        Parameters
-        ----------
-        depths : (P, ..., n) mm.
-        reliefs : (P, ..., n) MPa, responses of the contacts to ``memory * depths``.
-        """
-        more = self.last.depth_change(self.slope, reliefs)
-        return more if isinstance(self.memory, float) else self.memory * depths - depths + more
+def _errors_of(
+    contacts: CorrectedContacts,
+    state: State,
+    length: FloatArray,
+    in_first: FloatArray,
+    in_last: FloatArray,
+    last: WearIncrement,
+    p: FloatArray,
+    worn_last: FloatArray,
+    closing: BoolArray | None,
+) -> _Errors:
+    """Return the errors of steps from a state, estimated and propagated.
+
+    Wear of a stage for a depth d at its start is ((I - gamma h J)^-1 - I) d, J = d rate/d depth.
+
+    Parameters
+    ----------
+    length : (B,) s.
+    in_first, in_last : (B, n) mm, depths of both bodies together in stages of usual length.
+    last : of the last stage, at (B, n) MPa, in which bodies lose ``worn_last`` (2, B, n) mm.
+    closing : (B, n) elements that close a gap in the step.
+    """
+    loops, shape = load(step_rows), in_last.shape
+    errors, propagated = np.empty((3, *shape)), np.empty((2, *shape))
+    loops.rate_errors(
+        *shape, length, state.rates, in_first, in_last, state.error, _DEFECT, _GAMMA, errors
+    )
+    if closing is not None:  # those make one step of first order, see ``entry_error``
+        errors[:2, closing] = 0.0
+    slope, memory = last.slope(p), last.memory(p, worn_last)
+    respond, forgets = contacts.engine.derivatives.response, isinstance(memory, float)
+    remembered = (errors if isinstance(memory, float) else memory), not forgets
+    # the filter: the pressure that a depth too many takes away, times d depth / d p
+    growth = errors if forgets else np.concatenate([errors[:1], memory * errors[1:]])
+    reliefs = respond(growth)
+    # (1 + (1 - 2 gamma) z) / (1 - gamma z)^2 of the error before, z being h J
+    defect, at_end, sizes = np.empty(shape), np.empty(shape), np.empty((3, len(length)))
+    changes = last.depth_change(slope, reliefs)
+    loops.propagate(
+        *shape, errors, changes, *remembered, state.error, _PROPAGATION, defect, propagated
+    )
+    changes = last.depth_change(slope, respond(propagated if forgets else memory * propagated))
+    loops.sum_errors(*shape, propagated, changes, *remembered, defect, at_end, sizes)
+    return _Errors(defect, at_end, reliefs[0], *sizes)
 
 
 def _closing(p: FloatArray, losses: FloatArray) -> BoolArray:
@@ -196,11 +215,6 @@ def _sum(weights: FloatArray, values: FloatArray) -> FloatArray:
     start, stage, last = weights.tolist()
     total: FloatArray = start * values[0] + stage * values[1] + last * values[2]
     return total
-
-
-def _largest(values: FloatArray) -> FloatArray:
-    """Return the largest size, of (..., n)."""
-    return largest(np.abs(values))
 
 
 def _last_stage(
@@ -247,14 +261,13 @@ def _last_stage(
     return last, contact, weights * inside
 
 
-def _scale(physics: Physics, before: ContactState, after: ContactState) -> FloatArray:
-    """Return the scale of errors of pressure, (..., n) MPa.
+def _least_scale(physics: Physics, after: ContactState) -> FloatArray:
+    """Return the least scale of errors of pressure, (B,) MPa; it is the pressure at the start.
 
-    The pressure at the start of the step or the mean pressure at its end, whichever is larger; but
-    not less than what an approach as small as the tolerance of wear presses.
+    The mean pressure at the end, but not less than what an approach as small as the tolerance of
+    wear presses.
     """
-    least = columns(physics.slight_pressure)
-    return np.maximum(before.pressure, np.maximum(_mean_pressure(physics, after), least))
+    return np.maximum(_mean_pressure(physics, after)[:, 0], physics.slight_pressure)
 
 
 def _mean_pressure(physics: Physics, contact: ContactState) -> FloatArray:

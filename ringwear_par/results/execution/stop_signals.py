@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
@@ -13,6 +14,8 @@ SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT, signal.SIGHUP)
 _AGAIN_SECONDS = 1.0
 #: how long to wait until what cannot be stopped is over
 _LATER_SECONDS = 0.05
+#: after which rank 0 says why it ends, if it has not: mpirun kills a second after its signal
+_WORD_SECONDS = 0.7
 #: variables that launchers set: mpirun of Open MPI and MPICH, and srun
 _LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID")
 
@@ -81,11 +84,28 @@ class StopSignals:
         return self
 
     def __exit__(self, *_: object) -> None:
+        if signal.SIGALRM in self._old:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in self._old.items():
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
+        if remark(number) and not self.received and os.environ.get("OMPI_COMM_WORLD_RANK") == "0":
+            self._call_later(self._say, _WORD_SECONDS)
         self.received = number
+
+    def _call_later(self, handler: Callable[[int, FrameType | None], None], delay: float) -> None:
+        """Call a handler by SIGALRM, unless all is over by then."""
+        old = signal.signal(signal.SIGALRM, handler)
+        self._old.setdefault(signal.SIGALRM, old)
+        signal.setitimer(signal.ITIMER_REAL, delay)
+
+    def _say(self, number: int, frame: FrameType | None) -> None:
+        """Say it while there is time: what is under way does not end before mpirun kills."""
+        name, end = name_of(self.received), remark(self.received)
+        os.write(
+            2, f"ringwear: stopped by {name} before a step under way has ended{end}\n".encode()
+        )
 
 
 class StopAtOnce(StopSignals):
@@ -101,8 +121,6 @@ class StopAtOnce(StopSignals):
         return super().__enter__()
 
     def __exit__(self, *_: object) -> None:
-        if signal.SIGALRM in self._old:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
         super().__exit__()
         sys.unraisablehook = self._hook
         if self.received:  # the program ends: if it is told so again, with the same status
@@ -126,8 +144,6 @@ class StopAtOnce(StopSignals):
     def _unraisable(self, unraisable: "sys.UnraisableHookArgs") -> None:
         """Stop a little later where it came while an object was taken down, which ends nothing."""
         if isinstance(unraisable.exc_value, Stopped):
-            old = signal.signal(signal.SIGALRM, self._receive_again)
-            self._old.setdefault(signal.SIGALRM, old)
-            signal.setitimer(signal.ITIMER_REAL, _LATER_SECONDS)
+            self._call_later(self._receive_again, _LATER_SECONDS)
         else:
             self._hook(unraisable)

@@ -21,6 +21,10 @@ from ringwear_par.errors import MOST_FAULTS, legible
 from ringwear_par.files.text import shortened, toml_value
 from ringwear_par.studies.definition.schema import MOST_CASES
 
+_FORMS = (
+    "must be { values = [...] }, { linear = [low, high], count = n } or "
+    "{ log = [low, high], count = n }"
+)
 #: samples are not nearer to the ends of a range than this part of it, which may be open ones
 _INSIDE = 1e-9
 
@@ -240,7 +244,10 @@ def read_variations(
     for key, entry in entries.items():
         path = path_of(key)
         place = f'{name}: vary."{legible(key)}"'
-        if not is_known(key):
+        table, _, form = key.rpartition(".")
+        if not is_known(key) and table in BY_PATH:
+            faults.append(f'{name}: vary."{table}": {legible(form)}: {_FORMS}')
+        elif not is_known(key):
             near = len(faults) < MOST_FAULTS
             reason = unknown_key(key if path in LAYERS else path) if near else "unknown key"
             faults.append(f"{place}: {reason}")
@@ -285,10 +292,7 @@ def _variation(
         words = shortened(entry)
         if isinstance(entry, dict):
             words = legible("{" + ", ".join(entry) + "}")
-        faults.append(
-            f"{place} = {words}: must be {{ values = [...] }}, "
-            "{ linear = [low, high], count = n } or { log = [low, high], count = n }"
-        )
+        faults.append(f"{place} = {words}: {_FORMS}")
         return None
     (spacing,) = entry.keys() & {"values", "linear", "log"}
     values, count = entry[spacing], entry.get("count")

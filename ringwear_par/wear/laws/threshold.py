@@ -27,12 +27,12 @@ class AboveThreshold(Law):
         return memo[1], memo[2]
 
     def _excess(self, p: FloatArray, local: LocalState) -> FloatArray:
-        return np.maximum(p - self._line(local)[1], 0.0)
+        excess = np.asarray(p - self._line(local)[1])
+        return np.maximum(excess, 0.0, out=excess)
 
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s."""
-        rise, p0 = self._line(local)
-        return rise * np.maximum(p - p0, 0.0)
+        return self._line(local)[0] * self._excess(p, local)
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa."""

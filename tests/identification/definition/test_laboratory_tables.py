@@ -143,6 +143,8 @@ def test_columns_that_are_named_leave_no_other_of_theirs(folder, caplog):
     [
         ("A;S1;40;", "A;S1;-40;", "tests.csv: line 4: p = -40: must be a finite number > 0, or a"),
         ("A;S1;40;", "A;S1;4O;", "line 4: p = 4O: must be a number, or empty"),
+        ("A;S1;40;", "A;S1;1.040;", "line 4: p = 1.040: has a point where other numbers, as in l"),
+        ("B;S2", "Mean;S2", "line 6: Mean: is no test by its name; must be left out"),
         ("B;S2;85;", "B;S2;1.085,5;", "line 6: p = 1.085,5: must be a number, or empty; thousands"),
         ("B;S2;", ";S2;", "line 6: names no test; must begin with a name"),
         ("A;;;", "A;;45;", 'line 5: p = "45.0 MPa": must be that of the first row of A, or empty'),
@@ -185,6 +187,11 @@ def test_keys_that_are_refused(keys, said, folder):
     with pytest.raises(InputError) as caught:
         read_fit(in_table(folder, **keys))
     assert said in str(caught.value)
+
+
+def test_a_duration_may_be_a_clock_time(folder):
+    text = TABLE.replace("S1;40;3,5;1,5", "S1;40;3,5;0:01:30")
+    assert read_fit(in_table(folder, text)).experiments[0].case.time.end == pytest.approx(90.0)
 
 
 def test_all_faults_are_told_together(folder):

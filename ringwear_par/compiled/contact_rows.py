@@ -1,0 +1,182 @@
+"""Loops over the rows of B contact problems, see ``contact.problem`` and ``contact.hessians``.
+
+Arrays are (B, n) or (B,), of which ``rows`` (count,) are at work, but for those that are called
+compact: (count, n) or (count,), of these rows one after another; and ``weights``, ``per_speed`` and
+``stiffness``, (m, n), of the compliances ``which`` (B,) of the histories.
+"""
+
+import math
+
+from ringwear_par.compiled.machine_code import Count, Flags, Integers, Reals
+
+
+def gradient(
+    count: Count, n: Count, rows: Integers, which: Integers, gaps: Reals, approaches: Reals,
+    depths: Reals, weights: Reals, products: Reals, gradients: Reals,
+) -> None:  # fmt: skip
+    """Set gradients, the weighted gaps; depths of wear, products A q and gradients are compact."""
+    for place in range(count):
+        history, start = rows[place], place * n
+        row, compliance, approach = history * n, which[history] * n, approaches[history]
+        for i in range(n):
+            gap = gaps[row + i] - approach + depths[start + i]
+            gradients[start + i] = gap * weights[compliance + i] + products[start + i]
+
+
+def judge(
+    count: Count, n: Count, rows: Integers, which: Integers, unknowns: Reals, gradients: Reals,
+    diagonals: Reals, weights: Reals, gaps: Reals, approaches: Reals, forces: Reals,
+    with_forces: Count, free: Flags, residuals: Reals, are_fine: Flags, are_broken: Flags,
+    are_same: Flags, round_off: Reals, gradient_tolerance: Reals, force_tolerance: Reals,
+) -> None:  # fmt: skip
+    """Set which histories, compact, are optimal on their sets, are no numbers, keep their sets.
+
+    Optimal is where the natural residual min(g, diag(H) x) is small against the overlap of the
+    bodies, or at the round-off of x, and the force is met. ``residuals`` are relative to the
+    largest unknowns. Tolerances have one entry each.
+    """
+    for place in range(count):
+        history = rows[place]
+        row, compliance, approach = history * n, which[history] * n, approaches[history]
+        worst, most, same = 0.0, 0.0, True
+        defects, overlaps, carried, total = 0.0, 0.0, 0.0, 0.0
+        for i in range(n):
+            k, weight = row + i, weights[compliance + i]
+            x, diagonal = unknowns[k], diagonals[k]
+            natural = min(x, gradients[k] / diagonal)
+            overlap = max(approach - gaps[k], 0.0) * weight
+            defects += natural * diagonal * natural * diagonal
+            overlaps += overlap * overlap
+            carried += weight * x
+            total += x + gradients[k] + diagonal  # comparisons do not see what is no number
+        for k in range(row, row + n):
+            x, gradient = unknowns[k], gradients[k]
+            worst = max(worst, abs(min(x, gradient / diagonals[k])))
+            most = max(most, x)
+            same = same and (x > 0.0 if free[k] else gradient >= 0.0)
+        broken = not math.isfinite(total + carried + worst)
+        # where wear makes the diagonal large, round-off in x is more than the tolerance in g
+        fine = worst <= round_off[0] * most or math.sqrt(defects) <= (
+            gradient_tolerance[0] * math.sqrt(overlaps)
+        )
+        if with_forces:
+            force = forces[history]
+            fine = fine and abs(carried - force) <= force_tolerance[0] * force
+        residuals[history] = worst / most if most > 0.0 else math.inf
+        are_fine[place], are_broken[place], are_same[place] = fine, broken, same
+
+
+def change_sets(
+    count: Count, n: Count, rows: Integers, unknowns: Reals, gradients: Reals, free: Flags,
+    are_cleared: Flags,
+) -> None:  # fmt: skip
+    """Let sets be those of the signs; unknowns that leave them become 0, of which it is set."""
+    for place in range(count):
+        row, cleared = rows[place] * n, False
+        for k in range(row, row + n):
+            keep = unknowns[k] > 0.0 if free[k] else gradients[k] < 0.0
+            free[k] = keep
+            if not keep and unknowns[k] != 0.0:
+                unknowns[k] = 0.0
+                cleared = True
+        are_cleared[place] = cleared
+
+
+def shape(
+    count: Count, n: Count, rows: Integers, which: Integers, slopes: Reals, per_speed: Reals,
+    free: Flags, are_valid: Flags, free_before: Flags, wearing_before: Flags, rates: Reals,
+    are_new: Flags, have_new_sets: Flags, are_regular: Flags, round_off: Reals,
+) -> None:  # fmt: skip
+    """Set which histories, compact, need another inverse, and what it is to be of.
+
+    Slopes are regular where they are one rate, compact, times the speed of elements that wear.
+    Elements in contact and those of them that wear become those before.
+    """
+    for place in range(count):
+        history = rows[place]
+        row, same = history * n, True
+        for k in range(row, row + n):
+            same = same and free[k] == free_before[k]
+        are_new[place], have_new_sets[place] = not (same and are_valid[history]), not same
+        if same and are_valid[history]:
+            continue
+        most, least, compliance = 0.0, math.inf, which[history] * n
+        for i in range(n):
+            rate = slopes[row + i] * per_speed[compliance + i]
+            if free[row + i] and rate > 0.0:
+                most = max(most, rate)
+                least = min(least, rate)
+        regular = least >= (1.0 - round_off[0]) * most
+        # without regular wear as if all wore, so as not to need another basis
+        every = most == 0.0 or not regular
+        for k in range(row, row + n):
+            wears = free[k] and (every or slopes[k] > 0.0)
+            same = same and wears == wearing_before[k]
+            free_before[k], wearing_before[k] = free[k], wears
+        rates[place], are_regular[history], have_new_sets[place] = most, regular, not same
+
+
+def invert(
+    count: Count, n: Count, rows: Integers, numbers: Integers, rates: Reals, values: Reals,
+    forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
+) -> None:  # fmt: skip
+    """Set the inverses 1 / (1 + rate mu) in bases, and what they make of a change of approach.
+
+    Bases have ``values`` mu (m, n) and ``forces`` (m, n); rates are compact.
+    """
+    for place in range(count):
+        row, basis = rows[place] * n, numbers[rows[place]] * n
+        rate, carried = rates[place], 0.0
+        for i in range(n):
+            force = forces[basis + i]
+            inverse = 1.0 / (1.0 + rate * values[basis + i])
+            response = inverse * force
+            inverses[row + i], responses[row + i] = inverse, response
+        for i in range(n):
+            carried += forces[basis + i] * responses[row + i]
+        stiffness[rows[place]] = carried
+
+
+def solve_in_bases(
+    count: Count, n: Count, n_histories: Count, rows: Integers, numbers: Integers, forces: Reals,
+    inverses: Reals, responses: Reals, stiffness: Reals, missing: Reals, with_forces: Count,
+    sides: Reals, changes: Reals,
+) -> None:  # fmt: skip
+    """Set steps against gradients (count, n) in bases, in their place, and changes of approaches.
+
+    There may be several gradients of each of the histories ``rows`` (n_histories,), one round of
+    them after another. Steps carry the forces that are missing (count,), where these are given.
+    """
+    for place in range(count):
+        history = rows[place % n_histories]
+        row, basis, start = history * n, numbers[history] * n, place * n
+        change = 0.0
+        if with_forces and stiffness[history] > 0.0:
+            carried = 0.0
+            for i in range(n):
+                carried += responses[row + i] * sides[start + i]
+            change = (missing[place] + carried) / stiffness[history]
+        for i in range(n):
+            sides[start + i] = (change * forces[basis + i] - sides[start + i]) * inverses[row + i]
+        changes[place] = change
+
+
+def correction_errors(
+    count: Count, n: Count, which: Integers, before: Reals, after: Reals, stiffness: Reals,
+    pressures: Reals, means: Reals, errors: Reals, elements: Integers,
+) -> None:  # fmt: skip
+    """Set the largest errors of pressures for changes of gaps, each element alone, and where.
+
+    Relative to the pressure or to the mean, whichever is larger.
+    """
+    for history in range(count):
+        largest, element, total, mean = 0.0, 0, 0.0, means[history]
+        for i in range(n):
+            k, stiff = history * n + i, stiffness[which[history] * n + i]
+            error = abs(after[k] - before[k]) * stiff / max(pressures[k], mean)
+            total += error
+            if error > largest:
+                largest, element = error, i
+        # comparisons do not see what is no number
+        errors[history] = largest if math.isfinite(total) else math.nan
+        elements[history] = element

@@ -1,0 +1,208 @@
+"""Machine code of loops over rows: compiled once by numba, kept, and loaded without it.
+
+To import numba takes ten times as long as to load what it has compiled. The code of a module of
+loops is one object file in numba's own cache folder where that has a name, beside the module, or in
+a folder of the user's own, whichever may be written to. The first process that needs it makes it;
+LLVM's own loader takes it from there.
+
+A loop is a function of counts and arrays, whose parameters are annotated as ``Count``, ``Reals``,
+``Integers`` or ``Flags``; arrays are indexed from their first entry on, whatever their axes. The
+first parameter is the number of rows. What it computes are the entries of the arrays that it sets.
+Sums are in inner loops that set nothing: others are compiled twice, for arrays that may overlap and
+for those that cannot, and sums of the two differ in their last digits.
+"""
+
+import ctypes
+import hashlib
+import inspect
+import logging
+import os
+import re
+import stat
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Annotated, Any, NoReturn, TypeAlias
+
+log = logging.getLogger(__name__)
+
+#: parameters of loops: a number, and contiguous arrays, with the characters of their dtypes
+Count: TypeAlias = Annotated[int, ""]
+Reals: TypeAlias = Annotated[Any, "d"]
+Integers: TypeAlias = Annotated[Any, "l"]
+Flags: TypeAlias = Annotated[Any, "?b"]
+#: loops compare the places of all their arrays, as these might overlap; LLVM by itself of few
+_OPTION = "-runtime-memory-check-threshold=300"
+#: what this process has loaded
+_LOADERS: list[Any] = []
+
+_first_byte, _reference = ctypes.c_char.from_buffer, ctypes.byref
+
+
+@cache
+def load(module: ModuleType) -> Any:
+    """Return the loops of a module, compiled, as attributes of these names. Not collective.
+
+    Digits are the same whether loops have been compiled now or before, though not on all kinds of
+    processors. Arguments are as in the source. Arrays have to be contiguous and writable, or
+    TypeError, BufferError or ValueError is raised.
+    """
+    import llvmlite.binding as llvm  # not for who only reads results
+
+    functions = [
+        function
+        for function in vars(module).values()
+        if inspect.isfunction(function) and function.__module__ == module.__name__
+    ]
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    loader = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine(llvm))
+    code = _stored_code(llvm, Path(inspect.getfile(module)), functions)
+    loader.add_object_file(llvm.object_file.ObjectFileRef.from_data(code))
+    loader.finalize_object()
+    _LOADERS.append(loader)
+    return SimpleNamespace(
+        **{f.__name__: _call(f, loader.get_function_address(_symbol(f))) for f in functions}
+    )
+
+
+def _call(function: Callable[..., None], address: int) -> Callable[..., None]:
+    """Return the compiled loop at an address as a function of what its source is one of."""
+    dtypes = _dtypes(function)
+    types = [ctypes.c_void_p if dtype else ctypes.c_int64 for dtype in dtypes]
+    # numba's own convention: places of what is returned and raised, neither of which there is;
+    # loops are so short that to let other threads run takes longer
+    native = ctypes.PYFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, *types)(address)
+    place = ctypes.byref(ctypes.c_void_p())
+
+    def call(*arguments: Any) -> None:
+        if not arguments[0]:
+            return  # arrays without entries have no place
+        native(
+            place, None,
+            *[
+                argument if not dtype
+                else _reference(_first_byte(argument)) if argument.dtype.char in dtype
+                else _refuse(function, argument)
+                for argument, dtype in zip(arguments, dtypes, strict=True)
+            ],
+        )  # fmt: skip
+
+    return call
+
+
+def _refuse(function: Callable[..., None], argument: Any) -> NoReturn:
+    raise TypeError(f"{function.__name__}: no argument may be an array of {argument.dtype}")
+
+
+def _dtypes(function: Callable[..., None]) -> list[str]:
+    """Return the characters of the dtypes that a loop's parameters may have, "" of numbers."""
+    parameters = inspect.signature(function).parameters.values()
+    return [parameter.annotation.__metadata__[0] for parameter in parameters]
+
+
+def _symbol(function: Callable[..., None]) -> str:
+    return f"ringwear_{function.__name__}"
+
+
+def _target_machine(llvm: Any) -> Any:
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(),
+        features=llvm.get_host_cpu_features().flatten(),
+        opt=3,
+        jit=True,
+    )
+
+
+# -- the object file -------------------------------------------------------------------------------
+
+
+def _stored_code(llvm: Any, source: Path, functions: Sequence[Callable[..., None]]) -> bytes:
+    """Return the object file of loops, which is made where there is none."""
+    processor = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    sources = Path(__file__).read_bytes(), source.read_bytes()
+    stem = f"{source.stem}-{_digest(processor)}"
+    name = f"{stem}-{_digest((*sources, version('numba'), version('llvmlite')))}.o"
+    places = [folder / name for folder in _folders()]
+    for place in places:
+        with suppress(OSError):
+            code = place.read_bytes()
+            if hashlib.sha256(code[32:]).digest() == code[:32]:
+                return code[32:]
+    code = _compile(llvm, functions)
+    for place in places:
+        try:
+            _write(place, hashlib.sha256(code).digest() + code)
+            for older in {*place.parent.glob(f"{stem}-*.o")} - {place}:
+                older.unlink(missing_ok=True)
+            break
+        except OSError as error:
+            log.debug("%s: %s", place, error.strerror)
+    return code
+
+
+def _digest(parts: object) -> str:
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
+
+
+def _folders() -> Iterator[Path]:
+    """Yield folders that nobody may write to who may not write the source, as code is executed."""
+    if named := os.environ.get("NUMBA_CACHE_DIR"):
+        yield Path(named)
+    yield Path(__file__).parent / "__pycache__"
+    path = Path(tempfile.gettempdir()) / f"ringwear-compiled-{os.getuid()}"
+    with suppress(OSError):
+        with suppress(FileExistsError):
+            path.mkdir(0o700)
+        status = path.lstat()
+        private = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
+        if private and not status.st_mode & 0o077:
+            yield path
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file at once, as other processes read it."""
+    path.parent.mkdir(exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        Path(name).replace(path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _compile(llvm: Any, functions: Sequence[Callable[..., None]]) -> bytes:
+    """Return the object file of loops."""
+    llvm.set_option("", _OPTION)
+    import numba  # takes long
+    from numba import types
+
+    parameter = {
+        "": types.int64,
+        "d": types.CPointer(types.float64),
+        "l": types.CPointer(types.int64),
+        "?b": types.CPointer(types.int8),
+    }
+    module: Any = None
+    for function in functions:
+        signature = types.void(*[parameter[dtype] for dtype in _dtypes(function)])
+        # sums may be of several entries at a time
+        compiled = numba.cfunc(signature, error_model="numpy", fastmath={"reassoc"})(function)
+        code = compiled.inspect_llvm()
+        # of the loop and what calls it for C the former; the latter needs all of numba
+        code = re.sub(r'(?ms)^define [^\n]*@"?cfunc\..*?^}\n', "", code)
+        mangled = re.search(r'^define [^\n]*i32 @"?([^"( ]+)"?\(', code, re.MULTILINE)
+        assert mangled is not None
+        part = llvm.parse_assembly(code.replace(mangled[1], _symbol(function)))
+        if module is None:
+            module = part
+        else:
+            module.link_in(part)
+    module.verify()
+    return bytes(_target_machine(llvm).emit_object(module))
