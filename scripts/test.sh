@@ -10,7 +10,9 @@ unset PYTHONDONTWRITEBYTECODE
 # once, before many processes want it at the same time
 python - <<COMPILE
 from mpi4py import MPI
+from ringwear_par.compiled import contact_rows, machine_code, step_rows
 from ringwear_par.elasticity.bem.assembly import load_kernels
+machine_code.load(contact_rows), machine_code.load(step_rows)
 load_kernels(MPI.COMM_SELF)
 COMPILE
 logs="$(mktemp -d)"
