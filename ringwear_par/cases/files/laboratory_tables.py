@@ -326,8 +326,8 @@ def _name_thousands(table: Measurements, columns: Sequence[_Column]) -> None:
 
 def _in(value: str, unit: str) -> float:
     """Return a number with a unit in another unit."""
-    number, own = number_and_unit(value)
-    return number * factor(own, unit)
+    number, written = number_and_unit(value)
+    return number * factor(written, unit)
 
 
 @dataclass(frozen=True, eq=False)
