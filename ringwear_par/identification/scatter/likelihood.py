@@ -300,27 +300,25 @@ class MixedModel:
             variance = np.einsum("gli,gli->gl", across, rows)
             # without the limit itself
             cavity_variance = 1.0 / np.maximum(1.0 / variance - precision, _LEAST / variance)
-            cavity_mean = cavity_variance * (mean / variance - shift)
+            cavity_shift = mean / variance - shift
+            cavity_mean = cavity_variance * cavity_shift
             root = np.sqrt(1.0 + cavity_variance)
             z = (self._limit_offsets + cavity_mean) / root
             ratio = mills_ratio(z)
             cut_mean = cavity_mean + cavity_variance * ratio / root
-            cut = cavity_variance - cavity_variance**2 * ratio * (z + ratio) / (
-                1.0 + cavity_variance
-            )
-            cut = np.maximum(cut, _LEAST * cavity_variance)
+            lost = cavity_variance * ratio * (z + ratio) / (1.0 + cavity_variance)
+            cut = cavity_variance * np.maximum(1.0 - lost, _LEAST)
             new = 1.0 / cut - 1.0 / cavity_variance
             move = _DAMPED * (new - precision)
             precision = precision + move
-            shift = shift + _DAMPED * (cut_mean / cut - cavity_mean / cavity_variance - shift)
+            shift = shift + _DAMPED * (cut_mean / cut - cavity_shift - shift)
             settled = (np.abs(move) < _STILL * (1.0 / variance + new)).all(axis=1)
             if settled.all():
                 break
         hessian += np.einsum("gli,gl,glj->gij", rows, precision, rows, optimize=True)
         right += np.einsum("gl,gli->gi", shift, rows)
-        factor = (cavity_mean / cavity_variance + shift) ** 2 / (
-            1.0 / cavity_variance + precision
-        ) - cavity_mean**2 / cavity_variance
+        factor = (cavity_shift + shift) ** 2 / (1.0 / cavity_variance + precision)
+        factor -= cavity_shift * cavity_mean
         log_factor = 0.5 * (factor - np.log1p(precision * cavity_variance))
         return -2.0 * (log_ndtr(z) - log_factor).sum(axis=1), settled
 
