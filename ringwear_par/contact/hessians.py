@@ -268,7 +268,7 @@ class Hessians:
             places = rows.places
             modal = products(gradient[..., places, :], self._stack.psi)
             solved, approach[..., places] = self._modal_steps(
-                rows, modal, None if missing is None else missing[..., places], tolerance
+                rows, modal, None if missing is None else missing.take(places, axis=-1), tolerance
             )
             steps[..., places, :] = products(solved, self._stack.psi_t)
         self._set_factored(histories, gradient, missing, (steps, approach))
