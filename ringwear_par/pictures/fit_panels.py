@@ -199,10 +199,10 @@ def _within_axis(
 def residuals(series: Series) -> Panel:
     """Return the residuals of a series, with the limits of the confidence level."""
     x, below = series.along()
-    shown, reach = _within_axis(series.residuals, series.censored)
+    points, reach = _within_axis(series.residuals, series.censored)
     return Panel(
         below, Axis("residual / sd", ends=(-reach, reach)), f"{series.title}, residuals",
-        points=_data(series, x, shown),
+        points=_data(series, x, points),
         levels=(-series.quantile, series.quantile),
     )  # fmt: skip
 
