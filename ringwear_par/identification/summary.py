@@ -163,7 +163,7 @@ def goodness(outcome: Entry) -> str:
     else:
         test = 'loss "student"' if outcome["loss"] == "student" else "no p-value"
     n_limits = sum(entry.get("censored", 0) for entry in entries)
-    of = f"{outcome['n_data'] - n_limits} readings"
+    of = counted(outcome["n_data"] - n_limits, "reading")
     of += f" and {counted(n_limits, 'limit')}" * bool(n_limits)
     return (
         f"chi2 = {outcome['chi2']:.5g} of {of}, "

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -224,11 +224,11 @@ def single_readings(drawn: Sequence[Series]) -> Panel:
         if side := int(series.censored[0]):
             reading = f"{'at least' if side > 0 else 'at most'} {series.data[0]:.4g} {unit}"
         words.append("\n".join([legible(series.title), reading, f"model {modelled}"]))
+    censored = np.concatenate([series.censored for series in drawn])
     residuals, reach = _within_axis(
-        np.concatenate([series.residuals for series in drawn]),
-        np.concatenate([series.censored for series in drawn]),
+        np.concatenate([series.residuals for series in drawn]), censored,
         max(_REACH, 1.1 * float(model.max())),
-    )
+    )  # fmt: skip
     ends = np.array([-0.6, len(drawn) - 0.4])
     return Panel(
         Axis("(data - model) / sd", ends=(-reach, reach)),
@@ -238,11 +238,7 @@ def single_readings(drawn: Sequence[Series]) -> Panel:
             Bars(places, model, f"{level} of the model", COLOURS[1], None, -model, 0.7, 0.35),
         ],
         curves=[Curve(np.zeros(2), ends, "model", COLOURS[1])],
-        points=[
-            points
-            for series, place, at in zip(drawn, places, residuals, strict=True)
-            for points in _data(series, np.array([at]), np.array([place]), 6.0)
-        ],
+        points=_data(replace(drawn[0], quantity="", censored=censored), residuals, places, 6.0),
     )  # fmt: skip
 
 
