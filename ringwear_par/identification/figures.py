@@ -64,7 +64,7 @@ def drawn_series(
     return fit_panels.Series(
         experiment.name, series.name, series.quantity, series.unit, series.x, scale * series.value,
         scale * fit.evaluation.model[part], scale * misfit.sd[part], scale * fit.band[part],
-        -fit.evaluation.noise[part], misfit.problem.settings.level, experiment.case.contact,
+        fit.residuals[part], misfit.problem.settings.level, experiment.case.contact,
         misfit.censored[part],
     )  # fmt: skip
 

@@ -128,7 +128,7 @@ def _write(file: h5py.File, fit: FitResult) -> None:
         if misfit.censored[part].any():
             meaning = "-1: the true value is at most what was read, 1: at least, 0: that"
             put("censored", misfit.censored[part], "1", meaning)
-        put("residual", -fit.evaluation.noise[part], "1", "data less model over its noise, white")
+        put("residual", fit.residuals[part], "1", "data less model over its noise, white")
         put(
             "sensitivity", fit.evaluation.sensitivity[part], f"{base}/{PARAMETER_UNIT.name}",
             "derivative of the model's reading with respect to each fitted key", "parameter",

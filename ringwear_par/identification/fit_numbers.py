@@ -14,7 +14,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import base_unit
 from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.identification.definition.fitted_parameters import units_of
+from ringwear_par.identification.definition.fitted_parameters import unit_scale, units_of
 from ringwear_par.identification.definition.problem import SCALE, FittedParameter, Problem
 from ringwear_par.identification.estimation.intervals import ParameterEstimate
 from ringwear_par.identification.estimation.starts import StartOutcome
@@ -28,11 +28,6 @@ from ringwear_par.wear.laws.threshold import AboveThreshold
 _FRICTION = "contact.friction"
 
 Entry = Mapping[str, Any]
-
-
-def unit_scale(parameter: FittedParameter) -> float:
-    """Return the size of the user's unit of a fitted key in the case's unit, 1 for the same."""
-    return factor(parameter.unit, base_unit(parameter.key)) if parameter.unit else 1.0
 
 
 def in_users_unit(parameter: FittedParameter, entry: Entry, case: Case) -> dict[str, Any] | None:

@@ -80,6 +80,13 @@ class FitResult(Outcome, Solution):
         return float(noise @ noise)
 
     @property
+    def residuals(self) -> FloatArray:
+        """(n,) data less model over the noise, white; of limits the limit less the model."""
+        misfit = self.misfit
+        of_limits = (misfit.data - self.evaluation.model) / misfit.sd
+        return np.where(misfit.censored == 0, -self.evaluation.noise, of_limits)
+
+    @property
     def noise_fitted(self) -> bool:
         """Whether the noise of some series was fitted."""
         return any(record.series.sd_fitted for record in self.misfit.records)

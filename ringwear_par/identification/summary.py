@@ -162,8 +162,11 @@ def goodness(outcome: Entry) -> str:
         test = "no p-value, as all noise was fitted"
     else:
         test = 'loss "student"' if outcome["loss"] == "student" else "no p-value"
+    n_limits = sum(entry.get("censored", 0) for entry in entries)
+    of = counted(outcome["n_data"] - n_limits, "reading")
+    of += f" and {counted(n_limits, 'limit')}" * bool(n_limits)
     return (
-        f"chi2 = {outcome['chi2']:.5g} of {outcome['n_data']} readings, "
+        f"chi2 = {outcome['chi2']:.5g} of {of}, "
         f"{outcome['degrees_of_freedom']:.6g} degrees of freedom ({test}); {criteria}"
     )
 

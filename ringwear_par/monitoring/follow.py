@@ -165,4 +165,9 @@ def _percent(text: str, faults: list[str]) -> float:
     if match is None or not 0.0 < float(match[1]) < 100.0:
         faults.append(f"--to = {legible(text)}: must be a percentage, such as 10%")
         return np.nan
+    if float(match[1]) < 1.0 and "%" not in text:
+        faults.append(
+            f"--to = {legible(text)}: is a share or a percentage; must be "
+            f"{100.0 * float(match[1]):g}% or {match[1]}%"
+        )
     return float(match[1])

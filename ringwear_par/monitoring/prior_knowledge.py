@@ -119,8 +119,15 @@ def _followed_test(running: RunningTest, known: FitKnowledge, tests: set[str]) -
     (experiment,) = problem.experiments
     specimen = experiment.groups[0] or experiment.name
     specimen = specimen if specimen in known.values.specimens else NEXT
+    missing = [legible(law) for law in known.laws if law not in problem.alternatives]
+    unknown = [law for law in problem.alternatives if law not in known.laws] if known.laws else []
+    if missing and unknown:
+        raise InputError(
+            f"{running.source}: compare.{legible(unknown[0])}: was not compared by {known.name}; "
+            f"must be {' or '.join(missing)}, as there, or absent"
+        )
     laws: dict[str, Problem] = {}
-    not_compared: dict[str, str] = {}
+    not_compared = dict.fromkeys(unknown, f"{known.name} has no values of it")
     for law, law_knowledge in known.laws.items():
         if law not in problem.alternatives:
             not_compared[law] = f"{running.source} has no compare.{legible(law)}"

@@ -211,7 +211,7 @@ def _values(panel: Panel, number: int) -> Iterator[Any]:
     for points in panel.points:
         yield points.y if number else points.x
         if number and points.errors is not None:
-            yield from (points.y - points.errors, points.y + points.errors)
+            yield from points.ends
     for bars in panel.bars:
         yield bars.places if number else bars.values
         if bars.starts is not None and not number:
@@ -341,8 +341,8 @@ def _whiskers(panel: Panel) -> Iterator[tuple[Any, ...]]:
     """Yield the bars of errors."""
     for points in panel.points:
         if points.errors is not None:
-            for x, y, half in zip(points.x, points.y, points.errors, strict=True):
-                yield float(x), float(y - half), float(x), float(y + half), points.colour
+            for x, low, high in zip(points.x, *points.ends, strict=True):
+                yield float(x), float(low), float(x), float(high), points.colour
     for bars in panel.bars:
         if bars.errors is not None:
             for place, value, half in zip(bars.places, bars.values, bars.errors, strict=True):
@@ -372,7 +372,7 @@ def _points(points: Points) -> Iterator[tuple[Any, ...]]:
     fill = None if points.hollow or points.marker == "level" else points.colour
     words: Iterator[str] = iter(())
     if points.errors is not None:
-        ends = zip(points.y - points.errors, points.y + points.errors, strict=True)
+        ends = zip(*points.ends, strict=True)
         words = (f"from {low:.4g} to {high:.4g} ({points.probability})" for low, high in ends)
     style = points.size, points.opacity, _MARKERS[points.marker]
     for x, y, case in zip(points.x.tolist(), points.y.tolist(), cases.tolist(), strict=True):

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -20,10 +20,12 @@ from ringwear_par.results.key_numbers import time_unit
 _GAP = 3.0
 #: relative distance within which a radius is that of an edge
 _CLOSE = 1e-9
-#: least sd that axes of residuals show
-_REACH = 4.0
+#: least sd that axes of residuals show, and share of an axis at which limits beyond it are drawn
+_REACH, _AT_END = 4.0, 0.97
 #: distance of a specimen's values, by its own readings and by all, from its middle
 _ASIDE = 0.12
+#: from an estimate to the ends of a symmetric interval
+_BOTH = np.array([-1.0, 1.0])
 #: most specimens whose names have room
 _NAMED = 12
 #: most readings whose noise has a bar each
@@ -181,13 +183,26 @@ def measured_input(
     )  # fmt: skip
 
 
+def _within_axis(
+    residuals: FloatArray, censored: IntArray, least: float = _REACH
+) -> tuple[FloatArray, float]:
+    """Return residuals as they are drawn, and the end of their axis.
+
+    Limits that the model keeps are not drawn beyond its ends: what is far from them is no misfit.
+    """
+    keeps = censored * residuals < 0.0
+    reach = max(least, 1.1 * float(np.abs(residuals[~keeps]).max(initial=0.0)))
+    within = np.clip(residuals, -_AT_END * reach, _AT_END * reach)
+    return np.where(keeps, within, residuals), reach
+
+
 def residuals(series: Series) -> Panel:
     """Return the residuals of a series, with the limits of the confidence level."""
     x, below = series.along()
-    reach = max(_REACH, 1.1 * float(np.abs(series.residuals).max()))
+    points, reach = _within_axis(series.residuals, series.censored)
     return Panel(
         below, Axis("residual / sd", ends=(-reach, reach)), f"{series.title}, residuals",
-        points=_data(series, x, series.residuals),
+        points=_data(series, x, points),
         levels=(-series.quantile, series.quantile),
     )  # fmt: skip
 
@@ -196,7 +211,6 @@ def single_readings(drawn: Sequence[Series]) -> Panel:
     """Return series of one reading, a line each: how far it is off the model, and both numbers."""
     level, quantile = f"{100 * drawn[0].level:g} %", drawn[0].quantile
     places = np.arange(len(drawn), dtype=float)
-    residuals = np.array([series.residuals[0] for series in drawn])
     model = quantile * np.array([(series.band / series.sd)[0] for series in drawn])
     spread = np.hypot(model, quantile)
     words = []
@@ -210,7 +224,11 @@ def single_readings(drawn: Sequence[Series]) -> Panel:
         if side := int(series.censored[0]):
             reading = f"{'at least' if side > 0 else 'at most'} {series.data[0]:.4g} {unit}"
         words.append("\n".join([legible(series.title), reading, f"model {modelled}"]))
-    reach = max(_REACH, 1.1 * float(np.abs(residuals).max()), 1.1 * float(model.max()))
+    censored = np.concatenate([series.censored for series in drawn])
+    residuals, reach = _within_axis(
+        np.concatenate([series.residuals for series in drawn]), censored,
+        max(_REACH, 1.1 * float(model.max())),
+    )  # fmt: skip
     ends = np.array([-0.6, len(drawn) - 0.4])
     return Panel(
         Axis("(data - model) / sd", ends=(-reach, reach)),
@@ -220,11 +238,7 @@ def single_readings(drawn: Sequence[Series]) -> Panel:
             Bars(places, model, f"{level} of the model", COLOURS[1], None, -model, 0.7, 0.35),
         ],
         curves=[Curve(np.zeros(2), ends, "model", COLOURS[1])],
-        points=[
-            points
-            for series, place in zip(drawn, places, strict=True)
-            for points in _data(series, series.residuals, np.array([place]), 6.0)
-        ],
+        points=_data(replace(drawn[0], quantity="", censored=censored), residuals, places, 6.0),
     )  # fmt: skip
 
 
@@ -447,13 +461,15 @@ def specimens(key: str, estimate: Mapping[str, Any], level: float) -> Panel:
         ("a specimen, by its own readings", alone, GREY, -_ASIDE),
         ("a specimen, by all readings", list(entries.values()), COLOURS[1], _ASIDE),
     ):
-        values, sds = (
-            np.array([np.nan if v is None else v[n] / scale for v in values_of], dtype=float)
-            for n in ("estimate", "sd")
-        )
+        rows = [
+            (np.nan,) * 3 if v is None
+            else (v["estimate"], *v.get("interval", v["estimate"] + quantile * v["sd"] * _BOTH))
+            for v in values_of
+        ]  # fmt: skip
+        values, low, high = np.array(rows, dtype=float).T / scale
         drawn.append(
             Points(places + shift, values, name, colour, 6.0, hollow=shift < 0.0,
-                   errors=quantile * sds, probability=f"{100 * level:g} %")
+                   errors=np.array([values - low, high - values]), probability=f"{100 * level:g} %")
         )  # fmt: skip
     names = (
         tuple(entries) if len(entries) <= _NAMED else tuple(map(str, range(1, len(entries) + 1)))

@@ -102,13 +102,20 @@ class Points:
     marker: Literal["dot", "level", "up", "down"] = "dot"
     #: whether only their outlines are drawn
     hollow: bool = False
-    #: (n,) float, half-lengths of upright bars
+    #: (n,) float, half-lengths of upright bars, or (2, n), their parts below and above points
     errors: FloatArray | None = None
     #: of the truth within a bar
     probability: str = "95 %"
     #: (n,) int, rows of a list of words that are at the pointer, which panels share, or -1; files
     #: have such points behind curves
     cases: IntArray | None = None
+
+    @property
+    def ends(self) -> tuple[FloatArray, FloatArray]:
+        """The lower and upper ends of the bars, (n,) each."""
+        assert self.errors is not None
+        below, above = np.broadcast_to(self.errors, (2, len(self.y)))
+        return self.y - below, self.y + above
 
 
 @dataclass(frozen=True)

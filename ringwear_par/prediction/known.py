@@ -217,7 +217,9 @@ def doubts_of(known: FitKnowledge, case: Case, of: str) -> tuple[ValidityWarning
         if np.isnan(value) or np.isnan(tests).all():
             continue
         low, high = float(np.nanmin(tests)), float(np.nanmax(tests))
-        if not low * (1.0 - _SAME) <= value <= high * (1.0 + _SAME):
+        # a shorter test is a part of a longer one
+        least = 0.0 if name == "distance" else low * (1.0 - _SAME)
+        if not least <= value <= high * (1.0 + _SAME):
             symbol = f" {unit}" if unit != "1" else ""
             first, last = f"{low:.4g}", f"{high:.4g}"
             range_ = f"{first}{symbol}" if first == last else f"{first} to {last}{symbol}"

@@ -49,6 +49,30 @@ def test_limits_are_arrows_to_where_the_truth_is():
         assert [one.x.tolist() for one in points] == [[1.0], [2.0, 4.0], [3.0]]
 
 
+def test_limits_are_as_far_from_the_model_as_they_are():
+    """Those that the model keeps do not stretch the axis."""
+    limits = np.array([0, 1, -1, 1])
+    at = replace(series_at([1.0, 2, 3, 4], ()), residuals=np.array([1, -2, 50, 6]), censored=limits)
+    panel = fit_panels.residuals(at)
+    data, low, kept = (one.y for one in panel.points)
+    assert data.tolist() == [1.0]
+    assert low.tolist() == [-2.0, 6.0]  # the last is a misfit
+    assert panel.y.ends[1] == pytest.approx(6.6)
+    assert 6.0 < kept[0] < 6.6
+
+
+def test_bars_of_specimens_are_their_intervals():
+    each = {
+        "1": {"estimate": 2.0, "sd": 0.5, "interval": [1.2, 3.4], "alone": None},
+        "2": {"estimate": 2.0, "sd": 0.5, "interval": [1.2, 3.4],
+              "alone": {"estimate": 2.0, "sd": 0.1}},
+    }  # fmt: skip
+    entry = {"estimate": 2.0, "interval": [1.5, 2.6], "next": [1.0, 4.0], "unit": "MPa"}
+    alone, by_all = fit_panels.specimens("wear.lower.p0", {**entry, "each": each}, 0.95).points
+    assert np.array(by_all.ends) == pytest.approx(np.array([[1.2, 1.2], [3.4, 3.4]]))
+    assert [ends[1] for ends in alone.ends] == pytest.approx([2.0 - 0.196, 2.0 + 0.196], abs=1e-4)
+
+
 def test_a_profile_is_broken_at_edges_and_gaps():
     radii = [28.3, 28.4, 28.5, 28.6, 28.7, 28.8, 29.4, 29.5]
     for order in (radii, radii[::-1]):

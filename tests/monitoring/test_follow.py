@@ -382,6 +382,11 @@ def test_what_is_refused(laboratory, tmp_path):
     wrong = {"draws": 10, "to": "a bit", "depth": "3 s"}
     refused("--draws = 10: must be a whole number >= 2000", **wrong)
     refused("must be a percentage, such as 10%", **wrong)
+    refused("--to = 0.15: is a share or a percentage; must be 15% or 0.15%", to="0.15")
+    refused(
+        "compare.other: was not compared by",
+        text.replace("compare.archard", "compare.other").replace('"archard" =', '"other" ='),
+    )
     refused("must be a length > 0, such as '20 um'", **wrong)
     (laboratory / "speed.csv").write_text(
         "t_s,omega_rpm\n" + "".join(f"{t},{33 + t / 100}\n" for t in range(0, 101, 5))

@@ -13,7 +13,7 @@ from ringwear_par.cli import main
 from ringwear_par.errors import InputError
 from ringwear_par.identification.fitted_values import law_names
 from ringwear_par.prediction import predict as module
-from ringwear_par.prediction.known import fit_knowledge, sources_of
+from ringwear_par.prediction.known import doubts_of, fit_knowledge, sources_of
 from ringwear_par.prediction.summary import _error_of_ends
 
 FACTORS = (0.8, 1.0, 1.1, 1.3)
@@ -82,6 +82,9 @@ def test_predictions_are_about_somebody(found, case):
     beyond = [("extrapolates", name) for name in ("p", "pV", "distance")]
     assert codes == [*beyond, ("fit-warnings", None)]
     assert "110 MPa, tests were at 45 to 80 MPa" in at["material"].summary()
+    shorter = case.replace({"time.end": 0.01 * case.time.end})
+    doubts = doubts_of(fit_knowledge(fit), shorter, "material")
+    assert [d.values.get("condition") for d in doubts] == ["p", "pV", None]  # a part of a test
     drawn = np.random.default_rng(3).standard_normal((400, 200)) * 1e-3  # mm; others of 200 each
     ends = np.quantile(drawn, (0.025, 0.975), axis=1).std(axis=1)
     penetration = np.quantile(drawn, np.arange(0.5, 200) / 200)[:, None]

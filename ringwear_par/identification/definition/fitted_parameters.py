@@ -135,6 +135,11 @@ def _parameter(
     return FittedParameter(key, start, bounds, log, prior, scatter, named_unit)
 
 
+def unit_scale(parameter: FittedParameter) -> float:
+    """Return the size of the user's unit of a fitted key in the case's unit, 1 for the same."""
+    return factor(parameter.unit, base_unit(parameter.key)) if parameter.unit else 1.0
+
+
 def units_of(problem: Problem) -> dict[str, str]:
     """Return the units of the fitted keys, "1" for none."""
     known = differentiable(problem.experiments[0].case)

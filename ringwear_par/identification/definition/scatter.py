@@ -3,6 +3,7 @@
 Values of keys differ between specimens, batches and laboratories.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -38,6 +39,8 @@ _SETTINGS = ("load.",)
 PLURALS = {"specimen": "specimens", "batch": "batches", "lab": "laboratories"}
 #: tables of wear that may be random
 _RANDOM = tuple(f"wear.{body}" for body in BODIES)
+#: a size that is written with the sign of per cent
+_PERCENT = re.compile(r"(\d+(?:\.\d+)?) *%")
 #: largest correlation time, as a share of a record: noise that is correlated for longer looks like
 #: wear
 _LONGEST_CORRELATION = 0.1
@@ -59,7 +62,13 @@ def read_scatter(
     reader = TableReader(f"{place}.scatter", table, faults, SCATTER)
     before = len(faults)
     size_unit = "1" if log else unit
-    sizes = {group: reader.read(group, unit=size_unit) for group in GROUPS if group in reader}
+    sizes = {}
+    for group in GROUPS:
+        percent = _PERCENT.fullmatch(str(reader.raw(group, "")))
+        if percent is not None and log:
+            reader.wrong(group, f"must be {float(percent[1]) / 100.0:g}, which is {percent[0]}")
+        elif group in reader:
+            sizes[group] = reader.read(group, unit=size_unit)
     scale, start = (
         reader.read("prior", unit=size_unit),
         reader.read("start", unit=size_unit),

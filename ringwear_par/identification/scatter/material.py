@@ -9,7 +9,9 @@ from scipy.stats import norm
 from scipy.stats import t as student_t
 
 from ringwear_par.arrays import FloatArray
+from ringwear_par.cases.schema import base_unit
 from ringwear_par.errors import ValidityWarning
+from ringwear_par.identification.definition.fitted_parameters import unit_scale
 from ringwear_par.identification.definition.problem import FittedParameter
 from ringwear_par.identification.definition.scatter import PLURALS
 from ringwear_par.identification.estimation.intervals import (
@@ -33,6 +35,8 @@ _LIMIT = 2.8
 _NEAR = 1e-3
 #: sd above which the linear end of an interval is doubted
 _MOST_BENT = 0.2
+#: draws of the posterior in pieces, whose quantiles are then known to 0.01 sd
+_DRAWS = 100_000
 #: number of groups up to which the prior says more about a size than they do
 _FEW = 2
 #: probability of the sizes at which limits have not settled from which a warning tells of it
@@ -289,29 +293,61 @@ class Material:
 
     def _nonlinear_intervals(self) -> Iterator[ValidityWarning]:
         """Yield a doubt for each key whose linear interval is off, by what is known in pieces."""
-        weights = [piece.weight * piece.posterior.weights for piece in self.pieces]
-        for place, key in enumerate(self.mixed.free if self.pieces else ()):
-            parts = [piece.posterior.material(place) for piece in self.pieces]
-            means, variances = (
-                np.concatenate([getattr(part, name) for part in parts])
-                for name in ("means", "variances")
-            )
-            mixture, linear = Mixture(np.concatenate(weights), means, variances), self.material(key)
-            ends = zip(mixture.interval(self.level), linear.interval(self.level), strict=True)
-            off = np.array([(end - linear_end) / linear.sd for end, linear_end in ends])
+        if not self.pieces:
+            return
+        of_material, of_next = self._draws()
+        tail = 0.5 * (1.0 - self.level)
+        for place, key in enumerate(self.mixed.free):
+            parameter, linear = self.parameters[key], self.material(key)
+            ends = np.quantile(of_material[:, place], [tail, 1.0 - tail])
+            off = (ends - linear.interval(self.level)) / linear.sd
             estimate = self.estimate(key)
             known = [limit is not None for limit in estimate.interval]
             if not (np.abs(off[known]) > _MOST_BENT).any():
                 continue
-            low, high = self.interval(key, mixture)
+            values: dict[str, Any] = {"off_sd": (-off).tolist()}
+            values["low"], values["high"] = map(parameter.value, ends.tolist())
+            unit, scale = parameter.unit or base_unit(parameter.key), unit_scale(parameter)
+            unit = "" if unit in (None, "", "1", "-") else f" {unit}"
+            words = f"from {values['low'] / scale:.4g} to {values['high'] / scale:.4g}{unit}"
+            if self.levels_of(key):
+                ends = np.quantile(of_next[:, place], [tail, 1.0 - tail])
+                low, high = values["next"] = [*map(parameter.value, ends.tolist())]
+                words += f", the next specimen from {low / scale:.4g} to {high / scale:.4g}{unit},"
             text = (
-                f"{estimate.key}: from {low:.5g} to {high:.5g} where histories are computed over "
-                "all that is known, as predictions and running tests draw it; the interval, which "
-                f"is linear about the estimate, is off by {-off[0]:+.2g} and {-off[1]:+.2g} sd at "
-                "its ends"
+                f"{estimate.key}: {words} where histories are computed over all that is known, as "
+                "predictions and running tests draw it; the interval, which is linear about the "
+                f"estimate, is off by {-off[0]:+.2g} and {-off[1]:+.2g} sd at its ends"
             )
-            values = {"low": low, "high": high, "off_sd": [-float(end) for end in off]}
             yield ValidityWarning("nonlinear-interval", text, (estimate.key,), (), values)
+
+    def _draws(self) -> tuple[FloatArray, FloatArray]:
+        """Return unknowns (draws, free) of the material, and of its next specimen, by the pieces.
+
+        All are within the bounds of all keys, as predictions draw them: what is beyond the bound
+        of one key says nothing of the others.
+        """
+        posteriors = [piece.posterior for piece in self.pieces]
+        moments = [posterior.unknowns_of(None) for posterior in posteriors]
+        means, covariances = map(np.concatenate, zip(*moments, strict=True))
+        weights = np.concatenate([p.weight * p.posterior.weights for p in self.pieces])
+        random, normal = np.random.default_rng(0), (_DRAWS, len(self.mixed.free))
+        part = random.choice(len(weights), _DRAWS, p=weights / weights.sum())
+        roots = np.linalg.cholesky(covariances)[part]
+        material = means[part] + np.einsum("dij,dj->di", roots, random.standard_normal(normal))
+        following = material.copy()
+        scatters = np.concatenate([posterior.solutions.tau for posterior in posteriors])[part]
+        for level, sizes in zip(self.mixed.posterior.model.levels, scatters.T, strict=True):
+            following[:, level.key] += sizes * random.standard_normal(_DRAWS)
+        bounds = [
+            [self.parameters[key].unknown(bound) for bound in self.parameters[key].bounds]
+            for key in self.mixed.free
+        ]
+        low, high = np.array(bounds).T
+        inside, next_inside = (
+            ((drawn >= low) & (drawn <= high)).all(axis=1) for drawn in (material, following)
+        )
+        return material[inside], following[next_inside]
 
     def _size_entry(self, level: int) -> dict[str, Any]:
         groups = len(self.names[level])

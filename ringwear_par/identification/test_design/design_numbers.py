@@ -10,9 +10,8 @@ from matplotlib.figure import Figure
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import factor
-from ringwear_par.identification.definition.fitted_parameters import unit_of_key
+from ringwear_par.identification.definition.fitted_parameters import unit_of_key, unit_scale
 from ringwear_par.identification.definition.scatter import known_sizes
-from ringwear_par.identification.fit_numbers import unit_scale
 from ringwear_par.identification.test_design.candidates import Candidate
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.search import Design

@@ -2,6 +2,7 @@
 
 import copy
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,7 +25,9 @@ from scipy.stats import norm
 import ringwear_par as rw
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
+from ringwear_par.identification.fitted_values import fitted_values
 from ringwear_par.identification.scatter import likelihood
+from ringwear_par.prediction.draws import draw_values
 
 SPECIMENS, SCATTER = 5, 0.2
 K, P0 = "wear.lower.k", "wear.lower.p0"
@@ -124,6 +127,21 @@ def test_a_posterior_that_bends_is_followed(tables):
     low, high = found.to_dict()["parameters"][P0]["interval"]
     assert doubt.values["low"] < low
     assert doubt.values["high"] < high  # histories bend most near the lower load
+    # what is beyond the bounds of any key is left out, as predictions do
+    bounds = (doubt.values["low"], 200.0)
+    keys = tuple(replace(p, bounds=bounds) if p.key == P0 else p for p in found.material.parameters)
+    bounded = replace(found.material, parameters=keys).warnings
+    ends = {d.keys[0]: d.values for d in bounded if d.code == "nonlinear-interval"}
+    values = replace(fitted_values(found), bounds=np.array([p.bounds for p in keys]))
+    for of in ("material", "next specimen"):
+        drawn, _ = draw_values(values, of, 50_000, np.random.default_rng(1))
+        for key, at in ends.items():
+            drawn_key = drawn[:, values.keys.index(key)]
+            expected = at.get("next") if of == "next specimen" else (at["low"], at["high"])
+            if expected is not None:
+                within = pytest.approx(expected, abs=0.1 * drawn_key.std())
+                assert np.quantile(drawn_key, (0.025, 0.975)) == within
+    assert set(ends) == {K, P0}
 
 
 @pytest.mark.serial
