@@ -145,7 +145,7 @@ def fit_sheets(folder: Path) -> list[Sheet]:
     ]
     columns = ("test", "series", "time (s) or r (mm)", "data", "sd", "model", "sd of model",
                "residual over noise", "unit")  # fmt: skip
-    of_tests = ("test", *(f"{name} ({unit})" for name, unit in names.items()))
+    of_tests = ("test", *(f"{name} of the model ({unit})" for name, unit in names.items()))
     return [
         Sheet("tests", of_tests, numbers, len(numbers)),
         Sheet("parameters", header, rows, len(rows)),

@@ -130,6 +130,8 @@ def pressure_peak(result: Result) -> PressurePeak:
 BALANCES = "largest relative errors of all steps"
 MESH_BALANCES = "relative errors of the boundary elements, smaller on a finer mesh"
 TIME_STEPS = "estimated error of wear depth from time steps"
+#: share of a length that its digits do not hold
+_ROUND_OFF = 1e-12
 #: of results, with the group in which they are printed
 _CHECKED = {
     "residual": (BALANCES, "contact conditions (KKT)"),
@@ -231,12 +233,20 @@ def _penetration(result: Result, state: State) -> Iterator[KeyNumber]:
     face is not flat the approach also closes gaps: then there are no parts.
     """
     group, load = "penetration", state.contact.pressure * result.line.area
-    total = 1e3 * float(result.histories["penetration"][-1])
+    approach = float(np.abs(result.histories["approach"]).max())
+    total = _micrometres(float(result.histories["penetration"][-1]), approach)
     yield KeyNumber("penetration", group, "total", total, "um")
     if not {"face_lower", "face_upper"} & result.attributes.keys() and load.sum() > 0:
         worn = 1e3 * float(load @ state.wear.sum(axis=0) / load.sum())
         yield KeyNumber("worn_off", group, "worn off", worn, "um")
-        yield KeyNumber("elastic", group, "elastic", total - worn, "um", ".3g")
+        yield KeyNumber(
+            "elastic", group, "elastic", _micrometres(1e-3 * (total - worn), approach), "um", ".3g"
+        )
+
+
+def _micrometres(length: float, scale: float) -> float:
+    """Return a length in um, that is round-off of another (mm) as 0."""
+    return 0.0 if abs(length) < _ROUND_OFF * scale else 1e3 * length
 
 
 def _worn(

@@ -182,7 +182,17 @@ def _steps(about: Mapping[str, Any], last: Checkpoint) -> str:
 
 def _warnings(result: Result, last: Checkpoint) -> list[str]:
     """Return the sentences that come first: how far the history is, and what is doubted."""
-    return [*_unfinished(result.attributes, last), *(doubt.text for doubt in result.doubts)]
+    about, doubts = result.attributes, (doubt.text for doubt in result.doubts)
+    return [*_unfinished(about, last), *doubts, *_unworn(result)]
+
+
+def _unworn(result: Result) -> Iterator[str]:
+    """Yield a sentence for each body whose law has worn nothing off."""
+    slid = result.histories["dissipated_energy"][-1] > 0.0
+    for body in BODIES:
+        law = result.attributes[f"law_{body}"]
+        if law and slid and result.histories[f"worn_volume_{body}"][-1] == 0.0:
+            yield f"nothing of {body} is worn off: its pressures never reach what wears, by {law}"
 
 
 def _unfinished(about: Mapping[str, Any], last: Checkpoint) -> list[str]:

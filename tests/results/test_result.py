@@ -166,6 +166,13 @@ def test_summary_tells_the_run_and_not_the_text(comm):
     assert "2 of 2 implicit steps" in rw.simulate(constructed, comm).summary(verbose=True)
 
 
+def test_below_the_threshold_the_summary_says_that_nothing_wears():
+    changes = {"load.pressure": 1.0, "time.steps": 3}
+    told = rw.simulate(rw.read_case(PAPER, changes), MPI.COMM_SELF).summary()
+    assert "warning: nothing of lower is worn off: its pressures never reach what wears, by" in told
+    assert "penetration  0 um (worn off 0 um, elastic 0 um)" in told
+
+
 def test_the_summary_tells_wear_in_a_tribologists_words():
     """Archard's law: specific wear rate k, rates k p V, hours and grams as they are defined."""
     changes = {

@@ -61,8 +61,6 @@ _OF_WEIGHINGS = ("at", "censored", *_MASSES)
 _LOADS = {"load.force", "load.pressure"}
 #: units of roles that are no key of a case
 _UNITS = {"at": "s", **dict.fromkeys(_MASSES, "g")}
-#: decimals of masses in g: differences have the digits that were typed, and no more
-_DIGITS = 12
 #: of a case
 _TABLES = {path.partition(".")[0] for path in BY_PATH}
 #: rows of them are no tests
@@ -503,7 +501,7 @@ class _Rows:
             return None
         reading = {
             "quantity": f"mass.{body}",
-            "value": f"{round(weighing.loss, _DIGITS) / factor(unit, 'g'):.12g} {unit}", "sd": sd,
+            "value": f"{weighing.loss / factor(unit, 'g'):.12g} {unit}", "sd": sd,
         }  # fmt: skip
         at, limit = (
             next((self._value(c, number) for c in self.columns if c.role == role), None)

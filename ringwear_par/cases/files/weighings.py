@@ -25,6 +25,8 @@ KINDS = {
 }
 #: these and the standard deviation, which may be that of a loss: "sd loss"
 MASSES = {"sd": {"sd", "u"}, **KINDS}
+#: decimals of masses in g: differences have the digits that were typed, and no more
+_DIGITS = 12
 #: words that names of columns may have besides those that tell what is weighed
 _BESIDE = {*BODIES, "mass", "masse", "m", "id", "no", "nr"}
 
@@ -62,7 +64,8 @@ class Weighing:
         if loss:
             return cls(float(np.mean(loss)), len(loss), len(loss))
         if before and after:
-            return cls(float(np.mean(before) - np.mean(after)), len(before), len(after))
+            lost = round(float(np.mean(before) - np.mean(after)), _DIGITS)
+            return cls(lost, len(before), len(after))
         missing = "after" if before else "before"
         raise InputError(f"has no mass {missing}; must have one at least")
 

@@ -186,11 +186,14 @@ class ExperimentReader:
     ) -> tuple[Experiment, ...]:
         """Return the experiments under another law."""
         changed = []
+        before = len(faults)
+        refuse_both(f"{self._name}: compare.{legible(name)}.set", parameters, changes, faults)
+        if len(faults) > before:
+            return ()
         for experiment in experiments:
             place = (
                 f'{self._name}: compare.{legible(name)}: experiment "{legible(experiment.name)}"'
             )
-            refuse_both(place, parameters, changes, faults)
             measured = [entry.key for entry in experiment.inputs]
             refuse_known(place, measured, parameters, changes, faults)
             full_changes = in_full(changes, self._folder)

@@ -154,10 +154,16 @@ def test_every_key(tmp_path):
             {"a": {"set": {"wear.lower.law": "x"}, "parameters": FITTED}},
             'wear.lower.law = "x"',
         ),
+        (
+            ("compare",),
+            {"a": {"set": {"wear.lower": {"law": "archard", "k": 1e-7}}, "parameters": FITTED}},
+            "compare.a.set: wear.lower.k: is set, and wear.lower.k is fitted",
+        ),
     ],
 )  # fmt: skip
 def test_faults(path, value, said, good):
     faults = refused(changed(good, path, value))
+    assert path != ("compare",) or len(faults) == 1
     assert said in "\n".join(faults)
     assert "\n".join(faults).startswith("fit: ") or "nowhere.toml" in "\n".join(faults)
 
