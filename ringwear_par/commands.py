@@ -250,8 +250,8 @@ COMMANDS = {
         _output("FIG.png"),
         _argument("--panels", metavar="LIST",
                   help="any of wear, pressure, section, stress, depth, interfaces, mises, "
-                  "penetration, approach, force, torque, friction, energy, volume, rate, pv, "
-                  "through, in this order (default: wear,penetration)"),
+                  "penetration, approach, force, torque, friction, energy, volume, rate, "
+                  "through, pv, in this order (default: wear,penetration)"),
         _argument("--steps", metavar="LIST",
                   help="steps whose profiles are drawn, such as 1,50,100 (default: the first, and "
                   "at each quarter)"),

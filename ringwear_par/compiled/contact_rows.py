@@ -7,7 +7,7 @@ compact: (count, n) or (count,), of these rows one after another; and ``weights`
 
 import math
 
-from ringwear_par.compiled.machine_code import Count, Flags, Integers, Reals
+from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals
 
 
 def gradient(
@@ -27,13 +27,13 @@ def judge(
     count: Count, n: Count, rows: Integers, which: Integers, unknowns: Reals, gradients: Reals,
     diagonals: Reals, weights: Reals, gaps: Reals, approaches: Reals, forces: Reals,
     with_forces: Count, free: Flags, residuals: Reals, are_fine: Flags, are_broken: Flags,
-    are_same: Flags, round_off: Reals, gradient_tolerance: Reals, force_tolerance: Reals,
+    are_same: Flags, round_off: Real, gradient_tolerance: Real, force_tolerance: Real,
 ) -> None:  # fmt: skip
-    """Set which histories, compact, are optimal on their sets, are no numbers, keep their sets.
+    """Set whether histories, compact, are optimal on their sets, not finite, and keep their sets.
 
     Optimal is where the natural residual min(g, diag(H) x) is small against the overlap of the
     bodies, or at the round-off of x, and the force is met. ``residuals`` are relative to the
-    largest unknowns. Tolerances have one entry each.
+    largest unknowns.
     """
     for place in range(count):
         history = rows[place]
@@ -56,12 +56,12 @@ def judge(
             same = same and (x > 0.0 if free[k] else gradient >= 0.0)
         broken = not math.isfinite(total + carried + worst)
         # where wear makes the diagonal large, round-off in x is more than the tolerance in g
-        fine = worst <= round_off[0] * most or math.sqrt(defects) <= (
-            gradient_tolerance[0] * math.sqrt(overlaps)
+        fine = worst <= round_off * most or math.sqrt(defects) <= (
+            gradient_tolerance * math.sqrt(overlaps)
         )
         if with_forces:
             force = forces[history]
-            fine = fine and abs(carried - force) <= force_tolerance[0] * force
+            fine = fine and abs(carried - force) <= force_tolerance * force
         residuals[history] = worst / most if most > 0.0 else math.inf
         are_fine[place], are_broken[place], are_same[place] = fine, broken, same
 
@@ -70,7 +70,7 @@ def change_sets(
     count: Count, n: Count, rows: Integers, unknowns: Reals, gradients: Reals, free: Flags,
     are_cleared: Flags,
 ) -> None:  # fmt: skip
-    """Let sets be those of the signs; unknowns that leave them become 0, of which it is set."""
+    """Set the sets by the signs; unknowns that leave them become 0, cleared where any did."""
     for place in range(count):
         row, cleared = rows[place] * n, False
         for k in range(row, row + n):
@@ -82,12 +82,12 @@ def change_sets(
         are_cleared[place] = cleared
 
 
-def shape(
+def compare_slopes(
     count: Count, n: Count, rows: Integers, which: Integers, slopes: Reals, per_speed: Reals,
     free: Flags, are_valid: Flags, free_before: Flags, wearing_before: Flags, rates: Reals,
-    are_new: Flags, have_new_sets: Flags, are_regular: Flags, round_off: Reals,
+    are_new: Flags, have_new_sets: Flags, are_regular: Flags, round_off: Real,
 ) -> None:  # fmt: skip
-    """Set which histories, compact, need another inverse, and what it is to be of.
+    """Set which histories, compact, need a new inverse, with its rate and its sets.
 
     Slopes are regular where they are one rate, compact, times the speed of elements that wear.
     Elements in contact and those of them that wear become those before.
@@ -106,7 +106,7 @@ def shape(
             if free[row + i] and rate > 0.0:
                 most = max(most, rate)
                 least = min(least, rate)
-        regular = least >= (1.0 - round_off[0]) * most
+        regular = least >= (1.0 - round_off) * most
         # without regular wear as if all wore, so as not to need another basis
         every = most == 0.0 or not regular
         for k in range(row, row + n):
@@ -170,13 +170,11 @@ def correction_errors(
     Relative to the pressure or to the mean, whichever is larger.
     """
     for history in range(count):
-        largest, element, total, mean = 0.0, 0, 0.0, means[history]
+        largest, element, mean = 0.0, 0, means[history]
         for i in range(n):
             k, stiff = history * n + i, stiffness[which[history] * n + i]
             error = abs(after[k] - before[k]) * stiff / max(pressures[k], mean)
-            total += error
-            if error > largest:
+            if error > largest or (math.isnan(error) and not math.isnan(largest)):
                 largest, element = error, i
-        # comparisons do not see what is no number
-        errors[history] = largest if math.isfinite(total) else math.nan
+        errors[history] = math.nan if math.isnan(mean) else largest
         elements[history] = element

@@ -2,14 +2,15 @@
 
 To import numba takes ten times as long as to load what it has compiled. The code of a module of
 loops is one object file in numba's own cache folder where that has a name, beside the module, or in
-a folder of the user's own, whichever may be written to. The first process that needs it makes it;
-LLVM's own loader takes it from there.
+a folder of the user's own, whichever may be written to. Processes that find none make it, each for
+itself; LLVM's own loader loads it.
 
-A loop is a function of counts and arrays, whose parameters are annotated as ``Count``, ``Reals``,
-``Integers`` or ``Flags``; arrays are indexed from their first entry on, whatever their axes. The
-first parameter is the number of rows. What it computes are the entries of the arrays that it sets.
-Sums are in inner loops that set nothing: others are compiled twice, for arrays that may overlap and
-for those that cannot, and sums of the two differ in their last digits.
+A loop is a function of numbers and arrays, whose parameters are annotated as ``Count``, ``Real``,
+``Reals``, ``Integers`` or ``Flags``; arrays are indexed from their first entry on, whatever their
+axes, and nobody checks their lengths. The first parameter is the number of rows. What a loop
+computes are the entries of the arrays that it sets. Sums are in inner loops that set nothing:
+others are compiled twice, for arrays that may overlap and for those that cannot, and sums of the
+two differ in their last digits.
 """
 
 import ctypes
@@ -30,13 +31,15 @@ from typing import Annotated, Any, NoReturn, TypeAlias
 
 log = logging.getLogger(__name__)
 
-#: parameters of loops: a number, and contiguous arrays, with the characters of their dtypes
+#: parameters of loops: numbers, and contiguous arrays, with the characters of their dtypes
 Count: TypeAlias = Annotated[int, ""]
+Real: TypeAlias = Annotated[float, ""]
 Reals: TypeAlias = Annotated[Any, "d"]
 Integers: TypeAlias = Annotated[Any, "l"]
 Flags: TypeAlias = Annotated[Any, "?b"]
 #: loops compare the places of all their arrays, as these might overlap; LLVM by itself of few
 _OPTION = "-runtime-memory-check-threshold=300"
+_BESIDE = Path(__file__).parent / "__pycache__"
 #: what this process has loaded
 _LOADERS: list[Any] = []
 
@@ -51,7 +54,7 @@ def load(module: ModuleType) -> Any:
     processors. Arguments are as in the source. Arrays have to be contiguous and writable, or
     TypeError, BufferError or ValueError is raised.
     """
-    import llvmlite.binding as llvm  # not for who only reads results
+    import llvmlite.binding as llvm  # takes long, and results are read without loops
 
     functions = [
         function
@@ -71,9 +74,11 @@ def load(module: ModuleType) -> Any:
 
 
 def _call(function: Callable[..., None], address: int) -> Callable[..., None]:
-    """Return the compiled loop at an address as a function of what its source is one of."""
-    dtypes = _dtypes(function)
-    types = [ctypes.c_void_p if dtype else ctypes.c_int64 for dtype in dtypes]
+    """Return the compiled loop at an address as a function with the parameters of its source."""
+    kinds = _kinds(function)
+    dtypes = [dtype for _, dtype in kinds]
+    numbers: dict[Any, Any] = {int: ctypes.c_int64, float: ctypes.c_double}
+    types = [numbers.get(kind, ctypes.c_void_p) for kind, _ in kinds]
     # numba's own convention: places of what is returned and raised, neither of which there is;
     # loops are so short that to let other threads run takes longer
     native = ctypes.PYFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, *types)(address)
@@ -99,10 +104,10 @@ def _refuse(function: Callable[..., None], argument: Any) -> NoReturn:
     raise TypeError(f"{function.__name__}: no argument may be an array of {argument.dtype}")
 
 
-def _dtypes(function: Callable[..., None]) -> list[str]:
-    """Return the characters of the dtypes that a loop's parameters may have, "" of numbers."""
-    parameters = inspect.signature(function).parameters.values()
-    return [parameter.annotation.__metadata__[0] for parameter in parameters]
+def _kinds(function: Callable[..., None]) -> list[tuple[Any, str]]:
+    """Return int, float or Any of a loop's parameters, and the dtypes that arrays may have."""
+    annotations = (part.annotation for part in inspect.signature(function).parameters.values())
+    return [(annotation.__origin__, annotation.__metadata__[0]) for annotation in annotations]
 
 
 def _symbol(function: Callable[..., None]) -> str:
@@ -131,17 +136,21 @@ def _stored_code(llvm: Any, source: Path, functions: Sequence[Callable[..., None
     for place in places:
         with suppress(OSError):
             code = place.read_bytes()
-            if hashlib.sha256(code[32:]).digest() == code[:32]:
+            is_whole = hashlib.sha256(code[32:]).digest() == code[:32]
+            if is_whole and _is_trusted(place) and _is_trusted(place.parent):
                 return code[32:]
     code = _compile(llvm, functions)
     for place in places:
         try:
-            _write(place, hashlib.sha256(code).digest() + code)
-            for older in {*place.parent.glob(f"{stem}-*.o")} - {place}:
-                older.unlink(missing_ok=True)
-            break
+            place.parent.mkdir(0o700, exist_ok=True)
+            if _is_trusted(place.parent):
+                _write(place, hashlib.sha256(code).digest() + code)
+                break
         except OSError as error:
             log.debug("%s: %s", place, error.strerror)
+    for older in {*_BESIDE.glob(f"{stem}-*.o")} - {_BESIDE / name}:
+        with suppress(OSError):
+            older.unlink()
     return code
 
 
@@ -150,23 +159,22 @@ def _digest(parts: object) -> str:
 
 
 def _folders() -> Iterator[Path]:
-    """Yield folders that nobody may write to who may not write the source, as code is executed."""
+    """Yield the folders in which code may be."""
     if named := os.environ.get("NUMBA_CACHE_DIR"):
         yield Path(named)
-    yield Path(__file__).parent / "__pycache__"
-    path = Path(tempfile.gettempdir()) / f"ringwear-compiled-{os.getuid()}"
-    with suppress(OSError):
-        with suppress(FileExistsError):
-            path.mkdir(0o700)
-        status = path.lstat()
-        private = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
-        if private and not status.st_mode & 0o077:
-            yield path
+    yield _BESIDE
+    yield Path(tempfile.gettempdir()) / f"ringwear-compiled-{os.getuid()}"
+
+
+def _is_trusted(path: Path) -> bool:
+    """Tell whether nobody may write to a path who may not write the source: code is executed."""
+    status, source = path.lstat(), _BESIDE.parent.stat()
+    is_own = status.st_uid in {os.geteuid(), source.st_uid} and not stat.S_ISLNK(status.st_mode)
+    return is_own and not status.st_mode & ~source.st_mode & 0o022
 
 
 def _write(path: Path, content: bytes) -> None:
     """Write a file at once, as other processes read it."""
-    path.parent.mkdir(exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as file:
@@ -184,14 +192,15 @@ def _compile(llvm: Any, functions: Sequence[Callable[..., None]]) -> bytes:
     from numba import types
 
     parameter = {
-        "": types.int64,
-        "d": types.CPointer(types.float64),
-        "l": types.CPointer(types.int64),
-        "?b": types.CPointer(types.int8),
+        (int, ""): types.int64,
+        (float, ""): types.float64,
+        (Any, "d"): types.CPointer(types.float64),
+        (Any, "l"): types.CPointer(types.int64),
+        (Any, "?b"): types.CPointer(types.int8),
     }
     module: Any = None
     for function in functions:
-        signature = types.void(*[parameter[dtype] for dtype in _dtypes(function)])
+        signature = types.void(*[parameter[kind] for kind in _kinds(function)])
         # sums may be of several entries at a time
         compiled = numba.cfunc(signature, error_model="numpy", fastmath={"reassoc"})(function)
         code = compiled.inspect_llvm()

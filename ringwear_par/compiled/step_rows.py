@@ -5,20 +5,22 @@ Arrays are (B, n) or (B,), one after another where there are several.
 
 import math
 
-from ringwear_par.compiled.machine_code import Count, Reals
+from ringwear_par.compiled.machine_code import Count, Real, Reals
 
 
 def rate_errors(
     count: Count, n: Count, lengths: Reals, rates: Reals, in_first: Reals, in_last: Reals,
-    before: Reals, weights: Reals, gamma: Reals, errors: Reals,
+    before: Reals, weights: Reals, gamma: Real, errors: Reals,
 ) -> None:  # fmt: skip
-    """Set what three errors of depth begin with, (3, B, n) mm: of the step, its bend, before it.
+    """Set three estimates of errors of depth before they are filtered, (3, B, n) mm.
+
+    They are those of the step, of its bend, and of the history before it.
 
     The first is the sum with ``weights`` (3,) of the depths at the rates (2, B, n) of both bodies
     at the start and in the stages, the second the difference of the last to the first of these.
     """
-    at_start, at_first, at_last = weights[0], weights[1] / gamma[0], weights[2] / gamma[0]
-    size, per_gamma = count * n, 1.0 / gamma[0]
+    at_start, at_first, at_last = weights[0], weights[1] / gamma, weights[2] / gamma
+    size, per_gamma = count * n, 1.0 / gamma
     for history in range(count):
         length = lengths[history]
         for k in range(history * n, (history + 1) * n):
@@ -30,7 +32,7 @@ def rate_errors(
 
 def propagate(
     count: Count, n: Count, errors: Reals, changes: Reals, memory: Reals, with_memory: Count,
-    before: Reals, factors: Reals, defects: Reals, propagated: Reals,
+    before: Reals, lacking: Real, kept: Real, defects: Reals, propagated: Reals,
 ) -> None:  # fmt: skip
     """Set the filtered error of steps, and what two others become, (2, B, n) mm.
 
@@ -41,8 +43,8 @@ def propagate(
         bend, carried = errors[size + k], errors[2 * size + k]
         more = memory[k] - 1.0 if with_memory else 0.0
         defects[k] = errors[k] + changes[k]
-        propagated[k] = (more * bend + changes[size + k]) * factors[0]
-        propagated[size + k] = (more * carried + changes[2 * size + k]) * factors[1] + before[k]
+        propagated[k] = (more * bend + changes[size + k]) * lacking
+        propagated[size + k] = (more * carried + changes[2 * size + k]) * kept + before[k]
 
 
 def sum_errors(
@@ -56,7 +58,7 @@ def sum_errors(
     """
     size = count * n
     for history in range(count):
-        of_step, of_history, of_before, total = 0.0, 0.0, 0.0, 0.0
+        step_error, history_error, earlier_error, total = 0.0, 0.0, 0.0, 0.0
         first, end = history * n, (history + 1) * n
         for k in range(first, end):
             more = memory[k] if with_memory else 1.0
@@ -64,13 +66,16 @@ def sum_errors(
             defects[k] += more * propagated[k] + changes[k]
             totals[k] = propagated[size + k] + defects[k]
         for k in range(first, end):
-            of_step, of_history = max(of_step, abs(defects[k])), max(of_history, abs(totals[k]))
-            of_before = max(of_before, abs(propagated[size + k]))
+            step_error, history_error = (
+                max(step_error, abs(defects[k])),
+                max(history_error, abs(totals[k])),
+            )
+            earlier_error = max(earlier_error, abs(propagated[size + k]))
             total += totals[k]
         if not math.isfinite(total):  # comparisons do not see what is no number
-            of_step = of_history = of_before = math.nan
-        largest[history] = of_step
-        largest[count + history], largest[2 * count + history] = of_history, of_before
+            step_error = history_error = earlier_error = math.nan
+        largest[history] = step_error
+        largest[count + history], largest[2 * count + history] = history_error, earlier_error
 
 
 def largest_ratios(
@@ -82,5 +87,5 @@ def largest_ratios(
         for k in range(history * n, (history + 1) * n):
             ratio = abs(values[k]) / max(pressures[k], least[history])
             largest = max(largest, ratio)
-            total += ratio
+            total += ratio + pressures[k] + least[history]
         ratios[history] = largest if math.isfinite(total) else math.nan

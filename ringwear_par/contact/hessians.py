@@ -17,15 +17,13 @@ from ringwear_par.batched import keep
 from ringwear_par.compiled import contact_rows
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.contact.basis_stack import BROKEN, BasisStack
+from ringwear_par.contact.problem import LARGEST_WITH_BASES
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.wear.increment import WearIncrement
 
-#: largest systems that have bases: a basis takes as long as 26 to 31 factors (0.67, 3.1 and 14.8 ms
-#: with 64, 128 and 256 elements), and as much memory as two
-LARGEST_WITH_BASES = 256
 #: what slopes may differ by from their shape, relative: round-off
-_ROUND_OFF = np.array([1e-12])
+_ROUND_OFF = 1e-12
 #: instead of the number of a basis: a factor of its own
 _FACTOR = -1
 #: residuals, relative to the first, at which conjugate gradients end: of estimates, within Newton's
@@ -148,7 +146,7 @@ class Hessians:
         coupled = bool(len(self.coupling))
         if coupled:
             self._valid[histories] = False
-        self._loops.shape(
+        self._loops.compare_slopes(
             count, n, histories, self._which, self.slope, self._per_speed, free, self._valid,
             self._free, self._wearing, rates, new, new_sets, self._regular, _ROUND_OFF,
         )  # fmt: skip
@@ -270,7 +268,7 @@ class Hessians:
             places = rows.places
             modal = products(gradient[..., places, :], self._stack.psi)
             solved, approach[..., places] = self._modal_steps(
-                rows, modal, None if missing is None else missing[..., places], tolerance
+                rows, modal, None if missing is None else missing.take(places, axis=-1), tolerance
             )
             steps[..., places, :] = products(solved, self._stack.psi_t)
         self._set_factored(histories, gradient, missing, (steps, approach))
@@ -323,7 +321,7 @@ class Hessians:
         approach_stays: bool,
         tolerance: float,
     ) -> None:
-        """Add to direct steps what differences of compliances make of them, term by term."""
+        """Add to direct steps the terms of the Neumann series in the differences of compliances."""
         more = self._compliances.differences
         assert more is not None
         which = self._which[rows.histories]

@@ -21,7 +21,6 @@ from ringwear_par.petsc import PETSc
 
 PLAIN_ITERATIONS = 25
 ROUND_OFF = 1e-13
-_TOLERANCES = [np.array([x]) for x in (ROUND_OFF, GRADIENT_TOLERANCE, FORCE_TOLERANCE)]
 #: share of the slope at the start of a damped step that is left at its end, and the shortest step
 _SLOPE_LEFT, _SHORTEST = 1e-8, 1e-10
 
@@ -128,9 +127,9 @@ class ActiveSetNewton:
     def _judge(
         self, q: FloatArray, g: FloatArray, free: BoolArray
     ) -> tuple[BoolArray, BoolArray, BoolArray]:
-        """Return who of the histories at work is optimal on its sets, who broken, and who on them.
+        """Return whether histories at work, (h,), are optimal, are not finite, keep their sets.
 
-        See the loop of this name; broken are those whose unknowns are no numbers.
+        See the loop of this name.
         """
         problem, histories = self._problem, self._problem.at_work
         verdicts = np.empty((3, len(histories)), dtype=bool)
@@ -139,7 +138,7 @@ class ActiveSetNewton:
         problem.loops.judge(
             len(histories), q.shape[1], histories, problem.which, q, g, self._hessians.diagonal,
             problem.compliances.weights, problem.gaps, problem.approaches, forces, with_forces,
-            free, self.residuals, *verdicts, *_TOLERANCES,
+            free, self.residuals, *verdicts, ROUND_OFF, GRADIENT_TOLERANCE, FORCE_TOLERANCE,
         )  # fmt: skip
         fine, broken, same = verdicts
         return fine, broken, same

@@ -84,7 +84,7 @@ class Differences:
 
 @dataclass(frozen=True, eq=False)
 class ScaledCompliances:
-    """m compliances of one contact line, and f references of which they are or are near to."""
+    """m compliances of one contact line, each equal or near to one of f references."""
 
     #: (n,) float, mm^2
     area: FloatArray = field(metadata=along(None))
@@ -158,10 +158,6 @@ class ScaledCompliances:
             np.array(names, dtype=object), scaled,
         )  # fmt: skip
 
-    def of_histories(self, values: FloatArray, which: IntArray) -> FloatArray:
-        """Return values (m, n) for each history, (B, n); where all have the same, (1, n)."""
-        return values if len(values) == 1 else values[which]
-
     def take(self, numbers: IntArray) -> "ScaledCompliances":
         """Return some of the compliances, in ascending order."""
         return self if len(numbers) == len(self.reference) else take(self, numbers)
@@ -231,7 +227,7 @@ class ComplianceProducts:
         self._groups, more = RowProducts(compliances.reference[which]), compliances.differences
         #: of the rows; None: all are those of references
         self._change: FloatArray | None = None
-        if more is not None and (more.share[which] != 1.0).any():
+        if more is not None and more.polynomials[which].any():
             self._change, self._polynomials = more.change[which][:, None], more.polynomials[which]
 
     def not_linear(self, q: FloatArray) -> FloatArray:

@@ -273,11 +273,12 @@ def log_evidence(fit: "FitResult") -> float | None:
     exact where the model is linear over its intervals. With scatter or random wear, sizes are
     integrated over their grid as well. A key without a prior is uniform within its bounds, or its
     logarithm is where the scale is logarithmic, so that wide bounds make a law less probable; what
-    lies beyond the bounds of a key does not count. Free nuisances count alike under all laws: of
-    evidences only differences mean anything.
+    lies beyond the bounds of a key does not count. That share is of each key by itself: where
+    several correlated keys are near their bounds, it is multiplied as if they were independent.
+    Free nuisances count alike under all laws: of evidences only differences mean anything.
 
-    None where it is not that easily known: a key is not identified, or at its bound without scatter
-    and random wear; noise is fitted or not normal, readings are limits.
+    None where Laplace's approximation does not hold: a key is not identified, or at its bound
+    without scatter and random wear; noise is fitted or not normal, readings are limits.
     """
     misfit, m, material = fit.misfit, len(fit.parameters), fit.material
     problem = misfit.problem
@@ -291,12 +292,14 @@ def log_evidence(fit: "FitResult") -> float | None:
         width, variance = high[key] - low[key], fit.covariance[key, key]
         value = Mixture(np.ones(1), np.array([unknown]), np.array([variance]))
         value = value if material is None else material.mixed.unbounded.material(key)
-        prior += float(np.log(value.probability(low[key], high[key])))
+        prior += value.log_probability(low[key], high[key])
         if parameter.prior is None:
             prior -= float(np.log(width))
         else:  # a density of values, its square is among the readings'
             prior += float(np.log(parameter.slope(parameter.value(unknown)) / parameter.prior.sd))
             prior -= 0.5 * float(np.log(2.0 * np.pi))
+    if not np.isfinite(prior):
+        return None
     if material is not None:
         constant = 0.5 * (m - misfit.n) * np.log(2.0 * np.pi)
         return material.mixed.unbounded.log_mass + prior + float(constant)

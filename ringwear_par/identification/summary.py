@@ -277,7 +277,7 @@ def process_lines(outcome: Entry) -> list[str]:
 def probabilities(evidences: Mapping[str, float | None]) -> dict[str, float]:
     """Return the probability of each law whose evidence is known, as if all were equal before."""
     known = {name: value for name, value in evidences.items() if value is not None}
-    if not known:
+    if not np.isfinite(max(known.values(), default=-np.inf)):
         return {}
     shares = np.exp(np.array([*known.values()]) - max(known.values()))
     return dict(zip(known, (shares / shares.sum()).tolist(), strict=True))

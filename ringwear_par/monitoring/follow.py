@@ -103,8 +103,8 @@ def run_follow(
                     return Bank(values, specimen, problem, rounds, draws, seed)
                 other = problem.alternatives[law]
                 histories = Histories(planned(other), MPI.COMM_SELF)  # by this rank alone
-                of_law = followed.known.laws[law].values
-                return Bank(of_law, specimen, other, histories, draws, seed)
+                law_values = followed.known.laws[law].values
+                return Bank(law_values, specimen, other, histories, draws, seed)
 
             state = RunningTestState(
                 new_bank, followed.log_evidences, targets, whom, followed.doubts

@@ -128,14 +128,16 @@ def _followed_test(running: RunningTest, known: FitKnowledge, tests: set[str]) -
         )
     laws: dict[str, Problem] = {}
     not_compared = dict.fromkeys(unknown, f"{known.name} has no values of it")
-    for law, of_law in known.laws.items():
+    for law, law_knowledge in known.laws.items():
         if law not in problem.alternatives:
             not_compared[law] = f"{running.source} has no compare.{legible(law)}"
-        elif known.log_evidence is None or of_law.log_evidence is None:
+        elif known.log_evidence is None or law_knowledge.log_evidence is None:
             not_compared[law] = "the fit does not know the evidence of both laws"
+        elif problem.settings.loss != "gaussian":
+            not_compared[law] = f'loss = "{problem.settings.loss}" has no evidence'
         else:
             try:
-                laws[law] = _followed(problem.alternatives[law], of_law, place, specimen)
+                laws[law] = _followed(problem.alternatives[law], law_knowledge, place, specimen)
             except InputError as error:
                 not_compared[law] = reason_of(error)
     problem = replace(_followed(problem, known, place, specimen), alternatives=laws)

@@ -139,13 +139,13 @@ class RunningTestState:
         self, problem: Problem, counted: BoolArray
     ) -> dict[str, tuple[float, float]]:
         """Return how probable each law is before the test, and by the readings that count."""
-        of_readings = {"": self._bank.log_evidence}
+        reading_evidences = {"": self._bank.log_evidence}
         for law, bank in self._other_banks.items():
             bank.update(problem.alternatives[law], counted)
-            of_readings[law] = bank.log_evidence
+            reading_evidences[law] = bank.log_evidence
         before = probabilities(self._evidences)
-        now = probabilities({law: e + of_readings[law] for law, e in self._evidences.items()})
-        return {law or "this law": (share, now[law]) for law, share in before.items()}
+        now = probabilities({law: e + reading_evidences[law] for law, e in self._evidences.items()})
+        return {law or "this law": (share, now[law]) for law, share in before.items() if law in now}
 
     def _compare(self, readings: dict[str, FloatArray]) -> None:
         """Begin anew where the readings (n,) of a series are not those of before, and more."""

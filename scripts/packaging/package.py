@@ -22,6 +22,7 @@ class PyRingwearPar(PythonPackage):
     depends_on("py-numpy@1.25:", type=("build", "run"))
     depends_on("py-scipy@1.10:", type=("build", "run"))
     depends_on("py-h5py@3.7:", type=("build", "run"))
+    depends_on("py-llvmlite@0.41:", type=("build", "run"))
     depends_on("py-numba@0.58:", type=("build", "run"))
     depends_on("py-mpi4py@3.1:", type=("build", "run"))
     depends_on("py-petsc4py@3.18:", type=("build", "run"))

@@ -223,7 +223,7 @@ def test_loads(flat, pair, name):
 
 
 @pytest.mark.parametrize("shape", [crowned, cones, layers])
-def test_digits_do_not_depend_on_the_size_of_batches(flat, shape):
+def test_digits_do_not_depend_on_the_size_of_batches(flat, shape, caplog):
     cases = shape(flat)
     pair = assemble(cases[0], ALONE)
     seen = run(cases, pair)
@@ -240,6 +240,7 @@ def test_digits_do_not_depend_on_the_size_of_batches(flat, shape):
             same({0: seen[i]}, {0: seen[6 + i]})
     if shape is layers:
         assert {bool(np.isfinite(b.through[0])) for _, b in ends} == {True, False}
+    assert not caplog.records  # such as of histories that cannot step together
 
 
 def test_times_of_output_do_not_disturb(flat, pair):

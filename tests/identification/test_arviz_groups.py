@@ -111,6 +111,7 @@ def test_the_evidence_is_the_integral_of_the_likelihood(fit):
         logsumexp(logs) + of_offsets - of_nuisances, abs=0.05
     )
     assert probabilities({"a": 0.0, "b": np.log(3.0)}) == pytest.approx({"a": 0.25, "b": 0.75})
+    assert probabilities({"a": -np.inf, "b": -np.inf, "c": None}) == {}
 
 
 def test_arviz_is_asked_for_in_one_sentence(fit, monkeypatch):

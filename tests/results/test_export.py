@@ -187,7 +187,7 @@ def test_no_half_files(runs, tmp_path, monkeypatch):
         (["run.h5", "-o", "{}/a.vtkhdf", "--fields"], "--fields"),
         (["run.h5", "-o", "{}/a.vtkhdf", "--decimal", "comma"], "a.vtkhdf: must be point or comma"),
         (["run.h5", "-o", "{}/a.xlsx", "--fields"], "holds all tables; must be without"),
-        ([".", "-o", "{}/a.csv"], "holds neither fit.json nor results.h5"),
+        ([".", "-o", "{}/a.csv"], "holds none of fit.json, results.h5 and measure.json"),
         ([".", "-o", "{}/a.vtkhdf"], "its ending must be .csv or .xlsx of a folder"),
         ([".", "-o", "{}/a.csv", "--stress"], "is a folder; must be without the options of runs"),
         (["plain.h5", "-o", "{}/a.vtkhdf"], "output.boundary"),

@@ -116,17 +116,17 @@ def _overlap_faults(name: str, values: Mapping[str, Any]) -> list[str]:
     lower, upper, contact = values["lower.r"], values["upper.r"], values.get("mesh.contact")
     a, b = max(lower[0], upper[0]), min(lower[1], upper[1])
     if a >= b:
-        body, (inner, outer), other = (
-            ("upper", upper, lower) if upper[0] > lower[0] else ("lower", lower, upper)
-        )
-        halves = 0.5 * inner, 0.5 * outer
-        within = other[0] < halves[1] and halves[0] < other[1]
-        return [
+        fault = (
             f"{name}: upper.r = {list(upper)} and lower.r = {list(lower)}: the rings do not "
             "overlap; their radii must have an interval in common (mm)"
-            + f"; if {body}.r are diameters, write [{halves[0]:g}, {halves[1]:g}]"
-            * within
-        ]
+        )
+        radii = {"upper": upper, "lower": lower}
+        outer = "upper" if upper[0] > lower[0] else "lower"
+        inner = "lower" if outer == "upper" else "upper"
+        low, high = 0.5 * radii[outer][0], 0.5 * radii[outer][1]
+        if radii[inner][0] < high and low < radii[inner][1]:
+            fault += f"; if {outer}.r are diameters, write [{low:g}, {high:g}]"
+        return [fault]
     if contact is None or (contact[0] < b and contact[1] > a):
         return []
     return [

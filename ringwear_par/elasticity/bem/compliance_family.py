@@ -6,8 +6,9 @@ for a small part, which is smooth in the ratio of the moduli: with those of a re
     K = c (K_ref + e D + U).
 
 D is about the symmetric part of the upper body's compliance, less the share of K_ref that makes it
-smallest. U is what is not linear: 3e-6 of K at most, of
-low rank, interpolated between Chebyshev nodes to 3e-14. So no history needs a matrix of its own.
+smallest. U is what is not linear: 3e-6 of K at most, of low rank, interpolated between Chebyshev
+nodes to 1e-13 of the diagonals of K for the paper's rings, and to 5e-12 for rings of 0.2 mm. So no
+history needs a matrix of its own.
 """
 
 import math
@@ -22,15 +23,15 @@ from ringwear_par.arrays import FloatArray, inner
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
 
 #: references an octave of the ratio of moduli
-_AN_OCTAVE = 2
+_PER_OCTAVE = 2
 _NODES = 7
-#: of U; what is left out is below 1e-13 of K
+#: columns of the factors of U
 _RANK = 16
 
 
 def family_number(young: tuple[float, float]) -> int:
     """Return the number of the family of Young's moduli of lower and upper."""
-    return round(_AN_OCTAVE * math.log2(young[0] / young[1]))
+    return round(_PER_OCTAVE * math.log2(young[0] / young[1]))
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ class ComplianceFamily:
         ------
         ComputationError : a compliance is not positive definite.
         """
-        area, ratio = pair.line.area, 2.0 ** (number / _AN_OCTAVE)
+        area, ratio = pair.line.area, 2.0 ** (number / _PER_OCTAVE)
         reference = pair.compliance((ratio, 1.0))
         weighted = area[:, None] * pair.normal[1]
         upper = 0.5 * (weighted + weighted.T)
@@ -100,7 +101,7 @@ class ComplianceFamily:
         change = upper - gamma * reference.matrix
         excess = change / area[:, None] - (pair.normal[1] - gamma * reference.collocated)
         nodes = chebyshev.chebpts1(_NODES)
-        young = [(ratio * 2.0 ** (0.5 * node / _AN_OCTAVE), 1.0) for node in nodes.tolist()]
+        young = [(ratio * 2.0 ** (0.5 * node / _PER_OCTAVE), 1.0) for node in nodes.tolist()]
         share, by = np.array([_linear(ratio, gamma, *moduli) for moduli in young]).T
         matrices = np.array([pair.compliance(moduli).matrix for moduli in young])
         left = matrices / share[:, None, None] - reference.matrix
@@ -123,7 +124,7 @@ class ComplianceFamily:
     def members(self, young: Sequence[tuple[float, float]]) -> Members:
         """Return k compliances, with Young's moduli of lower and upper, MPa."""
         share, by = np.array([_linear(self.ratio, self.gamma, *moduli) for moduli in young]).T
-        places = [2.0 * _AN_OCTAVE * math.log2(x / y / self.ratio) for x, y in young]
+        places = [2.0 * _PER_OCTAVE * math.log2(x / y / self.ratio) for x, y in young]
         polynomials = chebyshev.chebvander(np.array(places), _NODES - 1)
         area, factors, change = self.pair.line.area, self.factors, by / share
         matrix, whole = self.reference.matrix, factors.sum(axis=0)

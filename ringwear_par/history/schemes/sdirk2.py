@@ -46,7 +46,6 @@ _LACKING = 1.0 / 6.0 - (
 )
 #: the first stage is solved over gamma h, and its wear enters with the weight (1 - gamma) h
 _FIRST_STAGE_FACTOR = (1.0 - GAMMA) / GAMMA
-_GAMMA, _PROPAGATION = np.array([GAMMA]), np.array([_LACKING / GAMMA, _FIRST_STAGE_FACTOR])
 
 
 def step(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
@@ -177,7 +176,7 @@ def _errors_of(
     loops, shape = load(step_rows), in_last.shape
     errors, propagated = np.empty((3, *shape)), np.empty((2, *shape))
     loops.rate_errors(
-        *shape, length, state.rates, in_first, in_last, state.error, _DEFECT, _GAMMA, errors
+        *shape, length, state.rates, in_first, in_last, state.error, _DEFECT, GAMMA, errors
     )
     if closing is not None:  # those make one step of first order, see ``entry_error``
         errors[:2, closing] = 0.0
@@ -191,7 +190,15 @@ def _errors_of(
     defect, at_end, sizes = np.empty(shape), np.empty(shape), np.empty((3, len(length)))
     changes = last.depth_change(slope, reliefs)
     loops.propagate(
-        *shape, errors, changes, *remembered, state.error, _PROPAGATION, defect, propagated
+        *shape,
+        errors,
+        changes,
+        *remembered,
+        state.error,
+        _LACKING / GAMMA,
+        _FIRST_STAGE_FACTOR,
+        defect,
+        propagated,
     )
     changes = last.depth_change(slope, respond(propagated if forgets else memory * propagated))
     loops.sum_errors(*shape, propagated, changes, *remembered, defect, at_end, sizes)

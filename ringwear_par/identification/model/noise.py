@@ -9,7 +9,7 @@ distributions of noise belong here.
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import gammaln, log_ndtr
+from scipy.special import erfcx, gammaln, log_ndtr
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.identification.definition.problem import Loss, Prior, Series
@@ -58,6 +58,12 @@ def loss_roots(loss: Loss, residuals: FloatArray) -> tuple[FloatArray, FloatArra
     return roots, np.where(small, np.sqrt((_NU + 1.0) / _NU), slope)
 
 
+def mills_ratio(z: FloatArray) -> FloatArray:
+    """Return the standard normal density at z over the probability below z, to round-off."""
+    ratio: FloatArray = np.sqrt(2.0 / np.pi) / erfcx(-z / np.sqrt(2.0))
+    return ratio
+
+
 def censored_rows(
     side: IntArray, residuals: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -69,8 +75,7 @@ def censored_rows(
     the noise.
     """
     t = side * residuals
-    log_probability = log_ndtr(t)
-    ratio = np.exp(-0.5 * t * t - 0.5 * np.log(2.0 * np.pi) - log_probability)
+    log_probability, ratio = log_ndtr(t), mills_ratio(t)
     curvature = np.sqrt(np.maximum(ratio * (ratio + t), 0.0))
     root = np.sqrt(np.maximum(-2.0 * log_probability, 0.0))
     # both vanish where the model is far on the right side

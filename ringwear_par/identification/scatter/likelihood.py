@@ -16,8 +16,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import log_ndtr
 
-from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.identification.model.noise import NuisanceProjection
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.identification.model.noise import NuisanceProjection, mills_ratio
 
 #: of factors that stand for limits: most sweeps, share of a move, and moves that are none; least
 #: share of a variance, for round-off
@@ -183,6 +183,8 @@ class Solutions:
     #: integrated, and at their best
     restricted: FloatArray
     marginal: FloatArray
+    #: (G,) bool, whether the factors that stand for limits have settled
+    settled: BoolArray
 
 
 class MixedModel:
@@ -255,9 +257,9 @@ class MixedModel:
         diagonal = np.arange(len(self._right))
         hessian[:, diagonal, diagonal] += self.precision
         right = scale * self._right + self._prior_right
-        beyond = np.zeros(len(tau))
+        beyond, settled = np.zeros(len(tau)), np.ones(len(tau), dtype=bool)
         if len(self._limit_rows):
-            beyond = self._add_limits(hessian, right, scale)
+            beyond, settled = self._add_limits(hessian, right, scale)
         factor = np.linalg.cholesky(hessian)
         inverse = np.linalg.inv(factor)
         covariance = np.swapaxes(inverse, 1, 2) @ inverse
@@ -268,10 +270,12 @@ class MixedModel:
         log_determinant = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         groups = np.linalg.slogdet(hessian[:, m:, m:])[1]
         restricted = square + log_determinant + self._log_nuisances
-        return Solutions(tau, effects, covariance, restricted, square + groups)
+        return Solutions(tau, effects, covariance, restricted, square + groups, settled)
 
-    def _add_limits(self, hessian: FloatArray, right: FloatArray, scale: FloatArray) -> FloatArray:
-        """Add what limits say to the normal equations, and return what to -2 log likelihood, (G,).
+    def _add_limits(
+        self, hessian: FloatArray, right: FloatArray, scale: FloatArray
+    ) -> tuple[FloatArray, BoolArray]:
+        """Add what limits say to the normal equations; return their share of -2 log likelihood.
 
         A limit cuts the distribution of what it is of, which scatters by more than its noise: its
         mode says little. Each is replaced by the normal factor that has the same moments beside all
@@ -281,6 +285,10 @@ class MixedModel:
         ----------
         hessian, right : (G, m + groups, m + groups) and (G, m + groups), changed in place.
         scale : (G, m + groups), see ``scales``.
+
+        Returns
+        -------
+        The share, (G,), and whether the factors have settled, (G,).
         """
         rows = scale[:, None, :] * self._limit_rows
         precision, shift = np.zeros((2, *rows.shape[:2]))
@@ -291,26 +299,28 @@ class MixedModel:
             mean = np.einsum("gli,gi->gl", across, right + np.einsum("gl,gli->gi", shift, rows))
             variance = np.einsum("gli,gli->gl", across, rows)
             # without the limit itself
-            rest = 1.0 / np.maximum(1.0 / variance - precision, _LEAST / variance)
-            rest_mean = rest * (mean / variance - shift)
-            root = np.sqrt(1.0 + rest)
-            z = (self._limit_offsets + rest_mean) / root
-            log_probability = log_ndtr(z)
-            ratio = np.exp(-0.5 * z * z - 0.5 * np.log(2.0 * np.pi) - log_probability)
-            cut_mean = rest_mean + rest * ratio / root
-            cut = rest - rest**2 * ratio * (z + ratio) / (1.0 + rest)
-            cut = np.maximum(cut, _LEAST * rest)
-            new = 1.0 / cut - 1.0 / rest
+            cavity_variance = 1.0 / np.maximum(1.0 / variance - precision, _LEAST / variance)
+            cavity_shift = mean / variance - shift
+            cavity_mean = cavity_variance * cavity_shift
+            root = np.sqrt(1.0 + cavity_variance)
+            z = (self._limit_offsets + cavity_mean) / root
+            ratio = mills_ratio(z)
+            cut_mean = cavity_mean + cavity_variance * ratio / root
+            lost = cavity_variance * ratio * (z + ratio) / (1.0 + cavity_variance)
+            cut = cavity_variance * np.maximum(1.0 - lost, _LEAST)
+            new = 1.0 / cut - 1.0 / cavity_variance
             move = _DAMPED * (new - precision)
             precision = precision + move
-            shift = shift + _DAMPED * (cut_mean / cut - rest_mean / rest - shift)
-            if (np.abs(move) < _STILL * (1.0 / variance + new)).all():
+            shift = shift + _DAMPED * (cut_mean / cut - cavity_shift - shift)
+            settled = (np.abs(move) < _STILL * (1.0 / variance + new)).all(axis=1)
+            if settled.all():
                 break
         hessian += np.einsum("gli,gl,glj->gij", rows, precision, rows, optimize=True)
         right += np.einsum("gl,gli->gi", shift, rows)
-        factor = (rest_mean / rest + shift) ** 2 / (1.0 / rest + precision) - rest_mean**2 / rest
-        log_factor = 0.5 * (factor - np.log1p(precision * rest))
-        return -2.0 * (log_probability - log_factor).sum(axis=1)
+        factor = (cavity_shift + shift) ** 2 / (1.0 / cavity_variance + precision)
+        factor -= cavity_shift * cavity_mean
+        log_factor = 0.5 * (factor - np.log1p(precision * cavity_variance))
+        return -2.0 * (log_ndtr(z) - log_factor).sum(axis=1), settled
 
 
 def of_new_specimen(information: FloatArray, variances: FloatArray) -> FloatArray:

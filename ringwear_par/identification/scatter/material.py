@@ -39,6 +39,8 @@ _MOST_BENT = 0.2
 _DRAWS = 100_000
 #: number of groups up to which the prior says more about a size than they do
 _FEW = 2
+#: probability of the sizes at which limits have not settled from which a warning tells of it
+_UNSETTLED = 0.01
 #: relative half width of the material's interval that specimens are counted for, and most specimens
 _WANTED, _MOST_SPECIMENS = 0.10, 10_000
 
@@ -263,6 +265,15 @@ class Material:
                 "are from its last round; fit fewer keys, or add priors"
             )
             warnings.append(ValidityWarning("scatter-not-converged", text))
+        posterior = self.mixed.posterior
+        unsettled = float(posterior.weights @ ~posterior.solutions.settled)
+        if unsettled > _UNSETTLED:
+            text = (
+                "the iteration over readings that are limits has not converged for "
+                f"{100.0 * unsettled:.2g} % of what is known of the sizes of scatters: numbers of "
+                "the material are rough; check the limits farthest from the other readings"
+            )
+            warnings.append(ValidityWarning("limits-not-settled", text))
         for key, parameter in enumerate(self.parameters):
             for i in self.levels_of(key):
                 count, plural = len(self.names[i]), PLURALS[self._name(i)]

@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import log_ndtr, logsumexp, ndtr
 from scipy.stats import t as student_t
 
 from ringwear_par.arrays import FloatArray
@@ -59,10 +59,13 @@ class Mixture:
         spread = self.variances + (self.means - self.mean) ** 2
         return float(np.sqrt(self.weights @ spread))
 
-    def probability(self, low: float, high: float) -> float:
-        """Return the probability between two numbers."""
-        ends = [(end - self.means) / np.sqrt(self.variances) for end in (low, high)]
-        return float(self.weights @ (ndtr(ends[1]) - ndtr(ends[0])))
+    def log_probability(self, low: float, high: float) -> float:
+        """Return the logarithm of the probability between two numbers, however far off they are."""
+        ends = (np.array([[low], [high]]) - self.means) / np.sqrt(self.variances)
+        ends = np.where(ends[0] > 0.0, -ends[::-1], ends)  # upper tails as lower ones
+        below_low, below_high = log_ndtr(ends)
+        between = below_high + np.log1p(-np.exp(below_low - below_high))
+        return float(logsumexp(between, b=self.weights))
 
     def quantile(self, probability: float) -> float:
         """Return the number below which the mixture has a probability, between 0 and 1."""

@@ -97,7 +97,7 @@ def _is_whole(path: Path, inode: int, size: int, changed: int) -> bool:
         ending = file.read()
         if not ending.startswith(_SEAL):
             if not h5py.is_hdf5(path):
-                return True  # who opens it says so
+                return True  # the reader reports it
             log.warning("%s: carries no checksum (another program wrote it): not verified", path)
             return True
         return ending[len(_SEAL) :] == b"%0*x\n" % (_DIGITS, _checksum(file, size - _SEAL_BYTES))

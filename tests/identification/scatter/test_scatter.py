@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from ringwear_par.identification.scatter import likelihood
 from ringwear_par.identification.scatter.likelihood import (
     Level,
     Limits,
@@ -145,6 +146,16 @@ def test_quantiles_of_a_mixture():
     assert far.sd == pytest.approx(np.sqrt(101.0))
 
 
+def test_probabilities_of_a_mixture_far_off():
+    """Where they are no numbers but 0 or 1, on both sides, their logarithms are."""
+    mixture = Mixture(np.array([0.25, 0.75]), np.array([0.0, 1e3]), np.array([1.0, 1.0]))
+    near, far = norm.logcdf(1.0) + np.log1p(-norm.cdf(-1.0) / norm.cdf(1.0)), norm.logsf(40.0)
+    assert mixture.log_probability(-1.0, 1.0) == pytest.approx(np.log(0.25) + near)
+    assert mixture.log_probability(40.0, 90.0) == pytest.approx(np.log(0.25) + far)
+    assert mixture.log_probability(-90.0, -40.0) == pytest.approx(np.log(0.25) + far)
+    assert mixture.log_probability(910.0, 960.0) == pytest.approx(np.log(0.75) + far)
+
+
 @pytest.mark.parametrize(("tau", "count", "half_width"), [(0.12, 5, 15.0), (0.3, 3, 42.0)])
 def test_intervals_hold_the_material_the_size_and_the_next_specimen(tau, count, half_width):
     """Coverage of 300 sets, to four standard deviations of it; one value for all holds in 0.25."""
@@ -172,18 +183,26 @@ def test_intervals_hold_the_material_the_size_and_the_next_specimen(tau, count, 
     assert np.median(widths) == pytest.approx(half_width, rel=0.1)
 
 
-def test_limits_cut_what_scatters():
-    """Half of the specimens are known to be below a limit only, by quadrature over the material."""
-    values, limit, sd = np.array([0.1, 0.35, -0.05]), -0.1, 0.03
+@pytest.mark.parametrize(
+    ("limit", "sd", "sizes"), [(-0.1, 0.03, (0.1, 0.25, 0.6)), (-3.0, 1e-5, (1e-4, 0.01, 1.0))]
+)
+def test_limits_cut_what_scatters(limit, sd, sizes, monkeypatch):
+    """Half of the specimens are known to be below a limit only, by quadrature over the material.
+
+    Also where that is far off.
+    """
+    values = np.array([0.1, 0.35, -0.05])
     known = [ReducedTest(np.eye(1) / sd**2, v / sd**2 * np.ones(1), (v / sd) ** 2, 0.0)
              for v in values]  # fmt: skip
     below = Limits(np.array([limit / sd]), np.array([[-1.0 / sd]]))
     nothing = ReducedTest(np.zeros((1, 1)), np.zeros(1), 0.0, 0.0)
     tests = [*known, *[replace(nothing, limits=below)] * 3]
-    level, tau = Level(0, "specimen", np.arange(6)), np.array([0.1, 0.25, 0.6])
-    solved = MixedModel(tests, [level], np.zeros(1), np.zeros(1)).solve(tau[:, None])
-    beta = np.linspace(-4.0, 4.0, 40_001)
+    level, tau = Level(0, "specimen", np.arange(6)), np.array(sizes)
+    model = MixedModel(tests, [level], np.zeros(1), np.zeros(1))
+    solved = model.solve(tau[:, None])
+    assert solved.settled.all()
     for i, spread in enumerate(np.hypot(tau, sd)):
+        beta = np.linspace(min(limit, -0.05) - 8.0 * spread, 0.35 + 8.0 * spread, 400_001)
         logs = norm.logpdf(values[:, None], beta, spread).sum(axis=0)
         logs += 3.0 * norm.logcdf((limit - beta) / spread)
         density = np.exp(logs - logs.max())
@@ -194,7 +213,9 @@ def test_limits_cut_what_scatters():
         mass = logs.max() + np.log(density.sum() * (beta[1] - beta[0]))
         # in units of the noise, and with a constant of three readings less one unknown
         mass += 3.0 * np.log(sd) + 0.5 * 2.0 * np.log(2.0 * np.pi)
-        assert -0.5 * solved.restricted[i] == pytest.approx(mass, abs=0.01)
+        assert -0.5 * solved.restricted[i] == pytest.approx(mass, abs=0.01, rel=1e-8)
+    monkeypatch.setattr(likelihood, "_MOST_SWEEPS", 2)
+    assert not model.solve(tau[:, None]).settled.any()
 
 
 def test_unknowns_that_tests_know_well_and_far_from_zero():

@@ -26,6 +26,7 @@ import ringwear_par as rw
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fitted_values import fitted_values
+from ringwear_par.identification.scatter import likelihood
 from ringwear_par.prediction.draws import draw_values
 
 SPECIMENS, SCATTER = 5, 0.2
@@ -232,6 +233,19 @@ def test_bounds_of_the_material(tables):
     assert (p0["estimate"], p0["verdict"]) == (50.0, "at bound")
     assert p0["interval"][0] is None
     assert p0["interval"][1] > 50.0
+
+
+@pytest.mark.serial
+def test_limits_that_do_not_settle_are_doubted(tables, monkeypatch):
+    limited = with_scatter(tables)
+    del limited["fit"]["parameters"][P0]
+    limited["fit"]["starts"] = 1
+    limited["experiment"][0]["data"] = [
+        {"quantity": "mass.lower", "value": 0.1, "unit": "mg", "density": 7.8e-3, "sd": 0.05,
+         "censored": "below"}
+    ]  # fmt: skip
+    monkeypatch.setattr(likelihood, "_MOST_SWEEPS", 3)
+    assert "limits-not-settled" in {d.code for d in rw.fit(limited, MPI.COMM_SELF).doubts}
 
 
 @pytest.mark.serial
