@@ -32,7 +32,7 @@ def rate_errors(
 
 def propagate(
     count: Count, n: Count, errors: Reals, changes: Reals, memory: Reals, with_memory: Count,
-    before: Reals, lacking: Real, kept: Real, defects: Reals, propagated: Reals,
+    before: Reals, bend_factor: Real, factor_before: Real, defects: Reals, propagated: Reals,
 ) -> None:  # fmt: skip
     """Set the filtered error of steps, and what two others become, (2, B, n) mm.
 
@@ -43,8 +43,8 @@ def propagate(
         bend, carried = errors[size + k], errors[2 * size + k]
         more = memory[k] - 1.0 if with_memory else 0.0
         defects[k] = errors[k] + changes[k]
-        propagated[k] = (more * bend + changes[size + k]) * lacking
-        propagated[size + k] = (more * carried + changes[2 * size + k]) * kept + before[k]
+        propagated[k] = (more * bend + changes[size + k]) * bend_factor
+        propagated[size + k] = (more * carried + changes[2 * size + k]) * factor_before + before[k]
 
 
 def sum_errors(

@@ -267,9 +267,8 @@ class Hessians:
         if len(rows.numbers):
             places = rows.places
             modal = products(gradient[..., places, :], self._stack.psi)
-            solved, approach[..., places] = self._modal_steps(
-                rows, modal, None if missing is None else missing.take(places, axis=-1), tolerance
-            )
+            left = None if missing is None else np.ascontiguousarray(missing[..., places])
+            solved, approach[..., places] = self._modal_steps(rows, modal, left, tolerance)
             steps[..., places, :] = products(solved, self._stack.psi_t)
         self._set_factored(histories, gradient, missing, (steps, approach))
         return steps, approach

@@ -186,6 +186,19 @@ class Measurements:
                     marks[mark] = 0 if grouped.fullmatch(cell) else line
         return marks
 
+    def perhaps_thousands(self) -> int | None:
+        """Return the first row of a table of one column with a mark before three digits alone.
+
+        None where other numbers of the whole table tell what the mark is, or there is no such row.
+        """
+        if any(self._decimals.values()):
+            return None
+        patterns = (_GROUPED, _GROUPED_BY_POINTS)
+        rows = (
+            i for i, (cell,) in enumerate(self.rows) if any(p.fullmatch(cell) for p in patterns)
+        )
+        return next(rows, None)
+
     def first_stamps(self, name: str, rows: BoolArray) -> BoolArray:
         """(rows,) bool, some rows without those whose stamp is that of the row before."""
         place, first, before = self.columns.index(name), rows.copy(), ""

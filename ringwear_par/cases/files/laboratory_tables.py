@@ -4,6 +4,7 @@ import logging
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,13 @@ from ringwear_par.cases.units import (
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.measurements import Measurements, read_measurements, unused_columns
-from ringwear_par.files.table_text import EMPTY, NUMBER
+from ringwear_par.files.measurements import (
+    Measurements,
+    and_more,
+    read_measurements,
+    unused_columns,
+)
+from ringwear_par.files.table_text import EMPTY, NUMBER, has_hours
 from ringwear_par.files.text import parse_value, shortened
 
 log = logging.getLogger(__name__)
@@ -41,6 +47,7 @@ _WORDS: dict[str, set[str]] = {
     "batch": {"batch", "charge"},
     "lab": {"lab", "labor", "laboratory"},
     "at": {"at"},
+    "censored": {"censored"},
     "load.force": {"force", "load", "F", "kraft", "last"},
     "load.pressure": {"pressure", "load", "p", "pressung", "last"},
     "load.omega": {"omega", "speed", "n", "drehzahl"},
@@ -48,6 +55,8 @@ _WORDS: dict[str, set[str]] = {
     **MASSES,
 }
 _TEXTS, _MASSES = ("name", "specimen", "batch", "lab"), (*KINDS, "sd")
+#: of a row, not of its test
+_OF_WEIGHINGS = ("at", "censored", *_MASSES)
 #: a case has one of them
 _LOADS = {"load.force", "load.pressure"}
 #: units of roles that are no key of a case
@@ -60,6 +69,7 @@ _TABLES = {path.partition(".")[0] for path in BY_PATH}
 _STATISTICS = {"mean", "average", "mittelwert", "mittel", "median", "sum", "summe", "sd", "std",
                "stdev", "stabw", "min", "max"}  # fmt: skip
 _SPEEDS = "; a speed v in m/s at a radius r is load.omega = v/r"
+_LIMITS = "; of a limit, the number, and below or above in a column named censored"
 #: in texts of ``[[tests.data]]``: the name of a column
 _PLACE = re.compile(r"\{([^{}]+)\}")
 
@@ -117,13 +127,19 @@ def laboratory_tests(
         return {}
     in_table: list[str] = []
     columns = _columns(table, names, units, worn, in_table)
-    rows = _Rows(table, columns, sd, templates, in_table)
+    if worn and not (in_table or templates["data"] or {c.role for c in columns} & {*KINDS}):
+        in_table.append(
+            f"{table.name}: has no column of masses; one must be named before, after or loss, or "
+            "tests.columns must name it"
+        )
+    rows = _Rows(table, columns, sd, templates, (base or {}).get("time.end"), in_table)
     tests = rows.check() if in_table else rows.tests()
     if worn and not in_table:
-        _name_unused(table, columns, templates)
+        _name_unused(table, columns, templates, in_table)
+        _name_thousands(table, columns)
     for fault in in_table:
         reader.fault(fault)
-    return tests
+    return {} if in_table else tests  # the other faults of its tests may follow from those
 
 
 def _texts(reader: TableReader, key: str) -> Mapping[str, str]:
@@ -132,7 +148,7 @@ def _texts(reader: TableReader, key: str) -> Mapping[str, str]:
     if not isinstance(table, Mapping) or not all(isinstance(v, str) for v in table.values()):
         reader.wrong(key, "must be a table of texts")
         return {}
-    roles = (*_TEXTS, "at", *_MASSES)
+    roles = (*_TEXTS, *_OF_WEIGHINGS)
     for role in table:
         if role not in roles and role.partition(".")[0] not in _MASSES and key_of(role) is None:
             reader.fault(
@@ -276,14 +292,42 @@ def _name_unused(
     table: Measurements,
     columns: Sequence[_Column],
     templates: Mapping[str, list[Mapping[str, Any]]],
+    faults: list[str],
 ) -> None:
-    """Warn of columns that have no role and stand in no template."""
+    """Warn of columns that have no role and stand in no template; refuse speeds that differ."""
     used = {table.columns[column.place] for column in columns}
     for template in (template for tables in templates.values() for template in tables):
         used |= {name for text in template.values() for name in _PLACE.findall(str(text))}
     if unused := [name for name in table.columns if name and name not in used]:
-        speeds = any(unit_of_column(table.label(name), "m/s") for name in unused)
-        log.warning("%s: %s%s", table.name, unused_columns(unused), _SPEEDS * speeds)
+        speeds = [name for name in unused if unit_of_column(table.label(name), "m/s")]
+        log.warning("%s: %s%s", table.name, unused_columns(unused), _SPEEDS * bool(speeds))
+        if all(column.role != "load.omega" for column in columns):
+            faults += [
+                f"{table.name}: {legible(name)}: is not read, and its tests differ in it; must be "
+                f"a column of load.omega{_SPEEDS}"
+                for name in speeds
+                if len({row[table.columns.index(name)] for row in table.rows} - EMPTY) > 1
+            ]
+
+
+def _name_thousands(table: Measurements, columns: Sequence[_Column]) -> None:
+    """Warn of numbers whose decimal mark may separate thousands."""
+    for column in columns:
+        cells = table.column(column.place)
+        row = None if column.role in (*_TEXTS, "censored") else cells.perhaps_thousands()
+        if row is not None:
+            cell = cells.rows[row][0]
+            log.warning(
+                "%s: line %d: %s = %s is read as %g; if thousands are meant, it must be %s",
+                table.name, table.lines[row], legible(cells.columns[0]), cell,
+                float(cell.replace(",", ".")), cell.replace(",", "").replace(".", ""),
+            )  # fmt: skip
+
+
+def _in(value: str, unit: str) -> float:
+    """Return a number with a unit in another unit."""
+    number, written = number_and_unit(value)
+    return number * factor(written, unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,6 +340,8 @@ class _Rows:
     sd: str | None
     #: of ``[[tests.data]]`` and ``[[tests.input]]``
     templates: Mapping[str, list[Mapping[str, Any]]]
+    #: time.end of tests that do not tell it, as the case has it
+    end: Any
     #: each with the line or the column
     faults: list[str]
 
@@ -313,11 +359,26 @@ class _Rows:
             else:
                 self._fault(number, "names no test; must begin with a name")
         tests = {}
+        late: dict[int, float] = {}
         for name, numbers in rows.items():
-            before, test = len(self.faults), self._test(name, numbers)
+            before, test = len(self.faults), self._test(name, numbers, late)
             if len(self.faults) == before:
                 tests[f"{self.table.name}: line {self.table.lines[numbers[0]]}"] = test
+        if late:
+            self._refuse_late(late)
         return tests
+
+    def _refuse_late(self, late: Mapping[int, float]) -> None:
+        """Refuse weighings after the end of their test."""
+        place = next(column.place for column in self.columns if column.role == "at")
+        number, end = next(iter(late.items()))
+        cell = self.table.rows[number][place]
+        hint = ", and count from its start; it must not be a time of day" * has_hours(cell)
+        self._fault(
+            number,
+            f"{legible(self.table.columns[place])} = {legible(cell)}{and_more(len(late), 'line')}: "
+            f"must be within the test, which ends at {end:g} s{hint}",
+        )
 
     def check(self) -> dict[str, dict[str, Any]]:
         """Check all cells of the columns that are right; return no tests."""
@@ -329,11 +390,12 @@ class _Rows:
     def _fault(self, number: int, sentence: str) -> None:
         self.faults.append(f"{self.table.name}: line {self.table.lines[number]}: {sentence}")
 
-    def _test(self, name: str, numbers: list[int]) -> dict[str, Any]:
-        """Return the keys of a test, of its rows."""
+    def _test(self, name: str, numbers: list[int], late: dict[int, float]) -> dict[str, Any]:
+        """Return the keys of a test, of its rows; add those after its end to the late ones."""
+        before = len(self.faults)
         test: dict[str, Any] = {"name": name, "set": {}}
         for column in self.columns:
-            if column.role in ("name", "at", *_MASSES):
+            if column.role in ("name", *_OF_WEIGHINGS):
                 continue
             value = self._value(column, numbers[0])
             for number in numbers[1:]:
@@ -350,14 +412,54 @@ class _Rows:
             test[key] = [table for table in tables if table is not None]
         for body in BODIES:
             columns = [column for column in self.columns if column.body == body]
-            test["data"] += [
-                reading
+            weighed = {
+                n: reading
                 for n in numbers
                 if columns and (reading := self._weighed(columns, body, n, numbers[0], name))
-            ]
+            }
+            test["data"] += weighed.values()
+            if len(self.faults) == before:
+                self._check_order(name, weighed, test["set"].get("time.end", self.end), late)
         if not test["data"]:
             self._fault(numbers[0], f"{legible(name)}: has no reading; must have a mass at least")
         return test
+
+    def _check_order(
+        self, name: str, weighed: Mapping[int, Mapping[str, Any]], end: Any, late: dict[int, float]
+    ) -> None:
+        """Refuse two weighings of one time; warn of losses that fall by more than their noise.
+
+        Parameters
+        ----------
+        weighed : of one body, by their rows.
+        end : of the test, as a case has it; rows after it are added to the late ones, with it.
+        """
+        try:
+            last = float(BY_PATH["time.end"].value(end))
+        except RejectedError:  # is reported elsewhere
+            return
+        times = {n: _in(reading["at"], "s") if "at" in reading else last
+                 for n, reading in weighed.items()}  # fmt: skip
+        late |= {n: last for n, time in times.items() if time > last}
+        ordered = sorted(times, key=lambda n: times[n])
+        for n, following in pairwise(ordered):
+            if times[n] == times[following]:
+                self._fault(
+                    max(n, following),
+                    f"{legible(name)}: is weighed at the time of line "
+                    f"{self.table.lines[min(n, following)]} again; readings of one weighing must "
+                    "stand in one row",
+                )
+                continue
+            earlier, later = weighed[n], weighed[following]
+            fall = _in(earlier["value"], "g") - _in(later["value"], "g")
+            noise = _in(earlier["sd"], "g") + _in(later["sd"], "g")
+            if fall > noise and not {"censored"} & {*earlier, *later}:
+                log.warning(
+                    "%s: line %d: %s has lost %s, and %s before (line %d), which is more than "
+                    "noise; look at both", self.table.name, self.table.lines[following],
+                    legible(name), later["value"], earlier["value"], self.table.lines[n],
+                )  # fmt: skip
 
     def _weighed(
         self, columns: Sequence[_Column], body: str, number: int, first: int, name: str
@@ -403,7 +505,12 @@ class _Rows:
             "quantity": f"mass.{body}",
             "value": f"{round(weighing.loss, _DIGITS) / factor(unit, 'g'):.12g} {unit}", "sd": sd,
         }  # fmt: skip
-        at = next((self._value(c, number) for c in self.columns if c.role == "at"), None)
+        at, limit = (
+            next((self._value(c, number) for c in self.columns if c.role == role), None)
+            for role in ("at", "censored")
+        )
+        if limit is not None:
+            reading["censored"] = limit
         if at is None and number != first:
             self._fault(
                 number,
@@ -420,10 +527,17 @@ class _Rows:
                     self.faults.append(fault)
                     return None
                 cell = self.table.rows[number][self.table.columns.index(name)]
+                if cell.lower() in EMPTY and key == "censored":  # a value
+                    del completed[key]
+                    break
                 if cell.lower() in EMPTY:
                     return None
                 number_cell = cell.replace(",", ".")
-                cell = number_cell if NUMBER.fullmatch(number_cell) else cell
+                is_number = NUMBER.fullmatch(number_cell) is not None
+                if is_number and key != "file" and text == f"{{{name}}}":
+                    completed[key] = float(number_cell)
+                    break
+                cell = number_cell if is_number else cell
                 completed[key] = completed[key].replace(f"{{{name}}}", cell)
         return completed
 
@@ -433,7 +547,7 @@ class _Rows:
         cell = cells.rows[number][0]
         if cell.lower() in EMPTY:
             return None
-        if column.role in _TEXTS:
+        if column.role in (*_TEXTS, "censored"):
             return cell
         if not column.unit and not NUMBER.fullmatch(cell.replace(",", ".")):
             return parse_value(cell)
@@ -441,7 +555,8 @@ class _Rows:
         try:
             (read,) = cells.numbers(cells.columns[0], np.arange(len(cells.rows)) == number, hour)
         except InputError as error:
-            self._add(error.faults)
+            hint = _LIMITS * (column.role in KINDS and cell[0] in "<>\u2264\u2265")
+            self._add([fault + hint for fault in error.faults])
             return None
         value = parse_value(cell) if cell.isdigit() else float(read)
         if column.unit:

@@ -337,8 +337,8 @@ def read_censored(reader: TableReader, readings: Readings) -> IntArray | None:
         return np.full(len(readings.value), _SIDES[word])
     data = readings.data
     if data is None or readings.rows is None or word not in data.columns:
-        where = "" if data is None else f" or a column of {data.name}"
-        reader.wrong("censored", f'must be "below", "above"{where}')
+        where = "" if data is None else f", or a column of {data.name}"
+        reader.wrong("censored", f'must be "below" or "above"{where}')
         return None
     place = data.columns.index(word)
     cells = [data.rows[i][place].strip() for i in np.flatnonzero(readings.rows).tolist()]

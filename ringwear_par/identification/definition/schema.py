@@ -353,11 +353,12 @@ KEYS: tuple[Key, ...] = (
         "masses, with their units in their names (F / N) or in a row below. Several rows of one "
         "name are weighings of one test, each with its time (at)"),
     *file_keys("tests"),
-    Key("tests.columns", *anything("texts for name, specimen, batch, lab, at, before, after, loss, "
-        "sd (of a body: loss.lower) and case keys"), "-",
+    Key("tests.columns", *anything("texts for name, specimen, batch, lab, at, censored, before, "
+        "after, loss, sd (of a body: loss.lower) and case keys"), "-",
         "names of the columns of file; default: usual names, such as force, load, F, Last; "
         "pressure, p; speed, n, Drehzahl; duration, Dauer; specimen, batch, lab; before, after, "
-        "loss and sd (of the loss) of masses; and the names of case keys", None),
+        "loss and sd (of the loss) of masses; censored (below or above) of those that are limits; "
+        "and the names of case keys", None),
     Key("tests.units", *anything("as tests.columns"), "-",
         "units of the columns of file, as pint writes them; default: those in the columns' names. "
         "A column named as a case key may have none: its cells are as in a case file", None),
@@ -366,7 +367,8 @@ KEYS: tuple[Key, ...] = (
         "that of the loss; a loss is of two weighings", None),
     Key("tests.data", *anything("tables, as experiment.data"), "-",
         "further readings of all tests; {COLUMN} in a text is the cell of that column, and a test "
-        "where it is empty has no such readings: file = \"{record}\"", None),
+        "where it is empty has no such readings: file = \"{record}\"; a cell alone is a number "
+        "where it looks like one, and censored may be empty", None),
     Key("tests.input", *anything("tables, as experiment.input"), "-",
         "measured inputs of all tests, as tests.data", None),
     Key("compare.NAME.set", *_CASE_KEYS, "-",

@@ -159,12 +159,20 @@ def test_columns_that_are_named_leave_no_other_of_theirs(folder, caplog):
         ("Probe", "load.pressure", "the columns load.pressure and p may both be of load.pressure"),
         ("Schrieb", "Datei", 'has no column Schrieb for file = "'),
         (";at;", ";when;", "line 5: has no time; several weighings of A must have a column at"),
+        (";90;", ";50;", "line 5: A: is weighed at the time of line 4 again; readings of one weig"),
+        (";90;", ";100;", "line 5: at = 100: must be within the test, which ends at 90 s"),
+        (";90;", ";9:15:00;", "at = 9:15:00: must be within the test, which ends at 90 s, and co"),
+        ("10992,1", "<15", "nach = <15: must be a number, or empty; of a limit, the number, and"),
+        (";vor;nach;", ";a;b;", "tests.csv: has no column of masses; one must be named before"),
+        ("p;n;Dauer", "p;v / (m/s);Dauer", "v / (m/s): is not read, and its tests differ in it"),
     ],
 )  # fmt: skip
 def test_rows_that_are_refused(old, new, said, folder):
-    with pytest.raises(InputError) as caught:
-        read_fit(in_table(folder, TABLE.replace(old, new)))
-    assert said in str(caught.value)
+    text = TABLE.replace(old, new)
+    if "v / (m/s)" in new:
+        text = text.replace("rad/s", "-").replace("85;3,5", "85;7")
+    keys = {"data": []} if new == ";a;b;" else {}
+    assert said in "\n".join(refused(in_table(folder, text, **keys)))
 
 
 @pytest.mark.parametrize(
@@ -187,6 +195,38 @@ def test_keys_that_are_refused(keys, said, folder):
     with pytest.raises(InputError) as caught:
         read_fit(in_table(folder, **keys))
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            TABLE.replace("12348,5", "12349,7"),
+            "line 5: A has lost 0.3 mg, and 0.8 mg before (line 4), which is more than noise",
+        ),
+        (
+            "Test;Dauer / s;loss / mg;sd / mg;lower.density / (kg/m3)\nA;1.000;5;1;1900\n"
+            "B;2.000;5;1;1900\n",
+            "line 2: Dauer / s = 1.000 is read as 1; if thousands are meant, it must be 1000",
+        ),
+    ],
+)
+def test_cells_that_are_suspicious(text, said, folder, caplog):
+    read_fit(in_table(folder, text, data=[]))
+    assert said in caplog.text
+
+
+def test_limits_stand_in_a_column_or_in_a_template(folder):
+    text = TABLE.replace("Bemerkung", "censored").replace("z1.csv;ok", "z1.csv;below")
+    series = read_fit(in_table(folder, text.replace("laut", ""), data=[])).experiments[0].series
+    assert [None if s.censored is None else s.censored.tolist() for s in series] == [[-1], None]
+    text = "Test;p / MPa;m;side;lower.density / (g/cm3)\nA;40;0,8;below;1,9\nB;50;1,5;;1,9\n"
+    template = {"quantity": "mass.lower", "value": "{m}", "unit": "mg", "sd": 0.1,
+                "censored": "{side}"}  # fmt: skip
+    first, second = read_fit(in_table(folder, text, data=[template])).experiments
+    assert first.series[0].censored.tolist() == [-1]
+    assert second.series[0].censored is None
+    assert second.series[0].value == pytest.approx([1.5e-3])
 
 
 def test_a_duration_may_be_a_clock_time(folder):
