@@ -127,6 +127,7 @@ def test_a_posterior_that_bends_is_followed(tables):
     low, high = found.to_dict()["parameters"][P0]["interval"]
     assert doubt.values["low"] < low
     assert doubt.values["high"] < high  # histories bend most near the lower load
+    assert " MPa where histories" in doubt.text
     # what is beyond the bounds of any key is left out, as predictions do
     bounds = (doubt.values["low"], 200.0)
     keys = tuple(replace(p, bounds=bounds) if p.key == P0 else p for p in found.material.parameters)
@@ -253,6 +254,7 @@ def test_limits_that_do_not_settle_are_doubted(tables, monkeypatch):
     ("scatter", "sentence"),
     [
         (0.0, "specimen = 0.0: must be \"fit\", or a number > 0"),
+        ("15 %", 'specimen = "15 %": must be 0.15, which is 15 %'),
         (3.5, "specimen = 3.5: must be at most 3 (standard deviation of the log"),
         ({"specimn": 0.1}, "specimn: unknown key (did you mean specimen?)"),
         ({"start": 0.1}, "must have one of specimen, batch, lab"),
