@@ -129,7 +129,7 @@ def test_toml_is_read_as_the_program_reads_it(page, examples):
     whole_fit = ""
     for number, block in enumerate(blocks(page, "toml")):
         tables = parse_toml(block, page.name)
-        if {"fit", "experiment"} & tables.keys():
+        if {"fit", "experiment", "compare"} & tables.keys():
             file = examples / "fit" / f"block_{number}.toml"
             # a table of an experiment is of the last one of the fit before it
             whole_fit = block if "fit" in tables else f"{whole_fit}\n{block}"

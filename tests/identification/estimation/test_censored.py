@@ -189,7 +189,7 @@ def test_a_layer_that_is_not_through(tables):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"censored": "limits"}, 'censored = "limits": must be "below", "above" or a column of'),
+        ({"censored": "limits"}, 'censored = "limits": must be "below" or "above", or a column'),
         ({"censored": "z_um"}, "z_um = "),
         ({"correlation_time": 2.0}, "censored: must be absent with correlation_time"),
     ],
