@@ -64,7 +64,8 @@ class RowProducts:
                 self._repeated[times] = RowProducts(np.tile(self._which, times))
             flat = rows.reshape(-1, n)
             return self._repeated[times].of(flat, matrices).reshape(*rows.shape[:-1], k)
-        flat = rows.reshape(-1, n)
+        # of rows that do not lie in memory one after another NumPy makes products without BLAS
+        flat = np.ascontiguousarray(rows.reshape(-1, n))
         count = len(flat)
         if self._slots is None:
             whole, matrix = count // ROWS * ROWS, matrices[self._only]
