@@ -47,12 +47,6 @@ def largest(values: FloatArray) -> FloatArray:
     return rows[np.arange(len(rows)), rows.argmax(axis=1)].reshape(values.shape[:-1])
 
 
-def smallest(values: FloatArray) -> FloatArray:
-    """Return the smallest of each row, see ``largest``."""
-    rows = values.reshape(-1, values.shape[-1])
-    return rows[np.arange(len(rows)), rows.argmin(axis=1)].reshape(values.shape[:-1])
-
-
 def share(weights: FloatArray, which: BoolArray) -> Any:
     """Return the share of weights (n,) where it is so, (..., n): a float, or (...).
 
