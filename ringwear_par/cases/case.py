@@ -107,7 +107,7 @@ class Stepping:
     @property
     def adaptive(self) -> bool:
         """Whether steps are chosen by the tolerances."""
-        return SCHEMES[self.scheme]
+        return SCHEMES[self.scheme].adaptive
 
     @property
     def end(self) -> float:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 from ringwear_par.cases.tables import Key
 from ringwear_par.cases.units import in_signs
@@ -35,8 +35,23 @@ from ringwear_par.elasticity.sections import SHAPE_UNITS
 from ringwear_par.wear.law import Law, Parameter, parameters_of
 from ringwear_par.wear.laws import LAWS
 
-#: values of ``time.scheme``, and whether steps are chosen by tolerances
-SCHEMES = {"implicit": False, "explicit": False, "adaptive": True}
+
+class Scheme(NamedTuple):
+    """A value of ``time.scheme``: names in ``history``, which is loaded when a case is stepped."""
+
+    #: module and function that makes a step, see ``history/schemes/step.py``
+    step: str
+    #: module and class that controls the lengths of steps, see ``history/step_control.py``
+    control: str
+    #: whether the control chooses the lengths by tolerances, to ``time.end``
+    adaptive: bool
+
+
+SCHEMES = {
+    "implicit": Scheme("schemes.euler:backward", "step_control:FixedSteps", adaptive=False),
+    "explicit": Scheme("schemes.euler:forward", "step_control:FixedSteps", adaptive=False),
+    "adaptive": Scheme("schemes.sdirk2:step", "step_control:ErrorControl", adaptive=True),
+}
 
 #: most layers of a body, and most points of a grid along r or z
 MOST_LAYERS, MOST_ON_A_SIDE = 1000, 10_000

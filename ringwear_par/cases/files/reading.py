@@ -225,7 +225,7 @@ def _stress(values: Mapping[str, Any]) -> Stress:
 
 
 def _stepping(values: Mapping[str, Any]) -> Stepping:
-    if not SCHEMES[values["time.scheme"]]:
+    if not SCHEMES[values["time.scheme"]].adaptive:
         return _of_keys(Stepping, "time", values)
     end = values["time.end"]
     if end is None:

@@ -2,7 +2,7 @@
 
 ``scheme(physics, contacts, state, end) -> Step``, for B histories with ends of their own. Schemes
 store nothing and decide nothing; a new one is a file with such a function, and a line in
-``loop.METHODS``.
+``SCHEMES`` of ``cases/schema.py``.
 """
 
 from collections.abc import Callable
