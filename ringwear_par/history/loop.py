@@ -5,27 +5,28 @@
 
 Each round every history of a batch tries a step as long as its control says. One whose try is
 rejected tries a shorter step in the next round, while the others go on, and one that has ended
-leaves its place to another case. A history ends where its step control says that it is finished; an
-observer interrupts all of them. Digits of a history do not depend on the others. One whose step
-cannot be made steps alone until it has made it, or fails with the reason.
+leaves its place to another case. A history ends where its step control says that it is finished, or
+where it reaches a limit of its case (``stop_criteria``); an observer interrupts all of them. Digits
+of a history do not depend on the others. One whose step cannot be made steps alone until it has
+made it, or fails with the reason.
 """
 
 from collections.abc import Sequence
-from importlib import import_module
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.schema import SCHEMES
+from ringwear_par.cases.schema import SCHEMES, load
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.batch import Batch
 from ringwear_par.history.ensemble import Ensemble, Method
 from ringwear_par.history.snapshots import Observer
 from ringwear_par.history.state import Start
 from ringwear_par.history.step_control import step_times_of
+from ringwear_par.history.stop_criteria import have_reached, stop_limits
 
 
 class Outcome(NamedTuple):
@@ -39,11 +40,6 @@ class Outcome(NamedTuple):
 
 def method_of(scheme: str) -> Method:
     """Return how histories of a ``time.scheme`` step: its line in ``SCHEMES``."""
-
-    def load(name: str) -> Any:
-        module, _, attribute = name.partition(":")
-        return getattr(import_module(f"ringwear_par.history.{module}"), attribute)
-
     return Method(load(SCHEMES[scheme].step), load(SCHEMES[scheme].control))
 
 
@@ -138,4 +134,5 @@ def simulate_one(
 def is_at_end(case: Case, start: Start) -> bool:
     """Tell whether a history that continues has come to the end of its case."""
     control = method_of(case.time.scheme).control.of([case], None)
-    return bool(control.finished(start.state, start.progress)[0])
+    stopped = have_reached(stop_limits([case]), start.state)
+    return bool(control.finished(start.state, start.progress)[0] or stopped[0])

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.case import CHANGED
+from ringwear_par.cases.case import CHANGED, SAME_TIME
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH, SCHEMES
 from ringwear_par.cases.values import is_number
@@ -72,6 +72,9 @@ def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple
             return f"{number.label} unknown ({number.note})"
         return f"{number_words(number.value)} {number.unit}"
 
+    ended, end = float(result.histories["time"][-1]), float(result.attributes["time_end"])
+    if result.attributes["status"] == "complete" and ended < end * (1.0 - SAME_TIME):
+        yield "ended", f"at t = {ended:g} of {end:g} s, where it reached a limit of [stop]"
     parts = ""
     if "worn_off" in numbers:
         parts = f" (worn off {text('worn_off')}, elastic {text('elastic')})"
