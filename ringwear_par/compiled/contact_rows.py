@@ -10,6 +10,67 @@ import math
 from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals
 
 
+def multiply(
+    count: Count, n: Count, k: Count, times: Count, order: Integers, which: Integers, rows: Reals,
+    matrices: Reals, products: Reals,
+) -> None:  # fmt: skip
+    """Set products (times, count, k) of rows (times, count, n) with their matrices (m, n, k).
+
+    Rows have the matrices ``which`` (count,), in whose ``order`` (count,) they are multiplied:
+    digits of a row do not depend on the others. After the products there is room for 3 more.
+    """
+    _multiply(count * times, n, k, times, count, order, which, rows, matrices, products)
+
+
+def _multiply(
+    size: Count, n: Count, k: Count, times: Count, count: Count, order: Integers, which: Integers,
+    rows: Reals, matrices: Reals, products: Reals,
+) -> None:  # fmt: skip
+    """Multiply four rows of a matrix at a time; where there are less, the first again."""
+    at = 0
+    while at < size:
+        number = which[order[at // times]]
+        row0 = at % times * count + order[at // times]
+        row1 = row2 = row3 = row0
+        out1, out2, out3 = size, size + 1, size + 2
+        at += 1
+        if at < size and which[order[at // times]] == number:
+            row1 = out1 = at % times * count + order[at // times]
+            at += 1
+            if at < size and which[order[at // times]] == number:
+                row2 = out2 = at % times * count + order[at // times]
+                at += 1
+                if at < size and which[order[at // times]] == number:
+                    row3 = out3 = at % times * count + order[at // times]
+                    at += 1
+        x0, x1, x2, x3 = row0 * n, row1 * n, row2 * n, row3 * n
+        y0, y1, y2, y3 = row0 * k, out1 * k, out2 * k, out3 * k
+        for j in range(k):
+            products[y0 + j] = products[y1 + j] = products[y2 + j] = products[y3 + j] = 0.0
+        matrix, whole = number * n * k, n // 4 * 4
+        for i in range(0, whole, 4):
+            a0, b0, c0, d0 = rows[x0 + i], rows[x0 + i + 1], rows[x0 + i + 2], rows[x0 + i + 3]
+            a1, b1, c1, d1 = rows[x1 + i], rows[x1 + i + 1], rows[x1 + i + 2], rows[x1 + i + 3]
+            a2, b2, c2, d2 = rows[x2 + i], rows[x2 + i + 1], rows[x2 + i + 2], rows[x2 + i + 3]
+            a3, b3, c3, d3 = rows[x3 + i], rows[x3 + i + 1], rows[x3 + i + 2], rows[x3 + i + 3]
+            m = matrix + i * k
+            for j in range(k):
+                a, b = matrices[m + j], matrices[m + k + j]
+                c, d = matrices[m + 2 * k + j], matrices[m + 3 * k + j]
+                products[y0 + j] = products[y0 + j] + a0 * a + b0 * b + c0 * c + d0 * d
+                products[y1 + j] = products[y1 + j] + a1 * a + b1 * b + c1 * c + d1 * d
+                products[y2 + j] = products[y2 + j] + a2 * a + b2 * b + c2 * c + d2 * d
+                products[y3 + j] = products[y3 + j] + a3 * a + b3 * b + c3 * c + d3 * d
+        for i in range(whole, n):
+            a0, a1, a2, a3 = rows[x0 + i], rows[x1 + i], rows[x2 + i], rows[x3 + i]
+            for j in range(k):
+                a = matrices[matrix + i * k + j]
+                products[y0 + j] += a0 * a
+                products[y1 + j] += a1 * a
+                products[y2 + j] += a2 * a
+                products[y3 + j] += a3 * a
+
+
 def gradient(
     count: Count, n: Count, rows: Integers, which: Integers, gaps: Reals, approaches: Reals,
     depths: Reals, weights: Reals, products: Reals, gradients: Reals,

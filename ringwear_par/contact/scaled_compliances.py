@@ -68,6 +68,11 @@ class Differences:
         """(m,) weights of references over those of the compliances."""
         return np.sqrt(self.share)
 
+    @cached_property
+    def transposed_factors(self) -> FloatArray:
+        """(f, rank, n) Q'."""
+        return np.ascontiguousarray(self.factors.transpose(0, 2, 1))
+
     @property
     def rank(self) -> int:
         """Columns of Q."""
@@ -238,7 +243,7 @@ class ComplianceProducts:
         inside = self._groups.of(self._groups.of(q, more.factors), more.cores)
         inside = inside.reshape(*q.shape[:-1], -1, more.rank)
         inside = np.einsum("hp,...hpr->...hr", self._polynomials, inside)
-        return self._groups.of(inside, more.factors.transpose(0, 2, 1))
+        return self._groups.of(inside, more.transposed_factors)
 
     def symmetric(self, q: FloatArray) -> FloatArray:
         """Return A q, (..., h, n)."""
