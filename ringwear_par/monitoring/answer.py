@@ -6,6 +6,7 @@ from typing import Any
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import in_signs, with_signs
+from ringwear_par.errors import counted
 from ringwear_par.identification.summary import users_numbers
 from ringwear_par.pictures.panel import Axis, Band, Curve, Panel
 from ringwear_par.pictures.style import COLOURS
@@ -137,7 +138,7 @@ class Answer:
     def lines(self) -> list[str]:
         """Return the answer in lines of text."""
         goal, share = self.goal, f"{100 * self.level:g} %"
-        lines = [f"{self.test}: {self.readings} readings to {self._at(self.time)} of "
+        lines = [f"{self.test}: {counted(self.readings, 'reading')} to {self._at(self.time)} of "
                  f"{self._at(self.end)}"]  # fmt: skip
         for key, key_answer in self.keys.items():
             numbers, unit = users_numbers(key_answer.to_dict())

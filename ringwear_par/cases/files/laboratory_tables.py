@@ -67,7 +67,6 @@ _TABLES = {path.partition(".")[0] for path in BY_PATH}
 _STATISTICS = {"mean", "average", "mittelwert", "mittel", "median", "sum", "summe", "sd", "std",
                "stdev", "stabw", "min", "max"}  # fmt: skip
 _SPEEDS = "; a speed v in m/s at a radius r is load.omega = v/r"
-_LIMITS = "; of a limit, the number, and below or above in a column named censored"
 #: in texts of ``[[tests.data]]``: the name of a column
 _PLACE = re.compile(r"\{([^{}]+)\}")
 
@@ -418,7 +417,7 @@ class _Rows:
             test["data"] += weighed.values()
             if len(self.faults) == before:
                 self._check_order(name, weighed, test["set"].get("time.end", self.end), late)
-        if not test["data"]:
+        if not test["data"] and len(self.faults) == before:
             self._fault(numbers[0], f"{legible(name)}: has no reading; must have a mass at least")
         return test
 
@@ -553,8 +552,7 @@ class _Rows:
         try:
             (read,) = cells.numbers(cells.columns[0], np.arange(len(cells.rows)) == number, hour)
         except InputError as error:
-            hint = _LIMITS * (column.role in KINDS and cell[0] in "<>\u2264\u2265")
-            self._add([fault + hint for fault in error.faults])
+            self._add(error.faults)
             return None
         value = parse_value(cell) if cell.isdigit() else float(read)
         if column.unit:
