@@ -108,6 +108,8 @@ class Answer:
     doubts: tuple[str, ...]
     #: probability of each law before the test and by the readings, by name; empty: one law only
     laws: Mapping[str, tuple[float, float]]
+    #: (answers + 1, 1 + laws) time, probability of each law; before the test at 0
+    law_trace: FloatArray
 
     @property
     def ended(self) -> bool:
@@ -176,8 +178,22 @@ class Answer:
             "depth": None if when is None else {"depth": depth, **when._asdict()},
             "alarm": None if self.alarm is None else asdict(self.alarm),
             "trace": self.trace.tolist(),
+            "law_trace": self.law_trace.tolist() if self.laws else [],
             "summary": self.lines(),
         }
+
+    def _of_laws(self, unit: str, seconds: float) -> Panel:
+        """Return the panel of the probabilities of laws over time."""
+        time, *shares = self.law_trace.T
+        return Panel(
+            Axis(f"time ({unit})"), Axis("probability of the law", (-0.03, 1.03)),
+            "by the readings until then",
+            curves=[
+                Curve(time / seconds, share, law, COLOURS[i % len(COLOURS)], i // len(COLOURS),
+                      marked=True)
+                for i, (law, share) in enumerate(zip(self.laws, shares, strict=True))
+            ],
+        )  # fmt: skip
 
     def page(self, record: Panel | None, command: str, versions: Mapping[str, str]) -> Page:
         """Return the page, which a browser loads anew while the test runs.
@@ -206,6 +222,9 @@ class Answer:
         ]  # fmt: skip
         lines = [with_signs(line) for line in self.lines() if not line.startswith("warning: ")]
         charts = [Chart("key", of_key, f"{goal.key} and its interval over the time of the test")]
+        if self.laws:
+            words = "Probability of each law over the time of the test"
+            charts.append(Chart("laws", self._of_laws(unit, seconds), words))
         if record is not None:
             charts.append(Chart("record", record, "Readings, and histories of this specimen"))
         sections = [

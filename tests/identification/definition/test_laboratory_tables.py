@@ -241,6 +241,15 @@ def test_an_unknown_sd_is_one_fault(folder):
     assert not any("has no reading" in fault for fault in caught.value.faults)
 
 
+def test_cells_are_checked_beside_faults_of_keys(folder):
+    text = TABLE.replace(";1,5;;11", ";-1,5;;11")
+    with pytest.raises(InputError) as caught:
+        read_fit(in_table(folder, text, sd=0.1))
+    first, second = caught.value.faults
+    assert "sd = 0.1: must be a number > 0 with its unit" in first
+    assert "line 6: Dauer = -1,5: must be a finite number > 0 (s)" in second
+
+
 def test_limits_stand_in_a_column_or_in_a_template(folder):
     text = TABLE.replace("Bemerkung", "censored").replace("z1.csv;ok", "z1.csv;below")
     series = read_fit(in_table(folder, text.replace("laut", ""), data=[])).experiments[0].series
