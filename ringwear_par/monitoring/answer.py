@@ -187,7 +187,7 @@ class Answer:
         time, *shares = self.law_trace.T
         return Panel(
             Axis(f"time ({unit})"), Axis("probability of the law", (-0.03, 1.03)),
-            "by the readings until then",
+            "laws, by the readings until then",
             curves=[
                 Curve(time / seconds, share, law, COLOURS[i % len(COLOURS)], i // len(COLOURS),
                       marked=True)
