@@ -20,10 +20,10 @@ from markupsafe import Markup
 from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError, RingwearError, reason_of
+from ringwear_par.explorer.controls import Control
 from ringwear_par.explorer.exploring import Exploration, Explored
 from ringwear_par.explorer.figures import CASE_FILE, MENU, PINNED, Drawing, figures
 from ringwear_par.explorer.measured import LARGEST, MeasuredColumn, read_table
-from ringwear_par.explorer.sliders import Control
 from ringwear_par.pictures.rig import rig_address
 from ringwear_par.reports.report import html_text
 from ringwear_par.reports.run_page import answers, key_rows, run_page, worn_table
