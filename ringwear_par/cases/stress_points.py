@@ -5,8 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.cases.case import Case, Ring
-from ringwear_par.cases.stress import Side
+from ringwear_par.cases.case import Case, Ring, Side
 from ringwear_par.elasticity.sections import BODIES, corners
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import shortened

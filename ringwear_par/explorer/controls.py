@@ -104,7 +104,7 @@ def controls_of(keys: Mapping[str, Any]) -> list[Control]:
         for number, layer in enumerate(_layers_of(body, keys))
     }
     layered = {body for body, _, _ in layers.values()}  # whose moduli count over that of the body
-    wearing = {f"wear.{body}": body for body in BODIES}
+    wearing: dict[str, str] = {f"wear.{body}": body for body in BODIES}
     wearing |= {f"{layer}.wear": words for layer, (_, words, _) in layers.items()}
     return [
         *(control for table, whose in wearing.items() for control in _law(keys, table, whose)),

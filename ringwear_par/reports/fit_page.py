@@ -27,8 +27,7 @@ from ringwear_par.identification.summary import (
     scatter_lines,
     series_rows,
 )
-from ringwear_par.pictures import fit_panels
-from ringwear_par.pictures.design_panels import design_panels
+from ringwear_par.pictures import fit_panels, key_panels
 from ringwear_par.reports.blocks import (
     Block,
     Chart,
@@ -102,7 +101,7 @@ def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:
         sections.append(Section("Measured inputs", [words, Charts(inputs)]))
     keys = [
         Chart(f"keys-{i}-{j}", panel, f"{panel.y.label} over {panel.x.label}; numbers above")
-        for i, row in enumerate(fit_panels.fitted_keys(outcome, samples))
+        for i, row in enumerate(key_panels.fitted_keys(outcome, samples))
         for j, panel in enumerate(row)
     ]
     sections.append(Section("Likelihoods and ellipses", [Charts(keys)]))
@@ -173,7 +172,7 @@ def _scatter(outcome: Mapping[str, Any]) -> list[Block]:
     for number, (key, entry) in enumerate(scattering.items(), start=1):
         sentences = "; ".join(scatter_lines(entry, level))
         blocks.append(Lines([f"{key} of the material, {with_signs(sentences)}"]))
-        panel = fit_panels.specimens(key, entry, level)
+        panel = key_panels.specimens(key, entry, level)
         chart = Chart(f"specimens-{number}", panel, f"Values of {key} in each specimen")
         blocks.append(Charts([chart]))
     return blocks
@@ -299,7 +298,7 @@ def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
                f"measured as in {outcome['measured_as']}"]),
         Table("Best designs, with predicted standard deviations", header, rows),
     ]  # fmt: skip
-    panels, following = design_panels(outcome), folder / folders.NEXT
+    panels, following = key_panels.design_panels(outcome), folder / folders.NEXT
     charts = [
         Chart(f"design-{number}", panel, "Predicted standard deviations over the tests")
         for number, panel in enumerate(panels)

@@ -11,8 +11,11 @@ from ringwear_par.errors import ValidityWarning
 from ringwear_par.measuring.analysis.budget import (
     Estimate,
     Source,
+    WholeTest,
+    displaced_volume,
     load_sources,
     source_of,
+    whole_test,
 )
 from ringwear_par.measuring.analysis.steady_part import (
     FEWEST_BLOCKS,
@@ -27,7 +30,6 @@ from ringwear_par.measuring.analysis.steady_part import (
     has_starts,
     steady_part,
 )
-from ringwear_par.measuring.analysis.whole_test import WholeTest, displaced_volume, whole_test
 from ringwear_par.measuring.definition.problem import Conditions, Problem, Test, Uncertainty
 from ringwear_par.measuring.definition.records import Record
 from ringwear_par.schedules import in_time
