@@ -1,13 +1,12 @@
 """Which numbers of a case have a slider, by its raw keys: how far each reaches, in what steps."""
 
-import itertools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from ringwear_par.cases.layers import expanded
-from ringwear_par.cases.schema import BY_PATH, key_of, quantity_name
+from ringwear_par.cases.schema import BY_PATH, MOST_LAYERS, key_of, quantity_name
 from ringwear_par.cases.units import factor, in_unit, number_and_unit
 from ringwear_par.cases.values import LEAST, MOST, Interval, is_number
 from ringwear_par.elasticity.sections import BODIES, SHAPE_UNITS
@@ -101,7 +100,9 @@ def controls_of(keys: Mapping[str, Any]) -> list[Control]:
     layers = {
         layer: (body, f"{body}, layer {number}", f"Layer {number} of {body}")
         for body in BODIES
-        for number, layer in enumerate(_layers_of(body, keys))
+        for number in range(MOST_LAYERS)
+        for layer in [f"{body}.layers[{number}]"]
+        if f"{layer}.thickness" in keys
     }
     layered = {body for body, _, _ in layers.values()}  # whose moduli count over that of the body
     wearing: dict[str, str] = {f"wear.{body}": body for body in BODIES}
@@ -149,12 +150,6 @@ def _law(keys: Mapping[str, Any], table: str, whose: str) -> Iterator[Control]:
             assert key is not None
             unit = key.unit.partition(" and ")[2] or parameter.unit
             yield _of_number(path, None, raw, group, name, parameter.meaning, unit, key.numbers)
-
-
-def _layers_of(body: str, keys: Mapping[str, Any]) -> list[str]:
-    """Return how the names of entries of layers begin, from the contact face on."""
-    starts = (f"{body}.layers[{i}]" for i in itertools.count())
-    return list(itertools.takewhile(lambda start: f"{start}.thickness" in keys, starts))
 
 
 def _times(keys: Mapping[str, Any]) -> Iterator[Control]:
@@ -261,7 +256,9 @@ def _of_number(
     value, user_unit = _with_unit(raw)
     scale = factor(user_unit, unit) if user_unit else 1.0
     size = label.rpartition(" ")[2]
-    log = value > 0.0 and (size in _LOGARITHMIC or (interval is None and _extreme(value)))
+    # of a number that nothing is known of, the order matters if it is extreme
+    extreme = interval is None and not 1e-3 <= value <= 1e4
+    log = value > 0.0 and (size in _LOGARITHMIC or extreme)
     if value and interval is not None and user_unit:  # positions are round in the unit shown
         interval = Interval(interval.low / scale, interval.high / scale, interval.ends)
     if log:
@@ -286,11 +283,6 @@ def _name(path: str, entry: int | str | None) -> str:
 def _with_unit(raw: Any) -> tuple[float, str]:
     """Return a raw number and the unit that it has of its own, "" for none."""
     return (float(raw), "") if is_number(raw) else number_and_unit(raw)
-
-
-def _extreme(value: float) -> bool:
-    """Tell whether a number that nothing is known of is likely to matter by its order."""
-    return not 1e-3 <= value <= 1e4
 
 
 def _linear(name: str, value: float, interval: Interval | None) -> tuple[float, float, float]:

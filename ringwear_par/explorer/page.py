@@ -334,7 +334,10 @@ class Page:
                 "rig": "" if request["moving"] else rig_address(explored.case),
                 "wrong": self._wrong(), "compared": list(references),
                 "numbers": _beside(key_rows, numbers, references),
-                "answers": _beside(_answer_rows, numbers, references),
+                "answers": _beside(
+                    lambda numbers: [(t.label, t.value, t.unit) for t in answers(numbers)],
+                    numbers, references,
+                ),
                 "worn": [] if worn is None else [worn.header, *worn.rows],
                 "chosen": drawing.chosen_time, "charts": drawing.columns(), "laid": columns,
                 "laid_fault": ". ".join(dict.fromkeys(faults)), "seconds": self._seconds,
@@ -354,11 +357,6 @@ class Page:
 
     def _tell(self, answer: dict[str, Any]) -> None:
         self._talk.answer = json.dumps(answer)
-
-
-def _answer_rows(numbers: list[KeyNumber]) -> list[tuple[str, str, str]]:
-    """Return the key numbers that stand beside the sliders."""
-    return [(tile.label, tile.value, tile.unit) for tile in answers(numbers)]
 
 
 def _beside(

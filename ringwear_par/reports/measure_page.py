@@ -16,7 +16,6 @@ from ringwear_par.measuring.measure_numbers import (
     TEMPERATURES,
     Quantity,
     entry_text,
-    estimate_text,
     repeats_text,
     skipped_text,
     steady_text,
@@ -77,7 +76,7 @@ def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
     yield _tiles(outcome)
     yield Lines([with_signs(sentence) for sentence in sentences])
     rows = [
-        [name, _bare(entry["specific_wear_rate"]), _customary(entry),
+        [name, _bare(rate := entry["specific_wear_rate"]), _bare(rate and rate["us"]),
          _bare(entry["wear_rate"], 3.6e6), _bare(entry["friction"]), steady_text(entry)]
         for name, entry in tests.items()
     ]  # fmt: skip
@@ -221,7 +220,7 @@ def _budgets(outcome: Mapping[str, Any]) -> Iterator[Table]:
                  f"{100 * row['share']:.1f}")
                 for row in value["budget"]
             ]  # fmt: skip
-            caption = f"{name}: {words}, {_text(value)}"
+            caption = f"{name}: {words}, {with_signs(entry_text(value))}"
             if "monte_carlo" in value:
                 low, high = value["monte_carlo"]
                 caption += f"; Monte Carlo {low:.4g} to {high:.4g}"
@@ -246,15 +245,6 @@ def _reproduced(outcome: Mapping[str, Any]) -> Section:
     return reproduced(first, commands, [source], outcome["versions"], data=outcome["data"])
 
 
-def _text(entry: Mapping[str, Any] | None) -> str:
-    return _DASH if entry is None else with_signs(entry_text(entry))
-
-
 def _bare(entry: Mapping[str, Any] | None, factor: float = 1.0) -> str:
     """Return an entry of measure.json with its uncertainty, without its unit."""
     return _DASH if entry is None else entry_text(entry, factor, "")
-
-
-def _customary(entry: Mapping[str, Any]) -> str:
-    rate = entry["specific_wear_rate"]
-    return _DASH if rate is None else estimate_text(rate["us"]["value"], rate["us"]["u"])

@@ -59,7 +59,9 @@ def run_page(result: Result) -> Page:
         del lines[0]
     doubts = [line for line in lines if line.startswith("warning")]
     rig, case = case_words(result)
-    blocks: list[Block] = [_tiles(numbers, len(doubts), *checks(result)), *rig]
+    wrong, errors = checks(result)
+    passed = checks_tile(len(doubts), with_signs("; ".join([*map(str, wrong), errors])), len(wrong))
+    blocks: list[Block] = [Tiles([*answers(numbers), passed]), *rig]
     if doubts:
         blocks.append(Lines(doubts, warning=True))
     blocks.append(Lines([line for line in lines if line not in doubts], folded="Summary in full"))
@@ -99,12 +101,6 @@ def answers(numbers: Iterable[KeyNumber]) -> list[Tile]:
         if number is not None and not math.isnan(number.value):
             tiles.append(Tile(label, number.short, in_signs(number.unit)))
     return tiles
-
-
-def _tiles(numbers: Iterable[KeyNumber], doubts: int, wrong: list[KeyNumber], errors: str) -> Tiles:
-    """Return the answers of a run, and whether its checks are good."""
-    note = with_signs("; ".join([*map(str, wrong), errors]))
-    return Tiles([*answers(numbers), checks_tile(doubts, note, len(wrong))])
 
 
 def histories(result: Result) -> Charts:
