@@ -264,7 +264,7 @@ def write_result(path: Path, result: Result) -> None:
 
 # -- where a history continues: which part of a ``Checkpoint`` each variable is --------------------
 
-_BODY = Variable("body", ("body",), "1", "0 lower, 1 upper", integer=True)
+_BODY = table.axis("body", "0 lower, 1 upper")
 #: parts of a ``Start`` that are arrays
 _STATE_ARRAYS = {
     "state.wear": Variable("wear", ("body", "element"), "mm", "wear depth"),
