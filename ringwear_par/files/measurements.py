@@ -12,21 +12,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.table_text import (
-    EMPTY,
-    NUMBER,
-    StampError,
-    across_midnight,
-    ambiguous_date,
-    clock_time,
-    decode,
-    has_hours,
-    is_clock,
-    is_date,
-    is_stamp,
-    seconds_of,
-    table_in,
-)
+from ringwear_par.files import table_text
 from ringwear_par.files.writing import read_bytes
 
 #: most columns of a table: loggers have hundreds of channels, files with more are something else
@@ -82,7 +68,8 @@ class Measurements:
         """(rows,) bool, where none of some columns is empty."""
         places = [self.columns.index(name) for name in names]
         return np.array(
-            [all(row[i].lower() not in EMPTY for i in places) for row in self.rows], dtype=bool
+            [all(row[i].lower() not in table_text.EMPTY for i in places) for row in self.rows],
+            dtype=bool,
         )
 
     def numbers(self, name: str, rows: BoolArray, hour: float | None = None) -> FloatArray:
@@ -104,17 +91,17 @@ class Measurements:
         for i in np.flatnonzero(rows).tolist():
             written = self.rows[i][place]
             cell = written.replace(",", ".")
-            if NUMBER.fullmatch(cell) and np.isfinite(float(cell)):
+            if table_text.NUMBER.fullmatch(cell) and np.isfinite(float(cell)):
                 values[i] = float(cell)
                 if "," in written and _GROUPED.fullmatch(written):
                     grouped.append((i, True))
                 elif "." in written and _GROUPED_BY_POINTS.fullmatch(written):
                     grouped.append((i, False))
-            elif hour is not None and is_clock(written):
-                values[i] = clock_time(written, hour)
-                if has_hours(written):
+            elif hour is not None and table_text.is_clock(written):
+                values[i] = table_text.clock_time(written, hour)
+                if table_text.has_hours(written):
                     clocks.append(i)
-            elif hour is not None and is_stamp(written):
+            elif hour is not None and table_text.is_stamp(written):
                 stamps.append(i)
             else:
                 wrong.append(i)
@@ -127,7 +114,7 @@ class Measurements:
             if line := self._decimals["." if by_commas else ","]:
                 self._refuse_groups(name, i, line)
         if clocks and hour is not None:
-            values[clocks] = across_midnight(values[clocks], 24.0 * hour)
+            values[clocks] = table_text.across_midnight(values[clocks], 24.0 * hour)
         return values[rows]
 
     def _stamps(self, name: str, rows: BoolArray) -> FloatArray:
@@ -135,8 +122,8 @@ class Measurements:
         place = self.columns.index(name)
         filled = np.flatnonzero(self.filled(name))
         try:
-            seconds = seconds_of([self.rows[i][place] for i in filled.tolist()])
-        except StampError as error:
+            seconds = table_text.seconds_of([self.rows[i][place] for i in filled.tolist()])
+        except table_text.StampError as error:
             i = int(filled[error.row])
             raise InputError(
                 f"{self.name}: line {self.lines[i]}: {legible(name)} = "
@@ -182,7 +169,11 @@ class Measurements:
         numbered = zip(self.lines.tolist(), self.rows, strict=True)
         for line, cell in ((line, c) for line, row in numbered for c in row[self.labelled :]):
             for mark, grouped in ((".", _GROUPED_BY_POINTS), (",", _GROUPED)):
-                if mark in cell and not marks[mark] and NUMBER.fullmatch(cell.replace(mark, ".")):
+                if (
+                    mark in cell
+                    and not marks[mark]
+                    and table_text.NUMBER.fullmatch(cell.replace(mark, "."))
+                ):
                     marks[mark] = 0 if grouped.fullmatch(cell) else line
         return marks
 
@@ -204,26 +195,28 @@ class Measurements:
         place, first, before = self.columns.index(name), rows.copy(), ""
         for i in np.flatnonzero(rows).tolist():
             cell = self.rows[i][place]
-            first[i] = cell != before or not is_stamp(cell)
+            first[i] = cell != before or not table_text.is_stamp(cell)
             before = cell
         return first
 
     def begins_with_stamp(self, name: str) -> bool:
         """Tell whether the first filled cell of a column is a stamp or a clock time h:mm:ss."""
         cell = self.first_cell(name)
-        return is_stamp(cell) or has_hours(cell)
+        return table_text.is_stamp(cell) or table_text.has_hours(cell)
 
     def first_cell(self, name: str) -> str:
         """Return the first filled cell of a column, "" for none."""
         place = self.columns.index(name)
-        return next((row[place] for row in self.rows if row[place].lower() not in EMPTY), "")
+        return next(
+            (row[place] for row in self.rows if row[place].lower() not in table_text.EMPTY), ""
+        )
 
     def dates(self, name: str) -> set[str]:
         """Return the different dates of a column; none where it begins with something else."""
-        if not is_date(self.first_cell(name)):
+        if not table_text.is_date(self.first_cell(name)):
             return set()
         place = self.columns.index(name)
-        return {row[place] for row in self.rows if is_date(row[place])}
+        return {row[place] for row in self.rows if table_text.is_date(row[place])}
 
     def joined(self, date: str, clock: str) -> "Measurements":
         """Return the table with the dates of a column in front of the times of day of another."""
@@ -238,13 +231,15 @@ class Measurements:
     def ambiguous_date(self, name: str) -> str:
         """Return a date of a column of stamps whose order of day and month no date tells, or ""."""
         place = self.columns.index(name)
-        return ambiguous_date([row[place] for row in self.rows])
+        return table_text.ambiguous_date([row[place] for row in self.rows])
 
     def names_seconds(self, name: str, rows: BoolArray) -> bool:
         """Tell whether a column has stamps or clock times with seconds in the rows, no others."""
         place = self.columns.index(name)
         cells = [self.rows[i][place] for i in np.flatnonzero(rows).tolist()]
-        return all(has_hours(cell) for cell in cells) or all(is_stamp(cell) for cell in cells)
+        return all(table_text.has_hours(cell) for cell in cells) or all(
+            table_text.is_stamp(cell) for cell in cells
+        )
 
 
 def unused_columns(names: Sequence[str]) -> str:
@@ -294,13 +289,15 @@ def measurements_in(
     ------
     InputError : it is no such table.
     """
-    table = table_in(decode(path, content), path, labelled=labelled, skip=skip or 0)
+    table = table_text.table_in(
+        table_text.decode(path, content), path, labelled=labelled, skip=skip or 0
+    )
     columns, first = tuple(table.names), table.first
     if len(columns) > MOST_COLUMNS:
         raise InputError(
             f"{path}: line {first}: names {len(columns)} columns; must be at most {MOST_COLUMNS}"
         )
-    if any(NUMBER.fullmatch(name.replace(",", ".")) for name in columns):
+    if any(table_text.NUMBER.fullmatch(name.replace(",", ".")) for name in columns):
         hint = "" if skip is None else "; skip = 3 leaves out three lines above them"
         raise InputError(
             f"{path}: line {first}: {legible(', '.join(columns))}: must be the names of the "

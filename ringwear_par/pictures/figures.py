@@ -90,7 +90,8 @@ def plot(
         of the history, nothing that can be drawn.
     """
     single = isinstance(results, str) or not isinstance(results, Iterable)
-    sources: Any = [results] if single else [*results]
+    several: Any = [results] if single else results
+    sources = [*several]
     for number, source in enumerate(sources, 1):
         if isinstance(source, FailedResult):
             reason = str(source.error).partition("\n")[0]
