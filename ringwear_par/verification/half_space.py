@@ -85,7 +85,8 @@ _DECAYS = [tuple(f"decay {i}, given {what}" for i in (1, 2)) for what in ("force
 #: tolerance, and accuracy of the reference
 _ALLOWED = {
     _FORCE: (1e-4, 1e-6), _MIDDLE: (1e-3, 1e-5), _AXIS: (1e-3, Check.digits),
-    _TORQUE: (1e-4, Check.digits), **dict.fromkeys(_DECAYS[0], (5e-4, 2e-4)), **dict.fromkeys(_DECAYS[1], (1e-3, 2e-4)),
+    _TORQUE: (1e-4, Check.digits), **dict.fromkeys(_DECAYS[0], (5e-4, 2e-4)),
+    **dict.fromkeys(_DECAYS[1], (1e-3, 2e-4)),
 }  # fmt: skip
 
 
