@@ -123,8 +123,9 @@ def coverage_fault(test: Test, start: float | None) -> str:
             continue
         return (
             f'test "{test.name}": {test.record.file}: readings of {name} are too unevenly spread '
-            f"over {_hours(test.record.end)}; must be in at least {steady_part.FEWEST_BLOCKS} "
-            "equal parts of the record, and at its end; exclude the readings before or after a long gap"
+            f"over {_hours(test.record.end)}; must be in at least "
+            f"{steady_part.FEWEST_BLOCKS} equal parts of the record, and at its end; exclude the "
+            "readings before or after a long gap"
         )
     return ""
 
