@@ -67,7 +67,7 @@ def _maps(items: Sequence[Item]) -> Iterator[Drawing]:
             yield partial(draw_map, result=item.result, label=item.label, state=state, top=top)
 
 
-def _each(panels: Callable[[Item], Iterable[Drawing]]) -> Any:
+def _by_result(panels: Callable[[Item], Iterable[Drawing]]) -> Any:
     """Return a function that draws the panels of each result."""
     return lambda items: chain.from_iterable(map(panels, items))
 
@@ -109,7 +109,7 @@ class Kind:
 #: by name
 KINDS = {
     "wear": Kind(
-        _each(lambda item: [
+        _by_result(lambda item: [
             _titled(run_panels.worn_faces(item.result, None, item.rows), item.label)
         ]),
         lambda result: [run_panels.stored_field(result, f"wear_{body}") for body in BODIES],
@@ -119,15 +119,15 @@ KINDS = {
         _pressures, lambda result: run_panels.stored_field(result, "pressure"), apart=True
     ),
     "section": Kind(
-        _each(lambda item: [partial(draw_section, result=item.result, label=item.label)]),
+        _by_result(lambda item: [partial(draw_section, result=item.result, label=item.label)]),
         lambda result: boundary_states(result)[-1], rows=False, apart=True,
     ),
     "stress": Kind(_maps, check_grid),
     "depth": Kind(
-        _each(lambda item: [along_height(item.result, item.label, _states(item))]), check_grid
+        _by_result(lambda item: [along_height(item.result, item.label, _states(item))]), check_grid
     ),
     "interfaces": Kind(
-        _each(lambda item: along_interfaces(item.result, item.label, _states(item))), interfaces_of
+        _by_result(lambda item: along_interfaces(item.result, item.label, _states(item))), interfaces_of
     ),
     "mises": Kind(_shared(largest), stresses, rows=False, shared=True),
     **{
