@@ -5,7 +5,7 @@ from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, cast
 
 from ringwear_par.errors import ComputationError, InputError, counted
 from ringwear_par.files import folders
@@ -111,8 +111,8 @@ def _page(source: Result | str | Path) -> Page:
     folder = Path(source)
     for name, page in _PAGES.items():
         if (folder / name).exists():
-            made: Page = getattr(import_module(f"ringwear_par.reports.{page}"), page)(folder)
-            return made
+            function = getattr(import_module(f"ringwear_par.reports.{page}"), page)
+            return cast(Page, function(folder))
     raise InputError(
         f"{folder}: holds none of {folders.FIT}, {folders.DESIGN}, {folders.MEASURE}, "
         f"{folders.PREDICTION} and {RESULTS}; must be a result file, or a folder that ringwear "
