@@ -127,7 +127,8 @@ KINDS = {
         _by_result(lambda item: [along_height(item.result, item.label, _states(item))]), check_grid
     ),
     "interfaces": Kind(
-        _by_result(lambda item: along_interfaces(item.result, item.label, _states(item))), interfaces_of
+        _by_result(lambda item: along_interfaces(item.result, item.label, _states(item))),
+        interfaces_of,
     ),
     "mises": Kind(_shared(largest), stresses, rows=False, shared=True),
     **{
