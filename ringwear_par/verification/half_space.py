@@ -81,7 +81,9 @@ _CYLINDER = 1.0, 1.0 / math.sqrt(3.0)
 _FORCE, _MIDDLE, _AXIS = "force", "p(mid)/p(mean)", "p at the axis, worst of 4 elements"
 _TORQUE = "disc turned on a half-space (Reissner-Sagoci): torque"
 #: at a given force, and at a given approach
-_DECAYS = [tuple(f"decay {i}, given {control}" for i in (1, 2)) for control in ("force", "approach")]
+_DECAYS = [
+    tuple(f"decay {i}, given {control}" for i in (1, 2)) for control in ("force", "approach")
+]
 #: tolerance, and accuracy of the reference
 _ALLOWED = {
     _FORCE: (1e-4, 1e-6), _MIDDLE: (1e-3, 1e-5), _AXIS: (1e-3, Check.digits),
