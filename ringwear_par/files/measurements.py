@@ -152,14 +152,15 @@ class Measurements:
             )
 
     def _refuse(self, name: str, wrong: list[int], in_time: bool) -> None:
-        cell = self.cells(name)[wrong[0]]
+        cell, hint = self.cells(name)[wrong[0]], ""
         patterns = (_GROUPED, _GROUPED_BY_POINTS, _GROUPED_BY_OTHERS)
-        grouped = any(pattern.fullmatch(cell) for pattern in patterns)
+        if any(pattern.fullmatch(cell) for pattern in patterns):
+            hint = "; thousands must not be separated"
+        elif table_text.is_limit(cell):
+            hint = "; of a limit, the number, and below or above in a column censored of a fit"
         raise InputError(
             f"{self.cell_place(name, wrong[0], len(wrong))}: must be a "
-            f"number{' or a clock time (h:mm:ss)' if in_time else ''}, or empty"
-            + "; thousands must not be separated"
-            * grouped
+            f"number{' or a clock time (h:mm:ss)' if in_time else ''}, or empty{hint}"
         )
 
     def _refuse_groups(self, name: str, row: int, line: int) -> None:
@@ -187,17 +188,29 @@ class Measurements:
         return marks
 
     def perhaps_thousands(self) -> int | None:
-        """Return the first row of a table of one column with a mark before three digits alone.
+        """Return the first row of a table of one column whose mark may separate thousands.
 
-        None where other numbers of the whole table tell what the mark is, or there is no such row.
+        That is a mark before three digits alone. None where other numbers of the whole table tell
+        what the mark is, or nothing in the column speaks for thousands: they are all round, or its
+        numbers are less far apart by them.
         """
         if any(self._decimals.values()):
             return None
-        patterns = (_GROUPED, _GROUPED_BY_POINTS)
-        rows = (
-            i for i, (cell,) in enumerate(self.rows) if any(p.fullmatch(cell) for p in patterns)
+        patterns, cells = (_GROUPED, _GROUPED_BY_POINTS), [cell for (cell,) in self.rows]
+        grouped = [any(pattern.fullmatch(cell) for pattern in patterns) for cell in cells]
+        decimals = [(c.replace(",", "."), c.replace(",", "").replace(".", "")) for c in cells]
+        both = [
+            (abs(float(decimal)), abs(float(whole if group else decimal)))
+            for (decimal, whole), group in zip(decimals, grouped, strict=True)
+            if table_text.NUMBER.fullmatch(decimal) and float(decimal) != 0.0
+        ]
+        if not any(grouped) or not both:
+            return None
+        round_ones = all(
+            cell.endswith("00") for cell, group in zip(cells, grouped, strict=True) if group
         )
-        return next(rows, None)
+        as_decimals, as_thousands = (max(v) / min(v) for v in zip(*both, strict=True))
+        return grouped.index(True) if round_ones or as_thousands < as_decimals else None
 
     def first_stamps(self, name: str, rows: BoolArray) -> BoolArray:
         """(rows,) bool, some rows without those whose stamp is that of the row before."""

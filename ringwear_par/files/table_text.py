@@ -317,6 +317,12 @@ def _is_row(cells: Sequence[str], labelled: bool) -> bool:
     return is_value(cells[0]) or is_date(cells[0])
 
 
+def is_limit(cell: str) -> bool:
+    """Tell whether a cell is a number with a sign that makes it a limit: "<15"."""
+    number = cell[1:].strip("= ").replace(",", ".")
+    return cell[:1] in tuple("<>\u2264\u2265") and NUMBER.fullmatch(number) is not None
+
+
 def is_value(cell: str) -> bool:
     """Tell whether a cell is a number, a stamp or a clock time."""
     number = NUMBER.fullmatch(cell.replace(",", "."))

@@ -90,7 +90,7 @@ def key_rows(key: str, entry: Entry) -> list[KeyRow]:
 
 
 def series_rows(outcome: Entry) -> list[tuple[str, ...]]:
-    """Return the cells of the series of all experiments, see ``SERIES``."""
+    """Return the cells of the series of all experiments, see ``SERIES``, limits in the notes."""
     rows: list[tuple[str, ...]] = []
     for experiment, series in outcome["experiments"].items():
         fitted = outcome["nuisance"].get(experiment, {})
@@ -104,7 +104,7 @@ def series_rows(outcome: Entry) -> list[tuple[str, ...]]:
             noise = f"{entry['sd']:.3g}" if "sd" in entry else ""
             squares = "" if limits_read == entry["n"] else f"{entry['chi2']:.4g}"
             rows.append(
-                (f"{experiment}, {name}", str(entry["n"]), squares, unit, noise,
+                (f"{experiment}, {name}", str(entry["n"] - limits_read), squares, unit, noise,
                  ", ".join(notes))
             )  # fmt: skip
     return rows
@@ -306,7 +306,7 @@ def summary(fit: "FitResult") -> str:
     lines.append(goodness(outcome))
     for name, n, chi2, unit, noise, notes in series_rows(outcome):
         words = [
-            counted(int(n), "reading"),
+            counted(int(n), "reading") if int(n) else "",
             chi2 and f"chi2 {chi2}",
             noise and f"noise {noise} {unit}",
         ]

@@ -6,6 +6,7 @@ from typing import Any
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import in_signs, with_signs
+from ringwear_par.errors import counted
 from ringwear_par.identification.summary import users_numbers
 from ringwear_par.pictures.panel import Axis, Band, Curve, Panel
 from ringwear_par.pictures.style import COLOURS
@@ -107,6 +108,8 @@ class Answer:
     doubts: tuple[str, ...]
     #: probability of each law before the test and by the readings, by name; empty: one law only
     laws: Mapping[str, tuple[float, float]]
+    #: (answers + 1, 1 + laws) time, probability of each law; before the test at 0
+    law_trace: FloatArray
 
     @property
     def ended(self) -> bool:
@@ -137,7 +140,7 @@ class Answer:
     def lines(self) -> list[str]:
         """Return the answer in lines of text."""
         goal, share = self.goal, f"{100 * self.level:g} %"
-        lines = [f"{self.test}: {self.readings} readings to {self._at(self.time)} of "
+        lines = [f"{self.test}: {counted(self.readings, 'reading')} to {self._at(self.time)} of "
                  f"{self._at(self.end)}"]  # fmt: skip
         for key, key_answer in self.keys.items():
             numbers, unit = users_numbers(key_answer.to_dict())
@@ -175,8 +178,22 @@ class Answer:
             "depth": None if when is None else {"depth": depth, **when._asdict()},
             "alarm": None if self.alarm is None else asdict(self.alarm),
             "trace": self.trace.tolist(),
+            "law_trace": self.law_trace.tolist() if self.laws else [],
             "summary": self.lines(),
         }
+
+    def _of_laws(self, unit: str, seconds: float) -> Panel:
+        """Return the panel of the probabilities of laws over time."""
+        time, *shares = self.law_trace.T
+        return Panel(
+            Axis(f"time ({unit})"), Axis("probability of the law", (-0.03, 1.03)),
+            "laws, by the readings until then",
+            curves=[
+                Curve(time / seconds, share, law, COLOURS[i % len(COLOURS)], i // len(COLOURS),
+                      marked=True)
+                for i, (law, share) in enumerate(zip(self.laws, shares, strict=True))
+            ],
+        )  # fmt: skip
 
     def page(self, record: Panel | None, command: str, versions: Mapping[str, str]) -> Page:
         """Return the page, which a browser loads anew while the test runs.
@@ -205,6 +222,9 @@ class Answer:
         ]  # fmt: skip
         lines = [with_signs(line) for line in self.lines() if not line.startswith("warning: ")]
         charts = [Chart("key", of_key, f"{goal.key} and its interval over the time of the test")]
+        if self.laws:
+            words = "Probability of each law over the time of the test"
+            charts.append(Chart("laws", self._of_laws(unit, seconds), words))
         if record is not None:
             charts.append(Chart("record", record, "Readings, and histories of this specimen"))
         sections = [

@@ -68,7 +68,9 @@ class RunningTestState:
         self._before = self._intervals(np.full(count, 1.0 / count))
         self._judged = 0.0
         self._alarm: Alarm | None = None
+        #: by time: ends and median of the goal's key; probabilities of laws
         self._trace: list[list[float]] = []
+        self._law_trace: list[list[float]] = []
         self._readings: dict[str, FloatArray] = {}
 
     @property
@@ -99,7 +101,7 @@ class RunningTestState:
         intervals = self._intervals(weights)
         end, now = experiment.case.time.end, float(times.max())
         until = float(times[counted].max(initial=0.0))
-        self._note(until, intervals)
+        self._note(until, intervals, laws)
         units = units_of(problem)
         keys: dict[str, KeyAnswer] = {}
         for parameter, (low, median, high), (first, _, last) in zip(
@@ -132,7 +134,7 @@ class RunningTestState:
         return Answer(
             experiment.name, self._whom, now, end, len(times), settings.level, keys, goal, depth,
             self._alarm, np.array(self._trace), len(weights), worth, bank.redraws,
-            bank.histories.error, doubts, laws,
+            bank.histories.error, doubts, laws, np.array(self._law_trace),
         )  # fmt: skip
 
     def _probabilities_of_laws(
@@ -170,14 +172,21 @@ class RunningTestState:
                 p = surprise(self._bank, test, weights, old, new)
                 if p < _IMPROBABLE:
                     self._alarm = Alarm(float(times[new].min()), p)
-                self._note(float(times[old].max()), self._intervals(weights))
+                laws = self._probabilities_of_laws(problem, old)
+                self._note(float(times[old].max()), self._intervals(weights), laws)
             self._judged += window
 
-    def _note(self, time: float, intervals: FloatArray) -> None:
-        row = [time, *intervals[self._targets.key].tolist()]
-        if self._trace and self._trace[-1][0] >= time:
-            self._trace.pop()
-        self._trace.append(row)
+    def _note(
+        self, time: float, intervals: FloatArray, laws: Mapping[str, tuple[float, float]]
+    ) -> None:
+        """Add what is known at a time to the traces."""
+        if not self._law_trace:
+            self._law_trace.append([0.0, *(before for before, _ in laws.values())])
+        rows = intervals[self._targets.key].tolist(), [now for _, now in laws.values()]
+        for trace, row in zip((self._trace, self._law_trace), rows, strict=True):
+            if trace and trace[-1][0] >= time:
+                trace.pop()
+            trace.append([time, *row])
 
     def record(self, problem: Problem) -> Panel | None:
         """Return the panel of the first record of penetration, approach or torque."""

@@ -4,16 +4,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.values import is_finite
 from ringwear_par.errors import InputError, ValidityWarning, counted, legible
 from ringwear_par.files.folders import DESIGN, FIT, PROGRESS, READINGS
 from ringwear_par.files.text import parse_json, read_text
 from ringwear_par.history.derivatives.keys import differentiable
+from ringwear_par.identification.estimation.intervals import Verdict
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.fitted_values import (
     CONDITIONS,
@@ -113,15 +115,23 @@ def _knowledge(
 
     Raises
     ------
-    ValueError : they are of different fits.
+    ValueError : they are of different fits, or an entry is not what fits write.
     """
-    parameters = outcome["parameters"]
-    if tuple(parameters) != values.keys:
+    parameters, doubts = outcome["parameters"], outcome["doubts"]
+    evidence = outcome.get("log_evidence")
+    verdicts = {key: p["verdict"] for key, p in parameters.items()}
+    units = {key: p["unit"] for key, p in parameters.items()}
+    sound = (
+        tuple(parameters) == values.keys
+        and set(verdicts.values()) <= {*get_args(Verdict)}
+        and all(isinstance(unit, str) for unit in units.values())
+        and isinstance(doubts, list)
+        and (evidence is None or is_finite(evidence))
+    )
+    if not sound:
         raise ValueError(name)
     return FitKnowledge(
-        name, values, {key: str(p["unit"]) for key, p in parameters.items()},
-        {key: str(p["verdict"]) for key, p in parameters.items()},
-        len(outcome["doubts"]), outcome.get("log_evidence"),
+        name, values, units, verdicts, len(doubts), evidence,
         {law: _knowledge(f"{name}, {law}", outcome["alternatives"][law], of_law)
          for law, of_law in laws.items()},
     )  # fmt: skip

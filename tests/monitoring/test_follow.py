@@ -137,6 +137,12 @@ def test_laws_are_as_probable_as_by_a_fit_of_all_tests(laboratory, tmp_path):
     assert 0.6 < shares["this law"] < 0.99
     assert now == pytest.approx(shares, abs=0.02)
     assert "\n  probability of laws: this law" in "\n".join(stored["summary"])
+    trace = np.array(stored["law_trace"])  # from what is known before the test to the answer
+    before, after = np.array([*stored["laws"].values()]).T
+    assert trace[0, 1:] == pytest.approx(before)
+    assert trace[-1, 1:] == pytest.approx(after)
+    assert trace[:, 1:].sum(axis=1) == pytest.approx(1.0)
+    assert "probability of the law" in (tmp_path / "out" / "follow.html").read_text()
 
 
 def test_half_a_test_tells_when_it_is_enough(laboratory, tmp_path):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -164,6 +165,22 @@ def test_what_is_refused(found, case, tmp_path):
         with pytest.raises(InputError) as error:
             rw.predict(found_, case_, comm=MPI.COMM_SELF, **options)
         assert said in str(error.value)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("entry", "nonsense"),
+    [("doubts", "none"), ("log_evidence", "-3"), ("verdict", "surely"), ("unit", 7)],
+)
+def test_a_fit_that_was_edited_is_refused(found, case, tmp_path, entry, nonsense):
+    folder = shutil.copytree(found[0], tmp_path / "fit")
+    outcome = json.loads((folder / "fit.json").read_text())
+    place = outcome if entry in outcome else next(iter(outcome["parameters"].values()))
+    place[entry] = nonsense
+    (folder / "fit.json").write_text(json.dumps(outcome))
+    with pytest.raises(InputError) as error:
+        rw.predict(folder, case, comm=MPI.COMM_SELF)
+    assert str(error.value).endswith("fit.json: is not the outcome of a fit, or is damaged")
 
 
 @pytest.mark.serial

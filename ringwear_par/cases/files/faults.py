@@ -88,7 +88,8 @@ def unread_keys(keys: Mapping[str, Any]) -> dict[str, str]:
         ),
     }
     scheme = value_of("time.scheme")
-    adaptive = SCHEMES.get(scheme) if isinstance(scheme, str) else None
+    known = isinstance(scheme, str) and scheme in SCHEMES
+    adaptive = SCHEMES[scheme].adaptive if known else None
     if adaptive:
         for path in ("time.step", "time.steps"):
             unread[path] = "time.end" in keys, "must be absent beside time.end"

@@ -46,7 +46,6 @@ _UNITS = {"at": "s", **dict.fromkeys(MASSES, "g")}
 #: of a case
 _TABLES = {path.partition(".")[0] for path in BY_PATH}
 _SPEEDS = "; a speed v in m/s at a radius r is load.omega = v/r"
-_LIMITS = "; of a limit, the number, and below or above in a column named censored"
 
 
 @dataclass(frozen=True)
@@ -246,11 +245,7 @@ def _value(cells: Measurements, column: Column, number: int) -> Any:
     if not column.unit and not NUMBER.fullmatch(cell.replace(",", ".")):
         return parse_value(cell)
     hour = factor("h", column.unit) if column.unit and _base(column.role) == "s" else None
-    try:
-        (read,) = cells.numbers(cells.columns[0], np.arange(len(cells.rows)) == number, hour)
-    except InputError as error:
-        hint = _LIMITS * (column.role in KINDS and cell[0] in "<>\u2264\u2265")
-        raise InputError(*(fault + hint for fault in error.faults)) from error
+    (read,) = cells.numbers(cells.columns[0], np.arange(len(cells.rows)) == number, hour)
     value = parse_value(cell) if cell.isdigit() else float(read)
     if column.unit:
         value = f"{float(read)!r} {column.unit}"

@@ -56,6 +56,7 @@ def laboratory_tests(
     """
     before, reader = len(faults), TableReader(place, entries, faults, keys)
     file, skip, drop = (reader.read(key) for key in ("file", "skip", "drop"))
+    readable = file is not None and len(faults) == before
     sd = reader.raw("sd")
     names, units = (_texts(reader, key) for key in ("columns", "units"))
     templates = {key: _templates(reader, key) for key in ("data", "input")}
@@ -64,8 +65,9 @@ def laboratory_tests(
     elif sd is not None:
         reader.wrong("sd", 'must be a number > 0 with its unit, such as "0.1 mg"')
     reader.finish()
-    if file is None or len(faults) > before:
+    if not readable:
         return {}
+    wrong_keys = len(faults) > before
     worn = [body for body in BODIES if any(key.startswith(f"wear.{body}.") for key in base or ())]
     try:
         table = files.read(file, read_measurements, labelled=True, skip=skip).without(drop)
@@ -75,13 +77,14 @@ def laboratory_tests(
         return {}
     in_table: list[str] = []
     columns = columns_of(table, names, units, worn, in_table)
-    if worn and not (in_table or templates["data"] or {c.role for c in columns} & {*KINDS}):
+    masses = templates["data"] or {c.role for c in columns} & {*KINDS}
+    if worn and not (in_table or wrong_keys or masses):
         in_table.append(
             f"{table.name}: has no column of masses; one must be named before, after or loss, or "
             "tests.columns must name it"
         )
     rows = _Rows(table, columns, sd, templates, (base or {}).get("time.end"), in_table)
-    if in_table:
+    if in_table or wrong_keys:
         tests = {}
         values_of(table, columns, range(len(table.rows)), in_table)
     else:
@@ -91,7 +94,8 @@ def laboratory_tests(
         name_thousands(table, columns)
     for fault in in_table:
         reader.fault(fault)
-    return {} if in_table else tests  # the other faults of its tests may follow from those
+    # the other faults of its tests may follow from those
+    return {} if in_table or wrong_keys else tests
 
 
 def _texts(reader: TableReader, key: str) -> Mapping[str, str]:
@@ -208,7 +212,7 @@ class _Rows:
             test["data"] += weighed.values()
             if len(self.faults) == before:
                 self._check_order(name, weighed, test["set"].get("time.end", self.end), late)
-        if not test["data"]:
+        if not test["data"] and len(self.faults) == before:
             self._fault(first, f"{legible(name)}: has no reading; must have a mass at least")
         return test
 

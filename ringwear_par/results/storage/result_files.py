@@ -269,10 +269,10 @@ _STATE_ARRAYS = {
         "error", ("element",), "mm", "estimated error of wear that time steps have made"
     ),
     "state.meshed_wear": Variable(
-        "shape", ("body", "element"), "mm", "wear depth that the elements have followed"
+        "meshed_wear", ("body", "element"), "mm", "wear depth of the profiles of the elements"
     ),
     "state.gap_offset": Variable(
-        "fit", ("element",), "mm", "by how much elements are nearer since their slopes turned"
+        "gap_offset", ("element",), "mm", "by how much gaps are smaller since slopes have turned"
     ),
     "state.through": Variable(
         "through", ("body",), "s", "when wear first got through all layers, or infinite"

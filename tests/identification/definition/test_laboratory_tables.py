@@ -7,6 +7,7 @@ from mpi4py import MPI
 
 import ringwear_par as rw
 from ringwear_par.errors import InputError
+from ringwear_par.files.measurements import read_measurements
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.fit import expected_result
 
@@ -214,6 +215,39 @@ def test_keys_that_are_refused(keys, said, folder):
 def test_cells_that_are_suspicious(text, said, folder, caplog):
     read_fit(in_table(folder, text, data=[]))
     assert said in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("cells", "row"),
+    [
+        (["9.468", "9.471", "9.502"], None),  # a balance with three decimals
+        (["12", "1.468"], None),
+        (["950", "1.050"], 1),
+        (["1.000", "2.500"], 0),
+        (["9.468", "9.5"], None),  # the other number tells the mark
+    ],
+)
+def test_thousands_are_asked_for_where_numbers_speak_for_them(cells, row, tmp_path):
+    (tmp_path / "a.csv").write_text("\n".join(["name;x", *(f"A;{cell}" for cell in cells)]))
+    table = read_measurements(tmp_path / "a.csv", labelled=True)
+    assert table.column(1).perhaps_thousands() == row
+
+
+def test_an_unknown_sd_is_one_fault(folder):
+    text = TABLE.replace("sd Verlust", "unread").replace("vor;nach", "vor;loss")
+    with pytest.raises(InputError) as caught:
+        read_fit(in_table(folder, text.replace("12348,5", "").replace("12349,2", "1"), data=[]))
+    assert any("the sd of its mass is unknown" in fault for fault in caught.value.faults)
+    assert not any("has no reading" in fault for fault in caught.value.faults)
+
+
+def test_cells_are_checked_beside_faults_of_keys(folder):
+    text = TABLE.replace(";1,5;;11", ";-1,5;;11")
+    with pytest.raises(InputError) as caught:
+        read_fit(in_table(folder, text, sd=0.1))
+    first, second = caught.value.faults
+    assert "sd = 0.1: must be a number > 0 with its unit" in first
+    assert "line 6: Dauer = -1,5: must be a finite number > 0 (s)" in second
 
 
 def test_limits_stand_in_a_column_or_in_a_template(folder):

@@ -108,6 +108,7 @@ def test_limits_alone_bound_one_side(tables, side, scale):
     said = f"{'less' if place else 'more'} than {k['interval'][place]:.5g} 1/MPa (95 %, like"
     assert f"wear.lower.k  {said}lihood profile)  at bound" in words
     assert "all readings are limits, which have no chi2" in words
+    assert "mass.lower: 1 limit\n" in words
     assert [doubt.code for doubt in fit.doubts] == ["at-bound"]
     # twice the log likelihood is 2.71 less, where the probability is 0.26
     off = -0.05 * norm.ppf(np.exp(-0.5 * 2.7055)) * (1 if place else -1)
