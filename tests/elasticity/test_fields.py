@@ -36,14 +36,13 @@ def weights(fields):
     return np.pi * (ra + rb) * length, 2 * np.pi / 3 * length * (ra**2 + ra * rb + rb**2)
 
 
-@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("case", "overrides"),
     [
         ("fields.toml", []),
         ("chamfer.toml", ["output.boundary=all", "time.steps=4", "output.every=2"]),
         ("fields.toml", ["wear.upper={law='threshold', k=1e-8}", "upper.grip=platen"]),
-        ("fields.toml", MOVING),
+        pytest.param("fields.toml", MOVING, marks=pytest.mark.ranks),
     ],
 )
 def test_equilibrium_and_bodies_that_meet(case, overrides, shared_path, comm):
@@ -138,7 +137,6 @@ def test_responses_follow_the_shape(comm):
     assert fixed.displacement == pytest.approx(unworn.displacement, abs=1e-12)
 
 
-@pytest.mark.ranks
 def test_opens_in_xarray(shared_path, comm):
     path = shared_path / "run.h5"
     run_case(FIELDS, path, ["mesh.contact_elements=16"], comm=comm)

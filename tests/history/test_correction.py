@@ -234,7 +234,6 @@ def test_ranks_find_the_same(cases, number, comm):
     assert together.last.wear == pytest.approx(alone.last.wear, rel=1e-9, abs=1e-12)
 
 
-@pytest.mark.ranks
 def test_a_contact_that_corrections_do_not_settle_is_refused(cases, comm, monkeypatch):
     """Alone with its error; among others it leaves."""
     case, pair = cases[12]

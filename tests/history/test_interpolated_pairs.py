@@ -68,6 +68,7 @@ def test_compliances_are_as_close_as_they_say(case, interpolated):
             )
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize(
     ("key", "value"),
     [(f"{LAYER}.thickness", 0.04), (f"{LAYER}.young", 1.3e5), ("lower.young", 1e4)],
@@ -84,6 +85,7 @@ def test_derivatives_are_those_of_the_interpolation(case, interpolated, key, val
     assert np.abs(change - differences).max() <= 1e-6 * np.abs(differences).max()
 
 
+@pytest.mark.serial
 def test_what_costs_more_than_it_saves_is_not_interpolated(case, comm):
     pair = assembled(case)
     assert interpolate(case, pair, {"wear.lower.k": (1e-9, 1e-5)}, MOST, comm) is None
@@ -94,6 +96,7 @@ def test_what_costs_more_than_it_saves_is_not_interpolated(case, comm):
     assert interpolate(case, pair, {f"{LAYER}.thickness": (5.0, 50.0)}, MOST, comm) is None
 
 
+@pytest.mark.serial
 def test_histories_of_several_pairs_step_together_as_alone(case, interpolated):
     """Also where layers of other thicknesses are worn through, to the last bit."""
     thin = case.replace({"lower.layers[0].wear.k": 2e-6})

@@ -92,7 +92,7 @@ def test_adaptive_steps_find_when_elements_get_through(pair, p0, k, of_body, end
         return np.array([history.at(time).wear[0] for time in times]), history
 
     found, history = depths(1e-5)
-    exact, fine = depths(5e-8)
+    exact, fine = depths(2e-7)
     assert np.abs(found - exact).max() < 2e-5
     assert ((exact > 0.003).sum(axis=1) > 1).any()
     assert history.last.through[0] == pytest.approx(fine.last.through[0], rel=0.02)

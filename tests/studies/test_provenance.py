@@ -54,6 +54,7 @@ UNSTABLE = CASE.replace('scheme = "implicit"', 'scheme = "explicit"').replace(
 )
 
 
+@pytest.mark.serial
 def test_doubts_are_flags_of_a_sweep(swept, shared_path):
     """As test_blocks.py has them beside those of runs; a slice counts its own."""
     text = UNSTABLE.replace("omega = 3.541666666666667", "omega = 35.0")
@@ -74,6 +75,17 @@ def test_doubts_are_flags_of_a_sweep(swept, shared_path):
         assert [str(v) for v in data.flags.values] == [row["flags"] for row in rows]
 
 
+@pytest.mark.serial
+def test_unlike_slopes_are_a_flag(swept, shared_path):
+    """Of a cone over a flat face."""
+    cone = "z = [20.0, 40.0]\nprofile = [[28.5, 20.0], [31.5, 20.9]]"
+    text = CASE.replace("z = [20.0, 40.0]", cone).replace("steps = 20", "steps = 2")
+    assert text.count("profile") == 1
+    assert "unlike slopes" in str(swept("0, 20", text))
+    assert all("unlike_slopes" in row["flags"] for row in table(shared_path / "out"))
+
+
+@pytest.mark.serial
 def test_good_cases_have_no_flags(swept, shared_path):
     case = CASE.replace("contact_elements = 16", "contact_elements = 64")
     assert "flagged" not in str(swept("0, 20", case))

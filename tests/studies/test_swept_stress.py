@@ -50,7 +50,7 @@ def singles(folder, stride=1):
             yield rows[i], data.isel(case=i), result.to_xarray(), result
 
 
-@pytest.mark.parametrize("times", ["last", "all", "[0.0, 5.0]"])
+@pytest.mark.parametrize("times", ["last", "[0.0, 5.0]"])
 @pytest.mark.serial
 def test_stresses_and_layers_are_those_of_single_runs(times, comm, tmp_path):
     case = COATED + f"times = {times if times[0] == '[' else repr(times)}\n"

@@ -122,11 +122,3 @@ def test_histories_in_their_layers_are_those_alone(name):
         np.testing.assert_array_equal(increment(laws, present[i]).depth(p[i]), depths[i])
         one = np.array([i])
         np.testing.assert_array_equal(during.take(one).depth(p[one])[0], depths[i])
-
-
-def test_layers_of_one_law_are_no_layers():
-    at, p = local(), np.linspace(0.0, 300.0, N)
-    plain = WearIncrement((BODY, None), (at, at), STEP)
-    layered = increment((BODY, BODY, BODY))
-    np.testing.assert_array_equal(layered.depths(p), plain.depths(p))
-    np.testing.assert_array_equal(layered.d_depth_dp(p), plain.d_depth_dp(p))

@@ -78,6 +78,7 @@ def test_samples_of_a_linear_model_are_normal(linear, comm):
     assert comm.bcast(unknowns.tobytes()) == unknowns.tobytes()
 
 
+@pytest.mark.serial
 def test_samples_keep_to_a_bound(linear, comm):
     """A normal distribution of p0 that is cut off at its mean."""
     x, covariance, _, _ = linear(comm)

@@ -38,7 +38,7 @@ def tables(tmp_path_factory):
     if comm.rank == 0:
         (folder / "case.toml").write_text(CASE)
         experiments = write_experiments(folder)
-    return fit_tables(folder, comm.bcast(experiments), process={BODY: "fit"})
+    return fit_tables(folder, comm.bcast(experiments), process={BODY: "fit"}, starts=1)
 
 
 def write_experiments(folder):
