@@ -126,6 +126,13 @@ def with_memory(monkeypatch):
 
 
 @pytest.fixture
+def few_resamples(monkeypatch):
+    """Indices of sweeps, where it does not matter how well they are known: most of the time."""
+    monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._RESAMPLES", 20)
+    monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._EVALUATIONS", 1e4)
+
+
+@pytest.fixture
 def one_by_one(monkeypatch):
     """Cases of sweeps are computed alone, as long ones are."""
     from ringwear_par.studies.execution import single_cases

@@ -337,11 +337,13 @@ method = "grid"
 """
     sweep.run_sweep(write(text), shared_path / "out", comm, dry_run=True)
     told = capsys.readouterr().out
-    found = re.search(r"([\d.]+) s for the adaptive steps of a case, of (\d+) side by side", told)
-    assert int(found[2]) == 33
+    timed = re.search(r"([\d.]+) s for an assembly, ([\d.]+) s for the adaptive steps of a case, "
+                      r"of (\d+) side by side", told)  # fmt: skip
+    assert int(timed[3]) == 33
+    assembly, steps = float(timed[1]), float(timed[2])
     seconds = float(re.search(r"about ([\d.]+) s,", told)[1])
     # start and merging come on top of the cases' own, whose steps are about as many
-    assert 200 * float(found[1]) < seconds < 0.05 * 400
+    assert 200 * steps < seconds < 10.0 + assembly + 600 * steps
 
 
 def test_a_dry_run_whose_first_case_fails_ends_on_all_ranks(write, shared_path, comm, monkeypatch):

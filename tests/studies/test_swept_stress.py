@@ -100,6 +100,7 @@ method = "grid"
 
 
 @pytest.mark.serial
+@pytest.mark.usefixtures("few_resamples")
 def test_points_of_layers_that_are_worn_through_are_blank(comm, tmp_path):
     """In some cases of a sweep; whatever takes maxima or fits goes on without them."""
     case = COATED.replace("[[30.0, 19.95], ", "[[30.0, 19.999], [30.0, 19.95], ") + 'times = "all"'
@@ -243,6 +244,7 @@ def test_surrogates_answer_for_stresses(swept):
 
 
 @pytest.mark.serial
+@pytest.mark.usefixtures("few_resamples")
 def test_figures_and_pages_show_them(swept, tmp_path):
     ensemble = read_ensemble(swept)
     done = np.ones(len(ensemble.ids), dtype=bool)
