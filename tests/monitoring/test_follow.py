@@ -30,6 +30,8 @@ from ringwear_par.prediction.draws import log_densities
 from ringwear_par.prediction.known import fit_knowledge
 from ringwear_par.results.execution.stop_signals import StopSignals
 
+pytestmark = pytest.mark.slow
+
 KEY, P0, TRUE_K = "wear.lower.k", 25.0, 1.3e-7
 #: of the running specimen, over the material's k
 FACTOR = 1.15

@@ -18,6 +18,8 @@ from ringwear_par.studies.storage.end_values import figure_columns
 from ringwear_par.studies.storage.ensemble import read_ensemble
 from ringwear_par.studies.storage.folder import SweepFolder
 
+pytestmark = pytest.mark.slow
+
 LAYER = """
 [[lower.layers]]
 thickness = 0.004
