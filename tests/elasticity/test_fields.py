@@ -42,7 +42,7 @@ def weights(fields):
         ("fields.toml", []),
         ("chamfer.toml", ["output.boundary=all", "time.steps=4", "output.every=2"]),
         ("fields.toml", ["wear.upper={law='threshold', k=1e-8}", "upper.grip=platen"]),
-        pytest.param("fields.toml", MOVING, marks=pytest.mark.ranks),
+        ("fields.toml", MOVING),
     ],
 )
 def test_equilibrium_and_bodies_that_meet(case, overrides, shared_path, comm):

@@ -11,6 +11,8 @@ from ringwear_par.history.elastic.interpolated_pairs import TOLERANCE, interpola
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.studies.execution.batches import computed
 
+pytestmark = pytest.mark.serial
+
 CASE = {
     "lower.r": [20.0, 40.0], "lower.z": [0.0, 20.0], "lower.young": 1e4, "lower.poisson": 0.3,
     "lower.layers": [{"thickness": 0.05, "young": 1e5, "poisson": 0.3,
@@ -52,6 +54,7 @@ def interpolated(case, comm):
     return interpolate(case, assembled(case), BOUNDS, MOST, comm)
 
 
+@pytest.mark.ranks
 def test_compliances_are_as_close_as_they_say(case, interpolated):
     rng = np.random.default_rng(1)
     assert interpolated.error <= TOLERANCE
@@ -68,7 +71,6 @@ def test_compliances_are_as_close_as_they_say(case, interpolated):
             )
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize(
     ("key", "value"),
     [(f"{LAYER}.thickness", 0.04), (f"{LAYER}.young", 1.3e5), ("lower.young", 1e4)],
@@ -85,7 +87,6 @@ def test_derivatives_are_those_of_the_interpolation(case, interpolated, key, val
     assert np.abs(change - differences).max() <= 1e-6 * np.abs(differences).max()
 
 
-@pytest.mark.serial
 def test_what_costs_more_than_it_saves_is_not_interpolated(case, comm):
     pair = assembled(case)
     assert interpolate(case, pair, {"wear.lower.k": (1e-9, 1e-5)}, MOST, comm) is None
@@ -96,7 +97,6 @@ def test_what_costs_more_than_it_saves_is_not_interpolated(case, comm):
     assert interpolate(case, pair, {f"{LAYER}.thickness": (5.0, 50.0)}, MOST, comm) is None
 
 
-@pytest.mark.serial
 def test_histories_of_several_pairs_step_together_as_alone(case, interpolated):
     """Also where layers of other thicknesses are worn through, to the last bit."""
     thin = case.replace({"lower.layers[0].wear.k": 2e-6})

@@ -46,7 +46,7 @@ RUNS = {
     "doubts of before": (CASES / "crown.toml", CROWN, 3, "pressure"),
 }  # fmt: skip
 #: of what ranks share
-ON_RANKS = ("times", "coating partly gone", "boundaries", "stresses, new meshes")
+ON_RANKS = ("times", "coating partly gone", "boundaries", "stresses")
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,8 @@ from ringwear_par.studies.execution import plan, team_store
 from ringwear_par.studies.execution.sweep import sweep
 from ringwear_par.studies.storage.ensemble import open_ensemble
 
+pytestmark = pytest.mark.serial
+
 THRESHOLDS = '[vary]\n"wear.lower.p0" = {{ values = [{}] }}\n'
 
 
@@ -27,6 +29,7 @@ def swept(shared_path, comm):
     return swept
 
 
+@pytest.mark.ranks
 def test_another_version_does_not_mix_with_the_first(swept, shared_path, comm, monkeypatch):
     mine = ringwear_par.__version__
     swept("0, 20")
@@ -54,7 +57,6 @@ UNSTABLE = CASE.replace('scheme = "implicit"', 'scheme = "explicit"').replace(
 )
 
 
-@pytest.mark.serial
 def test_doubts_are_flags_of_a_sweep(swept, shared_path):
     """As test_blocks.py has them beside those of runs; a slice counts its own."""
     text = UNSTABLE.replace("omega = 3.541666666666667", "omega = 35.0")
@@ -75,7 +77,6 @@ def test_doubts_are_flags_of_a_sweep(swept, shared_path):
         assert [str(v) for v in data.flags.values] == [row["flags"] for row in rows]
 
 
-@pytest.mark.serial
 def test_unlike_slopes_are_a_flag(swept, shared_path):
     """Of a cone over a flat face."""
     cone = "z = [20.0, 40.0]\nprofile = [[28.5, 20.0], [31.5, 20.9]]"
@@ -85,7 +86,6 @@ def test_unlike_slopes_are_a_flag(swept, shared_path):
     assert all("unlike_slopes" in row["flags"] for row in table(shared_path / "out"))
 
 
-@pytest.mark.serial
 def test_good_cases_have_no_flags(swept, shared_path):
     case = CASE.replace("contact_elements = 16", "contact_elements = 64")
     assert "flagged" not in str(swept("0, 20", case))

@@ -136,7 +136,6 @@ def test_results_do_not_depend_on_ranks(tables, comm):
     assert one["designs"] == other["designs"]
 
 
-@pytest.mark.ranks
 def test_tests_that_cannot_be_computed_are_left_out(tables, comm):
     """Half of the ring would be worn off by the longest ones."""
     found = rw.design(tables({"time.end": [100.0, 500000.0]}, {"experiments": 1}), comm)
