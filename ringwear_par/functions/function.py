@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import Case, refuse_stop
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.functions.inputs import CaseInputs, case_inputs
@@ -167,6 +167,7 @@ def function(
     array([0.00517, 0.00973])
     """
     base = case if isinstance(case, Case) else read_case(case)
+    refuse_stop(base, "function", "in a function of a case")
     read = read_outputs(base, outputs, derivatives)
     changed = case_inputs(base, inputs, storing(base, read))
     if derivatives:
