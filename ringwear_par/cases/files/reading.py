@@ -7,12 +7,14 @@ from typing import Any, TypeVar
 
 from ringwear_par.cases.case import (
     Case,
+    Grid,
     Load,
     Output,
     Overrides,
     Ring,
     RingLayer,
     Stepping,
+    Stress,
 )
 from ringwear_par.cases.files.faults import (
     Origin,
@@ -34,7 +36,6 @@ from ringwear_par.cases.files.keys import (
 )
 from ringwear_par.cases.layers import LAYERS, expanded, layer_tables
 from ringwear_par.cases.schema import SCHEMES, STOP_CRITERIA
-from ringwear_par.cases.stress import Grid, Stress
 from ringwear_par.cases.stress_points import check_stress
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.sections import Polyline
