@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from changed_steps import change_steps
 
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Load, Output, Stepping
@@ -199,7 +200,7 @@ def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
     def never(*_):
         raise ComputationError("contact: no")
 
-    monkeypatch.setattr(sdirk2, "step", never)
+    change_steps(monkeypatch, never)
     with pytest.raises(
         ComputationError,
         match=r"^contact: no, and no step is short enough; in step 1, from time 0 s$",
@@ -208,12 +209,10 @@ def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
 
 
 def test_errors_that_stay_too_large_are_told_with_their_tolerances(stepped, monkeypatch):
-    step = sdirk2.step
-
-    def wrong(*arguments):
+    def wrong(step, *arguments):
         return replace(step(*arguments), wear_error=1.0)
 
-    monkeypatch.setattr(sdirk2, "step", wrong)
+    change_steps(monkeypatch, wrong)
     with pytest.raises(
         ComputationError, match=r"^errors exceed time.tolerance = 2e-06 mm or .*0\.1"
     ):

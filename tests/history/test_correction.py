@@ -18,7 +18,7 @@ from ringwear_par.contact.engine import ContactEngine
 from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.loop import METHODS
+from ringwear_par.history.loop import method_of
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.start import initial_state
@@ -155,7 +155,7 @@ def test_last_pressures_of_a_history_are_near_the_collocated_ones(cases, number,
     told, e = history.snapshots[-1].contacts.largest_errors
     assert 0 <= e < pair.line.n
     assert told <= 1e-2
-    scheme = METHODS[case.time.scheme].scheme
+    scheme = method_of(case.time.scheme).scheme
     physics = Physics.of([case], pair)
     with physics.contacts() as contacts:
         solve = contacts.solve
