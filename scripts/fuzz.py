@@ -39,7 +39,8 @@ from ringwear_par.errors import InputError, RingwearError
 from ringwear_par.files.writing import check_writable
 from ringwear_par.history.refusals.cases import check_case
 from ringwear_par.options import _refuse_words
-from ringwear_par.pictures.figures import plot_files
+from ringwear_par.pictures.figures import plot
+from ringwear_par.pictures.style import save_figure
 from ringwear_par.reports.report import report
 from ringwear_par.results.storage.export import export
 from ringwear_par.results.storage.result_files import (
@@ -108,7 +109,7 @@ def read_a_result(folder: Path, rng: random.Random) -> None:
     if rng.random() < _DRAWN:
         panels = "wear,penetration,pressure" + ",section" * bool(result.boundary)
         panels += ",stress,depth,mises,interfaces,through" * (result.stress is not None)
-        looks.append(lambda: plot_files([path], folder / "a.png", panels))
+        looks.append(lambda: save_figure(plot(path, panels), folder / "a.png"))
     if rng.random() < _DRAWN:
         looks.append(lambda: report(path, folder / "a.html"))
     _look(looks)

@@ -16,17 +16,18 @@ machine_code.load(contact_rows), machine_code.load(step_rows)
 load_kernels(MPI.COMM_SELF)
 COMPILE
 logs="$(mktemp -d)"
-# types and the site, with warnings as errors, beside the tests, which wait for programs now and then
+# types and the site, with warnings as errors and as a browser shows it, beside the tests, which wait
+# for programs now and then
 bash scripts/docs.sh --install
-{ mypy && bash scripts/docs.sh; } > "$logs/site" 2>&1 &
+in_browser=tests/repository/test_site_in_browser.py
+{ mypy && bash scripts/docs.sh && python -m pytest -q -rs "$in_browser"; } > "$logs/site" 2>&1 &
 site=$!
 trap 'kill "$site" 2>/dev/null || true' EXIT
-# limits are for hangs, not for load; files are shared out, as most tests wait for programs, and taken
-# in order, the slow ones first
-in_browser=tests/repository/test_site_in_browser.py
-timeout -k 5 2400 python -m pytest -q -rs -n 4 --dist loadfile --no-loadscope-reorder --ignore "$in_browser"
+# limits are for hangs, not for load; files are shared out, as many tests wait for programs (more of
+# them at once than there are cores), and taken in order, the slow ones first
+timeout -k 5 2400 python -m pytest -q -rs -n 6 --dist loadfile --no-loadscope-reorder --ignore "$in_browser"
 wait "$site" || { cat "$logs/site"; exit 1; }
-python -m pytest -q -rs "$in_browser"
+tail -n 1 "$logs/site"
 for ranks in 2 3; do
     echo "on $ranks ranks"
     # every rank reports; one report is enough where all went well

@@ -114,6 +114,25 @@ def shared_path(tmp_path, comm):
 
 
 @pytest.fixture
+def with_memory(monkeypatch):
+    """Function that gives the machine so many bytes."""
+
+    def with_memory(size):
+        page = float(os.sysconf("SC_PAGE_SIZE"))
+        known = {"SC_PAGE_SIZE": page, "SC_PHYS_PAGES": size / page}
+        monkeypatch.setattr("ringwear_par.history.refusals.cases.os.sysconf", known.get)
+
+    return with_memory
+
+
+@pytest.fixture
+def few_resamples(monkeypatch):
+    """Indices of sweeps, where it does not matter how well they are known: most of the time."""
+    monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._RESAMPLES", 20)
+    monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._EVALUATIONS", 1e4)
+
+
+@pytest.fixture
 def one_by_one(monkeypatch):
     """Cases of sweeps are computed alone, as long ones are."""
     from ringwear_par.studies.execution import single_cases

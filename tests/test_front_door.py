@@ -34,8 +34,14 @@ def without_clock(dataset):
     return dataset.assign_attrs(dict.fromkeys(CLOCK, 0.0))
 
 
-@pytest.mark.ranks
-@pytest.mark.parametrize("words", [{}, {"time.scheme": "adaptive"}, {"output.times": [0.5, 7.2]}])
+@pytest.mark.parametrize(
+    "words",
+    [
+        {},
+        pytest.param({"time.scheme": "adaptive"}, marks=pytest.mark.ranks),
+        {"output.times": [0.5, 7.2]},
+    ],
+)
 def test_simulate_gives_what_run_stores(case, shared_path, comm, words):
     result = rw.simulate(case.replace(words), comm)
     path = shared_path / "run.h5"
@@ -47,7 +53,6 @@ def test_simulate_gives_what_run_stores(case, shared_path, comm, words):
         )
 
 
-@pytest.mark.ranks
 def test_a_pair_serves_any_load_law_and_modulus(case, pair, comm):
     for changes in (
         {"load.pressure": 50, "wear.lower.k": 3e-7},

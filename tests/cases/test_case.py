@@ -132,12 +132,6 @@ def test_each_fault_of_a_shape_has_its_sentence(overrides, words):
         assert word in text
 
 
-def test_a_long_profile_that_is_wrong_is_not_printed_in_full():
-    points = [[20 + 0.01 * i, 20] for i in range(2000)] + [[40, "up"]]
-    (told,) = faults(TEXT, f"lower.profile={points}")
-    assert len(told) < 200
-
-
 def test_rings_need_not_touch():
     apart = read_case(PAPER, ["upper.z=[21, 40]"])
     assert apart.initial_gap == pytest.approx(1.0)

@@ -9,6 +9,8 @@ from ringwear_par.cases.unit_suspicions import deep_forecasts, unit_suspicions
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.wear.laws.archard import ArchardLaw
 
+pytestmark = pytest.mark.serial
+
 LAYERED = CASES / "wear_through.toml"
 
 
@@ -96,7 +98,6 @@ def test_each_law_forecasts_the_wear_at_the_mean_pressure(law, key):
                 **{f"wear.lower.{k}": v for k, v in law.items()}) == {}  # fmt: skip
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("scheme", ["adaptive", "implicit"])
 def test_a_run_that_fails_by_deep_wear_asks_for_the_unit(scheme):
     """Whatever the step: fixed ones fail at once, with nothing worn before."""
@@ -117,7 +118,6 @@ def test_a_run_that_fails_by_deep_wear_asks_for_the_unit(scheme):
     assert "mm3/(N m)" not in str(failure.value) + str(unit_suspicions(case))
 
 
-@pytest.mark.serial
 def test_much_wear_is_one_warning_that_asks_for_the_unit():
     keys = washer(1.2e-6, 0.6) | {"mesh.contact_elements": 12}
     result = rw.simulate(rw.read_case(PAPER, keys), MPI.COMM_SELF)
@@ -151,7 +151,6 @@ def test_a_modulus_in_gigapascals_is_doubted_and_that_of_soft_materials_is_not(
     assert all(text.endswith(f'if it is in GPa, write "{young:g} GPa"') for text in texts)
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize(
     ("load", "said"),
     [
@@ -168,7 +167,6 @@ def test_bodies_that_are_apart(load, said):
     assert said in text
 
 
-@pytest.mark.serial
 def test_what_a_study_varies_is_not_doubted(tmp_path):
     """The same numbers are where they are set once for all cases."""
     small = {"mesh.contact_elements": 12, "time.scheme": "implicit", "time.step": 1e-9,

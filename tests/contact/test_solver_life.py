@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from commands import NEEDS_MPIRUN, python
 from one_contact import engine_of
-from paths import ROOT
+from paths import HELPERS, ROOT
 from petsc4py import PETSc
 
 from ringwear_par.contact import engine as module
@@ -155,6 +155,23 @@ def test_the_last_reference_frees_the_solver(comm):
     del solver
     assert alive() is None
     assert not tao.handle
+
+
+#: tells, after all that was registered later has run, whether the TAO is alive
+ALIVE_TO_THE_END = """
+import atexit
+from ringwear_par.petsc import PETSc
+atexit.register(lambda: print(bool(engine._tao.handle)))
+import numpy as np
+from one_contact import engine_of
+engine = engine_of(np.eye(8) + 0.1, np.ones(8))
+assert engine._tao.handle
+"""
+
+
+def test_a_solver_that_is_alive_at_the_end_is_freed_before_petsc_ends():
+    done = python("-c", ALIVE_TO_THE_END, PYTHONPATH=f"{ROOT}:{HELPERS}")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "False\n", "")
 
 
 #: fails in the midst of a history, inside of TAO

@@ -50,7 +50,6 @@ def test_rigid_modes_close():
     assert closure_error() < 1e-12
 
 
-@pytest.mark.ranks
 def test_linear_fields_are_exact_but_for_quadrature(comm):
     assert bar_error(16, comm) < 1e-6
     assert lame_error(64, comm) < 1e-6
@@ -180,7 +179,6 @@ def resident_megabytes():
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-@pytest.mark.ranks
 def test_memory_stays_flat(comm):
     """Over 60 solves and contact solvers; a TAO that is not freed is 160 to 280 kB."""
     from one_contact import OneContact
@@ -200,7 +198,6 @@ def test_memory_stays_flat(comm):
     assert resident_megabytes() - before < 4.0
 
 
-@pytest.mark.ranks
 @pytest.mark.parametrize("section", [LOWER, UPPER])
 def test_the_whole_boundary_in_both_frames(section, comm):
     mesh = Mesh(24)

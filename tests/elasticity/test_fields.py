@@ -36,7 +36,6 @@ def weights(fields):
     return np.pi * (ra + rb) * length, 2 * np.pi / 3 * length * (ra**2 + ra * rb + rb**2)
 
 
-@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("case", "overrides"),
     [
@@ -138,7 +137,6 @@ def test_responses_follow_the_shape(comm):
     assert fixed.displacement == pytest.approx(unworn.displacement, abs=1e-12)
 
 
-@pytest.mark.ranks
 def test_opens_in_xarray(shared_path, comm):
     path = shared_path / "run.h5"
     run_case(FIELDS, path, ["mesh.contact_elements=16"], comm=comm)

@@ -188,8 +188,9 @@ def profiles(line, depths):
     return np.stack([depths[0] * (0.6 + 0.4 * np.cos(5.0 * x)), depths[1] * (0.2 + 0.8 * x**2)])
 
 
-@pytest.mark.ranks
-@pytest.mark.parametrize("depths", [(0.02, 0.1), (0.2, 0.45), (0.8, 0.6)])
+@pytest.mark.parametrize(
+    "depths", [(0.02, 0.1), pytest.param((0.2, 0.45), marks=pytest.mark.ranks), (0.8, 0.6)]
+)
 def test_an_update_is_a_fresh_assembly(depths, comm):
     """Within layers, through one of them, and through all."""
     mesh, both = Mesh(24), (COATED, layered(UPPER, (0.3, SOFT)))
@@ -209,7 +210,6 @@ def test_an_update_is_a_fresh_assembly(depths, comm):
         assert np.array_equal(geometry.update(again).normal, was.normal)
 
 
-@pytest.mark.ranks
 def test_an_update_of_layers_saves_most_of_the_work(comm):
     both = layered(LOWER, (0.05, HARD)), UPPER
     line, geometry = moving(both, (True, False), Mesh(24), comm)

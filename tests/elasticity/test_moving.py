@@ -75,7 +75,6 @@ def test_an_update_is_a_fresh_assembly(cases, which, comm):
     agree(moving.update(worn), pair, 0.0)
 
 
-@pytest.mark.ranks
 def test_updates_cost_less_than_assemblies(cases, comm):
     case = replace(cases[0], wear_upper=None)
     full = assemble(case, comm).cost.kernel_evaluations

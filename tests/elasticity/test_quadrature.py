@@ -71,7 +71,6 @@ def test_bars_with_small_bores_stay_exact(bore, comm):
         assert np.abs(body.normal.sum(axis=1) / 20.0 - 1).max() < 10 * tolerance
 
 
-@pytest.mark.ranks
 def test_assembled_rows_follow_the_tolerance(comm):
     exact = rows(1e-13, comm)
     defects, counts = [], []

@@ -151,7 +151,6 @@ def test_excess_is_what_the_collocated_compliance_lacks(compliances):
     assert np.abs(m[:, None] * compliance.excess).max() > 1e-4 * np.abs(compliance.matrix).max()
 
 
-@pytest.mark.ranks
 def test_what_is_not_positive_definite_is_told(comm):
     """Where the two faces say nothing of it, as well."""
     lower, upper = Body(WIDE, 1.0, 0.3, "clamped"), Body(NARROW, 1.0, 0.3, "clamped")

@@ -74,7 +74,6 @@ def test_chamfers_come_into_contact_as_wear_proceeds(comm):
     assert np.abs(gap[states[-1].contact.pressure > 0]).max() < 1e-9
 
 
-@pytest.mark.ranks
 def test_partly_overlapping_rings(comm):
     case = read_case(CASES / "overlap.toml")
     assert case.contact == (38.0, 40.0)

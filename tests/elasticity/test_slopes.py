@@ -119,7 +119,6 @@ def cones(comm):
     return [(case, assemble(case, comm)) for case in cases]
 
 
-@pytest.mark.ranks
 def test_a_pair_upside_down_is_the_same_pair(comm):
     """Unlike bodies on unlike cones, exchanged, as if the whole rig had been turned over."""
     mesh = Mesh(16)

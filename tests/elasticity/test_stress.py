@@ -188,7 +188,6 @@ def test_the_papers_rings(n, tolerance, comm):
     assert lower.surface[:, 5] == pytest.approx(-0.1 * lower.surface[:, 2], rel=1e-9)
 
 
-@pytest.mark.ranks
 def test_both_sides_of_the_contact_agree(comm):
     """What pressure and friction say is the same on both surfaces: zz, rz and tz."""
     lower, upper = paper_stresses(32, comm, ([[30.0, 20.0]], [[30.0, 20.0]]))
@@ -295,7 +294,7 @@ def test_near_the_axis_stress_converges(comm):
     layers = [{"thickness": 0.4, "young": 1e5, "poisson": 0.3}]
     heights = [14.9, 14.8, 14.7, 14.5, 14.0, 15.1, 15.3]
     points = [[r, z] for r in (0.0, 0.02, 0.05, 0.1, 0.2) for z in heights]
-    coarse, middle, fine = (disc_stresses(n, comm, points, layers) for n in (64, 128, 256))
+    coarse, middle, fine = (disc_stresses(n, comm, points, layers) for n in (48, 96, 192))
     errors = [np.abs(one[0] - fine[0]).max() / fine[1] for one in (coarse, middle)]
     assert errors[0] < 0.05
     assert errors[1] < errors[0] / 3.0  # of first order at least

@@ -212,17 +212,3 @@ def test_all_that_is_wrong_is_told(comm):
     )
     with pytest.raises(rw.InputError, match="rings do not overlap"):
         exploration.compute({"upper.r[0]": "41", "upper.r[1]": "42"})
-
-
-def test_pairs_are_used_again(comm):
-    exploration, said = Exploration(raw_keys(PAPER, SMALL), "paper.toml", comm), []
-
-    def assembling():
-        said.append(1)
-
-    for numbers, times in (
-        ({}, 1), ({"wear.lower.k": "2e-7"}, 1), ({"lower.young": "2e4"}, 1),
-        ({"upper.r[0]": "28"}, 2), ({"upper.r[0]": "28", "load.pressure": "70"}, 2), ({}, 3),
-    ):  # fmt: skip
-        exploration.compute(numbers, assembling)
-        assert len(said) == times

@@ -154,18 +154,6 @@ def test_faults_stay_until_numbers_can_be_computed(comm):
     assert "Infinity" not in visited.talk.answer
 
 
-def test_only_answers_have_the_number_of_a_request(comm):
-    visited = Visited(comm)
-    visited.work()
-    visited.ask(1, **{"wear.lower.k": "3e-8"})
-    visited.give("a.csv", b"time_s,penetration_um\n1,2\n")  # while that is computed
-    assert visited.told["n"] is None
-    assert visited.told["controls"]["wear.lower.k"]["value"] != 3e-8
-    told = visited.work()
-    assert told["n"] == 1
-    assert told["controls"]["wear.lower.k"]["value"] == 3e-8
-
-
 def test_only_the_case_file_stands_as_the_case_file(comm):
     """Also where others were asked for before its history."""
     visited = Visited(comm)

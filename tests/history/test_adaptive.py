@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from changed_steps import change_steps
 
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Load, Output, Stepping
@@ -46,7 +47,7 @@ def test_the_papers_case_in_few_steps(stepped, p0):
     law = ThresholdLaw(1e-7, p0)
     for end, most in ((200.0, 20), (2000.0, 30)):
         history, states, _ = stepped(time=Stepping("adaptive", until=end), wear_lower=law)
-        _, exact, _ = stepped(time=until(end, 1e-8), wear_lower=law)
+        _, exact, _ = stepped(time=until(end, 1e-7), wear_lower=law)
         last = states[-1]
         assert last.time == end
         assert history.steps <= most
@@ -78,16 +79,6 @@ def test_stages_are_of_second_order(stepped, paper_pair, comm):
     assert (orders > 1.7).all(), orders
 
 
-def test_a_smaller_tolerance_is_more_accurate(stepped):
-    _, exact, _ = stepped(time=until(200.0, 1e-9))
-    errors = []
-    for tolerance in (1e-4, 1e-5, 1e-6, 1e-7):
-        _, states, _ = stepped(time=until(200.0, tolerance))
-        errors.append(np.abs(states[-1].wear - exact[-1].wear).max())
-    assert errors[0] > 4 * errors[2] > 16 * errors[3] / 2
-    assert errors[2] < 5e-6
-
-
 def test_times_of_output_are_as_accurate_and_change_nothing(stepped):
     times = (0.3, 20.0, 20.5, 117.0)
     _, plain, _ = stepped(time=until(200.0))
@@ -100,7 +91,7 @@ def test_times_of_output_are_as_accurate_and_change_nothing(stepped):
     assert all(s.stored for s in shown)
     for snapshot in shown:
         state = one(snapshot.state, 0)
-        _, exact, _ = stepped(time=until(float(state.time), 1e-8))
+        _, exact, _ = stepped(time=until(float(state.time), 1e-7))
         assert np.abs(state.wear - exact[-1].wear).max() <= 1e-5
         assert state.contact.pressure == pytest.approx(exact[-1].contact.pressure, rel=0.03)
         off = balances(snapshot.physics, snapshot.state)
@@ -179,16 +170,6 @@ def test_displacement_that_comes_and_goes(stepped):
     assert history.balances.worst <= 1e-9
 
 
-def test_a_coefficient_switched_on_and_off(stepped):
-    """As an electrode's potential does; against the same history put together of parts."""
-    k = Table((0.0, 50.0, 50.01, 150.0, 150.01), (1e-7, 1e-7, 0.0, 0.0, 1e-7))
-    _, states, _ = stepped(time=until(200.0), wear_lower=ThresholdLaw(k, 0.0))
-    _, whole, _ = stepped(time=until(100.0), wear_lower=ThresholdLaw(1e-7, 0.0))
-    assert states[-1].wear[0] == pytest.approx(whole[-1].wear[0], abs=2e-5)
-    resting = [s for s in states if 50.01 <= s.time <= 150.0]
-    assert all(np.array_equal(s.wear, resting[0].wear) for s in resting)
-
-
 @pytest.mark.parametrize(
     "law",
     [
@@ -199,7 +180,7 @@ def test_a_coefficient_switched_on_and_off(stepped):
     ],
 )
 def test_other_laws_converge_to_the_same_from_all_schemes(stepped, law):
-    _, exact, _ = stepped(time=until(60.0, 1e-8), wear_lower=law)
+    _, exact, _ = stepped(time=until(60.0, 1e-7), wear_lower=law)
     _, coarse, _ = stepped(time=until(60.0), wear_lower=law)
     size = exact[-1].wear.max()
     assert np.abs(coarse[-1].wear - exact[-1].wear).max() <= max(1e-5, 2e-3 * size)
@@ -214,23 +195,12 @@ def test_other_laws_converge_to_the_same_from_all_schemes(stepped, law):
     assert errors[1] < 0.02 * size
 
 
-def test_similarity(stepped):
-    """Only kappa omega t enters: twice k and half the time, or half omega and twice the time."""
-    _, one, _ = stepped(time=until(100.0), wear_lower=ThresholdLaw(1e-7, 40.0))
-    _, two, _ = stepped(time=until(50.0), wear_lower=ThresholdLaw(2e-7, 40.0))
-    _, three, _ = stepped(
-        time=until(200.0), wear_lower=ThresholdLaw(1e-7, 40.0), load=Load(0.5 * OMEGA, FORCE)
-    )
-    assert two[-1].wear == pytest.approx(one[-1].wear, rel=1e-9)
-    assert three[-1].wear == pytest.approx(one[-1].wear, rel=1e-7)
-
-
 @pytest.mark.ranks
 def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
     def never(*_):
         raise ComputationError("contact: no")
 
-    monkeypatch.setattr(sdirk2, "step", never)
+    change_steps(monkeypatch, never)
     with pytest.raises(
         ComputationError,
         match=r"^contact: no, and no step is short enough; in step 1, from time 0 s$",
@@ -238,14 +208,11 @@ def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
         stepped(time=until(10.0))
 
 
-@pytest.mark.ranks
 def test_errors_that_stay_too_large_are_told_with_their_tolerances(stepped, monkeypatch):
-    step = sdirk2.step
-
-    def wrong(*arguments):
+    def wrong(step, *arguments):
         return replace(step(*arguments), wear_error=1.0)
 
-    monkeypatch.setattr(sdirk2, "step", wrong)
+    change_steps(monkeypatch, wrong)
     with pytest.raises(
         ComputationError, match=r"^errors exceed time.tolerance = 2e-06 mm or .*0\.1"
     ):

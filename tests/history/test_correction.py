@@ -18,7 +18,7 @@ from ringwear_par.contact.engine import ContactEngine
 from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.history.elastic.bodies import young
 from ringwear_par.history.elastic.pairs import assemble
-from ringwear_par.history.loop import METHODS
+from ringwear_par.history.loop import method_of
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.start import initial_state
@@ -155,7 +155,7 @@ def test_last_pressures_of_a_history_are_near_the_collocated_ones(cases, number,
     told, e = history.snapshots[-1].contacts.largest_errors
     assert 0 <= e < pair.line.n
     assert told <= 1e-2
-    scheme = METHODS[case.time.scheme].scheme
+    scheme = method_of(case.time.scheme).scheme
     physics = Physics.of([case], pair)
     with physics.contacts() as contacts:
         solve = contacts.solve
@@ -234,7 +234,6 @@ def test_ranks_find_the_same(cases, number, comm):
     assert together.last.wear == pytest.approx(alone.last.wear, rel=1e-9, abs=1e-12)
 
 
-@pytest.mark.ranks
 def test_a_contact_that_corrections_do_not_settle_is_refused(cases, comm, monkeypatch):
     """Alone with its error; among others it leaves."""
     case, pair = cases[12]

@@ -46,7 +46,6 @@ def test_derivatives_are_those_of_other_operators(name, changes, tolerance, comm
             assert np.abs(found - expected).max() < tolerance * np.abs(expected).max(), key
 
 
-@pytest.mark.ranks
 def test_thickness_moves_the_interface(comm):
     """Where all of a coating is gone, so much more of it costs so much time."""
     case = rw.read_case(CASES / "wear_through.toml", {**THROUGH, "time.steps": 60})

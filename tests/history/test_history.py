@@ -81,18 +81,6 @@ def test_steady_pressure_at_2000_s(stepped):
     assert rate == pytest.approx(case.friction * 1e-7 * case.load.omega * c, rel=1e-4)
 
 
-def test_both_bodies_wear(stepped):
-    laws = ThresholdLaw(1e-7), ThresholdLaw(3e-7)
-    history, states = stepped(
-        wear_lower=laws[0], wear_upper=laws[1], time=steps("implicit", 1.0, 20)
-    )
-    lower, upper = states[-1].wear
-    assert upper == pytest.approx(3 * lower, rel=1e-12)
-    _, alone = stepped(wear_lower=ThresholdLaw(4e-7), time=steps("implicit", 1.0, 20))
-    assert alone[-1].wear[0] == pytest.approx(lower + upper, rel=1e-9)
-    assert history.balances.energy < 1e-10
-
-
 def test_fixed_approach_unloads(stepped):
     load = Load(85 / 24, displacement=0.0585)
     _, states = stepped(load=load, wear_lower=ThresholdLaw(1e-7), time=steps("implicit", 20.0, 50))

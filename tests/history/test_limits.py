@@ -1,6 +1,5 @@
 """What a case is said to need, against what it takes."""
 
-import os
 import re
 import tracemalloc
 from dataclasses import replace
@@ -15,7 +14,7 @@ from ringwear_par.history.refusals.cases import check_memory, memory_needed
 from ringwear_par.verification.histories import paper_case
 
 
-@pytest.mark.parametrize("n", [64, 128])
+@pytest.mark.parametrize("n", [64, pytest.param(128, marks=pytest.mark.serial)])
 def test_memory_is_that_of_the_systems(comm, monkeypatch, n):
     """All that NumPy takes is counted, on whatever rank it is, and PETSc's factors and answers."""
     case = paper_case(Mesh(n))
@@ -39,18 +38,6 @@ def test_memory_is_that_of_the_systems(comm, monkeypatch, n):
     finally:
         tracemalloc.stop()
     assert 0.85 <= comm.allreduce(max(peaks)) / memory_needed(case, comm.size) <= 1.0
-
-
-@pytest.fixture
-def with_memory(monkeypatch):
-    """Function that gives the machine so many bytes."""
-
-    def with_memory(size):
-        page = float(os.sysconf("SC_PAGE_SIZE"))
-        known = {"SC_PAGE_SIZE": page, "SC_PHYS_PAGES": size / page}
-        monkeypatch.setattr("ringwear_par.history.refusals.cases.os.sysconf", known.get)
-
-    return with_memory
 
 
 GRID = {"r": [28.0, 32.0], "z": [18.0, 19.9], "n": [300, 300]}

@@ -43,7 +43,7 @@ def pressure_errors(pairs):
 
 def test_the_crown_has_no_peaks_where_contact_grows(comm):
     case = read_case(CASES / "crown.toml", {"mesh.contact_elements": 64, "time.end": 300.0})
-    history, pairs = compared(case, comm, 1e-8)
+    history, pairs = compared(case, comm, 1e-7)
     errors = pressure_errors(pairs)
     loose = replace(case, time=replace(case.time, pressure_tolerance=1e3))
     assert errors.max() < 0.25  # stages that know nothing of entering elements: 1.4
@@ -59,7 +59,7 @@ def test_a_smaller_tolerance_of_pressure_is_more_accurate(comm):
     for tolerance in (0.3, 0.03):
         changes = {"mesh.contact_elements": 32, "time.end": 100.0,
                    "time.pressure_tolerance": tolerance}  # fmt: skip
-        _, pairs = compared(read_case(CASES / "crown.toml", changes), comm, 1e-8)
+        _, pairs = compared(read_case(CASES / "crown.toml", changes), comm, 1e-7)
         errors.append(pressure_errors(pairs))
     assert np.median(errors[1]) < 0.7 * np.median(errors[0])
     assert errors[1].max() < errors[0].max()
@@ -67,7 +67,7 @@ def test_a_smaller_tolerance_of_pressure_is_more_accurate(comm):
 
 def test_the_spheres_penetration_does_not_wobble(comm):
     case = read_case(CASES / "sphere.toml", {**SPHERE, "mesh.contact_elements": 48})
-    _, pairs = compared(case, comm, 1e-8)
+    _, pairs = compared(case, comm, 1e-7)
     assert pressure_errors(pairs).max() < 0.05
     approach, exact = (np.array([pair[i].contact.approach for pair in pairs]) for i in (0, 1))
     assert np.abs(approach / exact - 1.0).max() < 1e-3

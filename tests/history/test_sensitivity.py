@@ -176,23 +176,6 @@ def test_elements_that_enter_within_steps_are_differentiated(tmp_path, monkeypat
     assert sum(each is not None for each in late) > len(late) / 5
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_derivatives_of_random_cases(tmp_path, seed):
-    rng = np.random.default_rng(seed)
-    law, scheme = rng.choice(list(LAWS)), rng.choice(list(STEPPINGS))
-    changes = {
-        "lower.young": 10.0 ** rng.uniform(3.5, 5.5),
-        "upper.young": 10.0 ** rng.uniform(3.5, 5.5),
-        "load.pressure": rng.uniform(20.0, 120.0),
-        "lower.r": [float(rng.choice([20.0, 28.5, 29.0])), 40.0],
-        "contact.friction": rng.uniform(0.05, 0.5),
-    }
-    if rng.uniform() < 0.5:
-        changes["upper.profile"] = CROWN
-    case = case_of(tmp_path, law, scheme, **changes)
-    assert off_differences(case, assemble(case, ALONE), list(numbers_of(case))) < 1e-6
-
-
 def test_objects_of_users_are_differentiated(tmp_path):
     @dataclasses.dataclass(frozen=True)
     class Own:

@@ -48,7 +48,6 @@ def cones(comm):
 # -- true areas ------------------------------------------------------------------------------------
 
 
-@pytest.mark.ranks
 def test_torque_and_energy_are_those_of_the_true_area(cones, comm):
     case, pair = cones
     line = pair.line
@@ -216,7 +215,6 @@ def test_pressure_on_a_conforming_chamfer_is_that_beside_it_times_the_cosine(cut
     assert cutting.balances.torque < 1e-3
 
 
-@pytest.mark.ranks
 def test_a_body_that_does_not_wear_is_solved_again_when_the_slope_turns(cutting, comm):
     """And not otherwise; what it gives way is that of a fresh assembly with that slope."""
     case = cutting.physics.case

@@ -32,6 +32,8 @@ from ringwear_par.identification.estimation.starts import StartOutcome
 from ringwear_par.identification.fit import expected_result, fit, fit_problem
 from ringwear_par.identification.model.histories import Histories
 
+pytestmark = [pytest.mark.serial, pytest.mark.slow]
+
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 
 
@@ -40,7 +42,6 @@ def near(found, truth=TRUTH, most=3.0):
     return all(abs(p.estimate - truth[p.key]) < most * p.sd for p in found.parameters)
 
 
-@pytest.mark.serial
 def test_a_laboratory_found_the_law(comm):
     """Files of an independent model with noise, in the repository as a worked example."""
     problem = read_fit(SCRIPTS / "fit/fit.toml")
@@ -52,7 +53,6 @@ def test_a_laboratory_found_the_law(comm):
     assert found.histories <= 2 * 20
 
 
-@pytest.mark.serial
 def test_likelihood_profiles_are_parabolas_where_much_is_known(tables, comm):
     found = fit(tables(starts=1, intervals=["profile"], level=0.9), comm)
     assert set(found.profiles) == set(TRUTH)
@@ -65,7 +65,6 @@ def test_likelihood_profiles_are_parabolas_where_much_is_known(tables, comm):
         assert np.interp(high, value, growth) == pytest.approx(1.645**2, rel=0.05)
 
 
-@pytest.mark.serial
 def test_both_methods_find_the_same(tables, comm):
     one, other = (fit(tables(method=method), comm) for method in ("brgn", "lm"))
     assert near(one)
@@ -76,7 +75,6 @@ def test_both_methods_find_the_same(tables, comm):
     assert one.chi2 == pytest.approx(other.chi2, rel=1e-6)
 
 
-@pytest.mark.serial
 def test_criteria_count_what_priors_object(tables, comm):
     """A prior that is far off costs what it costs the objective."""
     given = tables(starts=1)
@@ -91,7 +89,6 @@ def test_criteria_count_what_priors_object(tables, comm):
     assert growth == pytest.approx(2.0, rel=1e-6)
 
 
-@pytest.mark.serial
 def test_noise_is_fitted(tables, comm):
     given = tables(starts=1)
     for experiment in given["experiment"]:
@@ -112,7 +109,6 @@ def test_noise_is_fitted(tables, comm):
         assert noise["chi2"] == pytest.approx(noise["n"], rel=0.1)
 
 
-@pytest.mark.serial
 def test_outliers_do_not_count(tables, comm, tmp_path):
     given = tables(starts=1)
     for number, experiment in enumerate(given["experiment"]):
@@ -137,7 +133,6 @@ def test_outliers_do_not_count(tables, comm, tmp_path):
     assert not robust.flagged
 
 
-@pytest.mark.serial
 def test_friction_and_coefficient_are_one_number_without_torque(tables, comm):
     given = tables(starts=1)
     given["fit"]["parameters"] = {
@@ -155,7 +150,6 @@ def test_friction_and_coefficient_are_one_number_without_torque(tables, comm):
     assert any("only contact.friction x wear.lower.k" in doubt.text for doubt in found.doubts)
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("share", [0.0, 0.2])
 def test_residuals_that_trend_are_a_doubt(share, tables, comm, tmp_path):
     """A torque that settles, of which the model has a constant one only; and noise."""
@@ -182,7 +176,6 @@ def test_residuals_that_trend_are_a_doubt(share, tables, comm, tmp_path):
         assert "intervals are too narrow" in doubt["text"]
 
 
-@pytest.mark.serial
 def test_a_threshold_hides_behind_the_drift(tables, comm):
     given = tables(starts=1)
     (one, _), given["experiment"] = given["experiment"], given["experiment"][:1]
@@ -194,7 +187,6 @@ def test_a_threshold_hides_behind_the_drift(tables, comm):
     assert "drift of penetration (test 1)" in by_key["wear.lower.p0"].direction
 
 
-@pytest.mark.serial
 def test_what_is_one_with_an_unknown_is_unknown(tables, comm):
     """A coefficient and a threshold at one load: bounds of the one alone do not tell the other."""
     given = tables(starts=1)
@@ -213,7 +205,6 @@ def test_what_is_one_with_an_unknown_is_unknown(tables, comm):
     assert "wear.lower.k" in found.parameters[1].direction
 
 
-@pytest.mark.serial
 def test_a_threshold_at_its_bound_has_an_upper_limit(comm, tmp_path):
     truth = {"wear.lower.k": 1.3e-7, "wear.lower.p0": 0.0}
     written = write_tests(tmp_path, truth=truth)  # whose noise leads below 0
@@ -226,7 +217,6 @@ def test_a_threshold_at_its_bound_has_an_upper_limit(comm, tmp_path):
     assert abs(found.parameters[0].estimate - 1.3e-7) < 3 * found.parameters[0].sd
 
 
-@pytest.mark.serial
 def test_both_bodies_wear_with_gaps_in_the_record(comm, tmp_path):
     truth = {"wear.lower.k": 1.3e-7, "wear.upper.k": 4e-8}
     law = {"wear.lower.law": "archard", "wear.upper.law": "archard"}
@@ -253,7 +243,6 @@ def test_both_bodies_wear_with_gaps_in_the_record(comm, tmp_path):
     assert not found.flagged
 
 
-@pytest.mark.serial
 def test_other_laws_are_told_not_to_fit(tables, comm):
     given = tables(starts=1)
     given["compare"] = {
@@ -275,7 +264,6 @@ def test_other_laws_are_told_not_to_fit(tables, comm):
     assert f"wear.lower.k = {k.estimate:.5g} 1/MPa (u = {k.sd:.2g}); does not fit" in line
 
 
-@pytest.mark.serial
 def test_a_law_that_fails_leaves_the_fit(tables, comm, monkeypatch, tmp_path):
     """Names of laws are no names of files."""
     given = tables(starts=1, intervals=["profile"])
@@ -304,7 +292,6 @@ def test_a_law_that_fails_leaves_the_fit(tables, comm, monkeypatch, tmp_path):
     assert "  bad: failed: " in found.summary()
 
 
-@pytest.mark.serial
 def test_readings_that_cannot_be_are_named(tables, comm):
     """A weighing in another unit, and one point of a profile at the edge."""
     given = tables(starts=1)
@@ -345,7 +332,6 @@ def test_starts_bounds_and_priors_have_units(tables):
         read_fit(given)
 
 
-@pytest.mark.serial
 def test_a_law_of_ones_own_is_found(comm, tmp_path):
     truth = {"wear.lower.parameters.k": 3e-7, "wear.lower.parameters.p1": 50.0}
     start = {"wear.lower.parameters.k": 1e-7, "wear.lower.parameters.p1": 30.0}
@@ -371,7 +357,6 @@ def test_a_law_of_ones_own_is_found(comm, tmp_path):
     assert not found.flagged
 
 
-@pytest.mark.serial
 def test_steps_resolve_how_a_layer_is_worn_through(tmp_path, comm):
     """Long steps there made k of the layer and of the body under it wrong by several sd."""
     truth = {"lower.layers[0].wear.k": 4e-8, "wear.lower.k": 4e-7}
@@ -398,7 +383,6 @@ def test_steps_resolve_how_a_layer_is_worn_through(tmp_path, comm):
     assert all(abs(moved) < 0.2 for moved in found.discretisation_shift_sd.values())
 
 
-@pytest.mark.serial
 def test_trials_that_a_law_does_not_allow_end_no_fit(tmp_path, comm):
     """Running-in from k_start = k: with this noise, the best k_start would be below it."""
     law = {

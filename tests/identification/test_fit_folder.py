@@ -31,8 +31,9 @@ from ringwear_par.identification.fit_command import run_fit
 from ringwear_par.identification.model.rounds import StoppedError
 from ringwear_par.results.execution.stop_signals import StopSignals
 
+pytestmark = pytest.mark.serial
 
-@pytest.mark.serial
+
 def test_a_dry_run_tells_what_is_not_installed(tables, tmp_path, comm, capsys, monkeypatch):
     """And does not need it, as the fit does."""
     given = tables(intervals=["posterior"])
@@ -51,7 +52,6 @@ def test_a_dry_run_tells_what_is_not_installed(tables, tmp_path, comm, capsys, m
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.serial
 def test_only_a_fit_that_keeps_its_starts_can_go_on(tables, written, comm, monkeypatch):
     class Signals(StopSignals):
         def __enter__(self):
@@ -78,7 +78,6 @@ def written(tables, tmp_path):
     return path, tmp_path / "out"
 
 
-@pytest.mark.serial
 def test_what_is_written(written, comm, capsys):
     path, folder = written
     run_fit(path, folder, comm)
@@ -139,7 +138,6 @@ def check_exported(folder, told, chi2):
         assert numbers == pytest.approx(cells[1:], rel=1e-14)
 
 
-@pytest.mark.serial
 def test_a_complete_fit_is_left_as_it_is(written, comm, monkeypatch, caplog):
     caplog.set_level("INFO")
     path, folder = written
@@ -167,7 +165,6 @@ def test_a_complete_fit_is_left_as_it_is(written, comm, monkeypatch, caplog):
     assert f"{folder / 'fit.json'} is there already: it will be replaced" in caplog.text
 
 
-@pytest.mark.serial
 def test_a_fit_goes_on_with_the_starts_that_are_kept(written, comm, monkeypatch):
     """If it was stopped; one that has failed leaves nothing in the way of the next."""
     path, folder = written
@@ -232,7 +229,6 @@ def test_another_case_is_another_problem(written):
     assert read_fit(path).key == before
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize(
     "content", ["[" * 100_000, '{"a":' * 100_000, "pipe"], ids=["lists", "tables", "pipe"]
 )

@@ -25,6 +25,8 @@ from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.estimation.record_checks import input_trends
 from ringwear_par.identification.fit import fit_problem
 
+pytestmark = pytest.mark.serial
+
 K, MU = "wear.lower.k", "contact.friction"
 FRICTION = [[0.0, 0.06], [20.0, 0.1], [50.0, 0.12], [END, 0.12]]
 INPUT = {"key": MU, "quantity": "torque", "columns": {"time": "t_s", "value": "m_Nm"}}
@@ -62,7 +64,6 @@ def tables(written):
 # -- curves ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.serial
 def test_a_spline_with_knots_at_all_readings_is_the_smoothing_spline_of_scipy():
     """Two readings at each knot are one of twice the weight."""
     knots = np.linspace(0.0, 3.0, 24)
@@ -79,7 +80,6 @@ def test_a_spline_with_knots_at_all_readings_is_the_smoothing_spline_of_scipy():
     np.testing.assert_allclose(spline(knots), expected, rtol=1e-8)
 
 
-@pytest.mark.serial
 def test_cross_validation_follows_friction_and_not_its_noise():
     t, rng = np.linspace(20.0, 7200.0, 360), np.random.default_rng(1)
     mu = 0.15 - 0.04 * np.exp(-t / 1200.0)
@@ -92,14 +92,12 @@ def test_cross_validation_follows_friction_and_not_its_noise():
     assert np.std(followed(t) / (mu + wave)) < 0.012
 
 
-@pytest.mark.serial
 def test_of_waves_of_the_given_period_half_is_left():
     t = np.linspace(0.0, 1000.0, 4000)
     smoothed = curve(t, 1.0 + 0.1 * np.sin(2.0 * np.pi * t / 50.0), 50.0, 1000.0)(t)
     assert np.ptp(smoothed[1000:3000]) == pytest.approx(0.1, rel=0.01)
 
 
-@pytest.mark.serial
 def test_readings_that_a_curve_does_not_follow_or_that_are_no_friction_are_doubted(tables, written):
     """A jump of friction that is smoothed away, and a torque in kN m."""
     t, rng = np.linspace(0.0, END, 300), np.random.default_rng(2)
@@ -124,7 +122,6 @@ def test_readings_that_a_curve_does_not_follow_or_that_are_no_friction_are_doubt
     assert sentence.startswith(f"{torque['file']}: readings in Nm mean a friction of ")
 
 
-@pytest.mark.serial
 def test_a_unit_of_another_quantity_names_its_input(tables, written):
     t = np.linspace(0.0, END, 50)
     write_table(written[0] / "um.csv", ("t_s", "m_um"), t, np.full(50, 10.0))
@@ -137,7 +134,6 @@ def test_a_unit_of_another_quantity_names_its_input(tables, written):
 # -- fits ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.ranks
 def test_friction_is_that_of_the_torque_at_the_radius_of_the_history(tables, comm):
     """Without noise it is the true one; at the nominal mean radius it is a thousandth off."""
     problem = read_fit(tables)
@@ -156,12 +152,16 @@ def test_friction_is_that_of_the_torque_at_the_radius_of_the_history(tables, com
     for inputs in found.to_dict()["inputs"].values():
         time, value = (np.array(inputs[MU][name]) for name in ("time", "value"))
         np.testing.assert_allclose(np.interp(t, time, value), true, rtol=1e-4)
-    assert found.to_dict()["key"] == comm.bcast(read_fit(tables).key)
-    alone = rw.fit(tables, MPI.COMM_SELF)
+
+
+@pytest.mark.several
+def test_friction_is_that_of_one_rank(tables, comm):
+    del tables["experiment"][1]
+    found, alone = fit_problem(read_fit(tables), comm), rw.fit(tables, MPI.COMM_SELF)
     assert [p.estimate for p in alone.parameters] == [p.estimate for p in found.parameters]
+    assert found.to_dict()["key"] == comm.bcast(read_fit(tables).key)
 
 
-@pytest.mark.serial
 def test_a_calibration_widens_the_interval_by_its_own_uncertainty(tmp_path):
     """Without threshold k mu counts: the variance of log k gains that of log mu."""
     plain = write_measured(tmp_path, {**TRUTH, "wear.lower.p0": 0.0}, (85.0,))
@@ -183,7 +183,6 @@ def test_a_calibration_widens_the_interval_by_its_own_uncertainty(tmp_path):
     )
 
 
-@pytest.mark.serial
 def test_measured_loads_and_speeds_are_those_of_the_case(tables, written):
     folder, _ = written
     t = np.linspace(0.0, END, 60)
@@ -206,7 +205,6 @@ def test_measured_loads_and_speeds_are_those_of_the_case(tables, written):
 # -- refusals --------------------------------------------------------------------------------------
 
 
-@pytest.mark.serial
 def test_all_faults_of_inputs_are_told_together(tables, written):
     folder, _ = written
     t = np.linspace(0.0, 0.5 * END, 12)

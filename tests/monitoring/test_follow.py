@@ -30,6 +30,8 @@ from ringwear_par.prediction.draws import log_densities
 from ringwear_par.prediction.known import fit_knowledge
 from ringwear_par.results.execution.stop_signals import StopSignals
 
+pytestmark = pytest.mark.slow
+
 KEY, P0, TRUE_K = "wear.lower.k", 25.0, 1.3e-7
 #: of the running specimen, over the material's k
 FACTOR = 1.15
@@ -76,6 +78,13 @@ def followed(laboratory, folder, name="running", **options):
     return parse_json((folder / "follow.json").read_text())
 
 
+@pytest.fixture(scope="module")
+def stored(laboratory, tmp_path_factory):
+    """What is stored of the running test, and the folder."""
+    folder = tmp_path_factory.mktemp("stored")
+    return followed(laboratory, folder, to="2%", depth="5 um"), folder
+
+
 def exact_quantiles(laboratory, problem, unknowns):
     """Return quantiles of the running specimen's k, by quadrature of prior times likelihood.
 
@@ -100,9 +109,9 @@ def exact_quantiles(laboratory, problem, unknowns):
     return np.exp(quantiles(unknowns, share, [0.025, 0.5, 0.975]))
 
 
-def test_the_posterior_of_a_running_test(laboratory, tmp_path):
+def test_the_posterior_of_a_running_test(laboratory, stored):
     """By quadrature; the interval narrows, its goal comes, and nothing is out of the way."""
-    stored = followed(laboratory, tmp_path / "a", to="2%", depth="5 um")
+    stored, folder = stored
     problem, key = RunningTest.of(laboratory / "running.toml", None).read(), stored["keys"][KEY]
     unknowns = np.log(TRUE_K) + np.linspace(-0.7, 0.7, 141)
     exact = np.log(exact_quantiles(laboratory, problem, unknowns))
@@ -124,7 +133,7 @@ def test_the_posterior_of_a_running_test(laboratory, tmp_path):
     assert low < reached < high
     half = stored["trace"][len(stored["trace"]) // 2]
     assert half[3] - half[1] > key["interval"][1] - key["interval"][0]
-    page = (tmp_path / "a" / "follow.html").read_text()
+    page = (folder / "follow.html").read_text()
     assert 'http-equiv="refresh"' not in page  # it has ended
 
 
@@ -145,9 +154,9 @@ def test_laws_are_as_probable_as_by_a_fit_of_all_tests(laboratory, tmp_path):
     assert "probability of the law" in (tmp_path / "out" / "follow.html").read_text()
 
 
-def test_half_a_test_tells_when_it_is_enough(laboratory, tmp_path):
+def test_half_a_test_tells_when_it_is_enough(laboratory, stored, tmp_path):
     """The time that is expected half way is that at which the whole record is as narrow."""
-    whole = followed(laboratory, tmp_path / "whole")
+    whole, _ = stored
     at_60 = next(row for row in whole["trace"] if row[0] >= 60.0)
     wished = 50.0 * (at_60[3] - at_60[1]) / at_60[2]
     lines = (laboratory / "z5.csv").read_text().splitlines(keepends=True)
@@ -323,8 +332,8 @@ def test_the_fit_file_may_not_change_what_is_followed(laboratory):
     assert followed.read().keys == (KEY,)
 
 
-def test_a_robust_loss_takes_outliers_for_what_they_are(laboratory, tmp_path):
-    clean = followed(laboratory, tmp_path / "clean")["keys"][KEY]
+def test_a_robust_loss_takes_outliers_for_what_they_are(laboratory, stored, tmp_path):
+    clean = stored[0]["keys"][KEY]
     head, *rows = (laboratory / "z5.csv").read_text().splitlines()
     table = np.array([row.split(",") for row in rows], dtype=float)
     table[[7, 19, 33, 48], 1] += (3.0, -2.0, 4.0, 3.0)

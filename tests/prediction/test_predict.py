@@ -17,6 +17,8 @@ from ringwear_par.prediction import predict as module
 from ringwear_par.prediction.known import doubts_of, fit_knowledge, sources_of
 from ringwear_par.prediction.summary import _error_of_ends
 
+pytestmark = pytest.mark.serial
+
 FACTORS = (0.8, 1.0, 1.1, 1.3)
 K = "wear.lower.k"
 ADAPTIVE = {"time.scheme": "adaptive", "time.step": None, "time.steps": None}
@@ -52,6 +54,7 @@ def case(found):
     return rw.read_case(found[0].parent / "case.toml", ELSEWHERE)
 
 
+@pytest.mark.ranks
 def test_the_folder_knows_what_the_fit_knows(found, case, comm):
     folder, fit = found
     of_folder = rw.predict(folder, case, draws=8, seed=3, comm=comm)
@@ -63,7 +66,6 @@ def test_the_folder_knows_what_the_fit_knows(found, case, comm):
     assert dataset.penetration.dims == ("draw", "step")
 
 
-@pytest.mark.serial
 def test_predictions_are_about_somebody(found, case):
     """Next specimens scatter more than the material is unknown, and that more than a specimen."""
     _, fit = found
@@ -94,7 +96,6 @@ def test_predictions_are_about_somebody(found, case):
     assert "200 draws, which leave the ends of the first interval unc" in at["material"].summary()
 
 
-@pytest.mark.serial
 def test_without_scatter_the_band_is_of_the_specimens_tested(found, case, monkeypatch):
     known = fit_knowledge(found[1])
     values = dataclasses.replace(
@@ -111,7 +112,6 @@ def test_without_scatter_the_band_is_of_the_specimens_tested(found, case, monkey
     assert [one.doubts[0].code for one in both] == ["no-scatter", "one-value"]
 
 
-@pytest.mark.serial
 def test_random_wear_spreads_a_prediction(found, case, monkeypatch):
     """Variance of worn depth: size times depth, where values are known."""
     _, fit = found
@@ -137,7 +137,6 @@ def test_random_wear_spreads_a_prediction(found, case, monkeypatch):
     assert source == "mixture over sizes of random wear of the fit to 4 specimens"
 
 
-@pytest.mark.serial
 def test_what_is_refused(found, case, tmp_path):
     folder, fit = found
     design, interrupted = tmp_path / "design", tmp_path / "interrupted"
@@ -167,7 +166,6 @@ def test_what_is_refused(found, case, tmp_path):
         assert said in str(error.value)
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize(
     ("entry", "nonsense"),
     [("doubts", "none"), ("log_evidence", "-3"), ("verdict", "surely"), ("unit", 7)],
@@ -183,7 +181,6 @@ def test_a_fit_that_was_edited_is_refused(found, case, tmp_path, entry, nonsense
     assert str(error.value).endswith("fit.json: is not the outcome of a fit, or is damaged")
 
 
-@pytest.mark.serial
 def test_names_tell_laws_of_layers_and_users_apart(case, tmp_path):
     layer = {"thickness": 2e-3, "young": 1e5, "poisson": 0.3, "wear": {"law": "archard", "k": 3e-9}}
     names = []
@@ -200,7 +197,6 @@ def test_names_tell_laws_of_layers_and_users_apart(case, tmp_path):
     assert names[0] != names[1]
 
 
-@pytest.mark.serial
 def test_the_command(found, tmp_path, capsys):
     folder, _ = found
     out, case = tmp_path / "out", folder.parent / "case.toml"

@@ -1,8 +1,6 @@
 """Pages of a run, a sweep and a fit: what they say, that they fetch nothing, and in a browser."""
 
 import base64
-import html
-import html.parser
 import itertools
 import json
 import re
@@ -13,9 +11,10 @@ import h5py
 import numpy as np
 import pytest
 from chromium import Browser, in_browser
-from commands import on_ranks, ringwear, sentences
+from commands import on_ranks, ringwear
 from laboratory import fit_tables, write_tests
-from paths import PAPER
+from paths import HELPERS, PAPER
+from report_pages import Read
 
 import ringwear_par as rw
 from ringwear_par.cases.units import factor as unit_factor
@@ -31,103 +30,6 @@ CASE = {
     "mesh.contact_elements": 12, "time.steps": 8,
 }  # fmt: skip
 KINDS = ("run", "sweep", "fit")
-
-
-def models(value):
-    """Yield all models of a document of bokeh."""
-    if isinstance(value, dict) and value.get("type") == "object":
-        yield value
-    if isinstance(value, dict | list):
-        for entry in value.values() if isinstance(value, dict) else value:
-            yield from models(entry)
-
-
-def numbers(value):
-    """Return a column of a document, its numbers that are none as such."""
-    if isinstance(value, dict):
-        return float(value["value"])
-    return [numbers(entry) for entry in value] if isinstance(value, list) else value
-
-
-class Drawn:
-    """A chart of a page: its columns by kinds of marks, its curves by name, its slider's frames."""
-
-    def __init__(self, name, text):
-        self.frames, self.columns = text["frames"], {}
-        for model in models(text["item"]["doc"]):
-            if model["name"] == "ColumnDataSource":
-                kind = model["attributes"]["name"].removeprefix(f"{name}-")
-                entries = model["attributes"]["data"]["entries"]
-                self.columns[kind] = {column: numbers(values) for column, values in entries}
-
-    def curves(self, *kinds):
-        """Abscissae and ordinates of curves, by name."""
-        return {
-            label: (np.array(x), np.array(y))
-            for kind in kinds or ("ends", "lines", "asides")
-            for label, x, y in zip(
-                *(self.columns[kind][c] for c in ("name", "x", "y")), strict=True
-            )
-        }
-
-    @property
-    def ordinates(self):
-        """All of them that a table has."""
-        steps = zip(self.columns["lines"]["y"], self.columns["lines"]["stepped"], strict=True)
-        lines = [y[1::2] if stepped else y for y, stepped in steps]
-        of_curves = itertools.chain(*self.columns["ends"]["y"], *lines)
-        return [*of_curves, *self.columns["points"]["y"]]
-
-
-class Read(html.parser.HTMLParser):
-    """A page as a browser reads it: elements, texts of tables and of scripts."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.elements, self.tables, self.scripts, self.words, self._inside = [], [], [], [], []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):  # noqa: D102
-        self.elements.append((tag, dict(attrs)))
-        if tag in ("script", "style", "title", "th", "td", "h1", "h2", "pre"):
-            self._inside = [*self._inside, tag]
-        if tag == "table":
-            self.tables.append([])
-        if tag == "tr":
-            self.tables[-1].append([])
-        if tag in ("th", "td"):
-            self.tables[-1][-1].append("")
-
-    def handle_endtag(self, tag):  # noqa: D102
-        if self._inside and self._inside[-1] == tag:
-            self._inside = self._inside[:-1]
-
-    def handle_data(self, data):  # noqa: D102
-        inside = self._inside[-1] if self._inside else ""
-        if inside == "script":
-            self.scripts.append(data)
-        elif inside in ("th", "td"):
-            self.tables[-1][-1][-1] += data
-        if inside not in ("script", "style"):
-            self.words.append(data)
-
-    @property
-    def text(self):  # noqa: D102
-        return " ".join("".join(self.words).split())
-
-    @property
-    def charts(self):
-        """Charts by the names of their elements."""
-        names = [a["id"] for _, a in self.elements if a.get("class") == "plot"]
-        texts = [json.loads(text) for text in self.scripts if text.startswith('{"item"')]
-        return {name: Drawn(name, text) for name, text in zip(names, texts, strict=True)}
-
-    def rows(self, caption_of):
-        """Rows of the table whose header has a word, by their first cells."""
-        found = [table for table in self.tables if caption_of in table[0]]
-        assert len(found) == 1, caption_of
-        return {row[0]: row[1:] for row in found[0][1:]}
 
 
 @pytest.fixture(scope="module")
@@ -447,73 +349,13 @@ def test_the_command(ranks, folder, tmp_path):
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"{tmp_path}/page.html: Wear history of a test, 13 figures\n"
     assert (tmp_path / "page.html").read_bytes() == (folder / "run.html").read_bytes()
-    refused = ringwear("report", folder / "away.h5", "-o", tmp_path / "other.html", ranks=ranks)
-    assert refused.returncode == 2
-    assert sentences(refused) == [
-        f"ringwear: {folder}/away.h5: does not exist; must be a result file of ringwear"
-    ]
     assert [p.name for p in tmp_path.iterdir()] == ["page.html"]
 
 
 # -- in a browser ----------------------------------------------------------------------------------
 
-#: what a page says of itself once it is drawn; then its slider is moved and its table sorted
-PROBE = """
-(async () => {
-  const told = {}, all = (s) => [...document.querySelectorAll(s)];
-  const reached = (e) => { e.focus(); return document.activeElement === e; };
-  told.width = document.documentElement.scrollWidth;
-  await Promise.all(ready);
-  const views = (p) => Bokeh.index.get_by_id(p.figure.id).renderer_views;
-  const kindOf = (p, view) => view.model.data_source.name.slice(p.id.length + 1);
-  told.plots = all("div.plot").map((p) => Object.fromEntries([...views(p).values()]
-    .filter((view) => view.glyph).map((view) => [kindOf(p, view), view.glyph.data_size])));
-  const tools = (p) => p.figure.toolbar.tools.map((tool) => tool.type);
-  told.buttons = [...new Set(all("div.plot").flatMap(tools))];
-  told.pictures = all("main img").map((i) => i.complete && i.naturalWidth > 0);
-  // what a chart shows and does by hand: its numbers, and buttons instead of the mouse
-  all("details").forEach((e) => { e.open = true; });
-  told.focused = all("nav a, input, button, main pre, summary, .numbers").map(reached);
-  const plot = document.querySelector("div.plot"), ranges = () => ["x_range", "y_range"]
-    .map((name) => [plot.figure[name].start, plot.figure[name].end]);
-  const press = (name) => [...plot.parentElement.querySelectorAll(".by-hand button")]
-    .find((button) => button.textContent === name).click();
-  told.ranges = [ranges(), ...["zoom in", "right", "up", "whole chart"].map((name) => {
-    press(name);
-    return ranges();
-  })];
-  told.points = all("div.plot").map((p) => [...sourceOf(p, "points").data.words ?? []]);
-  const widths = (when) => {
-    dispatchEvent(new Event(when));
-    return all("div.plot").map((p) => Math.round(p.offsetWidth * (p.style.zoom || 1)));
-  };
-  told.widths = [widths("screen"), widths("beforeprint"), widths("afterprint")];
-  const texts = (row) => [...row.cells].map((cell) => cell.textContent);
-  await new Promise((done) => { setTimeout(done, 100); });
-  told.numbers = all(".numbers").map((e) => [...e.querySelectorAll("tr")].map(texts));
-  const input = document.querySelector(".slider input");
-  if (input) {
-    input.value = 0;
-    input.dispatchEvent(new Event("input"));
-    const chosen = sourceOf(document.querySelector("div.plot"), "lines").data.y.at(-1);
-    told.slid_numbers = [...document.querySelectorAll(".numbers tbody tr")].slice(0, chosen.length)
-      .map((row) => row.cells[row.cells.length - 1].textContent);
-    told.slid = [document.querySelector("output").textContent, chosen];
-  }
-  // Chromium leaves buttons out of headers that it repeats on further pages
-  const print = [...document.styleSheets[0].cssRules]
-    .find((rule) => rule.media?.mediaText === "print");
-  told.repeated = [...print.cssRules].filter((rule) => rule.selectorText === "th button")
-    .map((rule) => rule.style.display);
-  const head = document.querySelectorAll(".sortable th button")[5];
-  if (head) {
-    const column = () => all(".sortable tbody tr").map((row) => row.cells[5].textContent);
-    told.sorted = [0, 1].map(() => { head.click(); return column(); });
-    told.order = head.parentElement.getAttribute("aria-sort");
-  }
-  return told;
-})()
-"""
+#: what a page says of itself
+PROBE = (HELPERS / "report_probe.js").read_text("utf-8")
 
 
 @pytest.fixture(scope="module")

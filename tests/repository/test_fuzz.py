@@ -14,12 +14,12 @@ FUZZ = ROOT / "scripts" / "fuzz.py"
 @pytest.mark.serial
 @pytest.mark.slow
 def test_damaged_and_malicious_input_is_refused_in_a_sentence():
-    command = [sys.executable, str(FUZZ), "--count", "84", "--seed", "5"]
+    command = [sys.executable, str(FUZZ), "--count", "42", "--seed", "5"]
     done = subprocess.run(command, env=SHELL_ENVIRONMENT, capture_output=True, text=True,
                           timeout=500, check=False)  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     assert re.search(
-        r"84 inputs .* traceback 0, hang 0, crash 0, no sentence 0, written 0", done.stdout
+        r"42 inputs .* traceback 0, hang 0, crash 0, no sentence 0, written 0", done.stdout
     )
     for kind in ("case", "study", "table", "result", "ensemble", "words"):
         (told,) = re.findall(f"^{kind}: (.*)$", done.stdout, re.MULTILINE)

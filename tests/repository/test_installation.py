@@ -32,11 +32,18 @@ def test_a_package_that_does_not_load_is_told_in_a_sentence(tmp_path, package):
     assert not list((tmp_path / "out").iterdir())
 
 
-def test_results_and_laws_are_looked_at_without_petsc(tmp_path):
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with the result of a run."""
+    folder = tmp_path_factory.mktemp("run")
+    assert python(*RUN, "--set", "time.steps=3", cwd=folder).returncode == 0
+    return folder
+
+
+def test_results_and_laws_are_looked_at_without_petsc(folder, tmp_path):
     (tmp_path / "broken" / "petsc4py").mkdir(parents=True)
     (tmp_path / "broken" / "petsc4py" / "__init__.py").write_text("raise ImportError('none')\n")
     path = os.pathsep.join([str(tmp_path / "broken"), str(ROOT)])
-    assert python(*RUN, "--set", "time.steps=3", cwd=tmp_path).returncode == 0
     # of fits too: where one rank alone reads them, it must not start PETSc
     program = """
 import sys
@@ -45,7 +52,7 @@ from ringwear_par.cli import main
 for words in ("plot a.h5 -o a.png", "export a.h5 -o a.csv", "report a.h5 -o a.html", *sys.argv[1:]):
     assert main(words.split()) == 0, words
 """
-    done = python("-c", program, f"laws {RUN[3]}", cwd=tmp_path, PYTHONPATH=path)
+    done = python("-c", program, f"laws {RUN[3]}", cwd=folder, PYTHONPATH=path)
     assert (done.returncode, done.stderr) == (0, "")
     fit = ROOT / "scripts/fit/plan.toml"
     done = python("-m", "ringwear_par", "design", fit, "-o", "out", cwd=tmp_path, PYTHONPATH=path)
@@ -53,13 +60,12 @@ for words in ("plot a.h5 -o a.png", "export a.h5 -o a.csv", "report a.h5 -o a.ht
     assert done.stderr.startswith("ringwear: PETSc for Python does not load (none)")
 
 
-def test_nothing_is_said_where_no_home_may_be_written(tmp_path):
-    assert python(*RUN, "--set", "time.steps=3", cwd=tmp_path).returncode == 0
+def test_nothing_is_said_where_no_home_may_be_written(folder):
     nowhere = {"HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null", "XDG_CONFIG_HOME": "/dev/null"}
-    words = ["-m", "ringwear_par", "plot", "a.h5", "-o", "a.png"]
-    done = python(*words, cwd=tmp_path, MPLCONFIGDIR="", **nowhere)
+    words = ["-m", "ringwear_par", "plot", "a.h5", "-o", "drawn.png"]
+    done = python(*words, cwd=folder, MPLCONFIGDIR="", **nowhere)
     assert (done.returncode, done.stderr) == (0, "")
-    assert (tmp_path / "a.png").exists()
+    assert (folder / "drawn.png").exists()
 
 
 @pytest.fixture

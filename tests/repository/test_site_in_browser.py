@@ -11,7 +11,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 from chromium import Browser, in_browser
-from paths import ROOT
+from paths import HELPERS, ROOT
 
 SITE = ROOT / "docs" / "_build" / "html"
 WIDTHS = (1280, 400)
@@ -26,43 +26,7 @@ pytestmark = [
 ]
 
 #: opens the pages one after another in a frame, and tells what each has become
-DRIVER = """<!DOCTYPE html>
-<title>driver</title><link rel="icon" href="data:,"><iframe height="900"></iframe>
-<script>
-"use strict";
-const frame = document.querySelector("iframe"), told = [];
-async function look(page, width) {
-  frame.width = width;
-  const there = new Promise((done) => { frame.onload = done; });
-  frame.src = page;
-  await there;
-  const here = frame.contentDocument, all = (s) => [...here.querySelectorAll(s)];
-  for (const image of here.images) image.loading = "eager";
-  await Promise.all([...here.images].map((image) => image.decode().catch(() => {})));
-  const sought = () => page.includes("?q=") && all("#search-results li").length <= FOUND;
-  for (let wait = 0; wait < 100 && sought(); wait++) {
-    await new Promise((done) => { setTimeout(done, 100); });
-  }
-  const box = (e) => e.getBoundingClientRect();
-  told.push({
-    page, width, scrolls: here.documentElement.scrollWidth, title: here.title,
-    text: here.querySelector("article")?.innerText.length ?? 0,
-    broken: [...here.images].filter((i) => !i.naturalWidth).map((i) => i.src),
-    wide: [...here.images].filter((i) => box(i).right > width).map((i) => i.src),
-    pictures: here.images.length, formulas: all("math").length,
-    flat: all("article math").filter((e) => !box(e).width || !box(e).height).length,
-    links: [...new Set(all("a[href]").map((a) => a.href))],
-    found: all("#search-results li > a").map((a) => a.href),
-    excerpts: all("#search-results .context").filter((e) => /coeff/i.test(e.innerText)).length,
-    bare: (here.querySelector("article")?.innerText.match(/\\$\\$|\\{[a-z]+\\}`|\\\\frac/g) ?? []),
-  });
-}
-async function lookAtAll() {
-  for (const width of WIDTHS) for (const page of PAGES) await look(page, width);
-  return told;
-}
-</script>
-"""
+DRIVER = (HELPERS / "site_driver.html").read_text("utf-8")
 
 
 @pytest.fixture(scope="module")

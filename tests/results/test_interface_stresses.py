@@ -59,34 +59,6 @@ def test_force_and_torque_go_through_every_interface(result):
                 assert abs(stress[:, 3] @ area) < force
 
 
-def test_a_soft_film_that_is_worn_through_in_places(comm):
-    film = {"thickness": 0.02, "young": 200.0, "poisson": 0.3}
-    case = case_of(
-        lower__layers=[{**film, "wear": {"law": "archard", "k": 3.5e-8}}], stress__times="all",
-        output__boundary="last",
-    )  # fmt: skip
-    found = rw.simulate(case, comm)
-    interface, last = found.stress.interfaces[0], found.stress.states[-1]
-    element = np.searchsorted(found.line.edges, interface.r) - 1
-    under = (element >= 0) & (element < found.line.n)
-    assert np.count_nonzero(under) == found.line.n
-    gone = found.layers["layer_left_lower"][-1] == 0.0
-    assert 0 < np.count_nonzero(gone) < found.line.n
-    known = np.isfinite(last.interfaces[0][0]).all(axis=(0, 2))
-    np.testing.assert_array_equal(known[under], ~gone[element[under]])
-    assert known[~under].all()
-    force = found.stress.states[0].interfaces[0][0, 0, :, 2] @ areas(interface, 20.0)
-    assert -force == pytest.approx(found.histories["force"][0], rel=2e-3)
-    assert rw.plot(found, "section,interfaces").axes
-
-
-def test_both_sides_share_tractions_only(result):
-    for sides in (s for body in result.stress.states[-1].interfaces for s in body):
-        above, below = sides
-        np.testing.assert_allclose(above[:, [2, 3, 5]], below[:, [2, 3, 5]], atol=1e-9)
-        assert np.abs(above[:, 0] - below[:, 0]).max() > 5.0
-
-
 def test_points_on_a_side_have_the_same(comm):
     plain = both_bodies()
     known = rw.simulate(plain, comm).stress
@@ -104,20 +76,6 @@ def test_points_on_a_side_have_the_same(comm):
     last = known.states[-1]
     for (b, i, k, side), stress in zip(asked, found, strict=True):
         np.testing.assert_allclose(stress, last.interfaces[b][i, side, k], rtol=1e-9, atol=1e-9)
-
-
-def test_an_interface_within_one_material_is_like_the_inside(comm):
-    layered = rw.simulate(case_of(lower__layers=[ALIKE], mesh__contact_elements=48), comm)
-    history = layered.stress
-    r, (z,) = history.interfaces[0].r, history.interfaces[0].z
-    near = np.flatnonzero((r > 27.5) & (r < 32.5))[::5]
-    points = [[at, z] for at in r[near].tolist()]
-    plain = case_of(stress__points=points, mesh__contact_elements=48)
-    inside = rw.simulate(plain, comm).stress.states[-1].points
-    above, below = history.states[-1].interfaces[0][0]
-    scale = np.abs(inside).max()
-    np.testing.assert_allclose(above[near], inside, atol=0.01 * scale)
-    np.testing.assert_allclose(below[near], inside, atol=0.01 * scale)
 
 
 @pytest.mark.ranks

@@ -45,10 +45,14 @@ RUNS = {
     ),
     "doubts of before": (CASES / "crown.toml", CROWN, 3, "pressure"),
 }  # fmt: skip
+#: of what ranks share
+ON_RANKS = ("times", "coating partly gone", "boundaries", "stresses")
 
 
-@pytest.mark.ranks
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.ranks] * (name in ON_RANKS)) for name in RUNS],
+)
 def test_restart_equals_an_uninterrupted_run(name, restarted, comm):
     path, keys, step, variable = RUNS[name]
     whole, parts = restarted(path, keys, step, f"SIGTERM after step {step}")

@@ -65,14 +65,13 @@ def computed(shared_path, comm, monkeypatch):
     return run
 
 
-@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("case", "words"),
     [
         ("paper.toml", SMALL),
         ("paper.toml", [*SMALL, "output.every=8", "output.fields=['gap']"]),
         ("paper.toml", [*SMALL, "output.profiles=last"]),
-        ("fields.toml", FIELDS),
+        pytest.param("fields.toml", FIELDS, marks=pytest.mark.ranks),
     ],
 )
 def test_the_dataset_is_that_of_the_file(computed, comm, case, words):
@@ -146,7 +145,6 @@ def test_all_groups_open_as_a_tree(computed, comm, words):
         assert tree["line/edges"].size == 17
 
 
-@pytest.mark.ranks
 def test_results_travel_to_other_processes(shared_path, comm):
     result = rw.simulate(rw.read_case(PAPER, {"mesh.contact_elements": 8, "time.steps": 2}), comm)
     again = pickle.loads(pickle.dumps(result))

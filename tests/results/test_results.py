@@ -18,6 +18,7 @@ from ringwear_par.results.storage import result_files as results
 SMALL = ["mesh.contact_elements=16", "time.steps=20"]
 
 
+@pytest.mark.serial
 def test_only_the_steps_and_fields_asked_for(shared_path, comm):
     path = shared_path / "run.h5"
     run_case(PAPER, path, [*SMALL, "output.every=8", "output.fields=['pressure']"], comm=comm)
@@ -29,6 +30,7 @@ def test_only_the_steps_and_fields_asked_for(shared_path, comm):
             assert int(data.contact_iterations.sum()) >= 20
 
 
+@pytest.mark.serial
 def test_a_longer_history_extends_a_complete_one(shared_path, comm):
     whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
     run_case(PAPER, whole, [*SMALL, "time.steps=30"], comm=comm)
@@ -39,6 +41,7 @@ def test_a_longer_history_extends_a_complete_one(shared_path, comm):
         assert_same(whole, parts)
 
 
+@pytest.mark.serial
 def test_restart_with_fewer_steps_is_refused(shared_path, comm):
     path = shared_path / "run.h5"
     run_case(PAPER, path, SMALL, comm=comm)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import h5py
 import pytest
+from changed_steps import change_steps
 from paths import PAPER
 
 import ringwear_par as rw
@@ -128,20 +129,17 @@ def test_the_summary_tells_what_the_error_of_time_stepping_is_of(comm):
 @pytest.mark.ranks
 def test_a_failure_at_a_time_of_output_leaves_no_row_twice(shared_path, comm, monkeypatch):
     """Neither in the file of the failed run, nor after it has been gone on with."""
-    from ringwear_par.history.loop import METHODS
-
     whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
     keys = ["mesh.contact_elements=16", "time.step=1", "time.steps=4", "output.times=[0.5,2.2,2.5]"]
     run_case(PAPER, whole, keys, comm=comm)
-    step = METHODS["implicit"].scheme
 
-    def failing(physics, contacts, state, end):
+    def failing(scheme, physics, contacts, state, end):
         if end[0] == 2.5:
             raise ComputationError("contact: no")
-        return step(physics, contacts, state, end)
+        return scheme(physics, contacts, state, end)
 
     with monkeypatch.context() as patch:
-        patch.setitem(METHODS, "implicit", METHODS["implicit"]._replace(scheme=failing))
+        change_steps(patch, failing)
         with pytest.raises(ComputationError, match=r": contact: no; in step 3, from time 2 s\. "):
             run_case(PAPER, parts, keys, comm=comm)
     assert open_result(parts).histories["time"].tolist() == [0.0, 0.5]

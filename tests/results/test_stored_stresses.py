@@ -87,8 +87,7 @@ def test_the_same_on_all_ranks(comm):
     assert [state.time for state in shared.stress.states] == [0.0, 120.0]
 
 
-@pytest.mark.ranks
-@pytest.mark.parametrize("times", ["last", [0.0, 60.0]])
+@pytest.mark.parametrize("times", [pytest.param("last", marks=pytest.mark.ranks), [0.0, 60.0]])
 def test_many_cases_share_what_is_integrated(times, comm, monkeypatch):
     """Same bits in whatever company; those of single runs to round-off; one of them stays alone."""
     made, integrated = [], StressRecovery._integrated

@@ -10,6 +10,8 @@ from ringwear_par.studies.execution import plan, team_store
 from ringwear_par.studies.execution.sweep import sweep
 from ringwear_par.studies.storage.ensemble import open_ensemble
 
+pytestmark = pytest.mark.serial
+
 THRESHOLDS = '[vary]\n"wear.lower.p0" = {{ values = [{}] }}\n'
 
 
@@ -27,6 +29,7 @@ def swept(shared_path, comm):
     return swept
 
 
+@pytest.mark.ranks
 def test_another_version_does_not_mix_with_the_first(swept, shared_path, comm, monkeypatch):
     mine = ringwear_par.__version__
     swept("0, 20")
@@ -72,6 +75,15 @@ def test_doubts_are_flags_of_a_sweep(swept, shared_path):
     assert f"unstable explicit step ({unstable})" in str(summary)
     with open_ensemble(shared_path / "out") as data:
         assert [str(v) for v in data.flags.values] == [row["flags"] for row in rows]
+
+
+def test_unlike_slopes_are_a_flag(swept, shared_path):
+    """Of a cone over a flat face."""
+    cone = "z = [20.0, 40.0]\nprofile = [[28.5, 20.0], [31.5, 20.9]]"
+    text = CASE.replace("z = [20.0, 40.0]", cone).replace("steps = 20", "steps = 2")
+    assert text.count("profile") == 1
+    assert "unlike slopes" in str(swept("0, 20", text))
+    assert all("unlike_slopes" in row["flags"] for row in table(shared_path / "out"))
 
 
 def test_good_cases_have_no_flags(swept, shared_path):

@@ -6,8 +6,9 @@ import re
 import pytest
 import try_faults as faults
 from cluster import SLURM, Cluster, started, wait_for_waiting
-from commands import SHELL_ENVIRONMENT
 from waiting import Waiting
+
+from ringwear_par.studies.execution.sweep import run_sweep
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
 LAUNCHERS = ["mpirun -n 2", "srun --mpi=pmix"]
@@ -20,11 +21,11 @@ def slurm(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def unhurried(tmp_path_factory):
+def unhurried(tmp_path_factory, comm):
     """A study whose cases can wait under way, and its folder of results."""
     folder = tmp_path_factory.mktemp("waiting")
     waiting = Waiting(folder, thresholds=(0, 20, 40))
-    faults.run_reference(faults.command(waiting.study, folder / "reference", 2), SHELL_ENVIRONMENT)
+    run_sweep(waiting.study, folder / "reference", comm)
     return waiting, folder / "reference"
 
 

@@ -293,9 +293,8 @@ def test_sobol_indices_of_a_product(tmp_path, monkeypatch):
     )
 
 
-def test_it_is_drawn(tmp_path, monkeypatch):
-    monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._EVALUATIONS", 1e4)
-    monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._RESAMPLES", 20)
+@pytest.mark.usefixtures("few_resamples")
+def test_it_is_drawn(tmp_path):
     ensemble = written(tmp_path, power, 128)
     figure = draw_sweep_and_surrogate(ensemble)
     # histories, Sobol' indices, responses with the cases; volumes, which are all 0, below them
@@ -334,7 +333,8 @@ def swept(tmp_path_factory):
     return folder
 
 
-def test_a_sweep_is_answered_for(swept, monkeypatch):
+@pytest.mark.usefixtures("few_resamples")
+def test_a_sweep_is_answered_for(swept):
     """Profiles and times, too, from the data set that users open."""
     with rw.open_ensemble(swept / "a") as data:
         made = rw.surrogate(data)
@@ -363,6 +363,5 @@ def test_a_sweep_is_answered_for(swept, monkeypatch):
     middle = 0.5 * (depth[:, 3] + depth[:, 4])  # at 35 s, between two steps
     error = np.sqrt(np.mean((then["penetration"] - np.stack([middle, depth[:, -1]], 1)) ** 2))
     assert error < 3.0 * early.error["penetration"]
-    monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._EVALUATIONS", 1e4)
     figure = rw.plot(swept / "a")
     assert "surrogate of 64 cases" in remarks(figure.subfigs[-1])

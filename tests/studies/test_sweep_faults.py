@@ -75,11 +75,11 @@ def kept(before, output, but=()):
 
 
 @pytest.fixture(scope="module")
-def unhurried(tmp_path_factory):
+def unhurried(tmp_path_factory, comm):
     """A study whose cases can wait under way, and its folder of results."""
     folder = tmp_path_factory.mktemp("waiting")
     waiting = Waiting(folder)
-    faults.run_reference(faults.command(waiting.study, folder / "reference", 2), SHELL_ENVIRONMENT)
+    run_sweep(waiting.study, folder / "reference", comm)
     return waiting, folder / "reference"
 
 

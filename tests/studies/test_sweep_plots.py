@@ -19,13 +19,6 @@ from ringwear_par.studies.storage.ensemble import Ensemble, read_ensemble
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
 
 
-@pytest.fixture
-def few_resamples(monkeypatch):
-    """Where it does not matter how well it is all known: nearly all of the time goes there."""
-    monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._RESAMPLES", 20)
-    monkeypatch.setattr("ringwear_par.studies.analysis.sensitivity._EVALUATIONS", 1e4)
-
-
 KEYS = ("load.pressure", "load.omega", "upper.r[1]")
 
 

@@ -11,6 +11,7 @@ def test_life_is_interpolated_and_nan_where_not_reached():
     assert script.lives(time, depth) == pytest.approx([1.5, np.nan], nan_ok=True)
 
 
+@pytest.mark.serial
 def test_numbers_are_near_those_of_steady_state(comm, shared_path):
     numbers = script.study(shared_path / "wear_law", comm)
     assert numbers.keys() == script.NUMBERS.keys()

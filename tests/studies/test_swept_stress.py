@@ -18,6 +18,8 @@ from ringwear_par.studies.storage.end_values import figure_columns
 from ringwear_par.studies.storage.ensemble import read_ensemble
 from ringwear_par.studies.storage.folder import SweepFolder
 
+pytestmark = [pytest.mark.serial, pytest.mark.slow]
+
 LAYER = """
 [[lower.layers]]
 thickness = 0.004
@@ -50,8 +52,7 @@ def singles(folder, stride=1):
             yield rows[i], data.isel(case=i), result.to_xarray(), result
 
 
-@pytest.mark.parametrize("times", ["last", "all", "[0.0, 5.0]"])
-@pytest.mark.serial
+@pytest.mark.parametrize("times", ["last", "[0.0, 5.0]"])
 def test_stresses_and_layers_are_those_of_single_runs(times, comm, tmp_path):
     case = COATED + f"times = {times if times[0] == '[' else repr(times)}\n"
     sweep(write_study(tmp_path, comm, STUDY, case), tmp_path / "out", comm)
@@ -99,7 +100,7 @@ method = "grid"
 """
 
 
-@pytest.mark.serial
+@pytest.mark.usefixtures("few_resamples")
 def test_points_of_layers_that_are_worn_through_are_blank(comm, tmp_path):
     """In some cases of a sweep; whatever takes maxima or fits goes on without them."""
     case = COATED.replace("[[30.0, 19.95], ", "[[30.0, 19.999], [30.0, 19.95], ") + 'times = "all"'
@@ -135,7 +136,6 @@ ENTRIES = {
 }
 
 
-@pytest.mark.serial
 def test_cases_may_have_different_numbers_of_layers(comm, tmp_path):
     """The body has a place of its own, in a study that goes on with more layers, too."""
     case = CASE.replace("steps = 20", "steps = 8") + (
@@ -172,6 +172,7 @@ def test_cases_may_have_different_numbers_of_layers(comm, tmp_path):
     assert meanings["worn_volume_lower_layers[body]"].endswith("; the body itself")
 
 
+@pytest.mark.ranks
 def test_the_same_bits_on_all_ranks(comm, shared_path):
     """Whatever is drawn by which team; each team integrates once for all cases of a thickness."""
     study = write_study(shared_path, comm, STUDY, COATED)
@@ -189,7 +190,6 @@ def test_the_same_bits_on_all_ranks(comm, shared_path):
     comm.Barrier()
 
 
-@pytest.mark.serial
 def test_an_interrupted_case_keeps_its_stresses(comm, tmp_path, monkeypatch):
     """Alone, with a checkpoint: its stresses so far are in the incomplete file and in the whole."""
     case = COATED.replace("contact_elements = 16", 'contact_elements = 16\ngeometry = "updated"')
@@ -228,7 +228,6 @@ def swept(tmp_path_factory):
     return folder / "out"
 
 
-@pytest.mark.serial
 def test_surrogates_answer_for_stresses(swept):
     made = surrogate(swept)
     assert {"max_mises", "mises[0]", "worn_volume_lower_layers[body]"} <= set(made.names)
@@ -242,7 +241,7 @@ def test_surrogates_answer_for_stresses(swept):
     assert "share_through_lower" in surrogate(swept, times=[5.0]).names
 
 
-@pytest.mark.serial
+@pytest.mark.usefixtures("few_resamples")
 def test_figures_and_pages_show_them(swept, tmp_path):
     ensemble = read_ensemble(swept)
     done = np.ones(len(ensemble.ids), dtype=bool)

@@ -11,7 +11,6 @@ from ringwear_par.errors import ComputationError
 from ringwear_par.schedules import Table
 from ringwear_par.wear.checked_law import complete
 from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.law import Law
 from ringwear_par.wear.laws import non_local as averages
 from ringwear_par.wear.laws.archard import ArchardLaw
 from ringwear_par.wear.laws.non_local import NonLocalLaw, averaging
@@ -146,17 +145,6 @@ def test_taylor_remainders_of_wear_and_parameters(law, worn):
         assert test.passed, (name, test)
 
 
-@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
-def test_derivatives_that_a_law_knows_are_those_that_the_library_finds(law):
-    """Built-in formulas take complex numbers."""
-    at, p = sliding(POWER, time=2.0, wear=np.full(5, 1e-5)), P + 5.0
-    assert law.d_rate_dp(p, at) == pytest.approx(Law.d_rate_dp(law, p, at), rel=1e-8)
-    assert law.d_rate_dwear(p, at) == pytest.approx(Law.d_rate_dwear(law, p, at), rel=1e-8)
-    for name in law.numeric:
-        found = Law.d_rate_dparameter(law, name, p, at)
-        assert law.d_rate_dparameter(name, p, at) == pytest.approx(found, rel=1e-8, abs=1e-14)
-
-
 def test_complex_steps_are_trusted_only_where_differences_agree():
     """Absolute values lose the imaginary part, interpolation refuses it."""
     x = np.array([0.5, 1.0, 2.0])
@@ -242,14 +230,6 @@ def test_the_potential_is_the_integral_of_the_depth(law):
     up, down = (area @ step.potential(pressure + s * h * direction) for s in (1, -1))
     exact = area @ (step.depth(pressure) * direction)
     assert (up - down) / (2 * h) == pytest.approx(exact, rel=1e-6)
-
-
-def test_memory_is_solved_for_exactly():
-    """The wear of a step at the rate that belongs to the worn depth at its end."""
-    law, at, step = RunningInLaw(1e-7, 9e-7, depth=1e-6), sliding(POWER), 50.0
-    depth = WearIncrement((law, None), (at, at), step).depth(P)
-    end = sliding(POWER, wear=depth)
-    assert depth == pytest.approx(step * law.rate(P, end), rel=1e-13, abs=1e-30)
 
 
 def test_averages_keep_constants_and_volumes():

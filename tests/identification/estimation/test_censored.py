@@ -61,7 +61,7 @@ def tables(tmp_path_factory):
         "columns": {"time": "t_s", "value": "z_um"},
     }  # fmt: skip
     known = {"wear.lower.p0": 25.0}
-    found = fit_tables(folder, [one_test("a", 80.0, record, **known)])
+    found = fit_tables(folder, [one_test("a", 80.0, record, **known)], starts=1)
     del found["fit"]["parameters"]["wear.lower.p0"]
     return found
 
@@ -89,7 +89,6 @@ def test_limits_of_a_record(tables):
 def weighed(tables, scale, *sides):
     """Return a fit file of weighings of 1 mg that are limits."""
     light = copy.deepcopy(tables)
-    light["fit"]["starts"] = 2
     light["fit"]["parameters"][K]["scale"] = scale
     light["experiment"][0]["data"] = [
         {"quantity": "mass.lower", "value": 1.0, "unit": "mg", "density": 7.8e-3, "sd": 0.05,
@@ -145,7 +144,6 @@ def test_limits_on_both_sides(tables):
 def coated(tables, value, **changes):
     """Return a fit file of a coating of 2 um, of which is known when it is through."""
     found = copy.deepcopy(tables)
-    found["fit"]["starts"] = 1
     base = parse_toml(CASE, "case")
     base["lower"]["layers"] = [{"thickness": 2e-3, "young": 1e5, "poisson": 0.3,
                                 "wear": {"law": "archard", "k": 3e-9}}]  # fmt: skip

@@ -20,6 +20,8 @@ from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.estimation.posterior import sample_posterior
 from ringwear_par.identification.fit import expected_result, fit, fit_problem
 
+pytestmark = pytest.mark.serial
+
 
 @pytest.fixture(scope="module")
 def linear(laboratory):
@@ -91,7 +93,6 @@ def test_samples_keep_to_a_bound(linear, comm):
     assert unknowns[:, 1].mean() == pytest.approx(expected.mean(), abs=error * sd)
 
 
-@pytest.mark.serial
 def test_a_prior_is_that_of_the_value_on_a_logarithmic_scale(linear, comm):
     """Where the readings tell nothing, samples of k are those of its prior."""
     mean, sd = 1.3e-7, 0.5e-7
@@ -106,7 +107,6 @@ def test_a_prior_is_that_of_the_value_on_a_logarithmic_scale(linear, comm):
     assert drawn.samples[:, 0].std() == pytest.approx(expected.std(), rel=error)
 
 
-@pytest.mark.serial
 def test_samples_are_kept(laboratory, comm, tmp_path):
     folder, written = laboratory
     tables = fit_tables(folder, written, intervals=["posterior"], samples=64, starts=1)
@@ -145,7 +145,6 @@ def stop_after(monkeypatch):
     return storing
 
 
-@pytest.mark.serial
 def test_a_stopped_chain_continues_with_the_same_samples(linear, tmp_path, comm, stop_after):
     """In the steps that are thrown away, after them, and at the end; to the last bit."""
     *_, whole = linear(comm, samples=64)
@@ -162,7 +161,6 @@ def test_a_stopped_chain_continues_with_the_same_samples(linear, tmp_path, comm,
         assert (again.acceptance, again.effective) == (whole.acceptance, whole.effective)
 
 
-@pytest.mark.serial
 def test_a_stopped_posterior_goes_on(laboratory, tmp_path, comm, stop_after):
     tables = fit_tables(*laboratory, intervals=["posterior"], samples=64, starts=1)
     stop_after(2)

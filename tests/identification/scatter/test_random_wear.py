@@ -26,6 +26,8 @@ from ringwear_par.identification.definition.problem import ProcessNoise
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.model.histories import Histories
 
+pytestmark = pytest.mark.serial
+
 TESTS, SHARE, BODY = 3, 0.05, "wear.lower"
 
 
@@ -38,7 +40,7 @@ def tables(tmp_path_factory):
     if comm.rank == 0:
         (folder / "case.toml").write_text(CASE)
         experiments = write_experiments(folder)
-    return fit_tables(folder, comm.bcast(experiments), process={BODY: "fit"})
+    return fit_tables(folder, comm.bcast(experiments), process={BODY: "fit"}, starts=1)
 
 
 def write_experiments(folder):
@@ -73,6 +75,7 @@ def of_k(tables, process="fit", tests=TESTS):
     return changed
 
 
+@pytest.mark.ranks
 def test_k_and_the_size_of_wear_s_noise(tables, tmp_path, comm):
     fit = rw.fit(of_k(tables), comm)
     outcome = fit.to_dict()
@@ -101,7 +104,6 @@ def test_k_and_the_size_of_wear_s_noise(tables, tmp_path, comm):
         assert "wear of lower fluctuates: sd " in fit.summary()
 
 
-@pytest.mark.serial
 def test_a_size_that_is_known_and_one_test(tables):
     one = rw.fit(of_k(tables, {"share": SHARE}, tests=1), MPI.COMM_SELF).to_dict()
     k = one["parameters"]["wear.lower.k"]
@@ -124,7 +126,6 @@ def test_a_size_that_is_known_and_one_test(tables):
     assert "tests-disagree" in [doubt["code"] for doubt in common["doubts"]]
 
 
-@pytest.mark.serial
 def test_noise_of_sensors_is_fitted_beside_it(tables):
     guessed = of_k(tables)
     for experiment in guessed["experiment"]:
@@ -136,7 +137,6 @@ def test_noise_of_sensors_is_fitted_beside_it(tables):
     assert share[0] < SHARE < share[1]
 
 
-@pytest.mark.serial
 def test_a_free_drift_hides_k(tables):
     hidden = of_k(tables, tests=2)
     experiment, torque = hidden["experiment"]
@@ -148,7 +148,6 @@ def test_a_free_drift_hides_k(tables):
     assert k["direction"] == "wear.lower.k against drift of penetration (test 1)"
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize(
     "law",
     [
@@ -193,7 +192,6 @@ def test_answers_to_a_factor_on_all_rates(tables, law):
     )
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -213,7 +211,6 @@ def test_what_is_refused(tables, change, sentence):
     assert [fault for fault in refused(wrong) if sentence in fault]
 
 
-@pytest.mark.serial
 def test_readings_that_cannot_tell_it_are_refused(tables):
     slow = of_k(tables)
     slow["experiment"][0]["data"][0]["correlation_time"] = 20.0
