@@ -145,7 +145,7 @@ class Stepping:
     @property
     def adaptive(self) -> bool:
         """Whether steps are chosen by the tolerances."""
-        return SCHEMES[self.scheme]
+        return SCHEMES[self.scheme].adaptive
 
     @property
     def end(self) -> float:
@@ -179,6 +179,7 @@ class Case:
     Parameters
     ----------
     stress : what stresses are stored; None: none.
+    stop : limits, in the units of ``STOP_CRITERIA``, that end the history before its time, by name.
     text : the TOML text as run, overrides included; "" for a case that was constructed.
     with_units : keys whose numbers were written with a unit.
     rebuild : makes a changed case of the text; None where the text does not tell this case, for it
@@ -195,6 +196,7 @@ class Case:
     mesh: Mesh
     output: Output
     stress: Stress | None = None
+    stop: tuple[tuple[str, float], ...] = ()
     title: str = ""
     text: str = field(default="", compare=False, repr=False)
     with_units: frozenset[str] = field(default=frozenset(), compare=False, repr=False)
@@ -426,6 +428,22 @@ def _law(ring: Ring, body_law: WearLaw | None) -> Law | None:
     if not ring.layers:
         return itself
     return LayeredLaw.of([layer.thickness for layer in ring.layers], layer_laws, itself)
+
+
+def refuse_stop(case: Case, name: str, purpose: str) -> None:
+    """Refuse a case that may end before its time, for a purpose that needs all of it.
+
+    Raises
+    ------
+    InputError : it has limits that end it.
+    """
+    if case.stop:
+        raise InputError(
+            *(
+                f"{name}: stop.{key} = {limit:g}: must be absent {purpose}"
+                for key, limit in case.stop
+            )
+        )
 
 
 def need_case(value: object, name: str) -> None:

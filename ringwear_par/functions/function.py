@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import SAME_TIME, Case
+from ringwear_par.cases.case import SAME_TIME, Case, refuse_stop
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.cases.tables import name_unknown_keys
 from ringwear_par.cases.units import seconds
@@ -296,6 +296,7 @@ def function(
     array([0.00517, 0.00973])
     """
     base = case if isinstance(case, Case) else read_case(case)
+    refuse_stop(base, "function", "in a function of a case")
     read = read_outputs(base, outputs, derivatives)
     changed = case_inputs(base, inputs, storing(base, read))
     if derivatives:

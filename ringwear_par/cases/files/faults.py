@@ -162,7 +162,7 @@ def _time_faults(origin: Origin, values: Mapping[str, Any]) -> list[str]:
     scheme, end = values["time.scheme"], values["time.end"]
     fixed = {key: values[key] for key in ("time.step", "time.steps")}
     missing = [key for key, value in fixed.items() if value is None]
-    if SCHEMES[scheme]:
+    if SCHEMES[scheme].adaptive:
         if end is None and missing:
             faults.append(f"{origin.name}: time.end is missing: {BY_PATH['time.end'].rule}")
     else:

@@ -291,6 +291,7 @@ _STATE_NUMBERS: dict[str, tuple[str, type]] = {
     "state.time": ("time", float),
     "state.energy": ("energy", float),
     "state.normal_work": ("normal_work", float),
+    "state.first_approach": ("first_approach", float),
     "progress.iterations": ("iterations", int),
     "progress.next_step": ("next_step", float),
     "progress.rejected": ("rejected", int),
