@@ -1,7 +1,7 @@
 """Budgets of uncertainty (JCGM 100:2008, and 101:2008 by Monte Carlo); those of a whole test."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -82,11 +82,9 @@ class Estimate:
 
     def scaled(self, factor: float, unit: str) -> "Estimate":
         """Return the measurand in another unit, of which its own is ``factor``."""
-        sources = tuple(
-            Source(s.name, s.type, s.u, s.unit, factor * s.sensitivity) for s in self.sources
-        )
-        shortest = None if self.shortest is None else tuple(factor * v for v in self.shortest)
-        return Estimate(factor * self.value, unit, sources, shortest)  # type: ignore[arg-type]
+        sources = tuple(replace(s, sensitivity=factor * s.sensitivity) for s in self.sources)
+        shortest = self.shortest and (factor * self.shortest[0], factor * self.shortest[1])
+        return Estimate(factor * self.value, unit, sources, shortest)
 
     def to_dict(self) -> dict[str, Any]:
         """Return its entry in measure.json."""

@@ -2,8 +2,10 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -33,6 +35,10 @@ _WORDS: dict[str, tuple[set[str], ...]] = {
     "temperature": ({"T", "temperature", "temperatur"},),
 }
 _TEMPERATURE = re.compile(r"(?:\N{DEGREE SIGN}|deg)?\s*([CFK])\s*[\])]?$")
+#: readings in degrees Celsius, by that letter
+_DEGREES: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "C": lambda t: t, "K": lambda t: t - 273.15, "F": lambda t: (t - 32.0) / 1.8,
+}  # fmt: skip
 #: clocks that count from the start of a test
 _ZERO = re.compile(r"0?0:00(?::|$)")
 #: fewest readings of a record: in fewer no steady part can be found
@@ -133,7 +139,8 @@ def read_record(
         empty += int(rows.sum() - filled.sum())
         readings = np.full(len(table.rows), np.nan)
         try:
-            readings[filled] = _in_base(table, channel, column, filled, units.get(channel))
+            in_base = _conversion(table, channel, column, units.get(channel))
+            readings[filled] = in_base(table.numbers(column, filled))
         except InputError as error:
             faults += error.faults
             continue
@@ -242,11 +249,13 @@ def _columns(
         words = 'wear, depth, Weg, torque or M; or columns = { wear = "...", torque = "..." }'
         faults.append(_missing(table, "wear or torque", words))
     for channel, column in [*names.items()]:
-        fault = _unit_fault(table, channel, column, units.get(channel))
-        if fault and channel in ("load", "temperature") and channel not in columns:
-            del names[channel]  # nothing is computed of it that a case does not tell
-        elif fault:
-            faults.append(fault)
+        try:
+            _conversion(table, channel, column, units.get(channel))
+        except InputError as error:
+            if channel in ("load", "temperature") and channel not in columns:
+                del names[channel]  # nothing is computed of it that a case does not tell
+            else:
+                faults += error.faults
     return names
 
 
@@ -307,39 +316,38 @@ def _may_be(table: Measurements, channel: str, column: str) -> bool:
     return True
 
 
-def _unit_fault(table: Measurements, channel: str, column: str, unit: str | None) -> str:
-    """Return the fault of the unit of a column, "" for none."""
-    base, label = CHANNELS[channel], table.label(column)
-    if unit is not None:
-        if channel == "temperature":
-            right = _TEMPERATURE.fullmatch(unit.strip()) is not None
-        else:
-            right = _is_unit_of(unit, base)
-        state = f"units.{channel} = {shortened(unit)}"
-        return "" if right else f"{table.name}: {state}: must be the unit of {UNITS[base]}"
+def _conversion(
+    table: Measurements, channel: str, column: str, unit: str | None
+) -> Callable[[FloatArray], FloatArray]:
+    """Return the function of readings of a column that returns them in the channel's unit.
+
+    Raises
+    ------
+    InputError : they are in no unit, or in that of something else.
+    """
+    base, label, written = CHANNELS[channel], table.label(column), _WRITTEN[channel]
+    scale: float | None = None
     if channel == "temperature":
-        named = _TEMPERATURE.search(label) is not None
+        match = _TEMPERATURE.search(label) if unit is None else _TEMPERATURE.fullmatch(unit.strip())
+        if match is not None:
+            return _DEGREES[match[1]]
+    elif unit is not None:
+        with suppress(RejectedError):
+            scale = factor(unit, base)
     elif channel == "time" and table.begins_with_stamp(column):
-        return ""
+        scale = 1.0
     else:
-        try:
-            hint = f', or units = {{ {channel} = "{_WRITTEN[channel]}" }}'
-            named = unit_by_name(table, column, base, hint) is not None
-        except InputError as error:
-            return str(error)
-    written = _WRITTEN[channel]
-    return "" if named else (
+        hint = f', or units = {{ {channel} = "{written}" }}'
+        named = unit_by_name(table, column, base, hint)
+        scale = None if named is None else factor(named, base)
+    if scale is not None:
+        return partial(np.multiply, scale)
+    raise InputError(
         f"{table.name}: {legible(column)}: no unit; name it {legible(column)} / {written}, or "
         f'units = {{ {channel} = "{written}" }}'
-    )  # fmt: skip
-
-
-def _is_unit_of(unit: str, base: str) -> bool:
-    try:
-        factor(unit, base)
-    except RejectedError:
-        return False
-    return True
+        if unit is None
+        else f"{table.name}: units.{channel} = {shortened(unit)}: must be the unit of {UNITS[base]}"
+    )
 
 
 def _times(table: Measurements, column: str, unit: str | None) -> tuple[FloatArray, BoolArray, int]:
@@ -363,18 +371,3 @@ def _times(table: Measurements, column: str, unit: str | None) -> tuple[FloatArr
             f"{table.name}: has {len(times)} different times; must have {FEWEST_READINGS} at least"
         )
     return times - times[0], rows, int((~first).sum())
-
-
-def _in_base(
-    table: Measurements, channel: str, column: str, rows: BoolArray, unit: str | None
-) -> FloatArray:
-    """Return the readings of a channel in its unit."""
-    readings, label = table.numbers(column, rows), table.label(column)
-    if channel != "temperature":
-        unit = unit or named_unit(label, CHANNELS[channel]) or CHANNELS[channel]
-        return factor(unit, CHANNELS[channel]) * readings
-    match = _TEMPERATURE.search(unit or label)
-    degrees = match[1] if match else "C"
-    if degrees == "F":
-        return (readings - 32.0) / 1.8
-    return readings - 273.15 if degrees == "K" else readings
