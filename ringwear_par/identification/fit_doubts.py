@@ -145,7 +145,7 @@ def _conditions(fit: "FitResult") -> list[ValidityWarning]:
     if fit.material is None:  # linear intervals are those with all keys free
         covariance, narrowed = fit.covariance[:m, :m], [*fit.profiles]
     else:
-        covariance = fit.material.mixed.unbounded.covariance
+        covariance = fit.material.mixed.unbounded.covariance()
         narrowed = [parameter.key for parameter in fit.parameters]
     return conditional_verdicts(fit.parameters, covariance, narrowed, fit.keys_at_bound)
 

@@ -291,7 +291,7 @@ def log_evidence(fit: "FitResult") -> float | None:
     for key, (parameter, unknown) in enumerate(zip(problem.parameters, fit.x, strict=False)):
         width, variance = high[key] - low[key], fit.covariance[key, key]
         value = Mixture(np.ones(1), np.array([unknown]), np.array([variance]))
-        value = value if material is None else material.mixed.unbounded.material(key)
+        value = value if material is None else material.mixed.unbounded.unknown(key)
         prior += value.log_probability(low[key], high[key])
         if parameter.prior is None:
             prior -= float(np.log(width))
