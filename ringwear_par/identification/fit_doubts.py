@@ -180,22 +180,15 @@ def _of_the_search(fit: "FitResult") -> Iterator[ValidityWarning]:
 
 def assumptions(fit: "FitResult") -> list[ValidityWarning]:
     """Return the doubts about units that no name has, or that are likely wrong."""
+    problem = fit.misfit.problem
+    every = [(experiment, series) for experiment, series, _ in fit.misfit.records]
+    every += [(test, entry.series) for test in problem.experiments for entry in test.inputs]
     return [
         ValidityWarning(
             "assumed-unit", f"{series.name} ({experiment.name}): {sentence}", (), (experiment.name,)
         )
-        for experiment, series, _ in fit.misfit.records
+        for experiment, series in every
         for sentence in series.assumptions + series.suspicions
-    ] + [
-        ValidityWarning(
-            "assumed-unit",
-            f"{measured.key} ({experiment.name}): {sentence}",
-            (),
-            (experiment.name,),
-        )
-        for experiment in fit.misfit.problem.experiments
-        for measured in experiment.inputs
-        for sentence in measured.assumptions + measured.suspicions
     ]
 
 

@@ -231,10 +231,10 @@ def _inputs(fit: FitResult) -> dict[str, dict[str, Any]]:
     for experiment in fit.misfit.problem.experiments:
         for measured in experiment.inputs:
             curve, readings = measured.curve(experiment.case), measured.readings(experiment.case)
-            off = readings / np.maximum(curve(measured.time), np.finfo(float).tiny) - 1.0
+            off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
             entry: dict[str, Any] = {
                 "time": list(curve.x), "value": list(curve.y), "unit": measured.unit,
-                "n": len(measured.time), "scatter": float(np.sqrt(np.mean(off**2))),
+                "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
             }  # fmt: skip
             if measured.scale is not None:
                 i, mean = names.index((experiment.name, measured.key, SCALE)), measured.scale.mean

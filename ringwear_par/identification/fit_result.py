@@ -295,8 +295,8 @@ class FitResult(Outcome, Solution):
     ) -> list[tuple[str, str, str, FloatArray, FloatArray, FloatArray]]:
         """Test, key, unit, times (s) and readings of each input, and the curve there."""
         return [
-            (experiment.name, measured.key, measured.unit, measured.time,
-             measured.readings(experiment.case), measured.curve(experiment.case)(measured.time))
+            (experiment.name, measured.key, measured.unit, measured.series.x,
+             measured.readings(experiment.case), measured.curve(experiment.case)(measured.series.x))
             for experiment in self.misfit.problem.experiments
             for measured in experiment.inputs
         ]  # fmt: skip

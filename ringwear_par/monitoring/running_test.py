@@ -208,10 +208,7 @@ def averaged(series: Series, end: float) -> Series:
         return series
     counts = np.diff(np.append(number, series.n))
     if series.correlation_time:
-        last = number + counts - 1
-        return replace(
-            series, x=series.x[last], value=series.value[last], sd=series.sd[last], lines=None
-        )
+        return series.part(number + counts - 1)
     weights = series.sd**-2
     total = np.add.reduceat(weights, number)
     single = counts == 1  # to the last bit, so that a record that grows stays what it was
