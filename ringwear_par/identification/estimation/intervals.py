@@ -48,25 +48,16 @@ class ParameterEstimate:
     direction: str = ""
 
 
-def information(misfit: Misfit, evaluation: Evaluation, priors: bool = True) -> FloatArray:
-    """Return the Fisher information (u, u) of the unknowns, priors of nuisances always counted."""
-    share = information_share(misfit.problem.settings.loss)
-    matrix: FloatArray = share * evaluation.noise_jacobian.T @ evaluation.noise_jacobian
-    m = len(misfit.problem.parameters)
-    for row, (j, _) in enumerate(misfit.priors, start=misfit.n):
-        if priors or j >= m:
-            matrix[j, j] += evaluation.jacobian[row, j] ** 2
-    return matrix
+def information_rows(misfit: Misfit, evaluation: Evaluation, priors: bool = True) -> FloatArray:
+    """Return rows (n + priors, u) that make the Fisher information of the unknowns, ``R' R``.
 
-
-def without_nuisances(matrix: FloatArray, m: int) -> FloatArray:
-    """Return the information (m, m) of the first m unknowns alone, of that of all (u, u)."""
-    size = np.sqrt(np.diag(matrix))
-    size = np.where(size > 0.0, size, 1.0)
-    scaled = matrix / np.outer(size, size)
-    weights = scaled[:m, m:] @ np.linalg.pinv(scaled[m:, m:], rcond=_UNINFORMED, hermitian=True)
-    remaining: FloatArray = scaled[:m, :m] - weights @ scaled[m:, :m]
-    return 0.5 * (remaining + remaining.T) * np.outer(size[:m], size[:m])
+    Those of the priors of keys are 0 without ``priors``.
+    """
+    m, share = len(misfit.problem.parameters), information_share(misfit.problem.settings.loss)
+    of_priors = evaluation.jacobian[misfit.n :].copy()
+    if not priors:
+        of_priors[[j < m for j, _ in misfit.priors]] = 0.0
+    return np.concatenate([np.sqrt(share) * evaluation.noise_jacobian, of_priors])
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +71,9 @@ class Spectrum:
     vectors: FloatArray
 
     @classmethod
-    def of(cls, matrix: FloatArray) -> "Spectrum":
-        """Return the spectrum of a matrix (u, u)."""
+    def of(cls, rows: FloatArray) -> "Spectrum":
+        """Return the spectrum of the information of rows (r, u)."""
+        matrix = rows.T @ rows
         diagonal = np.sqrt(np.diag(matrix))
         size = np.where(diagonal > 0, diagonal, 1.0)
         values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
@@ -112,9 +104,9 @@ def estimates(
 
     Limits alone have no normal distribution: only a likelihood profile tells what they say.
     """
-    whole = Spectrum.of(information(misfit, evaluation))
+    whole = Spectrum.of(information_rows(misfit, evaluation))
     covariance = whole.covariance
-    alone = Spectrum.of(information(misfit, evaluation, priors=False))
+    alone = Spectrum.of(information_rows(misfit, evaluation, priors=False))
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
     free = x - finite @ evaluation.jacobian.T @ evaluation.residuals  # where no bound is in the way
     values = misfit.values(x)

@@ -26,6 +26,7 @@ from ringwear_par.identification.definition.problem import (
 )
 from ringwear_par.identification.model.histories import Histories, HistoryError
 from ringwear_par.identification.model.noise import (
+    NuisanceProjection,
     bounded_solution,
     censored_rows,
     log_constant,
@@ -324,7 +325,7 @@ class Misfit:
         by_loss = weights(self.problem.settings.loss, evaluation.noise)
         weighted = by_loss * evaluation.noise**2 * (self.censored == 0)
         if leverage is None:
-            leverage = (np.linalg.qr(evaluation.jacobian)[0] ** 2).sum(axis=1)
+            leverage = NuisanceProjection(evaluation.jacobian).leverage
         leverage = np.where(self.censored == 0, leverage[: self.n], 1.0)
         parts = [record.rows for record in self.records]
         return np.array(

@@ -1,6 +1,7 @@
 """Tests that could be made, by ``[design]``: experiments that are measured like a given one."""
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -79,43 +80,45 @@ class Candidate:
 
 def count_of(space: DesignSpace) -> int:
     """Return how many tests a space has."""
-    load = next((key for key in LOADS if key in space.ranges), None)
-    count = len(_sequences(space, load, _counts(space, _STEPS)))
-    count *= len(_instants(space))
-    for key, levels in (("time.end", _DURATIONS), ("load.omega", _SPEEDS)):
-        count *= max(len(_levels(space, key, levels)), 1)
-    return count
+    return math.prod(map(len, _axes(space)))
+
+
+def _axes(space: DesignSpace) -> tuple[list[Any], ...]:
+    """Return speeds, loads, durations and instants of profiles of tests; None: the template's."""
+    return (
+        _levels(space, "load.omega", _SPEEDS) or [None], _sequences(space),
+        _levels(space, "time.end", _DURATIONS) or [None], _instants(space),
+    )  # fmt: skip
 
 
 def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
     """Return the tests of a space, measured as ``template``; InputError for impossible values."""
-    load = next((key for key in LOADS if key in space.ranges), None)
-    steps = _counts(space, _STEPS)
-    instants: list[tuple[float, ...]] = [()]
-    if any(series.profile for series in template.series):
-        instants = _instants(space)
-    instants_vary = len(instants) > 1
-    ends = _levels(space, "time.end", _DURATIONS) or [template.case.time.end]
+    load = _load(space)
+    *conditions, instants = _axes(space)
+    if not any(series.profile for series in template.series):
+        instants = [()]
     tests: list[Candidate] = []
-    for omega in _levels(space, "load.omega", _SPEEDS) or [None]:
-        for sequence in _sequences(space, load, steps):
-            for end in ends:
-                if end > space.time_limit:
-                    continue
-                keys: dict[str, Any] = {}
-                if load is not None:
-                    keys[load] = sequence if len(sequence) > 1 else sequence[0]
-                if omega is not None:
-                    keys["load.omega"] = omega
-                if "time.end" in space.ranges:
-                    keys["time.end"] = end
-                case = template.case.replace(_changes(keys, end))
-                series = _Measured(template, case)
-                for parts in instants:
-                    at = tuple(end * part for part in parts)
-                    experiment = Experiment(f"candidate {len(tests) + 1}", case, series.at(at))
-                    tests.append(Candidate(keys, at, experiment, instants_vary))
+    for omega, sequence, duration in itertools.product(*conditions):
+        end = template.case.time.end if duration is None else duration
+        if end > space.time_limit:
+            continue
+        keys: dict[str, Any] = {}
+        if load is not None:
+            keys[load] = sequence if len(sequence) > 1 else sequence[0]
+        keys |= {} if omega is None else {"load.omega": omega}
+        keys |= {} if duration is None else {"time.end": end}
+        case = template.case.replace(_changes(keys, end))
+        series = _Measured(template, case)
+        for parts in instants:
+            at = tuple(end * part for part in parts)
+            experiment = Experiment(f"candidate {len(tests) + 1}", case, series.at(at))
+            tests.append(Candidate(keys, at, experiment, len(instants) > 1))
     return tests
+
+
+def _load(space: DesignSpace) -> str | None:
+    """Return the key of the load that varies."""
+    return next((key for key in LOADS if key in space.ranges), None)
 
 
 def _instants(space: DesignSpace) -> list[tuple[float, ...]]:
@@ -145,14 +148,13 @@ def _counts(space: DesignSpace, key: str) -> list[int]:
     return list(range(int(low), int(high) + 1))
 
 
-def _sequences(
-    space: DesignSpace, load: str | None, steps: Sequence[int]
-) -> list[tuple[float, ...]]:
+def _sequences(space: DesignSpace) -> list[tuple[float, ...]]:
     """Return the loads of tests: several of one grow."""
+    load = _load(space)
     if load is None:
         return [()]
     sequences: list[tuple[float, ...]] = []
-    for count in steps:
+    for count in _counts(space, _STEPS):
         levels = _levels(space, load, _LEVELS if count == 1 else _STEP_LEVELS)
         sequences += itertools.combinations(levels, count)
     return sequences
