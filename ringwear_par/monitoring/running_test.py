@@ -173,25 +173,17 @@ def _has_readings(path: Path) -> bool:
 
 def _faults(series: Series) -> list[str]:
     """Return why a series cannot be followed."""
-    faults = [
-        f"{series.file or series.name}: {a}; its unit must be given" for a in series.assumptions
-    ]
-    if series.kind not in AT_STEPS:
-        faults.append(
-            f"{series.name}: must be one of {', '.join(AT_STEPS)} while a test runs; the fit after "
-            "it reads profiles and layers"
-        )
-    if series.sd_fitted:
-        faults.append(
-            f'{series.name}: sd = "fit": must be a number while a test runs, such as the sd of '
-            "experiments in fit.json of earlier tests"
-        )
-    if series.censored is not None and series.censored.any():
-        faults.append(
-            f"{series.name}: censored readings have no normal density, by which draws are weighed; "
-            "must be left out while a test runs"
-        )
-    return faults
+    name = series.name
+    rules = {
+        f"{name}: must be one of {', '.join(AT_STEPS)} while a test runs; the fit after it reads "
+        "profiles and layers": series.kind not in AT_STEPS,
+        f'{name}: sd = "fit": must be a number while a test runs, such as the sd of experiments in '
+        "fit.json of earlier tests": series.sd_fitted,
+        f"{name}: censored readings have no normal density, by which draws are weighed; must be "
+        "left out while a test runs": series.censored is not None and series.censored.any(),
+    }
+    faults = [f"{series.file or name}: {a}; its unit must be given" for a in series.assumptions]
+    return faults + [rule for rule, broken in rules.items() if broken]
 
 
 def averaged(series: Series, end: float) -> Series:

@@ -109,12 +109,7 @@ def _knowledge(
     values: FittedValues,
     laws: Mapping[str, FittedValues] = MappingProxyType({}),
 ) -> FitKnowledge:
-    """Return the knowledge of an outcome and its values, and of the laws compared.
-
-    Raises
-    ------
-    ValueError : they are of different fits.
-    """
+    """Return the knowledge of an outcome and its values; ValueError if of different fits."""
     parameters = outcome["parameters"]
     if tuple(parameters) != values.keys:
         raise ValueError(name)

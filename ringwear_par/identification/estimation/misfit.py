@@ -176,8 +176,9 @@ class Misfit:
                 self._scales.append((rows, len(nuisances), taken))
                 prior = Prior(0.0, measured.scale.sd / measured.scale.mean)
                 add(experiment.name, measured.key, Nuisance(SCALE, prior), rows, np.zeros(1))
-        every = enumerate([*parameters, *nuisances])
-        self.priors = [(j, unknown.prior) for j, unknown in every if unknown.prior is not None]
+        known = [unknown.prior for unknown in parameters]
+        known += [nuisance.prior for nuisance in nuisances]
+        self.priors = [(j, prior) for j, prior in enumerate(known) if prior is not None]
         bounds = np.array([nuisance.bounds for nuisance in nuisances]).reshape(-1, 2)
         self.lower, self.upper = np.vstack([np.transpose(self.problem.unknown_bounds), bounds]).T
         self.nuisance_columns = np.concatenate(columns, axis=1)
