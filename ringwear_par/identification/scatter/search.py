@@ -112,15 +112,16 @@ def _evaluated(
     """
     # with the noise of wear, time constants are those of its last round
     times_of = x if misfit.problem.settings.process else None
-    for _ in range(_HALVINGS):
+    for halvings_left in reversed(range(_HALVINGS + 1)):
         try:
             misfit.linearise_inputs(x, test_unknowns)
             x = misfit.with_best_nuisances(misfit.values(x), test_unknowns, times_of)
             return x, misfit.evaluate(x, test_unknowns), test_unknowns
         except HistoryError:
+            if not halvings_left:
+                raise
             test_unknowns = 0.5 * (before + test_unknowns)
-    x = misfit.with_best_nuisances(misfit.values(x), test_unknowns, times_of)
-    return x, misfit.evaluate(x, test_unknowns), test_unknowns
+    raise AssertionError
 
 
 def _solve(

@@ -2,8 +2,9 @@
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -108,10 +109,10 @@ def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
         keys |= {} if omega is None else {"load.omega": omega}
         keys |= {} if duration is None else {"time.end": end}
         case = template.case.replace(_changes(keys, end))
-        series = _Measured(template, case)
+        readings_at = _measured(template, case)
         for parts in instants:
             at = tuple(end * part for part in parts)
-            experiment = Experiment(f"candidate {len(tests) + 1}", case, series.at(at))
+            experiment = Experiment(f"candidate {len(tests) + 1}", case, readings_at(at))
             tests.append(Candidate(keys, at, experiment, len(instants) > 1))
     return tests
 
@@ -173,47 +174,38 @@ def _changes(keys: Mapping[str, Any], end: float) -> dict[str, Any]:
     return changes
 
 
-class _Measured:
-    """Readings of a candidate: records at their rate, all else at its part of the test.
+def _measured(template: Experiment, case: Case) -> Callable[[Sequence[float]], tuple[Series, ...]]:
+    """Return what makes the readings of a candidate with profiles at some instants, s.
 
-    Noise is that of the template, of records its median. Of profiles of one body at several times
-    the last one serves.
+    Records go on at their rate, all else is read at its part of the test. Noise is that of the
+    template, of records its median. Of profiles of one body at several times the last one serves;
+    tests share those of one instant.
     """
+    longer = case.time.end / template.case.time.end
+    last = last_profiles(template.series)
 
-    def __init__(self, template: Experiment, case: Case) -> None:
-        longer = case.time.end / template.case.time.end
-        self._last = last_profiles(template.series)
-        self._series = [
-            series if series.profile else _scaled(series, longer) for series in template.series
-        ]
-        self._profiles: dict[tuple[str, float], Series] = {}
+    @cache
+    def profile(series: Series, at: float) -> Series:
+        return replace(series, name=f"{series.quantity} at {at:.6g} s", at=at)
 
-    def at(self, instants: Sequence[float]) -> tuple[Series, ...]:
-        """Return it with profiles at some instants, s."""
+    scaled = {s: _scaled(s, longer) for s in template.series if not s.profile}
+
+    def at(instants: Sequence[float]) -> tuple[Series, ...]:
         series: list[Series] = []
-        for entry in self._series:
+        for entry in template.series:
             if not entry.profile:
-                series.append(entry)
-            elif entry is self._last[entry.quantity]:
-                series += [self._profile(entry, at) for at in instants]
+                series.append(scaled[entry])
+            elif entry is last[entry.quantity]:
+                series += [profile(entry, instant) for instant in instants]
         return tuple(series)
 
-    def _profile(self, series: Series, at: float) -> Series:
-        name = f"{series.quantity} at {at:.6g} s"
-        key = (series.quantity, at)
-        if key not in self._profiles:
-            self._profiles[key] = replace(series, name=name, at=at)
-        return self._profiles[key]
+    return at
 
 
 def last_profiles(every: Sequence[Series]) -> dict[str, Series]:
     """Return of all profiles of one body the last one, by quantity."""
-    last: dict[str, Series] = {}
-    for series in every:
-        before = last.get(series.quantity)
-        if series.profile and (before is None or _at(series) > _at(before)):
-            last[series.quantity] = series
-    return last
+    profiles = [series for series in reversed(every) if series.profile]
+    return {s.quantity: s for s in sorted(profiles, key=lambda profile: profile.at or 0.0)}
 
 
 def _scaled(series: Series, longer: float) -> Series:
@@ -225,7 +217,3 @@ def _scaled(series: Series, longer: float) -> Series:
     x = longer * (series.x[0] + span * np.linspace(0.0, 1.0, count))
     sd: FloatArray = np.full(count, np.median(series.sd))
     return replace(series, x=x, value=np.zeros(count), sd=sd, lines=None)
-
-
-def _at(series: Series) -> float:
-    return 0.0 if series.at is None else series.at
