@@ -1,9 +1,10 @@
 """The Hessians of B contact problems, A of each history and what its wear adds, and their inverses.
 
-They are diagonal in bases that histories share (see ``scaled_compliances``), or, of compliances
-that differ from their references, nearly so: a few terms of a Neumann series do. Where the slope of
-wear over pressure has another shape, such a basis preconditions conjugate gradients. Wear that gets
-through layers, non-local wear and large systems have Cholesky factors of their own.
+They are diagonal in bases that histories share (see ``scaled_compliances``). Of compliances that
+deviate from their references, or where the slope of wear over pressure has another shape, such a
+basis preconditions projected conjugate gradients (Gould, Hribar and Nocedal, SIAM J. Sci. Comput.
+23 (2001) 1376-1395). Wear that gets through layers, non-local wear and large systems have Cholesky
+factors of their own.
 """
 
 from collections import defaultdict
@@ -29,8 +30,6 @@ _FACTOR = -1
 #: residuals, relative to the first, at which conjugate gradients end: of estimates, within Newton's
 #: method, whose next step corrects what this one left, and of solutions
 ROUGH, NEAR, SOLVED = 1e-3, 1e-6, 1e-13
-#: error at which series end that stand for inverses in the bases, where none is to be smaller
-_SERIES = 1e-6
 _MOST_ITERATIONS = 200
 #: where nothing touches
 _NO_FACTOR = np.zeros((0, 0))
@@ -49,7 +48,9 @@ class Hessians:
         self._compliances, self._which = compliances, which
         count, n = len(which), len(compliances.area)
         self._per_speed = (1.0 / compliances.speed)[compliances.reference]
-        self._loops = load(contact_rows)
+        more, self._loops = compliances.deviations, load(contact_rows)
+        #: (B,) from the references, see ``Deviations``
+        self._deviation = np.zeros(count) if more is None else more.deviation[which]
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
         #: (B, n) the diagonal
@@ -81,7 +82,7 @@ class Hessians:
         self.coupling = self.coupling[histories] if len(self.coupling) else self.coupling
         keep(
             self,
-            ("_which", "_free", "_valid", "_wearing", "_number",
+            ("_which", "_deviation", "_free", "_valid", "_wearing", "_number",
              "_inverse", "_regular", "_response", "_stiffness"),
             histories,
         )  # fmt: skip
@@ -223,7 +224,7 @@ class Hessians:
             if len(modal) == len(every):
                 places = slice(None)
             numbers = every[places]
-            more, root = self._compliances.differences, None
+            more, root = self._compliances.deviations, None
             if more is not None:
                 root = more.root[self._which[histories[places]]]
             rows = _Rows(places, histories[places], numbers, RowProducts(numbers), root)
@@ -232,13 +233,7 @@ class Hessians:
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
         """Return H^-1 right, (..., h, n), of some histories; 0 off their sets."""
-        solved = -self.steps(histories, right, None, SOLVED)[0]
-        if self._compliances.differences is not None:  # bases know no part that is not linear
-            products = self._compliances.products(self._which[histories])
-            rest = products.not_linear(solved)
-            rest[..., self._number[histories] < 0, :] = 0.0  # factors do
-            solved += self.steps(histories, rest, None, SOLVED)[0]
-        return solved
+        return -self.steps(histories, right, None, SOLVED)[0]
 
     def steps(
         self,
@@ -276,63 +271,42 @@ class Hessians:
     def _modal_steps(
         self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None, tolerance: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return steps in the bases, (..., h, n), and of approaches, (..., h)."""
-        irregular = np.flatnonzero(~self._regular[rows.histories])
-        sides = modal[..., irregular, :] if len(irregular) else modal
-        if rows.root is not None and missing is not None:
+        """Return steps in the bases, (..., h, n), where ``modal`` was, and of approaches, (..., h).
+
+        Parameters
+        ----------
+        modal : (..., h, n) float, the gradients in the bases.
+        """
+        change, stack, n = np.empty(modal.shape[:-1]), self._stack, modal.shape[-1]
+        with_forces, count, histories = missing is not None, len(rows.histories), rows.histories
+        if missing is None:
+            missing = change
+        elif rows.root is not None:
             missing = missing * rows.root
-        solved, change = self._direct_steps(rows, modal, missing)
-        if rows.root is not None:
-            self._add_series(rows, (solved, change), missing is None, tolerance)
-        if len(irregular):
-            many = np.broadcast_to(rows.histories[irregular], sides.shape[:-1])
-            x, more = self._iterate(
-                many.ravel(),
-                -sides.reshape(many.size, -1),
-                None if missing is None else missing[..., irregular].ravel(),
-                tolerance,
-            )
-            solved[..., irregular, :] = x.reshape(sides.shape)
-            change[..., irregular] = more.reshape(many.shape)
+        diagonal = self._inverse, self._response, self._stiffness
+        kinds = self._regular, self._deviation
+        iterated = np.flatnonzero(~self._regular[histories] | (self._deviation[histories] != 0.0))
+        if len(iterated):
+            # those of a basis one after another
+            among = histories[iterated]
+            order = np.argsort(2 * self._number[among] + self._regular[among], kind="stable")
+            times = np.arange(0, change.size, count)
+            places = (iterated[order][:, None] + times).ravel()
+            deviates = stack.derivatives.size > 0
+            self._loops.conjugate_gradients(
+                len(places), n, places, count, histories, self._number, stack.psi, stack.psi_t,
+                stack.derivatives if deviates else stack.psi, deviates, stack.force, self.slope,
+                *kinds, *diagonal, missing, with_forces, tolerance, _MOST_ITERATIONS, modal, change,
+                *np.empty((2, 4), dtype=np.int64), *np.empty((3, 4)), *np.empty((6, 7, n)),
+            )  # fmt: skip
+        if len(iterated) < count:
+            self._loops.solve_in_bases(
+                change.size, n, count, histories, self._number, stack.force, *diagonal, *kinds,
+                missing, with_forces, modal, change,
+            )  # fmt: skip
         if rows.root is not None:
             change *= rows.root
-        return solved, change
-
-    def _direct_steps(
-        self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return steps in the bases as if slopes had the shape, and compliances were references.
-
-        They are where ``modal`` was.
-        """
-        change, count = np.empty(modal.shape[:-1]), len(rows.histories)
-        self._loops.solve_in_bases(
-            change.size, modal.shape[-1], count, rows.histories, self._number, self._stack.force,
-            self._inverse, self._response, self._stiffness, change if missing is None else missing,
-            missing is not None, modal, change,
-        )  # fmt: skip
         return modal, change
-
-    def _add_series(
-        self,
-        rows: "_Rows",
-        out: tuple[FloatArray, FloatArray],
-        approach_stays: bool,
-        tolerance: float,
-    ) -> None:
-        """Add to direct steps the terms of the Neumann series in the differences of compliances."""
-        more = self._compliances.differences
-        assert more is not None
-        which = self._which[rows.histories]
-        terms, change = more.terms(min(tolerance, _SERIES))[which], more.change[which]
-        terms[~self._regular[rows.histories]] = 0
-        step, none = out[0], None if approach_stays else np.zeros(out[1].shape)
-        for term in range(terms.max(initial=0)):
-            sides = rows.groups.of(step, self._stack.change)
-            sides *= np.where(terms > term, change, 0.0)[:, None]
-            step, approach = self._direct_steps(rows, sides, none)
-            np.add(out[0], step, out=out[0])
-            np.add(out[1], approach, out=out[1])
 
     def _set_factored(
         self,
@@ -363,90 +337,6 @@ class Hessians:
         out[0][..., places, :] = change[..., None] * response - by_gradient
         out[1][..., places] = change
 
-    def _iterate(
-        self,
-        histories: IntArray,
-        right: FloatArray,
-        missing: FloatArray | None,
-        tolerance: float,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return solutions (h, n) in the bases, and changes of approaches, (h,).
-
-        With a force that is missing, (h,) N, solutions carry it, and so does each iterate of
-        projected conjugate gradients: the change of approach is the multiplier of that condition.
-        Gould, Hribar and Nocedal, SIAM J. Sci. Comput. 23 (2001) 1376-1395.
-        """
-        numbers, count = self._number[histories], len(histories)
-        slope, inverse = self.slope[histories], self._inverse[histories]
-        force, response = self._stack.force[numbers], self._response[histories]
-        groups, psi, psi_t = RowProducts(numbers), self._stack.psi, self._stack.psi_t
-        differences = self._compliances.differences
-        change = None if differences is None else differences.change[self._which[histories], None]
-        solutions, multipliers = np.zeros_like(right), np.zeros(count)
-        stiffness, multiplier = self._stiffness[histories], np.zeros(count)
-
-        def apply(x: FloatArray, some: IntArray | None = None) -> FloatArray:
-            if some is not None:
-                x = x[some]
-            groups_of = groups if some is None else RowProducts(numbers[some])
-            bent = groups_of.of(x, psi_t)
-            bent *= slope if some is None else slope[some]
-            product = groups_of.of(bent, psi)
-            product += x
-            if change is not None:
-                more = groups_of.of(x, self._stack.change)
-                more *= change if some is None else change[some]
-                product += more
-            return product
-
-        def project() -> FloatArray:
-            if missing is not None:
-                more = _divided(inner(response, r), stiffness)
-                np.subtract(r, force * more[:, None], out=r)
-                np.add(multiplier, more, out=multiplier)
-            return inverse * r
-
-        rows, x, r = np.arange(count), np.zeros_like(right), right.copy()
-        if missing is not None and missing.any():
-            x = response * _divided(missing, stiffness)[:, None]
-            # of so little as is mostly missing, the round-off of the last step, r is that of none
-            size = tolerance * tolerance * inner(inverse * r, r)
-            much = np.flatnonzero(missing * missing > size * stiffness)
-            if len(much):
-                r[much] -= apply(x, much)
-        direction = project()
-        size = inner(r, direction)
-        small, going = tolerance * tolerance * size, np.ones(count, dtype=bool)
-        for _ in range(_MOST_ITERATIONS):
-            ended = going & ~(size > small)
-            if ended.any():
-                solutions[rows[ended]], multipliers[rows[ended]] = x[ended], -multiplier[ended]
-                going &= ~ended
-                if not going.any():
-                    break
-                if 2 * going.sum() <= len(going):  # to leave rows out takes some iterations' time
-                    rows, x, r, direction, size, small, multiplier, numbers = (
-                        a[going] for a in (rows, x, r, direction, size, small, multiplier, numbers)
-                    )
-                    slope, inverse, force, response, stiffness = (
-                        a[going] for a in (slope, inverse, force, response, stiffness)
-                    )
-                    if change is not None:
-                        change = change[going]
-                    groups, going = RowProducts(numbers), going[going]
-            product = apply(direction)
-            length = _divided(size, inner(direction, product))[:, None]
-            x += length * direction
-            product *= length
-            r -= product
-            z = project()
-            before, size = size, inner(r, z)
-            direction *= _divided(size, before)[:, None]
-            direction += z
-        else:
-            solutions[rows[going]], multipliers[rows[going]] = x[going], -multiplier[going]
-        return solutions, multipliers
-
 
 class _Rows(NamedTuple):
     """Which rows are solved in bases, and in which."""
@@ -459,7 +349,7 @@ class _Rows(NamedTuple):
     numbers: IntArray
     #: of the rows by basis
     groups: RowProducts
-    #: (h,) float, see ``Differences``; None: compliances are references
+    #: (h,) float, see ``Deviations``; None: compliances are references
     root: FloatArray | None
 
 
