@@ -105,7 +105,7 @@ class Axis:
 
 
 #: of a size that is 0
-_NOTHING = Axis(np.zeros(1), np.ones(1))
+_NO_SIZE = Axis(np.zeros(1), np.ones(1))
 
 
 def prior_density(size: FloatArray, scale: float) -> FloatArray:
@@ -305,7 +305,7 @@ def _posterior(
     points, prior = grid(axes[n_levels:])
     # without each size that is fitted: shares have models of their own there
     nulls = {
-        i: grid([*axes[:i], _NOTHING, *axes[i + 1 :]])[0]
+        i: grid([*axes[:i], _NO_SIZE, *axes[i + 1 :]])[0]
         for i, size in enumerate(axes)
         if len(size.points) > 1
     }

@@ -175,7 +175,7 @@ def _changes(keys: Mapping[str, Any], end: float) -> dict[str, Any]:
 
 
 def _measured(template: Experiment, case: Case) -> Callable[[Sequence[float]], tuple[Series, ...]]:
-    """Return what makes the readings of a candidate with profiles at some instants, s.
+    """Return a function of instants (s) of profiles, to the readings of a candidate.
 
     Records go on at their rate, all else is read at its part of the test. Noise is that of the
     template, of records its median. Of profiles of one body at several times the last one serves;
