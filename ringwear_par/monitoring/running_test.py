@@ -16,8 +16,8 @@ from ringwear_par.files.text import parse_toml, read_text
 from ringwear_par.files.writing import read_bytes
 from ringwear_par.identification.definition.fit_file import experiment_tables, read_fit
 from ringwear_par.identification.definition.problem import Problem, Series
+from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 from ringwear_par.identification.definition.scatter import check_scatter
-from ringwear_par.identification.model.readings import AT_STEPS
 
 #: blocks of equal time of a test, in which the readings of a record are averaged
 BLOCKS = 500
@@ -174,9 +174,10 @@ def _has_readings(path: Path) -> bool:
 def _faults(series: Series) -> list[str]:
     """Return why a series cannot be followed."""
     name = series.name
+    allowed = [kind for kind, of in READING_KINDS.items() if of.values is not None]
     rules = {
-        f"{name}: must be one of {', '.join(AT_STEPS)} while a test runs; the fit after it reads "
-        "profiles and layers": series.kind not in AT_STEPS,
+        f"{name}: must be one of {', '.join(allowed)} while a test runs; the fit after it reads "
+        "profiles and layers": series.kind not in allowed,
         f'{name}: sd = "fit": must be a number while a test runs, such as the sd of experiments in '
         "fit.json of earlier tests": series.sd_fitted,
         f"{name}: censored readings have no normal density, by which draws are weighed; must be "

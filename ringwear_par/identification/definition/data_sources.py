@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -30,7 +30,7 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, and_more
 from ringwear_par.files.table_text import has_hours
 from ringwear_par.files.text import shortened
-from ringwear_par.identification.definition.problem import BASE, Problem, Quantity, Series
+from ringwear_par.identification.definition.problem import BASE, Problem, Series
 from ringwear_par.identification.definition.schema import SD
 
 #: window of the running median that smooths data, in readings
@@ -58,7 +58,7 @@ def _series(
 ) -> Series:
     """Return times or radii (n,) and values, in the units of a case, as a series."""
     sd = np.full(len(x), np.nan)
-    return Series(kind, cast(Quantity, kind), x, value, sd, unit=unit, factor=scale, **more)
+    return Series(kind, kind, x, value, sd, unit=unit, factor=scale, **more)
 
 
 def read_readings(

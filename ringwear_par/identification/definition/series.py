@@ -21,11 +21,11 @@ from ringwear_par.identification.definition.data_sources import (
 )
 from ringwear_par.identification.definition.problem import (
     GROWTH_TIME,
-    READING_KINDS,
     Nuisance,
     Series,
     friction_power,
 )
+from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 from ringwear_par.identification.definition.schema import (
     DATA,
     DENSITIES,
