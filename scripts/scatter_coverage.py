@@ -89,7 +89,7 @@ def specimens_row(
         ]
         models = [MixedModel(tests, [level], np.zeros(1), np.zeros(1))]
         posterior = integrate(lambda _, models=models: models, [Size(None, 0.3)])
-        low, high = posterior.material(0).interval(LEVEL)
+        low, high = posterior.unknown(0).interval(LEVEL)
         size_low, size_high = posterior.size(0, LEVEL).interval
         next_low, next_high = posterior.next_specimen(0).interval(LEVEL)
         widths.append(0.5 * (high - low))
@@ -138,7 +138,7 @@ def wear_row(share: float, count: int, trials: int, rng: np.random.Generator) ->
             return [MixedModel(r, [], np.zeros(1), np.zeros(1)) for r in zip(*reduced, strict=True)]
 
         posterior = integrate(models_at, [], [Size(None, 0.1)])
-        low, high = posterior.material(0).interval(LEVEL)
+        low, high = posterior.unknown(0).interval(LEVEL)
         size_low, size_high = posterior.share(0, LEVEL).interval
         best = np.mean([slope @ y for y in readings]) / (slope @ slope)
         widths.append(0.5 * (high - low))

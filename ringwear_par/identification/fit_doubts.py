@@ -1,5 +1,6 @@
 """Warnings about a fit: reasons not to trust its numbers as they are."""
 
+import itertools
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -145,7 +146,7 @@ def _conditions(fit: "FitResult") -> list[ValidityWarning]:
     if fit.material is None:  # linear intervals are those with all keys free
         covariance, narrowed = fit.covariance[:m, :m], [*fit.profiles]
     else:
-        covariance = fit.material.mixed.unbounded.covariance
+        covariance = fit.material.mixed.unbounded.covariance()
         narrowed = [parameter.key for parameter in fit.parameters]
     return conditional_verdicts(fit.parameters, covariance, narrowed, fit.keys_at_bound)
 
@@ -180,46 +181,16 @@ def _of_the_search(fit: "FitResult") -> Iterator[ValidityWarning]:
 
 def assumptions(fit: "FitResult") -> list[ValidityWarning]:
     """Return the doubts about units that no name has, or that are likely wrong."""
+    problem = fit.misfit.problem
+    every = [(experiment, series) for experiment, series, _ in fit.misfit.records]
+    every += [(test, entry.series) for test in problem.experiments for entry in test.inputs]
     return [
         ValidityWarning(
             "assumed-unit", f"{series.name} ({experiment.name}): {sentence}", (), (experiment.name,)
         )
-        for experiment, series, _ in fit.misfit.records
+        for experiment, series in every
         for sentence in series.assumptions + series.suspicions
-    ] + [
-        ValidityWarning(
-            "assumed-unit",
-            f"{measured.key} ({experiment.name}): {sentence}",
-            (),
-            (experiment.name,),
-        )
-        for experiment in fit.misfit.problem.experiments
-        for measured in experiment.inputs
-        for sentence in measured.assumptions + measured.suspicions
     ]
-
-
-def growths_of_sd(
-    covariance: FloatArray, at_bounds: Collection[int]
-) -> dict[tuple[int, int], float]:
-    """Return by how much the sd of an unknown j grows where one i at its bound is free, by (j, i).
-
-    The covariance (m, m) of all unknowns is as if there were no bounds; others at bounds stay
-    there.
-    """
-
-    def sd(j: int, fixed: Sequence[int]) -> float:
-        across = covariance[j, fixed]
-        known = across @ np.linalg.pinv(covariance[np.ix_(fixed, fixed)], hermitian=True) @ across
-        return float(np.sqrt(max(covariance[j, j] - known, 0.0)))
-
-    growths = {}
-    for j in set(range(len(covariance))) - set(at_bounds):
-        narrow = sd(j, list(at_bounds))
-        for i in at_bounds:
-            wide = sd(j, [k for k in at_bounds if k != i])
-            growths[j, i] = wide / narrow if narrow > 0.0 else 1.0
-    return growths
 
 
 def conditional_verdicts(
@@ -237,16 +208,20 @@ def conditional_verdicts(
     at_bounds = [
         j for j in known if estimates[j].verdict == "at bound" and estimates[j].key in keys_at_bound
     ]
+
+    def sd(j: int, fixed: Sequence[int]) -> float:
+        """Return the sd of an unknown where some others are known."""
+        across = covariance[j, fixed]
+        inverse = np.linalg.pinv(covariance[np.ix_(fixed, fixed)], hermitian=True)
+        return float(np.sqrt(max(covariance[j, j] - across @ inverse @ across, 0.0)))
+
     warnings = []
-    part = covariance[np.ix_(known, known)]
-    growths = growths_of_sd(part, [known.index(i) for i in at_bounds])
-    for (place, bound), growth in sorted(growths.items()):
-        estimate, at_bound = estimates[known[place]], estimates[known[bound]]
-        if (
-            estimate.verdict != "identified"
-            or estimate.key not in narrowed
-            or _NARROWED * growth <= 1.0
-        ):
+    for j, i in itertools.product(known, at_bounds):
+        estimate, at_bound, narrow = estimates[j], estimates[i], sd(j, at_bounds)
+        if estimate.verdict != "identified" or estimate.key not in narrowed or narrow == 0.0:
+            continue
+        growth = sd(j, [other for other in at_bounds if other != i]) / narrow
+        if _NARROWED * growth <= 1.0:
             continue
         text = (
             f"{estimate.key} is identified only if {at_bound.key} = {at_bound.estimate:g}, its "

@@ -231,10 +231,10 @@ def _inputs(fit: FitResult) -> dict[str, dict[str, Any]]:
     for experiment in fit.misfit.problem.experiments:
         for measured in experiment.inputs:
             curve, readings = measured.curve(experiment.case), measured.readings(experiment.case)
-            off = readings / np.maximum(curve(measured.time), np.finfo(float).tiny) - 1.0
+            off = readings / np.maximum(curve(measured.series.x), np.finfo(float).tiny) - 1.0
             entry: dict[str, Any] = {
                 "time": list(curve.x), "value": list(curve.y), "unit": measured.unit,
-                "n": len(measured.time), "scatter": float(np.sqrt(np.mean(off**2))),
+                "n": measured.series.n, "scatter": float(np.sqrt(np.mean(off**2))),
             }  # fmt: skip
             if measured.scale is not None:
                 i, mean = names.index((experiment.name, measured.key, SCALE)), measured.scale.mean
@@ -291,7 +291,7 @@ def log_evidence(fit: "FitResult") -> float | None:
     for key, (parameter, unknown) in enumerate(zip(problem.parameters, fit.x, strict=False)):
         width, variance = high[key] - low[key], fit.covariance[key, key]
         value = Mixture(np.ones(1), np.array([unknown]), np.array([variance]))
-        value = value if material is None else material.mixed.unbounded.material(key)
+        value = value if material is None else material.mixed.unbounded.unknown(key)
         prior += value.log_probability(low[key], high[key])
         if parameter.prior is None:
             prior -= float(np.log(width))

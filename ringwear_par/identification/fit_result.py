@@ -11,15 +11,12 @@ from scipy.stats import chi2
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ValidityWarning
-from ringwear_par.identification.definition.problem import GROWTH_TIME, SCALE
-from ringwear_par.identification.estimation.intervals import (
-    information,
-    name_of,
-    without_nuisances,
-)
+from ringwear_par.identification.definition.problem import GROWTH_TIME
+from ringwear_par.identification.estimation.intervals import information_rows, name_of
 from ringwear_par.identification.estimation.misfit import Misfit
 from ringwear_par.identification.estimation.solution import Solution
 from ringwear_par.identification.model.histories import MOST_SHIFT_SD
+from ringwear_par.identification.model.noise import NuisanceProjection
 from ringwear_par.identification.scatter.material import Material
 from ringwear_par.results.result import Outcome
 
@@ -32,8 +29,6 @@ _ROOM = "ringwear_par.identification"
 IMPROBABLE = 1e-3
 #: relative difference below which sums of squares belong to one optimum
 _SAME = 1e-3
-#: singular value, over unit columns, below which unknowns depend on others
-_DEPENDENT = 1e-8
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -147,10 +142,7 @@ class FitResult(Outcome, Solution):
             readings = rows[: self.n]
             free = (1.0 - self.material.best_fit.leverage)[readings].sum() + len(misfit.priors)
             return float((self.evaluation.residuals[rows] ** 2).sum()), float(free)
-        size = np.linalg.norm(self.evaluation.jacobian, axis=0)
-        columns = self.evaluation.jacobian / np.where(size > 0.0, size, 1.0)
-        basis, values, _ = np.linalg.svd(columns, full_matrices=False)
-        free = 1.0 - (basis[:, values > _DEPENDENT] ** 2).sum(axis=1)
+        free = 1.0 - NuisanceProjection(self.evaluation.jacobian).leverage
         return float((self.evaluation.residuals[rows] ** 2).sum()), float(free[rows].sum())
 
     @property
@@ -203,7 +195,10 @@ class FitResult(Outcome, Solution):
         if self.material is not None:
             m = len(self.parameters)
             return np.linalg.pinv(self.covariance[:m, :m], hermitian=True)
-        return without_nuisances(information(self.misfit, self.evaluation), len(self.parameters))
+        rows = information_rows(self.misfit, self.evaluation)
+        keys, nuisances = np.split(rows, [len(self.parameters)], axis=1)
+        keys = NuisanceProjection(nuisances).rest(keys)
+        return keys.T @ keys
 
     @property
     def band(self) -> FloatArray:
@@ -266,27 +261,17 @@ class FitResult(Outcome, Solution):
         """
         nuisances: dict[str, Any] = {}
         idle, sds = self.misfit.idle, self.standard_deviations
-        with_power = {
-            (record.experiment.name, record.series.name)
-            for record in self.misfit.records
-            for nuisance in record.series.nuisances
-            if nuisance.power
-        }
-        for i, name in enumerate(self.misfit.names):
-            if isinstance(name, str):
-                continue
-            experiment, series, kind = name
-            if kind == SCALE:  # of an input
-                continue
-            known = not idle[i] and np.isfinite(sds[i])
-            entry = {"estimate": float(self.x[i]), "sd": float(sds[i]) if known else None}
-            series_entries = nuisances.setdefault(experiment, {}).setdefault(series, {})
-            if (experiment, series) in with_power and kind == "thermal":
-                entry["power"] = True
-            if kind == GROWTH_TIME:
-                series_entries["thermal"]["time"] = entry
-            else:
-                series_entries[kind] = entry
+        numbers = {name: i for i, name in enumerate(self.misfit.names)}
+        for experiment, series, _ in self.misfit.records:
+            for nuisance in series.nuisances:
+                i = numbers[experiment.name, series.name, nuisance.kind]
+                known = not idle[i] and np.isfinite(sds[i])
+                entry = {"estimate": float(self.x[i]), "sd": float(sds[i]) if known else None}
+                of_series = nuisances.setdefault(experiment.name, {}).setdefault(series.name, {})
+                if nuisance.kind == GROWTH_TIME:
+                    of_series["thermal"]["time"] = entry
+                else:
+                    of_series[nuisance.kind] = entry | ({"power": True} if nuisance.power else {})
         return nuisances
 
     @property
@@ -295,8 +280,8 @@ class FitResult(Outcome, Solution):
     ) -> list[tuple[str, str, str, FloatArray, FloatArray, FloatArray]]:
         """Test, key, unit, times (s) and readings of each input, and the curve there."""
         return [
-            (experiment.name, measured.key, measured.unit, measured.time,
-             measured.readings(experiment.case), measured.curve(experiment.case)(measured.time))
+            (experiment.name, measured.key, measured.unit, measured.series.x,
+             measured.readings(experiment.case), measured.curve(experiment.case)(measured.series.x))
             for experiment in self.misfit.problem.experiments
             for measured in experiment.inputs
         ]  # fmt: skip

@@ -116,8 +116,8 @@ def fitted_values(fit: FitResult) -> FittedValues:
         means = np.tile(rows, (len(parts), 1, 1))
         covariances = np.zeros((len(parts), 1 + tests, m, m))
         for place, test in enumerate([None, *range(tests)]):
-            moments = [piece.posterior.unknowns_of(test) for piece in pieces]
-            free_means, between = map(np.concatenate, zip(*moments, strict=True))
+            free_means = np.concatenate([piece.posterior.means_of(test) for piece in pieces])
+            between = np.concatenate([piece.posterior.covariances_of(test) for piece in pieces])
             means[:, place, free] = free_means[parts]
             covariances[:, place, free[:, None], free] = between[parts]
         scatters = np.concatenate([piece.posterior.solutions.tau for piece in pieces])[parts]

@@ -31,29 +31,6 @@ _ENDED = 0.999
 
 
 @dataclass(frozen=True)
-class KeyAnswer:
-    """A key of the specimen."""
-
-    #: of its numbers
-    unit: str
-    #: median, and interval of the level, by the readings
-    estimate: float
-    interval: tuple[float, float]
-    #: interval before the test
-    before: tuple[float, float]
-    #: half the interval over the median
-    percent: float
-    #: the same numbers in the user's unit, as in fit.json; None where that is the case's
-    in_users_unit: Mapping[str, Any] | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return its entry of follow.json."""
-        entry = asdict(self)
-        converted = entry.pop("in_users_unit")
-        return entry if converted is None else {**entry, "told": converted}
-
-
-@dataclass(frozen=True)
 class Goal:
     """When the interval of a key is as narrow as is wished."""
 
@@ -91,7 +68,9 @@ class Answer:
     readings: int
     #: of intervals
     level: float
-    keys: Mapping[str, KeyAnswer]
+    #: entries of the keys of this specimen: median and interval by the readings, the interval
+    #: before the test, half the interval over the median; in the user's unit as in fit.json
+    keys: Mapping[str, Mapping[str, Any]]
     goal: Goal
     #: mm, whose time is asked, and when it is reached; None: none is asked
     depth: tuple[float, TimeTo] | None
@@ -142,13 +121,13 @@ class Answer:
         goal, share = self.goal, f"{100 * self.level:g} %"
         lines = [f"{self.test}: {counted(self.readings, 'reading')} to {self._at(self.time)} of "
                  f"{self._at(self.end)}"]  # fmt: skip
-        for key, key_answer in self.keys.items():
-            numbers, unit = users_numbers(key_answer.to_dict())
+        for key, entry in self.keys.items():
+            numbers, unit = users_numbers(entry)
             (low, high), (first, last) = numbers["interval"], numbers["before"]
             estimate = f"{numbers['estimate']:.4g} {unit}".rstrip()
             lines.append(
                 f"  {key}  {estimate} of this specimen  from {low:.4g} to {high:.4g} "
-                f"({share}, +-{key_answer.percent:.2g} %; before the test {first:.4g} to "
+                f"({share}, +-{entry['percent']:.2g} %; before the test {first:.4g} to "
                 f"{last:.4g})"
             )
         expected = f", +-{goal.at_end:.2g} % is expected there" if goal.time is None else ""
@@ -173,7 +152,6 @@ class Answer:
         depth, when = (None, None) if self.depth is None else self.depth
         return {
             **content,
-            "keys": {key: key_answer.to_dict() for key, key_answer in self.keys.items()},
             "goal": asdict(self.goal),
             "depth": None if when is None else {"depth": depth, **when._asdict()},
             "alarm": None if self.alarm is None else asdict(self.alarm),
@@ -204,7 +182,7 @@ class Answer:
         """
         unit, seconds = time_unit(self.end)
         goal, key, warnings = self.goal, self.keys[self.goal.key], self.warnings
-        numbers, unit_of_key = users_numbers(key.to_dict())
+        numbers, unit_of_key = users_numbers(key)
         time = self.trace[:, 0]
         low, median, high = self.trace[:, 1:].T / numbers["scale"]
         of_key = Panel(
@@ -215,7 +193,7 @@ class Answer:
         )  # fmt: skip
         tiles = [
             Tile(goal.key, f"{numbers['estimate']:.4g}", in_signs(unit_of_key),
-                 with_signs(f"+-{key.percent:.2g} %")),
+                 with_signs(f"+-{key['percent']:.2g} %")),
             Tile(with_signs(f"to +-{goal.percent:g} %"), self.left),
             Tile("readings", "as expected" if self.alarm is None else "alarm",
                  note=f"{self.readings} to {self._at(self.time)}", good=self.alarm is None),

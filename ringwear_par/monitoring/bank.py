@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import gammaln, logsumexp
+from scipy.special import logsumexp
+from scipy.stats import multivariate_t
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.elasticity.sections import BODIES
@@ -243,13 +244,7 @@ class Bank:
         unknowns = mean + scale[:, None] * (normal @ factor.T)
         low, high = self.problem.unknown_bounds
         inside = ((unknowns >= low) & (unknowns <= high)).all(axis=1)
-        half, square = (
-            0.5 * len(mean),
-            (np.linalg.solve(factor, (unknowns - mean).T) ** 2).sum(axis=0),
-        )
-        density = gammaln(0.5 * _DEGREES + half) - gammaln(0.5 * _DEGREES)
-        density -= half * np.log(np.pi * _DEGREES) + np.log(np.diag(factor)).sum()
-        density = density - (0.5 * _DEGREES + half) * np.log1p(square / _DEGREES)
+        density = multivariate_t(mean, _WIDER * covariance, _DEGREES).logpdf(unknowns)
         part, ratio = self._parts_at(unknowns, weights)
         ratio -= density + np.log(self._share_inside)
         unknowns = np.clip(unknowns, low, high)
@@ -264,11 +259,8 @@ class Bank:
         """Draw a part of the mixture for each of some unknowns (draws, m).
 
         Parts are as probable as they are there before the test, but for sizes of random wear:
-        these by the weights of the draws so far.
-
-        Returns
-        -------
-        The parts, and the logarithms of their density over the probability of the draw, (draws,).
+        these by the weights of the draws so far. Also returned are the logarithms of their density
+        over the probability of the draw, (draws,).
         """
         known, group = self._known, self._of_part.ravel()
         of_sizes = np.bincount(group[self.draws.part], weights, len(self._sizes))

@@ -104,12 +104,7 @@ def followed_test(running: RunningTest, after: Path | None, comm: MPI.Intracomm)
 
 
 def _followed_test(running: RunningTest, known: FitKnowledge, tests: set[str]) -> FollowedTest:
-    """Return a test with what a fit of tests knows before it. On one rank.
-
-    Raises
-    ------
-    InputError : the fit knows too little, or other things.
-    """
+    """Return a test with what a fit of tests knows before it, or raise InputError. On one rank."""
     problem, place = running.read(), f"{running.source}: {legible(running.name)}"
     if running.name in tests:
         raise InputError(
@@ -145,12 +140,7 @@ def _followed_test(running: RunningTest, known: FitKnowledge, tests: set[str]) -
 
 
 def _followed(problem: Problem, known: FitKnowledge, place: str, specimen: str) -> Problem:
-    """Return a problem with the random wear that a fit knows.
-
-    Raises
-    ------
-    InputError : the fit knows too little, or other things.
-    """
+    """Return a problem with the random wear that a fit knows, or raise InputError."""
     (experiment,), values = problem.experiments, known.values
     if not len(values.scattering) and not values.sizes.any():
         raise InputError(f"{known.name}: {NOT_KNOWN}")

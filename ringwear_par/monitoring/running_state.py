@@ -1,7 +1,8 @@
 """The state of a running test: its readings are judged window by window, and answered."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from ringwear_par.identification.definition.fitted_parameters import units_of
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.fit_numbers import in_users_unit
 from ringwear_par.identification.summary import probabilities
-from ringwear_par.monitoring.answer import Alarm, Answer, Goal, KeyAnswer
+from ringwear_par.monitoring.answer import Alarm, Answer, Goal
 from ringwear_par.monitoring.bank import Bank, are_too_few, effective_count, quantiles
 from ringwear_par.monitoring.outlook import surprise, time_to, times_of, widths
 from ringwear_par.pictures.panel import Axis, Band, Curve, Panel, Points
@@ -103,23 +104,23 @@ class RunningTestState:
         until = float(times[counted].max(initial=0.0))
         self._note(until, intervals, laws)
         units = units_of(problem)
-        keys: dict[str, KeyAnswer] = {}
+        keys: dict[str, dict[str, Any]] = {}
         for parameter, (low, median, high), (first, _, last) in zip(
             problem.parameters, intervals.tolist(), self._before.tolist(), strict=True
         ):
-            key_answer = KeyAnswer(
-                units[parameter.key], median, (low, high), (first, last),
-                50.0 * (high - low) / abs(median),
-            )  # fmt: skip
-            converted = in_users_unit(parameter, key_answer.to_dict(), experiment.case)
-            keys[parameter.key] = replace(key_answer, in_users_unit=converted)
+            entry = {
+                "unit": units[parameter.key], "estimate": median, "interval": (low, high),
+                "before": (first, last), "percent": 50.0 * (high - low) / abs(median),
+            }  # fmt: skip
+            converted = in_users_unit(parameter, entry, experiment.case)
+            keys[parameter.key] = entry if converted is None else {**entry, "told": converted}
         depth = None
         if targets.depth is not None:
             reached_at = time_to(bank, problem, weights, targets.depth, counted)
             depth = targets.depth, TimeTo.of(reached_at, settings.level)
         key = problem.keys[targets.key]
         at, half = widths(bank, problem, weights, targets.key, settings.level, until)
-        half *= keys[key].percent / half[0]  # what is known now is known better
+        half *= keys[key]["percent"] / half[0]  # what is known now is known better
         reached = np.flatnonzero(half <= targets.percent)
         when = float(at[reached[0]]) if len(reached) else None
         goal = Goal(key, targets.percent, when, float(half[-1]))

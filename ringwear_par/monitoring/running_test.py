@@ -173,26 +173,18 @@ def _has_readings(path: Path) -> bool:
 
 def _faults(series: Series) -> list[str]:
     """Return why a series cannot be followed."""
-    faults = [
-        f"{series.file or series.name}: {a}; its unit must be given" for a in series.assumptions
-    ]
-    if READING_KINDS[series.kind].values is None:
-        allowed = [name for name, kind in READING_KINDS.items() if kind.values is not None]
-        faults.append(
-            f"{series.name}: must be one of {', '.join(allowed)} while a test runs; the fit after "
-            "it reads profiles and layers"
-        )
-    if series.sd_fitted:
-        faults.append(
-            f'{series.name}: sd = "fit": must be a number while a test runs, such as the sd of '
-            "experiments in fit.json of earlier tests"
-        )
-    if series.censored is not None and series.censored.any():
-        faults.append(
-            f"{series.name}: censored readings have no normal density, by which draws are weighed; "
-            "must be left out while a test runs"
-        )
-    return faults
+    name = series.name
+    allowed = [kind for kind, of in READING_KINDS.items() if of.values is not None]
+    rules = {
+        f"{name}: must be one of {', '.join(allowed)} while a test runs; the fit after it reads "
+        "profiles and layers": series.kind not in allowed,
+        f'{name}: sd = "fit": must be a number while a test runs, such as the sd of experiments in '
+        "fit.json of earlier tests": series.sd_fitted,
+        f"{name}: censored readings have no normal density, by which draws are weighed; must be "
+        "left out while a test runs": series.censored is not None and series.censored.any(),
+    }
+    faults = [f"{series.file or name}: {a}; its unit must be given" for a in series.assumptions]
+    return faults + [rule for rule, broken in rules.items() if broken]
 
 
 def averaged(series: Series, end: float) -> Series:
@@ -209,10 +201,7 @@ def averaged(series: Series, end: float) -> Series:
         return series
     counts = np.diff(np.append(number, series.n))
     if series.correlation_time:
-        last = number + counts - 1
-        return replace(
-            series, x=series.x[last], value=series.value[last], sd=series.sd[last], lines=None
-        )
+        return series.part(number + counts - 1)
     weights = series.sd**-2
     total = np.add.reduceat(weights, number)
     single = counts == 1  # to the last bit, so that a record that grows stays what it was

@@ -3,6 +3,9 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from matplotlib.figure import Figure
+
+from ringwear_par.arrays import FloatArray
 from ringwear_par.files.folders import (
     BAND,
     DRAWS,
@@ -13,11 +16,17 @@ from ringwear_par.files.folders import (
     write_contents,
 )
 from ringwear_par.files.writing import announce_replacement, closing_line
-from ringwear_par.pictures.style import picture
+from ringwear_par.pictures.matplotlib import panel_figure
+from ringwear_par.pictures.panel import Axis, Band, Curve, Panel
+from ringwear_par.pictures.style import COLOURS, picture
 from ringwear_par.prediction.prediction import Prediction
+from ringwear_par.results.key_numbers import time_unit
 from ringwear_par.results.storage.hdf5 import atomic_hdf5, write_variable
+from ringwear_par.results.variables import DISPLAY_UNITS
 
 FILES = (DRAWS, BAND, PREDICTION)
+#: inches of the figure
+_SIZE = (4.6, 3.4)
 
 
 def prepare(folder: Path) -> None:
@@ -53,3 +62,32 @@ def save(prediction: Prediction, folder: Path) -> None:
             PREDICTION: lambda: json_bytes(prediction.to_dict()),
         }
         write_contents(folder, contents)
+
+
+def panel(time: FloatArray, quantiles: FloatArray, of: str) -> Panel:
+    """Return the panel of the penetration: median, bands of 50 and 95 % of the draws.
+
+    Parameters
+    ----------
+    time : (steps,) float, s.
+    quantiles : (5, steps) float, mm, at ``PROBABILITIES``.
+    of : title.
+    """
+    unit, seconds = time_unit(float(time[-1]))
+    depth, factor = DISPLAY_UNITS["penetration"]
+    low, lower, median, upper, high = factor * quantiles
+    time = time / seconds
+    return Panel(
+        Axis(f"time ({unit})", zero=True), Axis(f"penetration ({depth})", zero=True), of,
+        curves=[Curve(time, median, "median", COLOURS[1], width=1.8)],
+        bands=[
+            Band(time, low, high, "95 %", ("2.5 %", "97.5 %"), COLOURS[0], 0.18),
+            Band(time, lower, upper, "50 %", ("25 %", "75 %"), COLOURS[0], 0.35),
+        ],
+    )  # fmt: skip
+
+
+def plot(prediction: Prediction) -> Figure:
+    """Return the figure of ``panel``."""
+    band = panel(prediction.time, prediction.quantiles(), prediction.whose)
+    return panel_figure([[band]], _SIZE)

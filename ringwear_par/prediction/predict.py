@@ -137,12 +137,7 @@ def _job(
     seed: int,
     dashes: str = "",
 ) -> _Job:
-    """Return the job of all ranks, with its draws; ``dashes`` of the command's. On one rank.
-
-    Raises
-    ------
-    InputError : see ``predict``.
-    """
+    """Return the job of all ranks, with its draws; ``dashes`` of the command's. On one rank."""
     for name, number, least in (("draws", draws, 1), ("seed", seed, 0)):
         if isinstance(number, bool) or not isinstance(number, int) or number < least:
             raise InputError(f"{dashes}{name} = {number!r}: must be a whole number >= {least}")

@@ -109,7 +109,7 @@ class Prediction(Outcome):
 
     functions: ClassVar = {
         "summary": "ringwear_par.prediction.summary", "to_dict": "ringwear_par.prediction.summary",
-        "plot": "ringwear_par.prediction.figure", "save": "ringwear_par.prediction.folder",
+        "plot": "ringwear_par.prediction.folder", "save": "ringwear_par.prediction.folder",
     }  # fmt: skip
 
     of: str

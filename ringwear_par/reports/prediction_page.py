@@ -8,7 +8,7 @@ import numpy as np
 from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.errors import legible
 from ringwear_par.files import folders
-from ringwear_par.prediction.figure import panel
+from ringwear_par.prediction.folder import panel
 from ringwear_par.reports import blocks as page
 from ringwear_par.reports.fit_page import stored_outcome
 from ringwear_par.results.variables import DISPLAY_UNITS

@@ -117,7 +117,7 @@ def test_readings_that_a_curve_does_not_follow_or_that_are_no_friction_are_doubt
         doubts = input_trends(experiments)
         assert [doubt.code for doubt in doubts] == ["input-trend"] * trends
         assert all("smooth must be" in doubt.text for doubt in doubts)
-        suspicions += experiments[0].inputs[0].suspicions
+        suspicions += experiments[0].inputs[0].series.suspicions
     (sentence,) = suspicions
     assert sentence.startswith(f"{torque['file']}: readings in Nm mean a friction of ")
 

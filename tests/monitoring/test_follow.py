@@ -271,13 +271,13 @@ def test_draws_that_are_made_anew_and_a_record_that_is_replaced(laboratory, monk
         exact = np.log(exact_quantiles(laboratory, problem, unknowns))
         sd = (exact[2] - exact[0]) / 3.92
         assert answer.redraws > 0
-        assert np.log([key.interval[0], key.estimate, key.interval[1]]) == pytest.approx(
+        assert np.log([key["interval"][0], key["estimate"], key["interval"][1]]) == pytest.approx(
             exact, abs=0.15 * sd
         )
         assert not answer.warnings
     fresh = state().answer(problem).keys[KEY]
-    assert (key.estimate, *key.interval) == pytest.approx(
-        (fresh.estimate, *fresh.interval), rel=1e-9
+    assert (key["estimate"], *key["interval"]) == pytest.approx(
+        (fresh["estimate"], *fresh["interval"]), rel=1e-9
     )
     monkeypatch.setattr(bank, "_ROUNDS", 0)
     (words,) = state().answer(problem).warnings

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -29,7 +30,7 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.files.measurements import Measurements, and_more
 from ringwear_par.files.table_text import has_hours
 from ringwear_par.files.text import shortened
-from ringwear_par.identification.definition.problem import BASE, Problem
+from ringwear_par.identification.definition.problem import BASE, Problem, Series
 from ringwear_par.identification.definition.schema import SD
 
 #: window of the running median that smooths data, in readings
@@ -44,26 +45,20 @@ _SIDES = {"below": -1, "above": 1, "": 0}
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Readings and where they are from."""
+    """Readings whose noise is not known yet, and where they are from."""
 
-    #: (n,) times or radii, and values, in the units of a series
-    x: FloatArray
-    value: FloatArray
-    #: unit of the data, and its size in the unit of a case
-    unit: str
-    factor: float
-    #: sentences about columns whose names have no unit.
-    assumptions: tuple[str, ...] = ()
-    #: sentences about times that are of the day, or may be.
-    suspicions: tuple[str, ...] = ()
+    series: Series
     #: the table and which of its rows have readings; None of others.
     data: Measurements | None = None
     rows: BoolArray | None = None
-    #: of the readings; None and "" without a table.
-    lines: IntArray | None = None
-    where: str = ""
-    #: whether nothing has been read yet.
-    planned: bool = False
+
+
+def _series(
+    kind: str, x: FloatArray, value: FloatArray, unit: str, scale: float, **more: Any
+) -> Series:
+    """Return times or radii (n,) and values, in the units of a case, as a series."""
+    sd = np.full(len(x), np.nan)
+    return Series(kind, kind, x, value, sd, unit=unit, factor=scale, **more)
 
 
 def read_readings(
@@ -104,7 +99,7 @@ def _single(reader: TableReader, kind: str, at: float) -> Readings | None:
     single = None if scale is None else reader.read("value", unit=unit)
     if single is None or scale is None:
         return None
-    return Readings(np.array([at]), np.array([scale * single]), unit, scale)
+    return Readings(_series(kind, np.array([at]), np.array([scale * single]), unit, scale))
 
 
 def _planned(
@@ -135,7 +130,7 @@ def _planned(
         reader.wrong(usual, f"{must}; planned readings are for --dry-run and ringwear design only")
     if x is None or scale is None:
         return None
-    return Readings(x, np.zeros(len(x)), unit, scale, planned=True)
+    return Readings(_series(kind, x, np.zeros(len(x)), unit, scale, planned=True))
 
 
 def _unit(reader: TableReader, kind: str) -> tuple[str, float | None]:
@@ -213,10 +208,11 @@ def _from_file(reader: TableReader, kind: str, end: float, files: FileStore) -> 
     if "time" in assumed and data.names_seconds(column_names["time"], rows):
         assumed.remove("time")
     sentences = [assumption(column_names[role], units_by_role[role]) for role in assumed]
-    return Readings(
-        x, value, units_by_role["value"], factors["value"], tuple(sentences), tuple(doubts),
-        data, rows, data.lines[rows], data.name,
+    series = _series(
+        kind, x, value, units_by_role["value"], factors["value"], assumptions=tuple(sentences),
+        suspicions=tuple(doubts), lines=data.lines[rows], file=data.name,
     )  # fmt: skip
+    return Readings(series, data, rows)
 
 
 def _other_unit(column: str, unit: str) -> str:
@@ -247,10 +243,11 @@ def _unit_factor(reader: TableReader, key: str, unit: str, base: str) -> float |
 
 def read_noise(reader: TableReader, readings: Readings, keep: BoolArray) -> tuple[FloatArray, bool]:
     """Return the standard deviation of each reading, and whether it is to be fitted."""
-    entry, value, data = reader.raw("sd"), readings.value, readings.data
+    entry, series, data = reader.raw("sd"), readings.series, readings.data
+    value = series.value
     unknown = np.full(len(value), np.nan)
     named = isinstance(entry, str) and not has_unit(entry)
-    if readings.planned and (named or isinstance(entry, Mapping)):
+    if series.planned and (named or isinstance(entry, Mapping)):
         reader.wrong("sd", "must be a number > 0, in unit, of readings that are planned")
         return unknown, False
     if named and entry != "fit":
@@ -274,51 +271,54 @@ def read_noise(reader: TableReader, readings: Readings, keep: BoolArray) -> tupl
         smooth = np.abs(median_filter(value, min(_SMOOTH, len(value)), mode="nearest"))
         small = smooth <= _NEAR_ZERO * smooth.max(initial=0.0)
         if small.any():
-            line = ""
-            if readings.lines is not None:
-                line = f"{readings.where}: line {readings.lines[np.flatnonzero(small)[0]]}: "
+            line = lines_of(series)[np.flatnonzero(small)[0]]
             reader.wrong(
                 "sd", f"{line}must be in the data's unit where readings are near zero, as here"
             )
             return unknown, False
         return relative * smooth, False
-    single = reader.read("sd", unit=readings.unit)
-    return np.full(len(value), math.nan if single is None else readings.factor * single), False
+    single = reader.read("sd", unit=series.unit)
+    return np.full(len(value), math.nan if single is None else series.factor * single), False
 
 
 def _sd_column(reader: TableReader, column: str, readings: Readings) -> FloatArray:
     """Return the standard deviations in a column of a table."""
-    data, rows, lines = readings.data, readings.rows, readings.lines
+    data, rows, series = readings.data, readings.rows, readings.series
     assert data is not None
     assert rows is not None
-    assert lines is not None
-    unknown = np.full(len(readings.value), np.nan)
+    unknown, lines = np.full(series.n, np.nan), lines_of(series)
     if column not in data.columns:
         reader.wrong(
             "sd", f'must be a number, "fit", {{ relative = x }} or a column of {data.name}'
         )
         return unknown
     label = data.label(column)
-    named = _other_unit(label, readings.unit)
-    if not named and unit_of_column(label, readings.unit) is None:
+    named = _other_unit(label, series.unit)
+    if not named and unit_of_column(label, series.unit) is None:
         named = legible(unit_of_anything(label) or "")
     if named:
         reader.wrong(
             "sd",
-            f"the column is in {named} by its name; must be in {readings.unit}, as the readings",
+            f"the column is in {named} by its name; must be in {series.unit}, as the readings",
         )
         return unknown
     filled = data.filled(column)[rows]
     if not filled.all():
-        reader.fault(
-            f"{readings.where}: line {lines[~filled][0]}: {column} is empty; must be a number > 0"
-        )
+        first = lines[int(np.flatnonzero(~filled)[0])]
+        reader.fault(f"{first}{column} is empty; must be a number > 0")
         return unknown
-    sd = readings.factor * _column(reader, data, column, rows)
+    sd = series.factor * _column(reader, data, column, rows)
     if (wrong := np.flatnonzero(sd <= 0)).size:
-        values = f"{column} = {sd[wrong[0]] / readings.factor:g}{and_more(wrong.size, 'line')}"
-        reader.fault(f"{readings.where}: line {lines[wrong[0]]}: {values}: must be a number > 0")
+        values = f"{column} = {sd[wrong[0]] / series.factor:g}{and_more(wrong.size, 'line')}"
+        reader.fault(f"{lines[wrong[0]]}{values}: must be a number > 0")
     return sd
+
+
+def lines_of(series: Series) -> list[str]:
+    """Return where readings stand, as sentences about them begin; "" of those in no file."""
+    if series.lines is None:
+        return [""] * series.n
+    return [f"{series.file}: line {line}: " for line in series.lines.tolist()]
 
 
 def _scatter(value: FloatArray) -> float:
@@ -334,7 +334,7 @@ def read_censored(reader: TableReader, readings: Readings) -> IntArray | None:
     if word is None:
         return None
     if word in _SIDES:
-        return np.full(len(readings.value), _SIDES[word])
+        return np.full(readings.series.n, _SIDES[word])
     data = readings.data
     if data is None or readings.rows is None or word not in data.columns:
         where = "" if data is None else f", or a column of {data.name}"

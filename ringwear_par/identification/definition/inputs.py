@@ -12,7 +12,7 @@ from ringwear_par.cases.files.columns import FileStore, read_intervals
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.files.measurements import and_more
 from ringwear_par.files.smoothing import MOST_POINTS
-from ringwear_par.identification.definition.data_sources import read_readings
+from ringwear_par.identification.definition.data_sources import lines_of, read_readings
 from ringwear_par.identification.definition.problem import FittedParameter, MeasuredInput
 from ringwear_par.identification.definition.schema import (
     FEWEST_READINGS,
@@ -20,7 +20,7 @@ from ringwear_par.identification.definition.schema import (
     INPUT_KEYS,
     INPUT_SCALE,
 )
-from ringwear_par.identification.definition.series import check_times, lines_of, rounded_end
+from ringwear_par.identification.definition.series import check_times, is_outside, rounded_end
 from ringwear_par.schedules import in_time, points_of
 from ringwear_par.studies.definition.variations import split_key
 
@@ -100,7 +100,9 @@ def read_inputs(
         if len(faults) > before:
             return (), {}
         entry = replace(entry, radius=0.5 * sum(case.contact))
-        inputs[i] = entry = replace(entry, suspicions=entry.suspicions + _suspicions(entry, case))
+        suspicions = entry.series.suspicions + _suspicions(entry, case)
+        entry = replace(entry, series=replace(entry.series, suspicions=suspicions))
+        inputs[i] = entry
         curves[entry.key] = points_of(entry.curve(case))
         case = case.replace(curves)
     return (tuple(inputs), curves) if len(faults) == before else ((), {})
@@ -141,13 +143,10 @@ def _input(
     reader.finish()
     if readings is None or case is None or len(faults) > before:
         return None
-    keep = np.ones(len(readings.x), dtype=bool)
-    x = rounded_end(readings.x, end)
-    for low, high in excluded:
-        keep &= (x < low) | (x > high)
-    x, value = x[keep], readings.value[keep]
-    lines = None if readings.lines is None else readings.lines[keep]
-    check_times(reader, x, lines_of(readings.where, lines, len(x)), end)
+    series = replace(readings.series, name=key, x=rounded_end(readings.series.x, end))
+    series = series.part(is_outside(series.x, excluded))
+    x, value = series.x, series.value
+    check_times(reader, series, end)
     if len(x) < FEWEST_READINGS:
         reader.fault(f"has {len(x)} readings; must have {FEWEST_READINGS} at least")
     elif (covered := float(np.ptp(x)) / end) < _COVERED:
@@ -160,19 +159,16 @@ def _input(
     low = value <= 0.0 if is_friction else value < 0.0
     if low.any():
         i = int(np.flatnonzero(low)[0])
-        written = value[i] / readings.factor
+        written = value[i] / series.factor
         hint = "look at its sign" if low.all() else "exclude leaves out times of stops, say"
         reader.fault(
-            f"{lines_of(readings.where, lines, len(x))[i]}{written:g} {readings.unit}"
+            f"{lines_of(series)[i]}{written:g} {series.unit}"
             f"{and_more(int(low.sum()), 'reading')}: must be {'>' if is_friction else '>='} 0; "
             f"{hint}"
         )
     if len(faults) > before:
         return None
-    return MeasuredInput(
-        key, x, value, smooth, scale, file=readings.where, file_unit=readings.unit,
-        assumptions=readings.assumptions, suspicions=readings.suspicions,
-    )  # fmt: skip
+    return MeasuredInput(key, series, smooth, scale)
 
 
 def _suspicions(entry: MeasuredInput, case: Case) -> tuple[str, ...]:
@@ -180,8 +176,9 @@ def _suspicions(entry: MeasuredInput, case: Case) -> tuple[str, ...]:
     typical, (low, high) = float(np.median(entry.readings(case))), _FRICTIONS
     if not entry.of_torque or low <= typical <= high:
         return ()
+    series = entry.series
     return (
-        f"{entry.file}: readings in {entry.file_unit} mean a friction of {typical:.3g}, where "
+        f"{series.file}: readings in {series.unit} mean a friction of {typical:.3g}, where "
         f"contacts have {low:g} to {high:g}; look at the unit of the torque, and at the load",
     )
 
@@ -191,8 +188,8 @@ def _check_friction(place: str, entry: MeasuredInput, case: Case, faults: list[s
     force = case.load.force
     if force is None:
         faults.append(f'{place}: input ({entry.key}): needs load.control = "force"')
-    elif (np.asarray(in_time(force, entry.time)) <= 0.0).any():
-        first = entry.time[np.asarray(in_time(force, entry.time)) <= 0.0][0]
+    elif (no_load := np.asarray(in_time(force, entry.series.x)) <= 0.0).any():
+        first = entry.series.x[no_load][0]
         faults.append(
             f"{place}: input ({entry.key}): the load is 0 at {first:g} s; exclude must leave out "
             "readings without load"

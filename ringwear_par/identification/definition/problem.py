@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ringwear_par import schedules
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.files.smoothing import Smoothing, curve
 from ringwear_par.identification.definition.reading_kinds import READING_KINDS
@@ -222,6 +222,14 @@ class Series:
         """The body that a profile, mass, volume or layer is of."""
         return "upper" if self.quantity.endswith(".upper") else "lower"
 
+    def part(self, rows: BoolArray | IntArray) -> "Series":
+        """Return some of the readings: a mask (n,), or numbers in their order."""
+        lines, censored = (None if of is None else of[rows] for of in (self.lines, self.censored))
+        return replace(
+            self, x=self.x[rows], value=self.value[rows], sd=self.sd[rows], lines=lines,
+            censored=censored,
+        )  # fmt: skip
+
     def tells_wear(self, body: str) -> bool:
         """Tell whether it is of what is worn off a body."""
         of_both = "." not in self.quantity
@@ -234,20 +242,13 @@ class MeasuredInput:
 
     #: "contact.friction", "load.force", "load.pressure" or "load.omega"
     key: str
-    #: (n,) s, and what was read: N mm of the torque of a friction, else in the key's unit
-    time: FloatArray
-    value: FloatArray
+    #: what was read: N mm of the torque of a friction, else in the key's unit
+    series: Series
     smooth: Smoothing = "auto"
     #: prior of a factor on the readings; None: they are exact
     scale: Prior | None = None
     #: mm, at which friction acts by the pressures of the test, a number or a table in time
     radius: schedules.Quantity = 0.0
-    #: where the readings stand, and their unit there
-    file: str = ""
-    file_unit: str = ""
-    #: sentences about units that names of columns lack, and about those that are likely wrong
-    assumptions: tuple[str, ...] = ()
-    suspicions: tuple[str, ...] = ()
 
     @property
     def unit(self) -> str:
@@ -263,14 +264,16 @@ class MeasuredInput:
         """Return the readings in the key's unit, (n,), as their calibration has them."""
         mean = 1.0 if self.scale is None else self.scale.mean
         if not self.of_torque:
-            return mean * self.value
+            return mean * self.series.value
         assert case.load.force is not None
-        force, radius = (schedules.in_time(q, self.time) for q in (case.load.force, self.radius))
-        return mean * self.value / (force * radius)
+        force, radius = (
+            schedules.in_time(q, self.series.x) for q in (case.load.force, self.radius)
+        )
+        return mean * self.series.value / (force * radius)
 
     def curve(self, case: Case) -> schedules.Table:
         """Return the curve through the readings."""
-        return curve(self.time, self.readings(case), self.smooth, case.time.end)
+        return curve(self.series.x, self.readings(case), self.smooth, case.time.end)
 
 
 @dataclass(frozen=True, eq=False)

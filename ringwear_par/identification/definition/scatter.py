@@ -22,7 +22,6 @@ from ringwear_par.identification.definition.problem import (
     Problem,
     ProcessNoise,
     Scatter,
-    Series,
     body_of_wear,
 )
 from ringwear_par.identification.definition.schema import PROCESS, SCATTER
@@ -69,22 +68,15 @@ def read_scatter(
             reader.wrong(group, f"must be {float(percent[1]) / 100.0:g}, which is {percent[0]}")
         elif group in reader:
             sizes[group] = reader.read(group, unit=size_unit)
-    scale, start = (
-        reader.read("prior", unit=size_unit),
-        reader.read("start", unit=size_unit),
-    )
-    for name in (*GROUPS, "prior", "start"):
-        reader.raw(name)
+    scale, start = (reader.read(name, unit=size_unit) for name in ("prior", "start"))
     reader.finish()
     if not sizes and len(faults) == before:
         reader.fault(f"must have one of {', '.join(GROUPS)}")
-    for group, size in sizes.items():
-        if log and isinstance(size, float) and size > _LARGEST:
+    for name, size in {**sizes, "prior": scale}.items() if log else ():
+        if isinstance(size, float) and size > _LARGEST:
             reader.wrong(
-                group, f"must be at most {_LARGEST:g} (standard deviation of the logarithm)"
+                name, f"must be at most {_LARGEST:g} (standard deviation of the logarithm)"
             )
-    if log and scale is not None and scale > _LARGEST:
-        reader.wrong("prior", f"must be at most {_LARGEST:g} (standard deviation of the logarithm)")
     if not log and scale is None and "fit" in sizes.values():
         reader.wrong(
             "prior", f'must be {{ half_t = scale }} in {unit} where scale = "linear" and the '
@@ -154,11 +146,7 @@ def check_scatter(problem: Problem, faults: list[str]) -> None:
                         f"{name}: scatter of {key}: {large} and {small} are the same groups; "
                         'only one of the two can be "fit"'
                     )
-    if set(settings.intervals) - {"linear"}:
-        faults.append(
-            f"{name}: fit.intervals = {list(settings.intervals)}: are not possible with "
-            'scatter; must be ["linear"]'
-        )
+    _refuse_intervals(problem, "scatter", faults)
 
 
 def _same_groups(experiments: Sequence[Experiment], small: str, large: str) -> bool:
@@ -215,7 +203,7 @@ def _read_noise(place: str, value: Any, faults: list[str]) -> ProcessNoise | Non
 def check_process(problem: Problem, faults: list[str]) -> None:
     """Add what readings cannot tell of wear's own noise to the faults."""
     name, experiments, settings = problem.name, problem.experiments, problem.settings
-    process, intervals = settings.process, settings.intervals
+    process = settings.process
     if not process or not experiments:
         return
     for key in process:
@@ -234,23 +222,25 @@ def check_process(problem: Problem, faults: list[str]) -> None:
     for experiment in experiments:
         for series in experiment.series:
             wear = any(series.tells_wear(body_of_wear(key)) for key in process)
-            if wear and series.correlation_time > _LONGEST_CORRELATION * _length(series):
+            length = float(np.ptp(series.x))  # s
+            if wear and series.correlation_time > _LONGEST_CORRELATION * length:
                 faults.append(
                     f'{name}: experiment "{legible(experiment.name)}": {series.name}: '
                     f"correlation_time = {series.correlation_time:g}: cannot be told from wear's "
                     f"own noise (fit.process); must be at most {_LONGEST_CORRELATION:g} of the "
-                    f"record, {_length(series):g} s"
+                    f"record, {length:g} s"
                 )
+    _refuse_intervals(problem, "process", faults)
+
+
+def _refuse_intervals(problem: Problem, part: str, faults: list[str]) -> None:
+    """Refuse intervals that are not known with a random part."""
+    intervals = list(problem.settings.intervals)
     if set(intervals) - {"linear"}:
         faults.append(
-            f"{name}: fit.intervals = {list(intervals)}: are not possible with process; must be "
+            f"{problem.name}: fit.intervals = {intervals}: are not possible with {part}; must be "
             '["linear"]'
         )
-
-
-def _length(series: Series) -> float:
-    """Return the duration of a record, s."""
-    return float(np.ptp(series.x))
 
 
 def known_sizes(problem: Problem, specimens: int) -> list[str]:

@@ -97,13 +97,9 @@ def _flag() -> Values:
     return Values("any", read, "true or false")
 
 
-def _scatter_size(kind: str = "number") -> Values:
-    """Return standard deviations, and the word that has them fitted."""
-
-    def read(value: Any) -> float | str:
-        return value if value == "fit" else number(0.0).read(value)
-
-    return Values("any", read, f'"fit", or a {kind} > 0')
+def _number_or(*words: str, allowed: str) -> Values:
+    """Return numbers > 0, and words instead of one."""
+    return Values("any", lambda v: v if v in words else number(0.0).read(v), allowed)
 
 
 def _half_t() -> Values:
@@ -117,15 +113,8 @@ def _half_t() -> Values:
     return Values("any", read, "{ half_t = scale }, a number > 0")
 
 
-def _smoothing() -> Values:
-    """Return how readings are smoothed."""
-
-    def read(value: Any) -> float | str:
-        return value if value in ("auto", "none") else number(0.0).read(value)
-
-    return Values("any", read, '"auto", "none", or a time > 0')
-
-
+_SIZE = _number_or("fit", allowed='"fit", or a number > 0')
+_SMOOTHING = _number_or("auto", "none", allowed='"auto", "none", or a time > 0')
 _COLUMNS = anything('texts for "time" and "value"; of a profile for "r" and "value"')
 _CASE_KEYS = anything("a table of case keys and their values")
 _BOUNDS = pair(-math.inf)
@@ -196,7 +185,7 @@ KEYS: tuple[Key, ...] = (
     Key("fit.parameters.KEY.scatter", *anything('"fit", a number > 0, or a table'), "-",
         "scatter of the key between specimens: \"fit\", a known standard deviation, or a table of "
         "these for specimen, batch and lab", None),
-    *(Key(f"fit.parameters.KEY.scatter.{group}", *_scatter_size(),
+    *(Key(f"fit.parameters.KEY.scatter.{group}", *_SIZE,
           "KEY's; 1 where scale = \"log\"", f"standard deviation between {groups} (of the "
           "logarithm where scale = \"log\"), or \"fit\"", None)
       for group, groups in (("specimen", "specimens"), ("batch", "batches"),
@@ -210,7 +199,7 @@ KEYS: tuple[Key, ...] = (
     Key("fit.process.KEY", *anything('"fit", or a table'), "-",
         "noise of the wear itself, KEY is wear.lower or wear.upper: worn depth grows at random "
         "(gamma process), with a variance of size times mean depth", None),
-    Key("fit.process.KEY.size", *_scatter_size("length"), "mm",
+    Key("fit.process.KEY.size", *_SIZE._replace(allowed='"fit", or a length > 0'), "mm",
         "size of the noise of wear: variance of the worn depth over its mean, or \"fit\"", None),
     Key("fit.process.KEY.share", *number(0.0, 1.0), "1",
         "instead of size: standard deviation of the worn depth over its mean, at the end of the "
@@ -262,7 +251,7 @@ KEYS: tuple[Key, ...] = (
     *file_keys("experiment.input"),
     Key("experiment.input.exclude", *anything("a list of increasing pairs"), "s",
         "pairs of times between which readings are left out", None),
-    Key("experiment.input.smooth", *_smoothing(), "s",
+    Key("experiment.input.smooth", *_SMOOTHING, "s",
         "auto: a smoothing spline, denser early in the test, its knots and penalty by "
         "generalised cross-validation; a time: a smoothing spline that halves waves of this "
         f"period; none: linear between the readings, {MOST_POINTS} at most", "auto"),

@@ -2,17 +2,19 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case, density_keys
 from ringwear_par.cases.files.columns import FileStore, read_intervals
 from ringwear_par.cases.tables import TableReader
 from ringwear_par.errors import counted, legible
 from ringwear_par.files.measurements import and_more
 from ringwear_par.identification.definition.data_sources import (
+    lines_of,
     read_censored,
     read_noise,
     read_readings,
@@ -78,16 +80,13 @@ def read_series(
     readings = read_readings(reader, kind, at, end, files, plans)
     if readings is None:
         return None
-    x, value, unit, scale = readings.x, readings.value, readings.unit, readings.factor
-    lines = readings.lines
+    series = readings.series
     if kind == "through":  # and may be after the end
-        x = np.minimum(value, end)
+        series = replace(series, x=np.minimum(series.value, end))
     if kind != "profile":
-        x = rounded_end(x, end)
-    keep = np.ones(len(x), dtype=bool)
+        series = replace(series, x=rounded_end(series.x, end))
     excluded = read_intervals(reader, "exclude", "mm" if kind == "profile" else "s")
-    for low, high in excluded:
-        keep &= (x < low) | (x > high)
+    keep = is_outside(series.x, excluded)
     sd, fitted = read_noise(reader, readings, keep)
     censored = read_censored(reader, readings)
     nuisances = _nuisances(reader, kind, case)
@@ -103,20 +102,20 @@ def read_series(
     reader.finish()
     if len(faults) > before:
         return None
-    suspicions = readings.suspicions
-    if kind != "profile" and readings.lines is not None and len(x) >= _RECORD:
-        last = float(x.max())
+    suspicions = series.suspicions
+    if kind != "profile" and series.lines is not None and series.n >= _RECORD:
+        last = float(series.x.max())
         if 0.0 < last < _SHORT_RECORD * end:
             suspicions += (
                 f"readings end at {last:.4g} s of a test of {end:g} s; look at the unit of time",
             )
-    series = Series(
-        quantity, quantity, x[keep], value[keep], sd[keep], fitted, unit, scale,
-        (end if at is None else at) if kind == "profile" else None, density, nuisances,
-        correlation, readings.where, None if lines is None else lines[keep],
-        readings.assumptions, suspicions, readings.planned, tuple(excluded),
-        None if censored is None else censored[keep],
-    )  # fmt: skip
+    if kind == "profile":
+        at = end if at is None else at
+    series = replace(
+        series, name=quantity, quantity=quantity, sd=sd, sd_fitted=fitted, density=density,
+        at=at if kind == "profile" else None, nuisances=nuisances, correlation_time=correlation,
+        suspicions=suspicions, excluded=tuple(excluded), censored=censored,
+    ).part(keep)  # fmt: skip
     free = [nuisance.kind for nuisance in nuisances if nuisance.free]
     if not series.n:
         reader.fault("has no readings; must have one at least that is neither empty nor excluded")
@@ -125,7 +124,7 @@ def read_series(
         if series.profile:
             check_profile(reader, series, case)
         else:
-            check_times(reader, series.x, _lines(series), case.time.end)
+            check_times(reader, series, case.time.end)
         if READING_KINDS[series.kind].unit == "mm":
             _check_depths(reader, series, case)
     if series.n <= len(free):
@@ -134,6 +133,12 @@ def read_series(
             f"without prior or bounds, {', '.join(free)}, which fit so few exactly"
         )
     return series if len(faults) == before else None
+
+
+def is_outside(x: FloatArray, intervals: Sequence[tuple[float, float]]) -> BoolArray:
+    """Return which of times or radii (n,) no interval holds."""
+    ends = np.array(intervals).reshape(-1, 2)
+    return ~((x[:, None] >= ends[:, 0]) & (x[:, None] <= ends[:, 1])).any(axis=1)
 
 
 def rounded_end(x: FloatArray, end: float) -> FloatArray:
@@ -253,8 +258,9 @@ def _density_rule(density: float) -> str:
     return f"must be from {low:g} to {high:g} g/mm3, as of foams and metals{hint}"
 
 
-def check_times(reader: TableReader, x: FloatArray, lines: Sequence[str], end: float) -> None:
-    """Refuse times that do not increase, or outside the test; ``lines`` begin sentences on them."""
+def check_times(reader: TableReader, series: Series, end: float) -> None:
+    """Refuse times that do not increase, or outside the test."""
+    x, lines = series.x, lines_of(series)
     if (late := np.flatnonzero(np.diff(x) <= 0)).size:
         i = int(late[0])
         reader.fault(
@@ -276,7 +282,7 @@ def check_profile(reader: TableReader, series: Series, case: Case) -> None:
         if ring.r[0] <= series.x[i] / 1e3 <= ring.r[1]:
             hint = "; it is a thousand times too large: look at units.r"
         reader.fault(
-            f"{_line(series, i)}r = {series.x[i]:g} mm{_more(outside)}: must be on the "
+            f"{lines_of(series)[i]}r = {series.x[i]:g} mm{_more(outside)}: must be on the "
             f"{series.body} body, from {ring.r[0]:g} to {ring.r[1]:g} mm{hint}"
         )
     a, b = case.contact
@@ -293,26 +299,10 @@ def _check_depths(reader: TableReader, series: Series, case: Case) -> None:
     i = int(np.argmax(np.abs(series.value)))
     if abs(series.value[i]) > highest:
         reader.fault(
-            f"{_line(series, i)}{series.value[i]:g} mm: must be less than the height of a body, "
+            f"{lines_of(series)[i]}{series.value[i]:g} mm: must be less than the height of a body, "
             f"{highest:g} mm; look at the unit"
         )
 
 
 def _more(wrong: IntArray) -> str:
     return and_more(len(wrong), "reading")
-
-
-def _line(series: Series, i: int) -> str:
-    """Return where a reading stands; "" of one that stands in no file."""
-    return _lines(series)[i]
-
-
-def _lines(series: Series) -> list[str]:
-    return lines_of(series.file, series.lines, series.n)
-
-
-def lines_of(file: str, lines: IntArray | None, count: int) -> list[str]:
-    """Return where readings stand, as sentences about them begin; "" of those in no file."""
-    if lines is None:
-        return [""] * count
-    return [f"{file}: line {line}: " for line in lines.tolist()]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.stats import norm
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.identification.definition.problem import FittedParameter
@@ -28,6 +28,8 @@ _WIDEST_LOG = 1.5
 _FULLY_CORRELATED = 0.999
 #: share of a prior's sd above which an sd says no more than the prior
 _MERE_PRIOR = 0.95
+#: sd from its bound within which an unknown is at it
+_NEAR = 1e-3
 
 
 @dataclass(frozen=True)
@@ -46,25 +48,16 @@ class ParameterEstimate:
     direction: str = ""
 
 
-def information(misfit: Misfit, evaluation: Evaluation, priors: bool = True) -> FloatArray:
-    """Return the Fisher information (u, u) of the unknowns, priors of nuisances always counted."""
-    share = information_share(misfit.problem.settings.loss)
-    matrix: FloatArray = share * evaluation.noise_jacobian.T @ evaluation.noise_jacobian
-    m = len(misfit.problem.parameters)
-    for row, (j, _) in enumerate(misfit.priors, start=misfit.n):
-        if priors or j >= m:
-            matrix[j, j] += evaluation.jacobian[row, j] ** 2
-    return matrix
+def information_rows(misfit: Misfit, evaluation: Evaluation, priors: bool = True) -> FloatArray:
+    """Return rows (n + priors, u) that make the Fisher information of the unknowns, ``R' R``.
 
-
-def without_nuisances(matrix: FloatArray, m: int) -> FloatArray:
-    """Return the information (m, m) of the first m unknowns alone, of that of all (u, u)."""
-    size = np.sqrt(np.diag(matrix))
-    size = np.where(size > 0.0, size, 1.0)
-    scaled = matrix / np.outer(size, size)
-    weights = scaled[:m, m:] @ np.linalg.pinv(scaled[m:, m:], rcond=_UNINFORMED, hermitian=True)
-    remaining: FloatArray = scaled[:m, :m] - weights @ scaled[m:, :m]
-    return 0.5 * (remaining + remaining.T) * np.outer(size[:m], size[:m])
+    Those of the priors of keys are 0 without ``priors``.
+    """
+    m, share = len(misfit.problem.parameters), information_share(misfit.problem.settings.loss)
+    of_priors = evaluation.jacobian[misfit.n :].copy()
+    if not priors:
+        of_priors[[j < m for j, _ in misfit.priors]] = 0.0
+    return np.concatenate([np.sqrt(share) * evaluation.noise_jacobian, of_priors])
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +71,9 @@ class Spectrum:
     vectors: FloatArray
 
     @classmethod
-    def of(cls, matrix: FloatArray) -> "Spectrum":
-        """Return the spectrum of a matrix (u, u)."""
+    def of(cls, rows: FloatArray) -> "Spectrum":
+        """Return the spectrum of the information of rows (r, u)."""
+        matrix = rows.T @ rows
         diagonal = np.sqrt(np.diag(matrix))
         size = np.where(diagonal > 0, diagonal, 1.0)
         values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
@@ -110,9 +104,9 @@ def estimates(
 
     Limits alone have no normal distribution: only a likelihood profile tells what they say.
     """
-    whole = Spectrum.of(information(misfit, evaluation))
+    whole = Spectrum.of(information_rows(misfit, evaluation))
     covariance = whole.covariance
-    alone = Spectrum.of(information(misfit, evaluation, priors=False))
+    alone = Spectrum.of(information_rows(misfit, evaluation, priors=False))
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
     free = x - finite @ evaluation.jacobian.T @ evaluation.residuals  # where no bound is in the way
     values = misfit.values(x)
@@ -127,27 +121,26 @@ def estimates(
             for key, value in zip(misfit.problem.keys, values.tolist(), strict=True)
         ), covariance
     sds = np.sqrt(np.diag(covariance))
-    verdicts = [_judged(misfit, j, x[j], free[j], float(sds[j])) for j in range(len(values))]
+    level = misfit.problem.settings.level
+    two_sided, one_sided = (float(norm.ppf(p)) for p in (0.5 + 0.5 * level, level))
+    parameters = misfit.problem.parameters
     vague = [
-        j for j, sd in enumerate(sds[: len(values)]) if np.isfinite(sd) and _vague(misfit, j, sd)
+        j
+        for j, (parameter, sd) in enumerate(zip(parameters, sds, strict=False))
+        if np.isfinite(sd) and is_vague(parameter, two_sided * sd)
     ]
     estimated = []
-    for j, (verdict, limits, sd) in enumerate(verdicts):
+    for j, (parameter, sd) in enumerate(zip(parameters, sds.tolist(), strict=False)):
+        ends = x[j] - two_sided * sd, x[j] + two_sided * sd
+        verdict, interval = judged(parameter, x[j], free[j], sd, ends, one_sided * sd)
         if vague and _follows(finite, j, vague):
-            verdict, limits = "not identified", (None, None)
-        parameter = misfit.problem.parameters[j]
-        natural = None if sd is None else sd * parameter.slope(values[j])
-        low, high = (
-            None if limit is None or not math.isfinite(limit) else parameter.value(limit)
-            for limit in limits
-        )
-        unclear = verdict == "not identified"
+            verdict, interval = "not identified", (None, None)
+        natural = sd * parameter.slope(values[j]) if math.isfinite(sd) else None
+        words = direction(misfit, alone, j) if verdict == "not identified" else ""
+        estimate = float(values[j])
         estimated.append(
-            ParameterEstimate(
-                parameter.key, float(values[j]), natural, (low, high), verdict,
-                direction(misfit, alone, j) if unclear else "",
-            )
-        )  # fmt: skip
+            ParameterEstimate(parameter.key, estimate, natural, interval, verdict, words)
+        )
     return tuple(estimated), covariance
 
 
@@ -160,12 +153,6 @@ def _follows(covariance: FloatArray, j: int, vague: Sequence[int]) -> bool:
         part[0, 1:] @ np.linalg.pinv(part[1:, 1:], rcond=_UNINFORMED, hermitian=True) @ part[1:, 0]
     )
     return bool(explained > _FULLY_CORRELATED**2)
-
-
-def _vague(misfit: Misfit, j: int, sd: float) -> bool:
-    """Tell whether the interval of an unknown of some sd is too wide, see ``is_vague``."""
-    level = misfit.problem.settings.level
-    return is_vague(misfit.problem.parameters[j], float(norm.ppf(0.5 + 0.5 * level)) * sd)
 
 
 def is_mere_prior(parameter: FittedParameter, sd: float) -> bool:
@@ -182,26 +169,36 @@ def is_vague(parameter: FittedParameter, half_width: float) -> bool:
     return not half_width <= widest
 
 
-def _judged(
-    misfit: Misfit, j: int, x: float, free: float, sd: float
-) -> tuple[Verdict, tuple[float | None, float | None], float | None]:
-    """Return the verdict on an unknown, its limits, and its sd."""
-    parameter, level = misfit.problem.parameters[j], misfit.problem.settings.level
-    low, high = misfit.lower[j], misfit.upper[j]
-    half = float(norm.ppf(0.5 + 0.5 * level)) * sd
-    mere = is_mere_prior(parameter, sd * parameter.slope(parameter.value(x)))
-    if _vague(misfit, j, sd) or mere:
-        return "not identified", (None, None), sd if math.isfinite(sd) else None
-    near = 1e-3 * sd
-    if x - low <= near or high - x <= near:
-        quantile = float(chi2.ppf(2.0 * level - 1.0, 1)) * sd * sd
-        if x - low <= near:
-            centre = min(free, low)
-            return "at bound", (None, centre + math.sqrt((low - centre) ** 2 + quantile)), sd
-        centre = max(free, high)
-        return "at bound", (centre - math.sqrt((high - centre) ** 2 + quantile), None), sd
-    below, above = x - half, x + half
-    return "identified", (below if below > low else None, above if above < high else None), sd
+def judged(
+    parameter: FittedParameter,
+    x: float,
+    free: float,
+    sd: float,
+    ends: tuple[float, float],
+    one_sided: float,
+) -> tuple[Verdict, tuple[float | None, float | None]]:
+    """Return the verdict on an unknown x, and limits of its value; None for none.
+
+    Parameters
+    ----------
+    free : where it would be without bounds.
+    ends : of its interval there; the half width of a one-sided interval is ``one_sided``.
+    """
+    half, slope = 0.5 * (ends[1] - ends[0]), parameter.slope(parameter.value(x))
+    if is_vague(parameter, half) or is_mere_prior(parameter, sd * slope):
+        return "not identified", (None, None)
+    low, high = map(parameter.unknown, parameter.bounds)
+    for bound, sign in ((low, 1.0), (high, -1.0)):
+        if sign * (x - bound) <= _NEAR * sd:
+            # what lies beyond the bound counts as far as the bound is from there
+            beyond = max(sign * (bound - free), 0.0)
+            limit = bound + sign * (math.hypot(beyond, one_sided) - beyond)
+            end = parameter.value(limit) if math.isfinite(limit) else None
+            return "at bound", (None, end) if sign > 0.0 else (end, None)
+    return "identified", (
+        parameter.value(ends[0]) if ends[0] > low else None,
+        parameter.value(ends[1]) if ends[1] < high else None,
+    )
 
 
 def direction(misfit: Misfit, spectrum: Spectrum, j: int) -> str:

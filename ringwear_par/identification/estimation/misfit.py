@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares, lsq_linear
+from scipy.optimize import least_squares
 
 from ringwear_par.arrays import BoolArray, FloatArray, short_repr
 from ringwear_par.identification.definition.problem import (
@@ -26,6 +26,8 @@ from ringwear_par.identification.definition.problem import (
 )
 from ringwear_par.identification.model.histories import Histories, HistoryError
 from ringwear_par.identification.model.noise import (
+    NuisanceProjection,
+    bounded_solution,
     censored_rows,
     log_constant,
     log_volume,
@@ -137,29 +139,26 @@ class Misfit:
 
     def _lay_out_unknowns(self) -> None:
         """Number the unknowns, and set their bounds, priors and columns."""
+        parameters = self.problem.parameters
         self.names: list[str | tuple[str, str, str]] = list(self.problem.keys)
-        limits = [[p.unknown(b) for b in p.bounds] for p in self.problem.parameters]
-        priors: list[tuple[int, Prior]] = [
-            (j, p.prior) for j, p in enumerate(self.problem.parameters) if p.prior is not None
-        ]
-        columns = []
+        nuisances: list[Nuisance] = []
+        columns = [np.zeros((self.n, 0))]
+
+        def add(test: str, name: str, nuisance: Nuisance, rows: slice, values: FloatArray) -> None:
+            self.names.append((test, name, nuisance.kind))
+            nuisances.append(nuisance)
+            columns.append(np.zeros((self.n, 1)))
+            columns[-1][rows, 0] = values
+
         # numbers of records with thermal growth, and their nuisances among all
         self._growths: list[tuple[int, slice]] = []
-        for number, record in enumerate(self.records):
-            experiment, series, rows = record
-            first = len(self.names) - self._m
+        for number, (experiment, series, rows) in enumerate(self.records):
+            first = len(nuisances)
             if any(nuisance.kind == GROWTH_TIME for nuisance in series.nuisances):
                 self._growths.append((number, slice(first, first + len(series.nuisances))))
-            series_columns = nuisance_columns(series, experiment.case)
-            for nuisance, values in zip(series.nuisances, series_columns.T, strict=True):
-                column = np.zeros(self.n)
-                column[rows] = values
-                columns.append(column)
-                if nuisance.prior is not None:
-                    priors.append((len(self.names), nuisance.prior))
-                self.names.append((experiment.name, series.name, nuisance.kind))
-                limits.append(list(nuisance.bounds))
-        nuisances = [nuisance for r in self.records for nuisance in r.series.nuisances]
+            series_columns = nuisance_columns(series, experiment.case).T
+            for nuisance, values in zip(series.nuisances, series_columns, strict=True):
+                add(experiment.name, series.name, nuisance, rows, values)
         #: factors on measured inputs: rows of their test, place among the nuisances, and how much
         #: of the derivatives by ``problem.factors`` they take
         self._scales: list[tuple[slice, int, FloatArray]] = []
@@ -170,20 +169,19 @@ class Misfit:
             for measured in experiment.inputs:
                 if measured.scale is None:
                     continue
-                prior = Prior(0.0, measured.scale.sd / measured.scale.mean)
-                key, place = measured.key.replace("pressure", "force"), len(self.names) - self._m
+                key = measured.key.replace("pressure", "force")
                 taken = np.array([float(factor == key) for factor in self._factors])
                 if key == "load.force" and experiment.torque_input is not None:
                     taken[self._factors.index("contact.friction")] = -1.0
-                self._scales.append((rows, place, taken))
-                columns.append(np.zeros(self.n))
-                priors.append((len(self.names), prior))
-                self.names.append((experiment.name, measured.key, SCALE))
-                limits.append([-np.inf, np.inf])
-                nuisances.append(Nuisance(SCALE, prior))
-        self.lower, self.upper = np.array(limits).T
-        self.nuisance_columns = np.stack(columns, axis=1) if columns else np.zeros((self.n, 0))
-        self.priors = priors
+                self._scales.append((rows, len(nuisances), taken))
+                prior = Prior(0.0, measured.scale.sd / measured.scale.mean)
+                add(experiment.name, measured.key, Nuisance(SCALE, prior), rows, np.zeros(1))
+        known = [unknown.prior for unknown in parameters]
+        known += [nuisance.prior for nuisance in nuisances]
+        self.priors = [(j, prior) for j, prior in enumerate(known) if prior is not None]
+        bounds = np.array([nuisance.bounds for nuisance in nuisances]).reshape(-1, 2)
+        self.lower, self.upper = np.vstack([np.transpose(self.problem.unknown_bounds), bounds]).T
+        self.nuisance_columns = np.concatenate(columns, axis=1)
         self.expected_nuisances = np.array([nuisance.expected for nuisance in nuisances])
         # (u - m,) which are growths and which time constants, and how large these are at first
         kinds = np.array([nuisance.kind for nuisance in nuisances], dtype=object)
@@ -328,7 +326,7 @@ class Misfit:
         by_loss = weights(self.problem.settings.loss, evaluation.noise)
         weighted = by_loss * evaluation.noise**2 * (self.censored == 0)
         if leverage is None:
-            leverage = (np.linalg.qr(evaluation.jacobian)[0] ** 2).sum(axis=1)
+            leverage = NuisanceProjection(evaluation.jacobian).leverage
         leverage = np.where(self.censored == 0, leverage[: self.n], 1.0)
         parts = [record.rows for record in self.records]
         return np.array(
@@ -380,12 +378,10 @@ class Misfit:
                 columns[: self.n] = roots[:, None] * evaluation.noise_jacobian[:, self._m :]
                 residuals[: self.n] = roots * evaluation.noise
             columns[:, self._times] = 0.0
-            size = np.linalg.norm(columns, axis=0)
-            size[size == 0] = 1.0  # one that does nothing
-            limits = ((lower - x[self._m :]) * size, (upper - x[self._m :]) * size)
-            step = lsq_linear(columns / size, -residuals, limits).x
-            x[self._m :] = np.clip(x[self._m :] + step / size, lower, upper)
-            if np.abs(step).max() < _SETTLED:
+            nuisances = x[self._m :]
+            step = bounded_solution(columns, -residuals, lower - nuisances, upper - nuisances)
+            x[self._m :] = np.clip(nuisances + step, lower, upper)
+            if np.abs(step * np.linalg.norm(columns, axis=0)).max() < _SETTLED:
                 break
         if self._growths and test_unknowns is not None and times_of is None:
             x[self._m :] = self._best_growth(x, test_unknowns, rows)

@@ -17,13 +17,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.files.writing import atomic_write, open_ordinary
 from ringwear_par.identification.definition.problem import reflected
 from ringwear_par.identification.estimation.misfit import Misfit
-from ringwear_par.identification.model.noise import prior_rows, student_loss, student_weights
+from ringwear_par.identification.model.noise import (
+    NuisanceProjection,
+    bounded_solution,
+    prior_rows,
+    student_loss,
+    student_weights,
+)
 from ringwear_par.identification.model.rounds import Rounds, StoppedError
 
 #: rounds of reweighting where the loss is not Gaussian
@@ -56,16 +61,17 @@ class MarginalLikelihood:
         problem, m = misfit.problem, len(misfit.problem.parameters)
         self._student = problem.settings.loss == "student"
         self._low, self._high = misfit.lower[m:], misfit.upper[m:]
-        self._free = not np.isfinite([self._low, self._high]).any()
         nuisance_priors = [(j - m, prior) for j, prior in misfit.priors if j >= m]
         self._prior_rows, self._prior_values = prior_rows(nuisance_priors, len(self._low))
         self._priors = [(j, prior) for j, prior in misfit.priors if j < m]
         columns = misfit.nuisance_derivatives(x)
         self._data = misfit.data - (misfit.nuisance_readings(x) - columns @ x[m:])
         self._columns = misfit.whitened(columns)
-        # without weights that change it is the same for all samples
-        ones = np.ones(misfit.n)
-        self._inverse = None if self._student or not self._free else self._inverse_of(ones)
+        self._projection: NuisanceProjection | None = None
+        if not self._student and np.isinf([self._low, self._high]).all():
+            # without bounds, or weights that change, it is the same for all samples
+            stacked = np.concatenate([self._columns, self._prior_rows])
+            self._projection = NuisanceProjection(stacked)
 
     def __call__(self, values: FloatArray, readings: FloatArray) -> float:
         """Return that logarithm at values (m,) of the keys and readings (n,) of the model."""
@@ -92,24 +98,10 @@ class MarginalLikelihood:
 
     def _nuisances(self, unadjusted: FloatArray, roots: FloatArray) -> FloatArray:
         right = np.concatenate([-roots * unadjusted, self._prior_values])
-        if self._free:
-            inverse = self._inverse_of(roots) if self._inverse is None else self._inverse
-            return inverse @ right
-        columns, size = self._scaled(roots)
-        limits = (self._low * size, self._high * size)
-        return lsq_linear(columns, right, limits).x / size
-
-    def _inverse_of(self, roots: FloatArray) -> FloatArray:
-        """Return the matrix (nuisances, rows) of the best nuisances; idle ones stay 0."""
-        columns, size = self._scaled(roots)
-        return np.linalg.pinv(columns, rcond=1e-12) / size[:, None]
-
-    def _scaled(self, roots: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the columns of nuisances and priors with norm 1, and their norms."""
+        if self._projection is not None:
+            return self._projection.solution(right)
         columns = np.concatenate([roots[:, None] * self._columns, self._prior_rows])
-        size = np.linalg.norm(columns, axis=0)
-        size[size == 0.0] = 1.0
-        return columns / size, size
+        return bounded_solution(columns, right, self._low, self._high)
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,9 +110,9 @@ def input_trends(experiments: Sequence[Experiment]) -> list[ValidityWarning]:
         for measured in experiment.inputs:
             if measured.smooth == "none":
                 continue
-            value = measured.readings(experiment.case)
+            time, value = measured.series.x, measured.readings(experiment.case)
             least = (_EXACT * float(value.mean())) ** 2
-            probability = trend(value - measured.curve(experiment.case)(measured.time), least=least)
+            probability = trend(value - measured.curve(experiment.case)(time), least=least)
             if probability >= _NO_NOISE:
                 continue
             text = (

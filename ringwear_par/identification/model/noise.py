@@ -9,6 +9,7 @@ distributions of noise belong here.
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize import lsq_linear
 from scipy.special import erfcx, gammaln, log_ndtr
 
 from ringwear_par.arrays import FloatArray, IntArray
@@ -109,6 +110,15 @@ def prior_rows(priors: Sequence[tuple[int, Prior]], count: int) -> tuple[FloatAr
     for row, (number, prior) in zip(rows, priors, strict=True):
         row[number] = 1.0 / prior.sd
     return rows, np.array([prior.mean / prior.sd for _, prior in priors])
+
+
+def bounded_solution(
+    columns: FloatArray, right: FloatArray, low: FloatArray, high: FloatArray
+) -> FloatArray:
+    """Return the numbers (k,) within bounds by which columns (n, k) come nearest to values (n,)."""
+    size = np.linalg.norm(columns, axis=0)
+    size[size == 0.0] = 1.0  # one that does nothing
+    return lsq_linear(columns / size, right, (low * size, high * size)).x / size
 
 
 class NuisanceProjection:

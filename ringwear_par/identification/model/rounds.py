@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from functools import partial
+from queue import SimpleQueue
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -73,8 +74,9 @@ class _Worker(Generic[T]):
 
     def __init__(self, job: Callable[[WaitFor], T]) -> None:
         self._job = job
-        self._may_run, self._has_paused = threading.Semaphore(0), threading.Semaphore(0)
-        self._stopped = False
+        #: whether it is to stop; points that it waits for, None at its end
+        self._commands: SimpleQueue[bool] = SimpleQueue()
+        self._requests: SimpleQueue[FloatArray | None] = SimpleQueue()
         #: the point that it waits for; None: it does not, or has ended
         self.point: FloatArray | None = None
         self._outcome: T | BaseException = StoppedError("not begun")
@@ -83,9 +85,8 @@ class _Worker(Generic[T]):
 
     def go(self, stopped: bool = False) -> None:
         """Let it run to its next point, or to its end."""
-        self._stopped, self.point = stopped, None
-        self._may_run.release()
-        self._has_paused.acquire()
+        self._commands.put(stopped)
+        self.point = self._requests.get()
         if self.point is None:
             self._thread.join()
 
@@ -96,19 +97,16 @@ class _Worker(Generic[T]):
         return self._outcome
 
     def _run(self) -> None:
-        self._may_run.acquire()
+        self._commands.get()
         try:
             self._outcome = self._job(self._wait_for)
         except BaseException as error:
             self._outcome = error
-        finally:
-            self._has_paused.release()
+        self._requests.put(None)
 
     def _wait_for(self, point: FloatArray) -> None:
-        self.point = point
-        self._has_paused.release()
-        self._may_run.acquire()
-        if self._stopped:
+        self._requests.put(point)
+        if self._commands.get():
             raise StoppedError("stopped")
 
 

@@ -16,8 +16,7 @@ from ringwear_par.identification.definition.problem import FittedParameter
 from ringwear_par.identification.definition.scatter import PLURALS
 from ringwear_par.identification.estimation.intervals import (
     ParameterEstimate,
-    is_mere_prior,
-    is_vague,
+    judged,
 )
 from ringwear_par.identification.estimation.misfit import Evaluation
 from ringwear_par.identification.scatter.likelihood import ReducedTest
@@ -31,8 +30,6 @@ from ringwear_par.identification.scatter.random_wear import RandomWear
 
 #: ISO 5725: factor on an sd, for the difference of two results that one pair in twenty exceeds
 _LIMIT = 2.8
-#: sd from its bound within which an unknown is at it
-_NEAR = 1e-3
 #: sd above which the linear end of an interval is doubted
 _MOST_BENT = 0.2
 #: draws of the posterior in pieces, whose quantiles are then known to 0.01 sd
@@ -146,8 +143,8 @@ class Material:
     def material(self, key: int) -> Mixture:
         """Return the distribution of a key's unknown; at its bound, as if that were none."""
         if key in self.mixed.free:
-            return self.mixed.posterior.material(self.mixed.free.index(key))
-        return self.mixed.unbounded.material(key)
+            return self.mixed.posterior.unknown(self.mixed.free.index(key))
+        return self.mixed.unbounded.unknown(key)
 
     def levels_of(self, key: int) -> list[int]:
         """Return the numbers of the levels at which a key scatters."""
@@ -169,31 +166,16 @@ class Material:
     def estimate(self, key: int) -> ParameterEstimate:
         """Return the estimate of the material's value of a key."""
         parameter, mixture, unknown = self.parameters[key], self.material(key), self.best_fit.x[key]
-        value, sd, (low, high) = parameter.value(unknown), mixture.sd, mixture.interval(self.level)
-        natural, direction = sd * parameter.slope(value), ""
+        value, mean = parameter.value(unknown), mixture.mean
+        ends, one_sided = mixture.interval(self.level), mixture.quantile(self.level) - mean
+        verdict, interval = judged(parameter, unknown, mean, mixture.sd, ends, one_sided)
+        direction = f"these tests hardly determine {parameter.key} of the material"
         if parameter.key in self.confounded_with_drift:
+            verdict, interval = "not identified", (None, None)
             direction = f"{parameter.key} against {self.confounded_with_drift[parameter.key]}"
-        elif is_vague(parameter, 0.5 * (high - low)) or is_mere_prior(parameter, natural):
-            direction = f"these tests hardly determine {parameter.key} of the material"
-        if direction:
-            return ParameterEstimate(
-                parameter.key, value, natural, (None, None), "not identified", direction
-            )
-        ends = [parameter.unknown(bound) for bound in parameter.bounds]
-        near = [abs(unknown - end) <= _NEAR * sd for end in ends]
-        if any(near):
-            # one-sided; what lies beyond the bound counts as far as the bound is from there
-            half = mixture.quantile(self.level) - mixture.mean
-            end, sign = (ends[0], 1.0) if near[0] else (ends[1], -1.0)
-            beyond = max(sign * (end - mixture.mean), 0.0)
-            limit = parameter.value(end + sign * (np.hypot(beyond, half) - beyond))
-            one_sided = (None, limit) if near[0] else (limit, None)
-            return ParameterEstimate(parameter.key, value, natural, one_sided, "at bound")
-        limits = (
-            parameter.value(low) if low > ends[0] else None,
-            parameter.value(high) if high < ends[1] else None,
-        )
-        return ParameterEstimate(parameter.key, value, natural, limits, "identified")
+        direction *= verdict == "not identified"
+        natural = mixture.sd * parameter.slope(value)
+        return ParameterEstimate(parameter.key, value, natural, interval, verdict, direction)
 
     def specimens_needed(self, key: int) -> int | None:
         """Return how many specimens tell the material's value to 10 %; None for no such number.
@@ -328,8 +310,8 @@ class Material:
         of one key says nothing of the others.
         """
         posteriors = [piece.posterior for piece in self.pieces]
-        moments = [posterior.unknowns_of(None) for posterior in posteriors]
-        means, covariances = map(np.concatenate, zip(*moments, strict=True))
+        means = np.concatenate([posterior.means_of() for posterior in posteriors])
+        covariances = np.concatenate([posterior.covariances_of() for posterior in posteriors])
         weights = np.concatenate([p.weight * p.posterior.weights for p in self.pieces])
         random, normal = np.random.default_rng(0), (_DRAWS, len(self.mixed.free))
         part = random.choice(len(weights), _DRAWS, p=weights / weights.sum())
@@ -371,7 +353,7 @@ class Material:
         entries = {}
         for number, name in enumerate(self.names[finest]):
             tests = np.flatnonzero(groups == number)
-            shrunk = self.mixed.posterior.of_test(int(tests[0]), place)
+            shrunk = self.mixed.posterior.unknown(place, int(tests[0]))
             value = parameter.value(shrunk.mean)
             entries[name] = {
                 "estimate": value,

@@ -121,13 +121,13 @@ class _Pieces:
         self._levels = material.mixed.posterior.model.levels
         scattering = {level.key for level in self._levels}
         self.shared = [p for p in range(len(self._free) * bool(levels)) if p not in scattering]
-        mixtures = [material.mixed.posterior.material(place) for place in self.shared]
-        self._mean = np.array([mixture.mean for mixture in mixtures])
-        self._sd = np.array([mixture.sd for mixture in mixtures])
+        posterior = material.mixed.posterior
+        self._mean = (posterior.weights @ posterior.means_of())[self.shared]
+        self._sd = np.sqrt(np.diag(posterior.covariance()))[self.shared]
 
     def first(self) -> list[tuple[int, ...]]:
         """Return the points at which the linear posterior is probable."""
-        covariance = self._material.mixed.posterior.covariance[np.ix_(self.shared, self.shared)]
+        covariance = self._material.mixed.posterior.covariance()[np.ix_(self.shared, self.shared)]
         scaled = covariance / np.outer(self._sd, self._sd)
         inverse = np.linalg.inv(scaled + _WIDTH**2 * np.eye(len(self.shared)))
         reach = range(-7, 8)
@@ -210,9 +210,9 @@ class _Pieces:
         posterior = integrated(problem.name, models, self._scatters, ())
         updated, moved = test_unknowns.copy(), 0.0
         for test in range(len(updated)):
-            unknowns = posterior.unknowns(test)
+            unknowns = posterior.weights @ posterior.means_of(test)
             new = np.clip(unknowns, self._low[free], self._high[free])
-            sds = [posterior.of_test(test, place).sd for place in range(len(free))]
+            sds = np.sqrt(np.diag(posterior.covariance(test, test)))
             moved = max(moved, float(np.abs((new - updated[test, free]) / sds).max()))
             updated[test, free] = new
         log_mass = posterior.log_mass - 0.5 * (

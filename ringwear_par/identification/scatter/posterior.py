@@ -7,10 +7,10 @@ hardly bounds it, and intervals at its best value hold the truth too rarely.
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import log_ndtr, logsumexp, ndtr
 from scipy.stats import t as student_t
 
@@ -18,9 +18,8 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.batched import concat, take
 from ringwear_par.identification.scatter.likelihood import MixedModel, Solutions
 
-#: standard deviations beyond the outermost mean that hold all of a mixture, and halvings of that
-#: range until a quantile is found to round-off
-_REACH, _BISECTIONS = 40.0, 80
+#: standard deviations beyond the outermost mean that hold all of a mixture, and error of a quantile
+_REACH, _ROUND_OFF = 40.0, 1e-15
 #: degrees of freedom of the priors of sizes
 DEGREES = 4.0
 #: points of the grid along each axis, by the number of axes
@@ -70,15 +69,12 @@ class Mixture:
     def quantile(self, probability: float) -> float:
         """Return the number below which the mixture has a probability, between 0 and 1."""
         sd = np.sqrt(self.variances)
-        low = float(np.min(self.means - _REACH * sd))
-        high = float(np.max(self.means + _REACH * sd))
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (low + high)
-            if self.weights @ ndtr((middle - self.means) / sd) < probability:
-                low = middle
-            else:
-                high = middle
-        return 0.5 * (low + high)
+        low, high = (self.means - _REACH * sd).min(), (self.means + _REACH * sd).max()
+
+        def missing(number: float) -> float:
+            return float(self.weights @ ndtr((number - self.means) / sd)) - probability
+
+        return float(brentq(missing, low, high, xtol=_ROUND_OFF * (high - low), rtol=_ROUND_OFF))
 
     def interval(self, level: float) -> tuple[float, float]:
         """Return the central interval that holds the number with a probability ``level``."""
@@ -106,6 +102,10 @@ class Axis:
     weights: FloatArray
     #: logarithm of that
     log_factor: float = 0.0
+
+
+#: of a size that is 0
+_NO_SIZE = Axis(np.zeros(1), np.ones(1))
 
 
 def prior_density(size: FloatArray, scale: float) -> FloatArray:
@@ -169,8 +169,8 @@ class ScatterPosterior:
     weights: FloatArray
     #: (G, bodies) float, shares of the process noise at each point
     shares: FloatArray
-    #: (bodies,) float, smallest restricted -2 log likelihood without that of a body; NaN where its
-    #: size is known
+    #: (levels + bodies,) float, smallest restricted -2 log likelihood without the scatter of a
+    #: level, or the process noise of a body; NaN where its size is known
     without: FloatArray
     #: logarithm of the likelihood that was integrated over the grid, but for a constant
     log_mass: float
@@ -180,23 +180,44 @@ class ScatterPosterior:
         """The first model, for what all share: levels, and the layout of effects."""
         return self.models[0]
 
-    def material(self, key: int) -> Mixture:
-        """Return the distribution of a key's value of the material."""
-        s = self.solutions
-        return Mixture(self.weights, s.effects[:, key], s.covariance[:, key, key])
+    def _rows(self, test: int | None) -> FloatArray:
+        """Return (G, m, m + groups) what effects are in the unknowns of a test, or the material."""
+        if test is None:
+            m, size = self.model.m, self.solutions.effects.shape[1]
+            return np.broadcast_to(np.eye(m, size), (len(self.weights), m, size))
+        return self.model.columns(test) * self.model.scales(self.solutions.tau)[:, None, :]
+
+    def means_of(self, test: int | None = None) -> FloatArray:
+        """Return the means (G, m) of a test's unknowns, in the light of the others.
+
+        As below, None stands for the material.
+        """
+        return np.einsum("gki,gi->gk", self._rows(test), self.solutions.effects)
+
+    def covariances_of(self, test: int | None = None) -> FloatArray:
+        """Return the covariances (G, m, m) of a test's unknowns."""
+        rows, within = self._rows(test), self.solutions.covariance
+        return np.einsum("gki,gij,glj->gkl", rows, within, rows, optimize=True)
+
+    def unknown(self, key: int, test: int | None = None) -> Mixture:
+        """Return the distribution of a key's unknown in a test."""
+        variances = self.covariances_of(test)[:, key, key]
+        return Mixture(self.weights, self.means_of(test)[:, key], variances)
+
+    def covariance(self, test: int | None = None, other: int | None = None) -> FloatArray:
+        """Return the covariance (m, m) of the unknowns of a test with those of another."""
+        first, second, w = self._rows(test), self._rows(other), self.weights
+        within = self.solutions.covariance
+        within = np.einsum("g,gki,gij,glj->kl", w, first, within, second, optimize=True)
+        a, b = (values - w @ values for values in (self.means_of(test), self.means_of(other)))
+        return within + np.einsum("g,gk,gl->kl", w, a, b)
 
     def next_specimen(self, key: int) -> Mixture:
         """Return the distribution of a key's value of one more specimen, of a new batch and lab."""
-        material = self.material(key)
+        material = self.unknown(key)
         levels = [i for i, level in enumerate(self.model.levels) if level.key == key]
         spread = (self.solutions.tau[:, levels] ** 2).sum(axis=1)
         return Mixture(self.weights, material.means, material.variances + spread)
-
-    def unknowns_of(self, test: int | None) -> tuple[FloatArray, FloatArray]:
-        """Return means (G, m) and covariances (G, m, m) of a test's unknowns; None: material's."""
-        s, rows = self.solutions, self._material_rows if test is None else self._rows(test)
-        means = np.einsum("gki,gi->gk", rows, s.effects)
-        return means, np.einsum("gki,gij,glj->gkl", rows, s.covariance, rows, optimize=True)
 
     def draw(self, tests: int, count: int, random: np.random.Generator) -> MaterialDraws:
         """Return some draws of everything, of all of so many tests together."""
@@ -211,86 +232,30 @@ class ScatterPosterior:
         return MaterialDraws(effects[:, : self.model.m], np.stack(of_tests, axis=1), s.tau[part],
                      self.shares[part])  # fmt: skip
 
-    def of_test(self, test: int, key: int) -> Mixture:
-        """Return the distribution of a key's value in one test, in the light of the others."""
-        s, row = self.solutions, self._rows(test)[:, key]
-        means = np.einsum("gi,gi->g", row, s.effects)
-        variances = np.einsum("gi,gij,gj->g", row, s.covariance, row)
-        return Mixture(self.weights, means, variances)
+    def size(self, number: int, probability: float) -> SizePosterior:
+        """Return the posterior of the size of a level's scatter, its interval of a probability.
 
-    def unknowns(self, test: int) -> FloatArray:
-        """Return the means (m,) of the unknowns of a test."""
-        means = np.einsum("gki,gi->gk", self._rows(test), self.solutions.effects)
-        return self.weights @ means
-
-    def _rows(self, test: int) -> FloatArray:
-        """Return (G, m, m + groups) what effects are in the unknowns of a test."""
-        return self.model.columns(test) * self.model.scales(self.solutions.tau)[:, None, :]
-
-    @property
-    def _material_rows(self) -> FloatArray:
-        """(G, m, m + groups), what effects are in the unknowns of the material."""
-        m, size = self.model.m, self.solutions.effects.shape[1]
-        return np.broadcast_to(np.eye(m, size), (len(self.weights), m, size))
-
-    def _between(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """Return the covariance (m, m) of two combinations (G, m, m + groups) of the effects."""
-        s, w = self.solutions, self.weights
-        within = np.einsum("g,gki,gij,glj->kl", w, first, s.covariance, second, optimize=True)
-        means = [np.einsum("gki,gi->gk", rows, s.effects) for rows in (first, second)]
-        a, b = (values - w @ values for values in means)
-        return within + np.einsum("g,gk,gl->kl", w, a, b)
-
-    @property
-    def covariance(self) -> FloatArray:
-        """(m, m) of the material's unknowns."""
-        return self._between(self._material_rows, self._material_rows)
-
-    def covariance_of_test(self, test: int) -> FloatArray:
-        """Return the covariance (m, m) of the unknowns of a test."""
-        rows = self._rows(test)
-        return self._between(rows, rows)
-
-    def covariance_of_test_and_material(self, test: int) -> FloatArray:
-        """Return the covariance (m, m) of the unknowns of a test with those of the material."""
-        rows = self._rows(test)
-        return self._between(rows, self._material_rows)
-
-    def size(self, level: int, probability: float) -> SizePosterior:
-        """Return the posterior of the size of a level's scatter, its interval of a probability."""
-        return self._size(self.solutions.tau[:, level], self._without_level[level], probability)
-
-    @cached_property
-    def _without_level(self) -> list[float]:
-        """Smallest restricted -2 log likelihood without the scatter of each level."""
-        least = []
-        for level in range(len(self.model.levels)):
-            tau = self.solutions.tau.copy()
-            tau[:, level] = 0.0
-            combinations = np.unique(tau, axis=0)
-            least.append(min(float(model.solve(combinations).restricted.min())
-                             for model in self.models))  # fmt: skip
-        return least
-
-    def share(self, body: int, probability: float) -> SizePosterior:
-        """Return the posterior of the share of the process noise of a body, see ``size``."""
-        return self._size(self.shares[:, body], float(self.without[body]), probability)
-
-    def _size(self, values: FloatArray, at_zero: float, probability: float) -> SizePosterior:
-        """Return the posterior of a size by its values (G,), and by the likelihood at 0."""
+        Shares of the process noise of bodies follow the levels.
+        """
+        values = np.concatenate([self.solutions.tau, self.shares], axis=1)[:, number]
         points = np.unique(values)
         mass = np.array([self.weights[values == point].sum() for point in points])
         centred = np.cumsum(mass) - 0.5 * mass
         tail = 0.5 * (1.0 - probability)
         low, median, high = np.interp([tail, 0.5, 1.0 - tail], centred, points)
-        best = int(np.argmin(self.solutions.restricted))
-        at_bound = bool(at_zero - self.solutions.restricted[best] < _AT_BOUND)
+        best, at_zero = int(np.argmin(self.solutions.restricted)), float(self.without[number])
+        least = float(self.solutions.restricted[best])
+        at_bound = at_zero - least < _AT_BOUND
         return SizePosterior(
             float(median),
             (0.0 if at_bound else float(low), float(high)),
-            0.0 if at_zero <= self.solutions.restricted[best] else float(values[best]),
+            0.0 if at_zero <= least else float(values[best]),
             at_bound,
         )
+
+    def share(self, body: int, probability: float) -> SizePosterior:
+        """Return the posterior of the share of the process noise of a body, see ``size``."""
+        return self.size(len(self.model.levels) + body, probability)
 
 
 def integrate(
@@ -308,7 +273,7 @@ def integrate(
     names = [*sizes, *shares]
     unknown = sum(size.known is None for size in names)
     axes = [axis(size, _POINTS.get(unknown, 1)) for size in names]
-    posterior = _posterior(models_at, axes, len(sizes), shares)
+    posterior = _posterior(models_at, axes, len(sizes))
     restricted = posterior.solutions.restricted
     values = np.concatenate([posterior.solutions.tau, posterior.shares], axis=1)
     near = values[restricted < restricted.min() + _NEAR]
@@ -322,7 +287,7 @@ def integrate(
         axis(size, _POINTS[unknown], _widened(before, near[:, i])) if coarse[i] else before
         for i, (size, before) in enumerate(zip(names, axes, strict=True))
     ]
-    return _posterior(models_at, finer, len(sizes), shares)
+    return _posterior(models_at, finer, len(sizes))
 
 
 def _widened(before: Axis, near: FloatArray) -> tuple[float, float]:
@@ -333,20 +298,26 @@ def _widened(before: Axis, near: FloatArray) -> tuple[float, float]:
 
 
 def _posterior(
-    models_at: Callable[[FloatArray], Sequence[MixedModel]],
-    axes: Sequence[Axis],
-    n_levels: int,
-    shares: Sequence[Size],
+    models_at: Callable[[FloatArray], Sequence[MixedModel]], axes: Sequence[Axis], n_levels: int
 ) -> ScatterPosterior:
     """Return the posterior over a grid: axes of the levels, then of the process noise."""
     tau, weights = grid(axes[:n_levels])
     points, prior = grid(axes[n_levels:])
-    nulls = []
-    for body, size in enumerate(shares):
-        null = points.copy()
-        null[:, body] = 0.0
-        nulls.append(np.unique(null, axis=0) if size.known is None else null[:0])
-    models = models_at(np.concatenate([points, *nulls]))
+    # without each size that is fitted: shares have models of their own there
+    nulls = {
+        i: grid([*axes[:i], _NO_SIZE, *axes[i + 1 :]])[0]
+        for i, size in enumerate(axes)
+        if len(size.points) > 1
+    }
+    extra = [np.unique(null[:, n_levels:], axis=0) for i, null in nulls.items() if i >= n_levels]
+    models = models_at(np.concatenate([points, *extra]))
+    parts = iter(np.split(np.arange(len(models)), np.cumsum([len(points), *map(len, extra)])[:-1]))
+    of_grid, without = next(parts), np.full(len(axes), np.nan)
+    for i, null in nulls.items():
+        no_scatter, numbers = np.unique(null[:, :n_levels], axis=0), of_grid
+        if i >= n_levels:
+            numbers = next(parts)
+        without[i] = min(models[j].solve(no_scatter).restricted.min() for j in numbers)
     probable, weighted, model_numbers = [], [], []
     least = np.inf
     for number, model in enumerate(models[: len(points)]):
@@ -358,15 +329,10 @@ def _posterior(
             probable.append(take(solutions, near))
             weighted.append(prior[number] * weights[part][near])
             model_numbers.append(np.full(len(near), number))
-    ends = len(points) + np.cumsum([0, *map(len, nulls)])
-    without = [
-        min((model.solve(tau).restricted.min() for model in models[low:high]), default=np.nan)
-        for low, high in itertools.pairwise(ends)
-    ]
     solutions = concat(probable)
     posterior = np.exp(-0.5 * (solutions.restricted - least)) * np.concatenate(weighted)
     return ScatterPosterior(
         tuple(models[: len(points)]), solutions, posterior / posterior.sum(),
-        points[np.concatenate(model_numbers)], np.array(without),
+        points[np.concatenate(model_numbers)], without,
         float(np.log(posterior.sum()) - 0.5 * least + sum(a.log_factor for a in axes)),
     )  # fmt: skip

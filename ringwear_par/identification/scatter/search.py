@@ -112,15 +112,16 @@ def _evaluated(
     """
     # with the noise of wear, time constants are those of its last round
     times_of = x if misfit.problem.settings.process else None
-    for _ in range(_HALVINGS):
+    for halvings_left in reversed(range(_HALVINGS + 1)):
         try:
             misfit.linearise_inputs(x, test_unknowns)
             x = misfit.with_best_nuisances(misfit.values(x), test_unknowns, times_of)
             return x, misfit.evaluate(x, test_unknowns), test_unknowns
         except HistoryError:
+            if not halvings_left:
+                raise
             test_unknowns = 0.5 * (before + test_unknowns)
-    x = misfit.with_best_nuisances(misfit.values(x), test_unknowns, times_of)
-    return x, misfit.evaluate(x, test_unknowns), test_unknowns
+    raise AssertionError
 
 
 def _solve(
@@ -147,7 +148,8 @@ def _solve(
         )
         posterior = integrated(problem.name, models_at, sizes, wear.shares)
         unbounded = posterior if unbounded is None else unbounded
-        material = {j: posterior.material(place).mean for place, j in enumerate(free)}
+        means = posterior.weights @ posterior.means_of()
+        material = dict(zip(free, means.tolist(), strict=True))
         beyond = {
             j: float(np.clip(value, low[j], high[j]))
             for j, value in material.items()
@@ -163,8 +165,8 @@ def _solve(
     for j, value in at_bounds.items():
         of_tests[:, j] = value
     for i in range(count):
-        of_tests[i, free] = posterior.unknowns(i)
-        sds[i, free] = [posterior.of_test(i, place).sd for place in range(len(free))]
+        of_tests[i, free] = posterior.weights @ posterior.means_of(i)
+        sds[i, free] = np.sqrt(np.diag(posterior.covariance(i, i)))
     means = np.array([{**material, **at_bounds}[j] for j in range(len(low))])
     return MixedRound(
         tuple(free), posterior, unbounded, process_sizes[0], reduced, means, of_tests, sds
@@ -248,7 +250,7 @@ def _best_fit(
             keys, projection = test.jacobian[:, free], test.nuisance_projection
             padding = np.zeros((len(test.prior_rows), keys.shape[1]))
             rest = projection.rest(np.concatenate([keys, padding]))[: len(test.readings)]
-            by_keys = np.einsum("ij,jk,ik->i", rest, posterior.covariance_of_test(number), rest)
+            by_keys = np.einsum("ij,jk,ik->i", rest, posterior.covariance(number, number), rest)
             leverage[linear.rows[number]] = projection.leverage[: len(test.readings)] + by_keys
         variances = np.diagonal(posterior.solutions.covariance, axis1=1, axis2=2)
         # what limits alone determine takes nothing from the readings
@@ -258,15 +260,14 @@ def _best_fit(
         effective_groups = posterior.weights @ (1.0 - variances[:, groups]).sum(axis=1)
         none = np.zeros((misfit.n, 0))
         return BestFit(best, evaluation, leverage, m + float(effective_groups), none, none)
-    fitted = posterior.model.precision[: len(free)] @ np.diag(posterior.covariance)
+    fitted = posterior.model.precision[: len(free)] @ np.diag(posterior.covariance())
     fitted -= len(x) - m - int(misfit.idle.sum())
     excess, excess_sd = np.zeros((2, misfit.n, len(mixed.sizes)))
     for number, (test, clocks) in enumerate(zip(linear.tests, linear.clocks, strict=True)):
         b, rows, nuisances = len(test.readings), linear.rows[number], linear.nuisances_of(number)
         test_free = replace(test, jacobian=test.jacobian[:, free])
-        precision = projected_precision(
-            test_free, mixed.sizes, posterior.covariance_of_test(number)
-        )
+        of_keys = posterior.covariance(number, number)
+        precision = projected_precision(test_free, mixed.sizes, of_keys)
         leverages = 1.0 - np.diag(precision)
         leverage[rows], fitted = clocks.spread(leverages[:b]), fitted + leverages.sum()
         alone, whitening = uncorrelated(test, mixed.sizes)
@@ -312,7 +313,7 @@ def _covariance(linear: Linearisation, mixed: MixedRound, x: FloatArray) -> Floa
     """
     posterior, free = mixed.posterior, list(mixed.free)
     covariance = np.zeros((len(x), len(x)))
-    covariance[np.ix_(free, free)] = posterior.covariance
+    covariance[np.ix_(free, free)] = posterior.covariance()
     for number, correlated in enumerate(linear.tests):
         test = uncorrelated(correlated, mixed.sizes)[0] if linear.clocks else correlated
         nuisances = linear.nuisances_of(number)
@@ -320,9 +321,9 @@ def _covariance(linear: Linearisation, mixed: MixedRound, x: FloatArray) -> Floa
         stacked = np.concatenate([test.nuisances, test.prior_rows])
         normal = np.linalg.pinv(stacked.T @ stacked, hermitian=True)
         follow = -normal @ test.nuisances.T @ jacobian
-        keys = posterior.covariance_of_test(number)
+        keys = posterior.covariance(number, number)
         covariance[np.ix_(nuisances, nuisances)] = normal + follow @ keys @ follow.T
-        across = follow @ posterior.covariance_of_test_and_material(number)
+        across = follow @ posterior.covariance(number)
         covariance[np.ix_(nuisances, free)] = across
         covariance[np.ix_(free, nuisances)] = across.T
     return covariance

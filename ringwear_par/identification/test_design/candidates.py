@@ -1,8 +1,10 @@
 """Tests that could be made, by ``[design]``: experiments that are measured like a given one."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -79,43 +81,45 @@ class Candidate:
 
 def count_of(space: DesignSpace) -> int:
     """Return how many tests a space has."""
-    load = next((key for key in LOADS if key in space.ranges), None)
-    count = len(_sequences(space, load, _counts(space, _STEPS)))
-    count *= len(_instants(space))
-    for key, levels in (("time.end", _DURATIONS), ("load.omega", _SPEEDS)):
-        count *= max(len(_levels(space, key, levels)), 1)
-    return count
+    return math.prod(map(len, _axes(space)))
+
+
+def _axes(space: DesignSpace) -> tuple[list[Any], ...]:
+    """Return speeds, loads, durations and instants of profiles of tests; None: the template's."""
+    return (
+        _levels(space, "load.omega", _SPEEDS) or [None], _sequences(space),
+        _levels(space, "time.end", _DURATIONS) or [None], _instants(space),
+    )  # fmt: skip
 
 
 def candidates(space: DesignSpace, template: Experiment) -> list[Candidate]:
     """Return the tests of a space, measured as ``template``; InputError for impossible values."""
-    load = next((key for key in LOADS if key in space.ranges), None)
-    steps = _counts(space, _STEPS)
-    instants: list[tuple[float, ...]] = [()]
-    if any(series.profile for series in template.series):
-        instants = _instants(space)
-    instants_vary = len(instants) > 1
-    ends = _levels(space, "time.end", _DURATIONS) or [template.case.time.end]
+    load = _load(space)
+    *conditions, instants = _axes(space)
+    if not any(series.profile for series in template.series):
+        instants = [()]
     tests: list[Candidate] = []
-    for omega in _levels(space, "load.omega", _SPEEDS) or [None]:
-        for sequence in _sequences(space, load, steps):
-            for end in ends:
-                if end > space.time_limit:
-                    continue
-                keys: dict[str, Any] = {}
-                if load is not None:
-                    keys[load] = sequence if len(sequence) > 1 else sequence[0]
-                if omega is not None:
-                    keys["load.omega"] = omega
-                if "time.end" in space.ranges:
-                    keys["time.end"] = end
-                case = template.case.replace(_changes(keys, end))
-                series = _Measured(template, case)
-                for parts in instants:
-                    at = tuple(end * part for part in parts)
-                    experiment = Experiment(f"candidate {len(tests) + 1}", case, series.at(at))
-                    tests.append(Candidate(keys, at, experiment, instants_vary))
+    for omega, sequence, duration in itertools.product(*conditions):
+        end = template.case.time.end if duration is None else duration
+        if end > space.time_limit:
+            continue
+        keys: dict[str, Any] = {}
+        if load is not None:
+            keys[load] = sequence if len(sequence) > 1 else sequence[0]
+        keys |= {} if omega is None else {"load.omega": omega}
+        keys |= {} if duration is None else {"time.end": end}
+        case = template.case.replace(_changes(keys, end))
+        readings_at = _measured(template, case)
+        for parts in instants:
+            at = tuple(end * part for part in parts)
+            experiment = Experiment(f"candidate {len(tests) + 1}", case, readings_at(at))
+            tests.append(Candidate(keys, at, experiment, len(instants) > 1))
     return tests
+
+
+def _load(space: DesignSpace) -> str | None:
+    """Return the key of the load that varies."""
+    return next((key for key in LOADS if key in space.ranges), None)
 
 
 def _instants(space: DesignSpace) -> list[tuple[float, ...]]:
@@ -145,14 +149,13 @@ def _counts(space: DesignSpace, key: str) -> list[int]:
     return list(range(int(low), int(high) + 1))
 
 
-def _sequences(
-    space: DesignSpace, load: str | None, steps: Sequence[int]
-) -> list[tuple[float, ...]]:
+def _sequences(space: DesignSpace) -> list[tuple[float, ...]]:
     """Return the loads of tests: several of one grow."""
+    load = _load(space)
     if load is None:
         return [()]
     sequences: list[tuple[float, ...]] = []
-    for count in steps:
+    for count in _counts(space, _STEPS):
         levels = _levels(space, load, _LEVELS if count == 1 else _STEP_LEVELS)
         sequences += itertools.combinations(levels, count)
     return sequences
@@ -171,47 +174,38 @@ def _changes(keys: Mapping[str, Any], end: float) -> dict[str, Any]:
     return changes
 
 
-class _Measured:
-    """Readings of a candidate: records at their rate, all else at its part of the test.
+def _measured(template: Experiment, case: Case) -> Callable[[Sequence[float]], tuple[Series, ...]]:
+    """Return a function of instants (s) of profiles, to the readings of a candidate.
 
-    Noise is that of the template, of records its median. Of profiles of one body at several times
-    the last one serves.
+    Records go on at their rate, all else is read at its part of the test. Noise is that of the
+    template, of records its median. Of profiles of one body at several times the last one serves;
+    tests share those of one instant.
     """
+    longer = case.time.end / template.case.time.end
+    last = last_profiles(template.series)
 
-    def __init__(self, template: Experiment, case: Case) -> None:
-        longer = case.time.end / template.case.time.end
-        self._last = last_profiles(template.series)
-        self._series = [
-            series if series.profile else _scaled(series, longer) for series in template.series
-        ]
-        self._profiles: dict[tuple[str, float], Series] = {}
+    @cache
+    def profile(series: Series, at: float) -> Series:
+        return replace(series, name=f"{series.quantity} at {at:.6g} s", at=at)
 
-    def at(self, instants: Sequence[float]) -> tuple[Series, ...]:
-        """Return it with profiles at some instants, s."""
+    scaled = {s: _scaled(s, longer) for s in template.series if not s.profile}
+
+    def at(instants: Sequence[float]) -> tuple[Series, ...]:
         series: list[Series] = []
-        for entry in self._series:
+        for entry in template.series:
             if not entry.profile:
-                series.append(entry)
-            elif entry is self._last[entry.quantity]:
-                series += [self._profile(entry, at) for at in instants]
+                series.append(scaled[entry])
+            elif entry is last[entry.quantity]:
+                series += [profile(entry, instant) for instant in instants]
         return tuple(series)
 
-    def _profile(self, series: Series, at: float) -> Series:
-        name = f"{series.quantity} at {at:.6g} s"
-        key = (series.quantity, at)
-        if key not in self._profiles:
-            self._profiles[key] = replace(series, name=name, at=at)
-        return self._profiles[key]
+    return at
 
 
 def last_profiles(every: Sequence[Series]) -> dict[str, Series]:
     """Return of all profiles of one body the last one, by quantity."""
-    last: dict[str, Series] = {}
-    for series in every:
-        before = last.get(series.quantity)
-        if series.profile and (before is None or _at(series) > _at(before)):
-            last[series.quantity] = series
-    return last
+    profiles = [series for series in reversed(every) if series.profile]
+    return {s.quantity: s for s in sorted(profiles, key=lambda profile: profile.at or 0.0)}
 
 
 def _scaled(series: Series, longer: float) -> Series:
@@ -223,7 +217,3 @@ def _scaled(series: Series, longer: float) -> Series:
     x = longer * (series.x[0] + span * np.linspace(0.0, 1.0, count))
     sd: FloatArray = np.full(count, np.median(series.sd))
     return replace(series, x=x, value=np.zeros(count), sd=sd, lines=None)
-
-
-def _at(series: Series) -> float:
-    return 0.0 if series.at is None else series.at

@@ -60,22 +60,17 @@ class Search:
 
     def best(self, count: int) -> list[Design]:
         """Return the best designs of so many tests."""
-        c = len(self._seconds)
-        without_others = np.zeros_like(self._information[:, 0])
-        limit = self._space.time_limit
+        every = np.stack(np.triu_indices(len(self._seconds)), axis=1)
         if count == 1:
-            numbers = np.flatnonzero(self._seconds <= limit)
-            return self._best_designs(numbers[:, None])
-        pairs = np.stack(np.triu_indices(c), axis=1)
-        spent = self._seconds[pairs].sum(axis=1)
-        shortest = float(self._seconds.min())
-        left = limit - shortest * (count - 2)
-        if count == 2:
-            return self._best_designs(pairs[spent <= limit])
+            every = np.arange(len(self._seconds))[:, None]
+        spent, limit = self._seconds[every].sum(axis=1), self._space.time_limit
+        if count <= 2:
+            return self._best_designs(every[spent <= limit])
+        left = limit - float(self._seconds.min()) * (count - 2)
         # from the best pair with the shortest others on, two are exchanged at a time; the
         # candidates of the last exchanges are listed as well
-        admissible = pairs[spent <= left]
-        start = admissible[int(self._scores(admissible, without_others).argmax())]
+        admissible = every[spent <= left]
+        start = admissible[int(self._scores(admissible).argmax())]
         tests = np.append(start, [int(self._seconds.argmin())] * (count - 2))
         score = self._score(self._information[:, tests].sum(axis=1)[:, None])[0]
         for _ in range(_ROUNDS):
@@ -84,7 +79,7 @@ class Search:
                 remaining = np.delete(tests, [i, j])
                 rest = self._information[:, remaining].sum(axis=1)
                 room = limit - self._seconds[remaining].sum()
-                admissible = pairs[spent <= room]
+                admissible = every[spent <= room]
                 scores = self._scores(admissible, rest)
                 first = admissible[np.argsort(-scores, kind="stable")[:_NEAR]]
                 near.append(np.column_stack([np.tile(remaining, (len(first), 1)), first]))

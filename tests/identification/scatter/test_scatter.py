@@ -121,8 +121,8 @@ def test_without_scatter_it_is_the_common_fit():
     model = MixedModel(tests, [Level(0, "specimen", np.arange(5))], np.zeros(2), np.zeros(2))
     posterior = integrate(lambda _: [model], [Size(0.0, 0.3)])
     common = np.linalg.lstsq(jacobians.reshape(-1, 2), z.ravel(), rcond=None)[0]
-    assert posterior.material(0).mean == pytest.approx(common[0], rel=1e-10)
-    assert posterior.of_test(2, 0).mean == pytest.approx(common[0], rel=1e-10)
+    assert posterior.unknown(0).mean == pytest.approx(common[0], rel=1e-10)
+    assert posterior.unknown(0, 2).mean == pytest.approx(common[0], rel=1e-10)
 
 
 def test_large_scatter_leaves_each_test_its_own_value():
@@ -131,10 +131,10 @@ def test_large_scatter_leaves_each_test_its_own_value():
     model = MixedModel(tests, [Level(0, "specimen", np.arange(5))], np.zeros(1), np.zeros(1))
     posterior = integrate(lambda _: [model], [Size(1e3, 0.3)])
     alone = [np.linalg.lstsq(j, y, rcond=None)[0][0] for j, y in zip(jacobians, z, strict=True)]
-    each = [posterior.of_test(i, 0).mean for i in range(5)]
+    each = [posterior.unknown(0, i).mean for i in range(5)]
     assert each == pytest.approx(alone, rel=1e-6)
-    assert posterior.material(0).mean == pytest.approx(np.mean(alone), rel=1e-6)
-    assert posterior.unknowns(3) == pytest.approx([alone[3]], rel=1e-6)
+    assert posterior.unknown(0).mean == pytest.approx(np.mean(alone), rel=1e-6)
+    assert posterior.weights @ posterior.means_of(3) == pytest.approx([alone[3]], rel=1e-6)
 
 
 def test_quantiles_of_a_mixture():
@@ -169,7 +169,7 @@ def test_intervals_hold_the_material_the_size_and_the_next_specimen(tau, count, 
         ]
         models = [MixedModel(tests, [level], np.zeros(1), np.zeros(1))]
         posterior = integrate(lambda _, models=models: models, [Size(None, 0.3)])
-        low, high = posterior.material(0).interval(0.95)
+        low, high = posterior.unknown(0).interval(0.95)
         widths.append(50.0 * (high - low))
         size = posterior.size(0, 0.95).interval
         next_low, next_high = posterior.next_specimen(0).interval(0.95)

@@ -121,7 +121,7 @@ def test_a_posterior_that_bends_is_followed(tables, fit):
         known.append(rw.fit(one, MPI.COMM_SELF).material.mixed.posterior.log_mass)
     density = np.zeros(len(at))
     for piece in found.material.pieces:
-        p0 = piece.posterior.material(place)
+        p0 = piece.posterior.unknown(place)
         each = norm.pdf(at[:, None], p0.means, np.sqrt(p0.variances))
         density += piece.weight * each @ p0.weights
     assert np.diff(np.log(density)) == pytest.approx(np.diff(known), abs=0.1)
