@@ -28,6 +28,8 @@ class Method(NamedTuple):
 
     scheme: Scheme
     control: type[Control]
+    #: the scheme without estimates of errors, for states that no step goes on from; None: the same
+    unjudged: Scheme | None = None
 
 
 @dataclass

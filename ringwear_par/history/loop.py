@@ -30,7 +30,7 @@ from ringwear_par.history.step_control import ErrorControl, FixedSteps, step_tim
 METHODS: dict[str, Method] = {
     "explicit": Method(euler.forward, FixedSteps),
     "implicit": Method(euler.backward, FixedSteps),
-    "adaptive": Method(sdirk2.step, ErrorControl),
+    "adaptive": Method(sdirk2.step, ErrorControl, sdirk2.unjudged_step),
 }
 
 
