@@ -31,9 +31,8 @@ _QUICKEST = 2.5e-4
 #: factor by which each of many cases side by side is faster than one alone, at least; part of a
 #: block from which on a whole one is drawn, and part that takes about twice as long as one case
 _QUICKER, _MOST_OF_BLOCK, _LEAST_OF_BLOCK = 8.0, 1 / 3, 1 / 8
-#: part of the cases left that all teams share in a round, less of cases whose time is not known
-#: yet; the rest evens out what they differ by
-_ROUND, _ROUND_OF_UNKNOWN = 0.75, 0.5
+#: part of the cases left that all teams share in a round; the rest evens out what they differ by
+_ROUND = 0.75
 #: how long a rank that waits for an answer sleeps between two looks
 _NAP_SECONDS = 0.0005
 _QUESTION_TAG, _ANSWER_TAG = 1, 2
@@ -76,7 +75,7 @@ class CaseQueue:
         self._seconds, self._ended = np.array(seconds, dtype=float), np.zeros_like(self._sizes)
         self._all_left, self._untaken = int(self._sizes.sum()), 0
         self._teams, self._block, self._quicker = teams, block, _QUICKER if block > 1 else 1.0
-        #: how many teams have yet to draw in this round, and what share of the cases left is theirs
+        #: how many teams have yet to draw in this round, and how many cases each
         self._in_round, self._share = 0, 0
         self._groups: dict[int, int] = {}
         self.done, self.failed, self.stopped = 0, 0, False
@@ -99,11 +98,14 @@ class CaseQueue:
             number = math.ceil(left / math.ceil(left / self._block))
         # as long as there are other groups to take, teams need not share this one
         if self._untaken == len(self._sizes) and self._teams > 1:
+            share = math.ceil(self._all_left / self._teams)
             if not self._in_round:
-                self._in_round, self._share = self._teams, math.ceil(self._all_left / self._teams)
+                self._in_round = self._teams
+                self._share = min(share, max(int(_ROUND * share), least, 1))
             self._in_round -= 1
-            part = _ROUND if self._ended[group] else _ROUND_OF_UNKNOWN
-            number = max(min(number, self._share, max(int(part * self._share), least)), 1)
+            # less of cases whose time is not known yet
+            known = self._share if self._ended[group] else max(share // 2, min(share, least))
+            number = max(min(number, known), 1)
         number = min(number, left)
         self._left[group] -= number
         self._all_left -= number
