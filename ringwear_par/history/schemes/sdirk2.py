@@ -52,7 +52,7 @@ def unjudged_step(
     physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray
 ) -> Step:
     """Return the step to a time, without its errors where there are no layers."""
-    return step(physics, contacts, state, end, judged=physics.inputs.layered)
+    return step(physics, contacts, state, end, with_errors=physics.inputs.layered)
 
 
 def step(
@@ -61,9 +61,9 @@ def step(
     state: State,
     end: FloatArray,
     *,
-    judged: bool = True,
+    with_errors: bool = True,
 ) -> Step:
-    """Return the step to a time; not ``judged``, without layers: its errors are 0."""
+    """Return the step to a time; without layers perhaps without its errors, which are 0 then."""
     physics = physics.in_present_layers(state.wear)
     length = end - state.time
     middle = state.time + GAMMA * length
@@ -117,7 +117,7 @@ def step(
         for i, d_p in enumerate(step_tangent.weighted, start=1):
             step_tangent.work(_WEIGHTS[i] * length, sliding[i], pressures[i], d_p)
     after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, step_tangent)
-    if not judged:
+    if not with_errors:
         return Step(after, np.zeros_like(length), np.zeros_like(length))
     stages = (first, stage.pressure), (last, contact.pressure)
     in_first, in_last = (wear_of.total_if_always_in_contact(p) for wear_of, p in stages)
