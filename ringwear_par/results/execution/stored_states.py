@@ -150,18 +150,18 @@ class StoredRows:
         order = np.argsort(numbers, kind="stable")
         places = np.empty(len(order), dtype=np.int64)
         places[order] = np.arange(len(order))
-        values = {
-            name: self._column(name, parts, order, places)
-            for name, parts in self._rows.items()
-            if name not in _SINCE_START
-        }
-        numbers = numbers[order]
+        values: dict[str, Any] = {}
+        for name, parts in self._rows.items():
+            if name not in _SINCE_START:
+                values[name] = self._column(name, parts, order, places)
+                parts[:] = [values[name]]  # in order from now on, and once in memory
+        numbers, steps = numbers[order], np.concatenate([empty, *self._steps])[order]
+        self._numbers, self._steps = [numbers], [steps]
         first = np.searchsorted(numbers, numbers)
         for name, total in _SINCE_START.items():
             if name in self._rows:
                 values[name] = values[total] - values[total][..., first]
         offsets = np.searchsorted(numbers, np.arange(self._count + 1))
-        steps = np.concatenate([empty, *self._steps])[order]
         values |= self._last_profiles
         groups = {g: {name: values[name] for name in names} for g, names in self._groups.items()}
         return {"offsets": offsets, "steps": steps, **groups}
