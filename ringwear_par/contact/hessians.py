@@ -27,9 +27,12 @@ from ringwear_par.wear.increment import WearIncrement
 _ROUND_OFF = 1e-12
 #: instead of the number of a basis: a factor of its own
 _FACTOR = -1
-#: residuals, relative to the first, at which conjugate gradients end: of estimates, within Newton's
-#: method, whose next step corrects what this one left, and of solutions
-ROUGH, NEAR, SOLVED = 1e-3, 1e-6, 1e-13
+#: residuals, relative to the first, at which conjugate gradients end: where slopes have another
+#: shape than the bases, and where they have that. Of estimates, of solutions, and within Newton's
+#: method, whose next step corrects what this one left; slopes of that shape are linear, so that
+#: this step is the last
+ROUGH, SOLVED = (1e-3, 1e-3), (1e-13, 1e-13)
+NEAR = 1e-6, 1e-13
 _MOST_ITERATIONS = 200
 #: where nothing touches
 _NO_FACTOR = np.zeros((0, 0))
@@ -240,7 +243,7 @@ class Hessians:
         histories: IntArray,
         gradient: FloatArray,
         missing: FloatArray | None,
-        tolerance: float,
+        tolerance: tuple[float, float],
     ) -> tuple[FloatArray, FloatArray]:
         """Return the steps (..., h, n) against gradients, and of the approaches, (..., h).
 
@@ -250,7 +253,7 @@ class Hessians:
         ----------
         gradient : (..., h, n) float.
         missing : (..., h) float, N; None: approaches stay.
-        tolerance : of the residual, relative to the first, where steps are iterated for.
+        tolerance : ``ROUGH``, ``NEAR`` or ``SOLVED``.
         """
         rows = self._rows_of(histories)
         products = rows.groups.of
@@ -269,7 +272,11 @@ class Hessians:
         return steps, approach
 
     def _modal_steps(
-        self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None, tolerance: float
+        self,
+        rows: "_Rows",
+        modal: FloatArray,
+        missing: FloatArray | None,
+        tolerance: tuple[float, float],
     ) -> tuple[FloatArray, FloatArray]:
         """Return steps in the bases, (..., h, n), where ``modal`` was, and of approaches, (..., h).
 
@@ -296,8 +303,8 @@ class Hessians:
             self._loops.conjugate_gradients(
                 len(places), n, places, count, histories, self._number, stack.psi, stack.psi_t,
                 stack.derivatives if deviates else stack.psi, deviates, stack.force, self.slope,
-                *kinds, *diagonal, missing, with_forces, tolerance, _MOST_ITERATIONS, modal, change,
-                *np.empty((2, 4), dtype=np.int64), *np.empty((3, 4)), *np.empty((6, 7, n)),
+                *kinds, *diagonal, missing, with_forces, *tolerance, _MOST_ITERATIONS, modal,
+                change, *np.empty((2, 4), dtype=np.int64), *np.empty((3, 4)), *np.empty((6, 7, n)),
             )  # fmt: skip
         if len(iterated) < count:
             self._loops.solve_in_bases(

@@ -25,6 +25,7 @@ from ringwear_par.history.schemes.interfaces import next_to_cross
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import Progress, State
 from ringwear_par.history.step_control import NO_STEP
+from ringwear_par.history.stop_criteria import have_reached
 from ringwear_par.parallel import as_on_first_rank, together
 
 log = logging.getLogger(__name__)
@@ -155,7 +156,8 @@ class Batch:
             state = batched.where(accepted, state, _with_entries_of(before.state, state))
         self._present = replace(before, state=state, progress=progress)
         new = accepted & decision.complete
-        finished = new & control.finished(state, progress)
+        stopped = have_reached(physics.inputs.stop_limits, state)
+        finished = new & (control.finished(state, progress) | stopped)
         return [
             *snapshots,
             Snapshot(
@@ -185,10 +187,9 @@ class Batch:
         self, before: Present, histories: IntArray, times: FloatArray, progress: Progress
     ) -> Snapshot:
         """Return the states of some histories at times within their steps."""
-        part, method = before.take(histories), self._ensemble.method
-        scheme = method.unjudged or method.scheme
+        part = before.take(histories)
         try:
-            step = scheme(part.physics, part.contacts, part.state, times)
+            step = self._ensemble.method.within(part.physics, part.contacts, part.state, times)
         except HistoriesError as error:
             which = np.zeros(len(self.numbers), dtype=bool)
             which[histories[error.which]] = True

@@ -28,8 +28,8 @@ class Method(NamedTuple):
 
     scheme: Scheme
     control: type[Control]
-    #: the scheme without estimates of errors, for states that no step goes on from; None: the same
-    unjudged: Scheme | None = None
+    #: how a state within a step is computed, from which no step goes on
+    within: Scheme
 
 
 @dataclass

@@ -1,6 +1,6 @@
 """The inputs of B histories on one contact pair: loads, laws and gaps, stacked."""
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
@@ -10,6 +10,7 @@ import numpy as np
 from ringwear_par import batched
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import SAME_TIME, Case
+from ringwear_par.history.stop_criteria import stop_limits
 from ringwear_par.schedules import Quantity, stack, take, varies
 from ringwear_par.wear.law import Law, stack_laws
 from ringwear_par.wear.layered import LayeredLaw
@@ -73,6 +74,8 @@ class HistoryInputs:
     per_energy: tuple[FloatArray | None, ...]
     #: of each
     stored: StoredStates
+    #: (B,) limits that end histories, see ``stop_criteria``, by name
+    stop_limits: Mapping[str, FloatArray]
     #: (2, B) factors on the rates of wear of lower and upper in the present step; None: 1
     pace: FloatArray | None = None
 
@@ -100,6 +103,7 @@ class HistoryInputs:
             tuple(stack_laws(body_laws) for body_laws in laws),
             tuple(_per_energy(body_laws, frictions) for body_laws in laws),
             StoredStates.of(cases),
+            stop_limits(cases),
         )
 
     def take(self, histories: IntArray) -> Self:
@@ -116,6 +120,7 @@ class HistoryInputs:
             laws=tuple(None if law is None else law.take(histories) for law in self.laws),
             per_energy=tuple(None if r is None else r[..., histories] for r in self.per_energy),
             stored=batched.take(self.stored, histories),
+            stop_limits={name: limit[histories] for name, limit in self.stop_limits.items()},
             pace=None if self.pace is None else self.pace[:, histories],
         )
 

@@ -48,7 +48,7 @@ _LACKING = 1.0 / 6.0 - (
 _FIRST_STAGE_FACTOR = (1.0 - GAMMA) / GAMMA
 
 
-def unjudged_step(
+def step_within(
     physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray
 ) -> Step:
     """Return the step to a time, without its errors where there are no layers."""
