@@ -70,7 +70,7 @@ SCHEMES = {
         "history.step_control:ErrorControl",
         adaptive=True,
         within="history.schemes.sdirk2:step_within",
-    ),  # fmt: skip
+    ),
 }
 
 
