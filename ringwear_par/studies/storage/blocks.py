@@ -181,7 +181,7 @@ class Block:
     def packed(self) -> list[memoryview]:
         """Return the block as ``unpack_header`` reads it, in parts that follow each other."""
         data = {
-            name: memoryview(np.ascontiguousarray(values, dtype="<f8").reshape(-1).view(np.uint8))
+            name: np.ascontiguousarray(values, dtype="<f8").reshape(-1).view(np.uint8).data
             for name, values in self.columns.items()
         }
         data[_TEXTS] = memoryview(zlib.compress(_BETWEEN.join(self.texts).encode(), 1))
