@@ -27,7 +27,7 @@ class StoredStates:
 
     @classmethod
     def of(cls, cases: Sequence[Case]) -> Self:
-        """Return which states of cases are stored: at times of output, or of every so many steps."""
+        """Return the stored states of cases: at times of output, or after every so many steps."""
         every = np.array([case.output.every for case in cases])
         times = [case.output.times for case in cases]
         most = max(map(len, times))
