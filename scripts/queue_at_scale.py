@@ -24,11 +24,13 @@ BEGIN, CASE, STORE = 0.05, 1.1e-3, 3e-5
 ROUND, MESSAGE = 0.01, 1e-5
 #: of the time of draws; s, what the study thinks of a case before one is known
 SPREAD, GUESS = 0.05, 0.01
+#: cases that step together
+BLOCK = 1024
 
 
 def answer_seconds(ranks: int) -> float:
     """Return what the queue takes to answer a question of one of so many ranks, measured."""
-    queue, count = CaseQueue([10**9], ranks, [GUESS], side_by_side=True), 20_000
+    queue, count = CaseQueue([10**9], ranks, [GUESS], BLOCK), 20_000
     begun = time.perf_counter()
     for i in range(count):
         queue.count(0, 1, 0, 1e-3)
@@ -39,7 +41,7 @@ def answer_seconds(ranks: int) -> float:
 def simulated(cases: int, ranks: int, rng: np.random.Generator) -> tuple[float, float, int]:
     """Return the seconds of a sweep, the share of work in the ranks' time, and the questions."""
     queue, answer = (
-        CaseQueue([cases], ranks, [GUESS], side_by_side=True),
+        CaseQueue([cases], ranks, [GUESS], BLOCK),
         answer_seconds(ranks) + MESSAGE,
     )
     #: when a rank has ended so many cases, and how long they took

@@ -1,7 +1,6 @@
 """A case: one wear test, complete and consistent, as frozen dataclasses."""
 
 import math
-from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -65,11 +64,6 @@ Overrides = Mapping[str, Any] | Sequence[str]
 SAME_TIME = 1e-12
 #: first line of a stored text that is not the whole truth
 CHANGED = "# changed in Python after it was read: not all of this is as run"
-
-
-def is_same_time(time: float, other: float) -> bool:
-    """Tell whether two times are the same but for round-off."""
-    return abs(time - other) <= SAME_TIME * time
 
 
 @dataclass(frozen=True)
@@ -366,22 +360,6 @@ class Case:
         if self.output.times:
             return 2.0 + len(self.output.times)
         return (100.0 if self.time.adaptive else 1.0 + self.time.steps) / self.output.every
-
-    def stores(self, step: int, time: float) -> bool:
-        """Tell whether the state after so many steps, at a time (s), is stored."""
-        times = self.output.times
-        if step == 0 or self.time.finished(step, time):
-            return True
-        if times:
-            i = bisect_left(times, time)
-            return any(is_same_time(time, t) for t in times[max(i - 1, 0) : i + 1])
-        return step % self.output.every == 0
-
-    def output_times(self, start: float, end: float) -> list[float]:
-        """Return the times of output strictly between two times, s."""
-        times = self.output.times
-        between = times[bisect_right(times, start) : bisect_left(times, end)]
-        return [t for t in between if not (is_same_time(t, start) or is_same_time(t, end))]
 
     def section(self, ring: Ring) -> Section:
         """Return the meridian section of one of the two rings, in its own frame."""

@@ -53,6 +53,9 @@ class Scheme(NamedTuple):
     control: str
     #: whether the control chooses the lengths by tolerances, to ``time.end``
     adaptive: bool
+    #: module and function that makes a step to a time of output within one, without estimates of
+    #: errors; "": the same
+    within: str = ""
 
 
 SCHEMES = {
@@ -63,7 +66,10 @@ SCHEMES = {
         "history.schemes.euler:forward", "history.step_control:FixedSteps", adaptive=False
     ),
     "adaptive": Scheme(
-        "history.schemes.sdirk2:step", "history.step_control:ErrorControl", adaptive=True
+        "history.schemes.sdirk2:step",
+        "history.step_control:ErrorControl",
+        adaptive=True,
+        within="history.schemes.sdirk2:step_within",
     ),
 }
 

@@ -238,6 +238,16 @@ def unit_suspicions(
     )
 
 
+def are_plausible(cases: Sequence[Case]) -> bool:
+    """Tell whether none of some cases of the same rings has ``unit_suspicions`` but forecasts.
+
+    By the largest of their numbers, which are no less suspicious. Not collective.
+    """
+    if not cases or unit_suspicions(max(cases, key=_load), ()):
+        return not cases
+    return not any(rate > _FASTEST for case in cases for *_, rate in _specific_rates(case))
+
+
 def _keyed(case: Case, faults: Iterable[tuple[str, str]]) -> list[ValidityWarning]:
     return [ValidityWarning(_FLAG, _asking(case, key, text), (key,)) for key, text in faults]
 
@@ -300,19 +310,24 @@ def _too_thin(materials: Mapping[str, Ring | RingLayer]) -> Iterator[tuple[str, 
 
 def _too_fast(case: Case) -> Iterator[tuple[str, str]]:
     """Yield the wear coefficients, key and sentence, by which no material wears."""
+    for key, k, rate in _specific_rates(case):
+        if rate > _FASTEST:
+            text = (
+                f"{key} = {k:g} 1/MPa is a specific wear rate of {1e3 * rate:g} mm3/(N m), more "
+                f"than that of any material in dry sliding, {1e3 * _FASTEST:g}; if it is in "
+                f'mm3/(N m), write "{k:g} mm3/(N m)"'
+            )
+            yield key, text
+
+
+def _specific_rates(case: Case) -> Iterator[tuple[str, float, float]]:
+    """Yield wear coefficients, key and 1/MPa, and the specific wear rates that they are, 1/MPa."""
     for table, wear in case.laws_by_table.items():
-        share = largest(case.friction) if isinstance(wear, AboveThreshold) else 1.0
-        names = ("k", "k_start") if isinstance(wear, AboveThreshold | ArchardLaw) else ()
-        for name in names:
-            k = largest(getattr(wear, name, 0.0))
-            if share * k > _FASTEST:
-                text = (
-                    f"{table}.{name} = {k:g} 1/MPa is a specific wear rate of "
-                    f"{1e3 * share * k:g} mm3/(N m), more than that of any material in dry "
-                    f"sliding, {1e3 * _FASTEST:g}; if it is in mm3/(N m), "
-                    f'write "{k:g} mm3/(N m)"'
-                )
-                yield f"{table}.{name}", text
+        if isinstance(wear, AboveThreshold | ArchardLaw):
+            share = largest(case.friction) if isinstance(wear, AboveThreshold) else 1.0
+            for name in ("k", "k_start"):
+                k = largest(getattr(wear, name, 0.0))
+                yield f"{table}.{name}", k, share * k
 
 
 def _too_deep(case: Case, forecast: Forecast) -> tuple[str, str]:

@@ -21,7 +21,6 @@ from ringwear_par.errors import (
     reason_of,
 )
 from ringwear_par.history.ensemble import Ensemble, Present
-from ringwear_par.history.inputs import HistoryInputs
 from ringwear_par.history.schemes.interfaces import next_to_cross
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import Progress, State
@@ -164,7 +163,7 @@ class Batch:
             Snapshot(
                 self.numbers, physics, contacts, state, step, progress,
                 progress.iterations - before.progress.iterations, new,
-                _stored(physics.inputs, state, progress, new, finished), finished,
+                new & (finished | physics.inputs.stored.at(progress.steps, state.time)), finished,
             ),
         ]  # fmt: skip
 
@@ -172,17 +171,17 @@ class Batch:
         self, before: Present, end: FloatArray, accepted: BoolArray, progress: Progress
     ) -> list[Snapshot]:
         """Return the states at times of output within accepted steps, which leave no trace."""
-        cases = before.physics.inputs.cases
-        if not cases[0].output.times:
+        stored = before.physics.inputs.stored
+        if stored.times is None:
             return []
-        rows = zip(cases, before.state.time.tolist(), end.tolist(), accepted, strict=True)
-        times = [case.output_times(t0, t1) if new else [] for case, t0, t1, new in rows]
-        snapshots = []
-        for k in range(max(map(len, times))):
-            histories = np.array([i for i, row in enumerate(times) if len(row) > k])
-            instants = np.array([times[i][k] for i in histories])
-            snapshots.append(self._at_times(before, histories, instants, progress))
-        return snapshots
+        histories, which = np.nonzero(stored.within(before.state.time, end) & accepted[:, None])
+        times = stored.times[histories, which]
+        # the first of each history, then the second ones
+        turn = np.arange(len(histories)) - np.searchsorted(histories, histories)
+        return [
+            self._at_times(before, histories[turn == k], times[turn == k], progress)
+            for k in range(turn.max(initial=-1) + 1)
+        ]
 
     def _at_times(
         self, before: Present, histories: IntArray, times: FloatArray, progress: Progress
@@ -190,7 +189,7 @@ class Batch:
         """Return the states of some histories at times within their steps."""
         part = before.take(histories)
         try:
-            step = self._ensemble.method.scheme(part.physics, part.contacts, part.state, times)
+            step = self._ensemble.method.within(part.physics, part.contacts, part.state, times)
         except HistoriesError as error:
             which = np.zeros(len(self.numbers), dtype=bool)
             which[histories[error.which]] = True
@@ -274,21 +273,6 @@ class Batch:
                 batches.append(batch)
         self.close()
         return batches
-
-
-def _stored(
-    inputs: HistoryInputs,
-    state: State,
-    progress: Progress,
-    accepted: BoolArray,
-    finished: BoolArray,
-) -> BoolArray:
-    """Return which of the new states are stored."""
-    cases, steps = inputs.cases, progress.steps
-    if cases[0].output.times:
-        rows = zip(cases, steps.tolist(), state.time.tolist(), strict=True)
-        return accepted & (finished | [case.stores(step, time) for case, step, time in rows])
-    return accepted & (finished | (steps % inputs.every == 0))
 
 
 def _with_entries_of(other: State, state: State) -> State:

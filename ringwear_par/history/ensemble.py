@@ -28,6 +28,8 @@ class Method(NamedTuple):
 
     scheme: Scheme
     control: type[Control]
+    #: how a state within a step is computed, from which no step goes on
+    within: Scheme
 
 
 @dataclass

@@ -7,12 +7,46 @@ from typing import Any, Self
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.cases.case import Case
+from ringwear_par import batched
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.history.stop_criteria import stop_limits
 from ringwear_par.schedules import Quantity, stack, take, varies
 from ringwear_par.wear.law import Law, stack_laws
 from ringwear_par.wear.layered import LayeredLaw
+
+
+@dataclass(frozen=True)
+class StoredStates:
+    """Which states of B histories their cases store, besides the last one."""
+
+    #: (B,) ``output.every``
+    every: IntArray
+    #: (B, m) s, ``output.times``, infinite where others have more of them; None: there are none
+    times: FloatArray | None
+
+    @classmethod
+    def of(cls, cases: Sequence[Case]) -> Self:
+        """Return the stored states of cases: at times of output, or after every so many steps."""
+        every = np.array([case.output.every for case in cases])
+        times = [case.output.times for case in cases]
+        most = max(map(len, times))
+        if not most:
+            return cls(every, None)
+        return cls(every, np.array([[*row, *[np.inf] * (most - len(row))] for row in times]))
+
+    def at(self, steps: IntArray, time: FloatArray) -> BoolArray:
+        """Return whether states after so many steps, at times (s), are stored, (B,)."""
+        if self.times is None:
+            return steps % self.every == 0
+        same = np.abs(time[:, None] - self.times) <= SAME_TIME * time[:, None]
+        return (steps == 0) | same.any(axis=1)
+
+    def within(self, start: FloatArray, end: FloatArray) -> BoolArray:
+        """Return which times of output lie strictly between two times (s), (B, m)."""
+        assert self.times is not None
+        after, before = self.times - start[:, None], end[:, None] - self.times
+        return (after > SAME_TIME * self.times) & (before > SAME_TIME * self.times)
 
 
 @dataclass(frozen=True)
@@ -38,8 +72,8 @@ class HistoryInputs:
     #: None where it is one in no history. Of a body with layers, (layers + 1, B): those of the
     #: layers and of the body itself
     per_energy: tuple[FloatArray | None, ...]
-    #: (B,) ``output.every``
-    every: IntArray
+    #: of each
+    stored: StoredStates
     #: (B,) limits that end histories, see ``stop_criteria``, by name
     stop_limits: Mapping[str, FloatArray]
     #: (2, B) factors on the rates of wear of lower and upper in the present step; None: 1
@@ -68,7 +102,7 @@ class HistoryInputs:
             _stacked([load.displacement for load in loads]),
             tuple(stack_laws(body_laws) for body_laws in laws),
             tuple(_per_energy(body_laws, frictions) for body_laws in laws),
-            np.array([case.output.every for case in cases]),
+            StoredStates.of(cases),
             stop_limits(cases),
         )
 
@@ -85,7 +119,7 @@ class HistoryInputs:
             displacement=take(self.displacement, histories),
             laws=tuple(None if law is None else law.take(histories) for law in self.laws),
             per_energy=tuple(None if r is None else r[..., histories] for r in self.per_energy),
-            every=self.every[histories],
+            stored=batched.take(self.stored, histories),
             stop_limits={name: limit[histories] for name, limit in self.stop_limits.items()},
             pace=None if self.pace is None else self.pace[:, histories],
         )

@@ -40,7 +40,8 @@ class Outcome(NamedTuple):
 
 def method_of(scheme: str) -> Method:
     """Return how histories of a ``time.scheme`` step: its line in ``SCHEMES``."""
-    return Method(load(SCHEMES[scheme].step), load(SCHEMES[scheme].control))
+    line = SCHEMES[scheme]
+    return Method(load(line.step), load(line.control), load(line.within or line.step))
 
 
 def simulate(

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.unit_suspicions import (
     MOST_PRESSED,
     Forecast,
+    are_plausible,
     deep_forecasts,
     deep_wear,
     smallest_modulus,
@@ -102,32 +104,41 @@ class Warnings:
         """Return the warnings of each history, none of those that have failed."""
         good = [number for number, bad in enumerate(failed) if not bad]
         warnings: list[tuple[ValidityWarning, ...]] = [()] * len(failed)
-        calm, deep = self._calm(), deep_forecasts([self._cases[number] for number in good])
+        first = self._cases[0]
+        alike = np.array([case.rings == first.rings for case in self._cases])
+        calm, deep = self._calm(alike), deep_forecasts([self._cases[number] for number in good])
+        plausible = alike & are_plausible([self._cases[i] for i in np.flatnonzero(alike).tolist()])
         for number, forecasts in zip(good, deep, strict=True):
-            warnings[number] = self._of(number, bool(calm[number]), forecasts)
+            if calm[number] and plausible[number] and not forecasts:
+                long_steps = self._long_steps.get(number)
+                few = () if long_steps is None else (long_steps,)
+                warnings[number] = (*few, *_of_cases(self._cases[number]))
+            else:
+                warnings[number] = self._of(number, forecasts)
         return warnings
 
-    def _calm(self) -> BoolArray:
-        """Return which histories need not be looked at one by one: the worst of many is well."""
-        calm = np.zeros(len(self._cases), dtype=bool)
+    def _calm(self, alike: BoolArray) -> BoolArray:
+        """Return which histories need not be looked at one by one: the worst of many is well.
+
+        Of some, which have the rings of the first.
+        """
+        calm = np.zeros(len(alike), dtype=bool)
+        if self._stresses.places(0) is not None:
+            return calm
         # the load of one would excuse what others are to be warned of
         first = self._cases[0]
         case = replace(first, load=replace(first.load, force=0.0, displacement=None))
-        alike = np.array([member.rings == case.rings for member in self._cases])
-        for numbers in np.array_split(np.flatnonzero(alike), -(-len(calm) // _TOGETHER)):
+        deep = _is_deep(case, self._states.moved)
+        for numbers in np.array_split(np.flatnonzero(alike & ~deep), -(-len(calm) // _TOGETHER)):
             if len(numbers) > 1:
                 worst = self.worst(numbers)
                 known = not math.isnan(worst["reactions"][0])
-                calm[numbers] = known and not (
-                    _is_deep(case, worst) or any(_of_states(case, worst))
-                )
+                calm[numbers] = known and not any(_of_states(case, worst))
         return calm
 
-    def _of(self, number: int, calm: bool, deep: Sequence[Forecast]) -> tuple[ValidityWarning, ...]:
+    def _of(self, number: int, deep: Sequence[Forecast]) -> tuple[ValidityWarning, ...]:
         case, places = self._cases[number], self._stresses.places(number)
         warnings = [self._long_steps[number]] if number in self._long_steps else []
-        if calm and places is None:
-            return *warnings, *unit_suspicions(case, deep), *_of_cases(case)
         worst = self.worst(np.array([number]))
         warnings += validity_warnings(case, worst, deep)
         if places is not None:
@@ -186,7 +197,7 @@ def _deep_wear(
 
     One warning for one thing: wear that much was forecast for is there.
     """
-    if not _is_deep(case, worst):
+    if not _is_deep(case, worst["moved"][0]):
         yield from unit_suspicions(case, deep)
         return
     moved, time, *_ = worst["moved"]
@@ -200,10 +211,10 @@ def _deep_wear(
     )
 
 
-def _is_deep(case: Case, worst: Mapping[str, Sequence[float]]) -> bool:
-    """Tell whether wear or approach were too large for small displacements."""
+def _is_deep(case: Case, moved: Any) -> Any:
+    """Tell whether wear or approach, mm, were too large for small displacements."""
     gap = case.smallest_gaps[0] if _is_apart(case) else 0.0  # of which another warning tells
-    return worst["moved"][0] - gap > _MOST_MOVED * _height(case)
+    return moved - gap > _MOST_MOVED * _height(case)
 
 
 def _height(case: Case) -> float:

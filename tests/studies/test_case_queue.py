@@ -136,7 +136,7 @@ def test_what_is_drawn_at_once_keeps_a_team_busy_and_shrinks_towards_the_end():
 
 def test_cases_that_go_side_by_side_are_drawn_as_many_as_that_takes():
     """Where many start in the time of one, each team draws few times; or one takes long."""
-    assert len(draws(4096, 1e-2, lambda n: 0.05 + 4e-4 * n, side_by_side=True)) <= 10
+    assert len(draws(4096, 1e-2, lambda n: 0.05 + 4e-4 * n, block=1024)) <= 10
     drawn = draws(10_000, 1.0, lambda count: 0.6 + 0.005 * count)
     assert drawn[:4] == [1, 2, 4, 8]
     assert max(drawn) > 256

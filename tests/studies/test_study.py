@@ -73,6 +73,11 @@ def test_grid_is_the_product_in_order(write):
     assert study.groups == ((0, 1, 2, 3, 4, 5),)
 
 
+def test_cases_that_are_there_twice_are_counted(write, caplog):
+    study = read_study(write('[vary]\n"load.pressure" = { values = ["8 MPa", 8, 9] }\n'))
+    assert (len(study.cases), "once: 1 of 3" in caplog.text) == (2, True)
+
+
 def test_a_case_of_a_study_is_told_by_its_text(write):
     """As one that was read: the text says all of it, and changes make another."""
     study = read_study(write(GRID))

@@ -3,9 +3,12 @@
 from collections.abc import Sequence
 from typing import TypeVar
 
+import numpy as np
+
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import SAME_TIME, Case
 from ringwear_par.elasticity.stress.fields import BoundaryState, StressState
+from ringwear_par.history.inputs import StoredStates
 from ringwear_par.history.snapshots import Instant
 
 Timed = TypeVar("Timed", BoundaryState, StressState)
@@ -56,7 +59,9 @@ class Selection:
         """Return the time of the stored state before one at a time; negative: there is none."""
         output = self._case.output
         if output.times:
-            return max(self._case.output_times(-1.0, time), default=0.0 if time > 0.0 else -1.0)
+            within = StoredStates.of([self._case]).within(np.array([-1.0]), np.array([time]))[0]
+            first = 0.0 if time > 0.0 else -1.0
+            return max(np.array(output.times)[within].tolist(), default=first)
         if not self._case.time.adaptive and steps > 0:
             # a shorter run's last state, from which this one may go on, is forgotten
             return (steps - 1) // output.every * output.every * self._case.time.step

@@ -110,6 +110,11 @@ class WorstStates:
                 take(worn_share(i, layer), share)
         return False
 
+    @property
+    def moved(self) -> FloatArray:
+        """(B,) mm, the larger of approach and depths of wear."""
+        return self._table[self._rows[_MOVED], 0]
+
     def worst(self, numbers: IntArray) -> dict[str, list[float]]:
         """Return the measures of a history by name, ENTRIES numbers each.
 

@@ -48,8 +48,22 @@ _LACKING = 1.0 / 6.0 - (
 _FIRST_STAGE_FACTOR = (1.0 - GAMMA) / GAMMA
 
 
-def step(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
-    """Return the step to a time."""
+def step_within(
+    physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray
+) -> Step:
+    """Return the step to a time, without its errors where there are no layers."""
+    return step(physics, contacts, state, end, with_errors=physics.inputs.layered)
+
+
+def step(
+    physics: Physics,
+    contacts: CorrectedContacts,
+    state: State,
+    end: FloatArray,
+    *,
+    with_errors: bool = True,
+) -> Step:
+    """Return the step to a time; without layers perhaps without its errors, which are 0 then."""
     physics = physics.in_present_layers(state.wear)
     length = end - state.time
     middle = state.time + GAMMA * length
@@ -103,6 +117,8 @@ def step(physics: Physics, contacts: CorrectedContacts, state: State, end: Float
         for i, d_p in enumerate(step_tangent.weighted, start=1):
             step_tangent.work(_WEIGHTS[i] * length, sliding[i], pressures[i], d_p)
     after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, step_tangent)
+    if not with_errors:
+        return Step(after, np.zeros_like(length), np.zeros_like(length))
     stages = (first, stage.pressure), (last, contact.pressure)
     in_first, in_last = (wear_of.total_if_always_in_contact(p) for wear_of, p in stages)
     if closing is not None:

@@ -10,6 +10,7 @@ from ringwear_par import batched
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, share
 from ringwear_par.cases.case import Case
 from ringwear_par.history.derivatives.keys import units_of
+from ringwear_par.history.inputs import StoredStates
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.tangent import variables as derivatives_of
 from ringwear_par.history.snapshots import Snapshot
@@ -101,8 +102,9 @@ class StoredRows:
         ----------
         reached : s, time from which the history continues.
         """
-        states = zip(before.steps_made.tolist(), before.histories["time"].tolist(), strict=True)
-        rows = np.array([t <= reached and self._case.stores(n, t) for n, t in states])
+        steps, times = before.steps_made, np.asarray(before.histories["time"])
+        ended = [self._case.time.finished(*state) for state in zip(steps, times, strict=True)]
+        rows = (times <= reached) & (ended | StoredStates.of([self._case]).at(steps, times))
         self._numbers.append(np.zeros(np.count_nonzero(rows), dtype=np.int64))
         self._steps.append(before.steps_made[rows])
         stored = {**before.histories, **before.profiles, **before.layers}
@@ -148,18 +150,18 @@ class StoredRows:
         order = np.argsort(numbers, kind="stable")
         places = np.empty(len(order), dtype=np.int64)
         places[order] = np.arange(len(order))
-        values = {
-            name: self._column(name, parts, order, places)
-            for name, parts in self._rows.items()
-            if name not in _SINCE_START
-        }
-        numbers = numbers[order]
+        values: dict[str, Any] = {}
+        for name, parts in self._rows.items():
+            if name not in _SINCE_START:
+                values[name] = self._column(name, parts, order, places)
+                parts[:] = [values[name]]  # in order from now on, and once in memory
+        numbers, steps = numbers[order], np.concatenate([empty, *self._steps])[order]
+        self._numbers, self._steps = [numbers], [steps]
         first = np.searchsorted(numbers, numbers)
         for name, total in _SINCE_START.items():
             if name in self._rows:
                 values[name] = values[total] - values[total][..., first]
         offsets = np.searchsorted(numbers, np.arange(self._count + 1))
-        steps = np.concatenate([empty, *self._steps])[order]
         values |= self._last_profiles
         groups = {g: {name: values[name] for name in names} for g, names in self._groups.items()}
         return {"offsets": offsets, "steps": steps, **groups}

@@ -1,5 +1,6 @@
 """Studies: every case made once, checked, known by its content, and grouped by operator."""
 
+import logging
 import pickle
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,6 +28,8 @@ from ringwear_par.studies.definition.varied_columns import CaseColumns, Frame, G
 
 if TYPE_CHECKING:
     from mpi4py import MPI
+
+log = logging.getLogger(__name__)
 
 #: most kinds of cases that a rank keeps in memory
 _MOST_KINDS = 64
@@ -219,6 +222,10 @@ def _complete(draft: Draft, stretches: Sequence[CheckedCases], ranks: int) -> St
     cases = draft.cases
     firsts = np.sort(np.unique(identities, return_index=True)[1])
     if len(firsts) < len(identities):  # some cases are there twice
+        log.warning(
+            "%s: cases that are there twice, and are computed once: %d of %d",
+            draft.name, len(identities) - len(firsts), len(identities),
+        )  # fmt: skip
         cases, identities, operators = cases.part(firsts), identities[firsts], operators[firsts]
         moduli, work = moduli[firsts], work[firsts]
     assembly = np.array([_assembly_work(case) for case in largest.values()])

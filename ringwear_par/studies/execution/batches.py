@@ -65,8 +65,14 @@ def default_batch(cases: Sequence[Case]) -> int:
     return min(max(_NUMBERS // (fields * n), 16), _MOST)
 
 
-def _block(case: Case, most: int) -> int:
-    """Return how many histories to store together, of which ``most`` step at a time."""
+def block_size(case: Case, most: int | None = None) -> int:
+    """Return how many histories like a case's to store together.
+
+    Parameters
+    ----------
+    most : of them that step at a time; None: ``default_batch``.
+    """
+    most = most or default_batch([case])
     profiles = case.stored_rows if case.output.profiles == "all" else 1.0
     size = 8.0 * profiles * case.mesh.contact_elements * len(case.output.fields)
     size += 8.0 * case.stored_rows * (len(HISTORIES) + 2)  # with their numbers and steps
@@ -123,7 +129,7 @@ def computed(
         numbers.sort(key=lambda n: young(cases[n]))  # those of the same moduli share a matrix
         most = batch or default_batch([cases[number] for number in numbers])
         longest = max((cases[n] for n in numbers), key=lambda case: case.stored_rows)
-        blocks = -(-len(numbers) // _block(longest, most))
+        blocks = -(-len(numbers) // block_size(longest, most))
         for part in (part.tolist() for part in np.array_split(numbers, blocks)):
             block = [cases[number] for number in part]
             recorder = Recorder(

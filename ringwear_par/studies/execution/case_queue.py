@@ -28,8 +28,9 @@ from ringwear_par.arrays import IntArray
 _BUSY_SECONDS, _LONGEST_SECONDS, _LEAST_SECONDS = 0.5, 2.0, 0.1
 #: least time of a case, s: all cases that are drawn together are held in memory
 _QUICKEST = 2.5e-4
-#: factor by which each of many cases side by side is faster than one alone, at least
-_QUICKER = 8.0
+#: factor by which each of many cases side by side is faster than one alone, at least; part of a
+#: block from which on a whole one is drawn, and part that takes about twice as long as one case
+_QUICKER, _MOST_OF_BLOCK, _LEAST_OF_BLOCK = 8.0, 1 / 3, 1 / 8
 #: part of the cases left that all teams share in a round; the rest evens out what they differ by
 _ROUND = 0.75
 #: how long a rank that waits for an answer sleeps between two looks
@@ -58,8 +59,8 @@ _NO_CASES = Stretch(0, 0, 0)
 class CaseQueue:
     """Which cases of groups of some sizes teams have drawn, and how many have ended.
 
-    A case of each group is estimated to take some seconds, until its time is known; where cases
-    step side by side, many take much less time each than one.
+    A case of each group is estimated to take some seconds, until its time is known. Where cases
+    step side by side, at most a ``block`` of them, many take much less time each than one.
     """
 
     def __init__(
@@ -67,14 +68,13 @@ class CaseQueue:
         sizes: Sequence[int] | IntArray,
         teams: int,
         seconds: Sequence[float],
-        *,
-        side_by_side: bool = False,
+        block: int = 1,
     ) -> None:
         self._sizes = np.array(sizes, dtype=np.int64)
         self._left = self._sizes.copy()
         self._seconds, self._ended = np.array(seconds, dtype=float), np.zeros_like(self._sizes)
         self._all_left, self._untaken = int(self._sizes.sum()), 0
-        self._teams, self._quicker = teams, _QUICKER if side_by_side else 1.0
+        self._teams, self._block, self._quicker = teams, block, _QUICKER if block > 1 else 1.0
         #: how many teams have yet to draw in this round, and how many cases each
         self._in_round, self._share = 0, 0
         self._groups: dict[int, int] = {}
@@ -90,10 +90,15 @@ class CaseQueue:
         left, seconds = int(self._left[group]), max(float(self._seconds[group]), _QUICKEST)
         twice = min(2 * int(self._ended[group]), int(_LONGEST_SECONDS / seconds))
         busy = _BUSY_SECONDS / seconds * (1.0 if self._ended[group] else self._quicker)
-        number = max(int(busy), twice, 1)
+        least = int(min(_LEAST_OF_BLOCK * self._block, _LONGEST_SECONDS / seconds))
+        least = max(int(_LEAST_SECONDS / seconds), least)
+        number = max(int(busy), twice, least, 1)
+        # blocks are as large as each other
+        if self._block > 1 and number > _MOST_OF_BLOCK * self._block:
+            number = math.ceil(left / math.ceil(left / self._block))
         # as long as there are other groups to take, teams need not share this one
         if self._untaken == len(self._sizes) and self._teams > 1:
-            share, least = math.ceil(self._all_left / self._teams), int(_LEAST_SECONDS / seconds)
+            share = math.ceil(self._all_left / self._teams)
             if not self._in_round:
                 self._in_round = self._teams
                 self._share = min(share, max(int(_ROUND * share), least, 1))
@@ -136,11 +141,10 @@ class SharedQueue:
         comm: MPI.Intracomm,
         teams: int,
         seconds: Sequence[float],
-        *,
-        side_by_side: bool = False,
+        block: int = 1,
     ) -> None:
         self._comm = comm.Dup()  # no message of anybody else
-        queue = CaseQueue(sizes, teams, seconds, side_by_side=side_by_side)  # every rank knows it
+        queue = CaseQueue(sizes, teams, seconds, block)  # every rank knows it
         dealt = {leader: queue.draw(leader) for leader in range(0, comm.size, comm.size // teams)}
         self._queue = queue if comm.rank == 0 else None
         self._status = MPI.Status()

@@ -20,6 +20,7 @@ from ringwear_par.parallel import on_first_rank, peak_memory, warn_of_threads, w
 from ringwear_par.results.execution.progress import SweepProgress
 from ringwear_par.results.execution.stop_signals import Stopped, StopSignals, name_of, remark
 from ringwear_par.studies.definition.study import Study, read_study_together
+from ringwear_par.studies.execution.batches import block_size
 from ringwear_par.studies.execution.case_queue import SharedQueue
 from ringwear_par.studies.execution.estimate import estimate
 from ringwear_par.studies.execution.merging import merge_if_well
@@ -148,8 +149,9 @@ def _compute(
     work, todo = plan.study.work, plan.todo
     seconds = [float(work[todo[group][:1]].sum()) for group in range(len(todo))]
     # the first group decides for all: cases of others are read as they are drawn
-    side_by_side = team.size == 1 and bool(left) and is_batchable(plan.first_case(left[0]))
-    queue = SharedQueue(todo.sizes, comm, plan.request.teams, seconds, side_by_side=side_by_side)
+    first = plan.first_case(left[0]) if team.size == 1 and left else None
+    block = block_size(first) if first is not None and is_batchable(first) else 1
+    queue = SharedQueue(todo.sizes, comm, plan.request.teams, seconds, block)
     trouble: RingwearError | None = None
     with StopSignals() as signals, ExitStack() as at_end:
         progress = None

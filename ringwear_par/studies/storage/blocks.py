@@ -178,13 +178,13 @@ class Block:
         ]
         return cls(cases, tuple(kinds), axes, columns, texts)
 
-    def packed(self) -> bytes:
-        """Return the block as ``unpack_header`` reads it."""
+    def packed(self) -> list[memoryview]:
+        """Return the block as ``unpack_header`` reads it, in parts that follow each other."""
         data = {
-            name: np.ascontiguousarray(values, dtype="<f8").tobytes()
+            name: np.ascontiguousarray(values, dtype="<f8").reshape(-1).view(np.uint8).data
             for name, values in self.columns.items()
         }
-        data[_TEXTS] = zlib.compress(_BETWEEN.join(self.texts).encode(), 1)
+        data[_TEXTS] = memoryview(zlib.compress(_BETWEEN.join(self.texts).encode(), 1))
         words = {
             "sizes": sizes_of(self.columns),
             "longest": max(len(text.encode()) for text in self.texts),
@@ -198,7 +198,7 @@ class Block:
         size = sum(map(len, data.values()))
         numbers = len(header) - self.cases.nbytes, len(self.cases), size
         head = _HEAD.pack(MARKER, *numbers, _checksum(numbers, header))
-        return b"".join((head, header, *data.values()))
+        return [memoryview(head + header), *data.values()]
 
 
 def _checksum(numbers: tuple[int, int, int], header: bytes) -> int:

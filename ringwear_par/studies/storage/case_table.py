@@ -5,13 +5,16 @@ import json
 import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from importlib.util import find_spec
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.keys import read_keys
@@ -20,9 +23,15 @@ from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import toml_value
 from ringwear_par.files.writing import atomic_write
+from ringwear_par.parallel import results_of_tasks
 from ringwear_par.results.variables import POINT_R, POINT_SIDE, POINT_Z, Variable
 from ringwear_par.studies.definition.variations import Column, own_key, value_of
-from ringwear_par.studies.storage.case_variables import WINDOW, CaseVariable, text_dtype
+from ringwear_par.studies.storage.case_variables import (
+    WINDOW,
+    CaseVariable,
+    stretches,
+    text_dtype,
+)
 from ringwear_par.studies.storage.end_values import END_VALUES, end_value_of, entries
 from ringwear_par.studies.storage.results_file import TABLE
 from ringwear_par.studies.storage.stored_variables import OF_CASES, axis_of, entry_label
@@ -75,13 +84,35 @@ class CaseTable:
         else:
             _store_texts(file, variable, column.mapped(_cell))
 
-    def write_csv(self, path: Path) -> None:
-        """Write the table."""
-        with path.open("w", newline="", encoding="utf-8") as handle:
-            table = csv.writer(handle)
-            table.writerow(("case", *self.varied, *_BEFORE, *self._columns(), *_AFTER))
-            for start in range(0, len(self.ids), WINDOW):
-                table.writerows(self._rows(slice(start, start + WINDOW)))
+    def part(self, cases: slice) -> "CaseTable":
+        """Return the table of some of the cases."""
+        return CaseTable(
+            self.ids[cases],
+            {name: column.part(cases) for name, column in self.varied.items()},
+            {name: column.part(cases) for name, column in self.words.items()},
+            {name: values[cases] for name, values in self.numbers.items()},
+            {name: values[cases] for name, values in self.end_values.items()},
+        )
+
+    def write_csv(self, path: Path, comm: MPI.Comm, window: int) -> None:
+        """Write the table, so many rows at a time, which all ranks write out. On rank 0 of comm.
+
+        Within ``parallel.with_help_of_all``.
+        """
+        header = ("case", *self.varied, *_BEFORE, *self._columns(), *_AFTER)
+        parts = (self.part(cases).csv_rows for cases in stretches(len(self.ids), window))
+        with (
+            path.open("w", newline="", encoding="utf-8") as handle,
+            closing(results_of_tasks(comm, parts)) as texts,
+        ):
+            csv.writer(handle).writerow(header)
+            handle.writelines(texts)
+
+    def csv_rows(self) -> str:
+        """Return the rows as CSV, without a header. Not collective."""
+        text = StringIO()
+        csv.writer(text).writerows(self._rows())
+        return text.getvalue()
 
     def _columns(self) -> dict[str, FloatArray]:
         """Return the end values by column of the table, in its order."""
@@ -91,15 +122,15 @@ class CaseTable:
                 columns |= entries(end_value, self.end_values[name])
         return columns
 
-    def _rows(self, cases: slice) -> Iterator[tuple[str, ...]]:
-        seconds = self.numbers["seconds"][cases].tolist()
-        words = {name: column.part(cases).by_case() for name, column in self.words.items()}
+    def _rows(self) -> Iterator[tuple[str, ...]]:
+        seconds = self.numbers["seconds"].tolist()
+        words = {name: column.by_case() for name, column in self.words.items()}
         return zip(
-            self.ids[cases].astype(str).tolist(),
-            *(column.part(cases).by_case(_cell) for column in self.varied.values()),
+            self.ids.astype(str).tolist(),
+            *(column.by_case(_cell) for column in self.varied.values()),
             *(words[name] for name in _BEFORE),
             *(
-                ["" if v != v else repr(v) for v in values[cases].tolist()]
+                ["" if v != v else repr(v) for v in values.tolist()]
                 for values in self._columns().values()
             ),
             ["" if v != v else f"{v:.4f}" for v in seconds],

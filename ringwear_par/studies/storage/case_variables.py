@@ -3,7 +3,7 @@
 import itertools
 import math
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +25,11 @@ _REPEATED = 0.02
 _HEADER = b"\x78\x01"
 #: with which xarray takes bytes for the texts that they are
 _ENCODED = {"_Encoding": "utf-8"}
+
+
+def stretches(count: int, size: int) -> Iterator[slice]:
+    """Yield stretches of so many cases, the last one of fewer."""
+    return (slice(start, min(start + size, count)) for start in range(0, count, size))
 
 
 def text_dtype(size: int) -> Any:

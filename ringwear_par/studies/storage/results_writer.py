@@ -5,7 +5,7 @@ with NaN; ``steps_stored`` and ``elements`` say how much is there. Both files ap
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,6 +40,7 @@ from ringwear_par.studies.storage.case_variables import (
     WINDOW,
     CaseVariable,
     make_scales,
+    stretches,
     text_dtype,
 )
 from ringwear_par.studies.storage.case_windows import CaseWindow, texts_of
@@ -98,7 +99,7 @@ def write_results(
         table = writer.case_table(writer.write_histories(comm))
         table.store(file)
         file.attrs.update({"software": SOFTWARE, **attributes})
-        table.write_csv(rows)
+        table.write_csv(rows, comm, _window(len(cases.ids), comm))
         meanings.write_text(table.meanings(file), encoding="utf-8")
     write_parquet(folder)
 
@@ -150,13 +151,13 @@ class _Writer:
         """
         variables, count = self._variables(), len(self._cases)
         longest = max((block.longest for block in self._blocks.values()), default=1)
-        for part in _stretches(count, WINDOW):
+        for part in stretches(count, WINDOW):
             longest = max(longest, *(len(text.encode()) for text in self._missing_texts(part)), 1)
         size = longest + sum(
             8 * math.prod(len(self._file[axis]) for axis in variable.dimensions)
             for variable in variables.values()
         )
-        window = min(cases_at_once(size), max(power_of_2(count / comm.size), _LEAST_WINDOW))
+        window = min(cases_at_once(size), _window(count, comm))
         columns = {
             name: CaseVariable(
                 self._file, over_cases(variable),
@@ -172,11 +173,11 @@ class _Writer:
                 self._cases[part], self._blocks_of(part), chunks, self._missing_texts(part),
                 texts.chunks,
             )
-            for part in _stretches(count, window)
+            for part in stretches(count, window)
         )  # fmt: skip
         end_values: dict[str, FloatArray] = {}
         with closing(results_of_tasks(comm, (cases.fill for cases in windows))) as filled:
-            for part, window_values in zip(_stretches(count, window), filled, strict=True):
+            for part, window_values in zip(stretches(count, window), filled, strict=True):
                 for name, packed in window_values.chunks.items():
                     columns[name].write(part.start, packed)
                 for name, values in window_values.end_values.items():
@@ -199,7 +200,7 @@ class _Writer:
         """Return the numbers and words of all cases."""
         varied, count = self._list.varied, len(self._cases)
         known = min((len(column) for column in varied.values()), default=count)
-        gone = (self._cases[known:][part] for part in _stretches(count - known, WINDOW))
+        gone = (self._cases[known:][part] for part in stretches(count - known, WINDOW))
         used, code = np.unique(self._cases["kind"], return_inverse=True)
         none = Kind("")
         kinds = [self._list.index.kinds[i] if i >= 0 else none for i in used.tolist()]
@@ -221,6 +222,6 @@ class _Writer:
         )
 
 
-def _stretches(count: int, size: int) -> Iterator[slice]:
-    """Yield stretches of so many cases, the last one of fewer."""
-    return (slice(start, min(start + size, count)) for start in range(0, count, size))
+def _window(count: int, comm: MPI.Comm) -> int:
+    """Return how many of so many cases a rank works on together, at most."""
+    return min(WINDOW, max(power_of_2(count / comm.size), _LEAST_WINDOW))

@@ -71,11 +71,12 @@ class Shard:
     def add(self, block: Block) -> None:
         """Store cases for good: all of them, or none if the process is killed meanwhile."""
         with _reporting_unwritable(self.path):
-            packed, at, handle = memoryview(block.packed()), self._end, self._file.fileno()
+            at, handle = self._end, self._file.fileno()
             try:
-                while packed:
-                    written = os.pwrite(handle, packed, at)
-                    packed, at = packed[written:], at + written
+                for part in block.packed():
+                    while part:
+                        written = os.pwrite(handle, part, at)
+                        part, at = part[written:], at + written
             except BaseException:
                 with suppress(OSError):
                     os.ftruncate(handle, self._end)
