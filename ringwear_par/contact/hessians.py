@@ -17,6 +17,7 @@ from ringwear_par.batched import keep
 from ringwear_par.compiled import contact_rows
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.contact.basis_stack import BROKEN, BasisStack
+from ringwear_par.contact.conjugate_gradients import ModalHessians, divided, solve_iteratively
 from ringwear_par.contact.problem import LARGEST_WITH_BASES
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
@@ -31,7 +32,6 @@ _FACTOR = -1
 ROUGH, NEAR, SOLVED = 1e-3, 1e-6, 1e-13
 #: error at which series end that stand for inverses in the bases, where none is to be smaller
 _SERIES = 1e-6
-_MOST_ITERATIONS = 200
 #: where nothing touches
 _NO_FACTOR = np.zeros((0, 0))
 
@@ -286,8 +286,8 @@ class Hessians:
             self._add_series(rows, (solved, change), missing is None, tolerance)
         if len(irregular):
             many = np.broadcast_to(rows.histories[irregular], sides.shape[:-1])
-            x, more = self._iterate(
-                many.ravel(),
+            x, more = solve_iteratively(
+                self._modal_hessians(many.ravel()),
                 -sides.reshape(many.size, -1),
                 None if missing is None else missing[..., irregular].ravel(),
                 tolerance,
@@ -297,6 +297,18 @@ class Hessians:
         if rows.root is not None:
             change *= rows.root
         return solved, change
+
+    def _modal_hessians(self, histories: IntArray) -> ModalHessians:
+        """Return the Hessians of histories in their bases."""
+        numbers, stack, differences = (
+            self._number[histories], self._stack, self._compliances.differences,
+        )  # fmt: skip
+        change = None if differences is None else differences.change[self._which[histories], None]
+        return ModalHessians(
+            numbers, stack.psi, stack.psi_t, stack.change, self.slope[histories], change,
+            self._inverse[histories], stack.force[numbers], self._response[histories],
+            self._stiffness[histories],
+        )  # fmt: skip
 
     def _direct_steps(
         self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None
@@ -359,93 +371,9 @@ class Hessians:
         change = np.zeros(sides.shape[:-1])
         if missing is not None:
             carried, stiffness = inner(weights, by_gradient), inner(weights, response)
-            change = _divided(missing[..., places] + carried, stiffness)
+            change = divided(missing[..., places] + carried, stiffness)
         out[0][..., places, :] = change[..., None] * response - by_gradient
         out[1][..., places] = change
-
-    def _iterate(
-        self,
-        histories: IntArray,
-        right: FloatArray,
-        missing: FloatArray | None,
-        tolerance: float,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return solutions (h, n) in the bases, and changes of approaches, (h,).
-
-        With a force that is missing, (h,) N, solutions carry it, and so does each iterate of
-        projected conjugate gradients: the change of approach is the multiplier of that condition.
-        Gould, Hribar and Nocedal, SIAM J. Sci. Comput. 23 (2001) 1376-1395.
-        """
-        numbers, count = self._number[histories], len(histories)
-        slope, inverse = self.slope[histories], self._inverse[histories]
-        force, response = self._stack.force[numbers], self._response[histories]
-        groups, psi, psi_t = RowProducts(numbers), self._stack.psi, self._stack.psi_t
-        differences = self._compliances.differences
-        change = None if differences is None else differences.change[self._which[histories], None]
-        solutions, multipliers = np.zeros_like(right), np.zeros(count)
-        stiffness, multiplier = self._stiffness[histories], np.zeros(count)
-
-        def apply(x: FloatArray, some: IntArray | None = None) -> FloatArray:
-            if some is not None:
-                x = x[some]
-            groups_of = groups if some is None else RowProducts(numbers[some])
-            bent = groups_of.of(x, psi_t)
-            bent *= slope if some is None else slope[some]
-            product = groups_of.of(bent, psi)
-            product += x
-            if change is not None:
-                more = groups_of.of(x, self._stack.change)
-                more *= change if some is None else change[some]
-                product += more
-            return product
-
-        def project() -> FloatArray:
-            if missing is not None:
-                more = _divided(inner(response, r), stiffness)
-                np.subtract(r, force * more[:, None], out=r)
-                np.add(multiplier, more, out=multiplier)
-            return inverse * r
-
-        rows, x, r = np.arange(count), np.zeros_like(right), right.copy()
-        if missing is not None and missing.any():
-            x = response * _divided(missing, stiffness)[:, None]
-            # of so little as is mostly missing, the round-off of the last step, r is that of none
-            size = tolerance * tolerance * inner(inverse * r, r)
-            much = np.flatnonzero(missing * missing > size * stiffness)
-            if len(much):
-                r[much] -= apply(x, much)
-        direction = project()
-        size = inner(r, direction)
-        small, going = tolerance * tolerance * size, np.ones(count, dtype=bool)
-        for _ in range(_MOST_ITERATIONS):
-            ended = going & ~(size > small)
-            if ended.any():
-                solutions[rows[ended]], multipliers[rows[ended]] = x[ended], -multiplier[ended]
-                going &= ~ended
-                if not going.any():
-                    break
-                if 2 * going.sum() <= len(going):  # to leave rows out takes some iterations' time
-                    rows, x, r, direction, size, small, multiplier, numbers = (
-                        a[going] for a in (rows, x, r, direction, size, small, multiplier, numbers)
-                    )
-                    slope, inverse, force, response, stiffness = (
-                        a[going] for a in (slope, inverse, force, response, stiffness)
-                    )
-                    if change is not None:
-                        change = change[going]
-                    groups, going = RowProducts(numbers), going[going]
-            product = apply(direction)
-            length = _divided(size, inner(direction, product))[:, None]
-            x += length * direction
-            product *= length
-            r -= product
-            z = project()
-            before, size = size, inner(r, z)
-            direction *= _divided(size, before)[:, None]
-            direction += z
-        else:
-            solutions[rows[going]], multipliers[rows[going]] = x[going], -multiplier[going]
-        return solutions, multipliers
 
 
 class _Rows(NamedTuple):
@@ -461,8 +389,3 @@ class _Rows(NamedTuple):
     groups: RowProducts
     #: (h,) float, see ``Differences``; None: compliances are references
     root: FloatArray | None
-
-
-def _divided(force: FloatArray, stiffness: FloatArray) -> FloatArray:
-    """Return forces over stiffnesses, (h,); 0 where nothing touches."""
-    return np.divide(force, stiffness, out=np.zeros_like(force), where=stiffness > 0.0)
