@@ -33,13 +33,13 @@ def key_of(pair: ContactPair, case: Case) -> OperatorKey:
 
 @dataclass(frozen=True)
 class Compliances:
-    """How the contact elements of B histories yield."""
+    """The different compliances of B histories, and which history has which."""
 
     #: f references: compliances of pairs and moduli, and those of families
     every: Sequence[ContactCompliance] = field(metadata=along(None))
-    #: those that are no family's, by their keys
+    #: references that are no family's, by their keys
     known: Mapping[OperatorKey, ContactCompliance] = field(metadata=along(None))
-    #: of the last references
+    #: families, whose references are the last ones
     families: Sequence[ComplianceFamily] = field(metadata=along(None))
     #: m different compliances, and (m,) int their references
     members: Members = field(metadata=along(None))
