@@ -10,6 +10,67 @@ import math
 from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals
 
 
+def multiply(
+    count: Count, n: Count, k: Count, times: Count, order: Integers, which: Integers, rows: Reals,
+    matrices: Reals, products: Reals,
+) -> None:  # fmt: skip
+    """Set products (times, count, k) of rows (times, count, n) with their matrices (m, n, k).
+
+    Rows have the matrices ``which`` (count,), in whose ``order`` (count,) they are multiplied:
+    digits of a row do not depend on the others. After the products there is room for 3 more.
+    """
+    _multiply(count * times, n, k, times, count, order, which, rows, matrices, products)
+
+
+def _multiply(
+    size: Count, n: Count, k: Count, times: Count, count: Count, order: Integers, which: Integers,
+    rows: Reals, matrices: Reals, products: Reals,
+) -> None:  # fmt: skip
+    """Multiply four rows of a matrix at a time; where there are less, the first again."""
+    at = 0
+    while at < size:
+        number = which[order[at // times]]
+        row0 = at % times * count + order[at // times]
+        row1 = row2 = row3 = row0
+        out1, out2, out3 = size, size + 1, size + 2
+        at += 1
+        if at < size and which[order[at // times]] == number:
+            row1 = out1 = at % times * count + order[at // times]
+            at += 1
+            if at < size and which[order[at // times]] == number:
+                row2 = out2 = at % times * count + order[at // times]
+                at += 1
+                if at < size and which[order[at // times]] == number:
+                    row3 = out3 = at % times * count + order[at // times]
+                    at += 1
+        x0, x1, x2, x3 = row0 * n, row1 * n, row2 * n, row3 * n
+        y0, y1, y2, y3 = row0 * k, out1 * k, out2 * k, out3 * k
+        for j in range(k):
+            products[y0 + j] = products[y1 + j] = products[y2 + j] = products[y3 + j] = 0.0
+        matrix, whole = number * n * k, n // 4 * 4
+        for i in range(0, whole, 4):
+            a0, b0, c0, d0 = rows[x0 + i], rows[x0 + i + 1], rows[x0 + i + 2], rows[x0 + i + 3]
+            a1, b1, c1, d1 = rows[x1 + i], rows[x1 + i + 1], rows[x1 + i + 2], rows[x1 + i + 3]
+            a2, b2, c2, d2 = rows[x2 + i], rows[x2 + i + 1], rows[x2 + i + 2], rows[x2 + i + 3]
+            a3, b3, c3, d3 = rows[x3 + i], rows[x3 + i + 1], rows[x3 + i + 2], rows[x3 + i + 3]
+            m = matrix + i * k
+            for j in range(k):
+                a, b = matrices[m + j], matrices[m + k + j]
+                c, d = matrices[m + 2 * k + j], matrices[m + 3 * k + j]
+                products[y0 + j] = products[y0 + j] + a0 * a + b0 * b + c0 * c + d0 * d
+                products[y1 + j] = products[y1 + j] + a1 * a + b1 * b + c1 * c + d1 * d
+                products[y2 + j] = products[y2 + j] + a2 * a + b2 * b + c2 * c + d2 * d
+                products[y3 + j] = products[y3 + j] + a3 * a + b3 * b + c3 * c + d3 * d
+        for i in range(whole, n):
+            a0, a1, a2, a3 = rows[x0 + i], rows[x1 + i], rows[x2 + i], rows[x3 + i]
+            for j in range(k):
+                a = matrices[matrix + i * k + j]
+                products[y0 + j] += a0 * a
+                products[y1 + j] += a1 * a
+                products[y2 + j] += a2 * a
+                products[y3 + j] += a3 * a
+
+
 def gradient(
     count: Count, n: Count, rows: Integers, which: Integers, gaps: Reals, approaches: Reals,
     depths: Reals, weights: Reals, products: Reals, gradients: Reals,
@@ -139,16 +200,20 @@ def invert(
 
 def solve_in_bases(
     count: Count, n: Count, n_histories: Count, rows: Integers, numbers: Integers, forces: Reals,
-    inverses: Reals, responses: Reals, stiffness: Reals, missing: Reals, with_forces: Count,
-    sides: Reals, changes: Reals,
+    inverses: Reals, responses: Reals, stiffness: Reals, are_regular: Flags, deviations: Reals,
+    missing: Reals, with_forces: Count, sides: Reals, changes: Reals,
 ) -> None:  # fmt: skip
     """Set steps against gradients (count, n) in bases, in their place, and changes of approaches.
+
+    Of Hessians that are diagonal there: slopes are regular, and compliances references.
 
     There may be several gradients of each of the histories ``rows`` (n_histories,), one round of
     them after another. Steps carry the forces that are missing (count,), where these are given.
     """
     for place in range(count):
         history = rows[place % n_histories]
+        if not are_regular[history] or deviations[history] != 0.0:
+            continue
         row, basis, start = history * n, numbers[history] * n, place * n
         change = 0.0
         if with_forces and stiffness[history] > 0.0:
@@ -159,6 +224,122 @@ def solve_in_bases(
         for i in range(n):
             sides[start + i] = (change * forces[basis + i] - sides[start + i]) * inverses[row + i]
         changes[place] = change
+
+
+def conjugate_gradients(
+    count: Count, n: Count, places: Integers, n_histories: Count, rows: Integers, numbers: Integers,
+    psi: Reals, psi_t: Reals, derivatives: Reals, with_derivatives: Count, forces: Reals,
+    slopes: Reals, are_regular: Flags, deviations: Reals, inverses: Reals, responses: Reals,
+    stiffness: Reals, missing: Reals, with_forces: Count, tolerance: Real, regular_tolerance: Real,
+    most: Count, sides: Reals, changes: Reals, which: Integers, order: Integers, sizes: Reals,
+    limits: Reals, multipliers: Reals, solutions: Reals, residuals: Reals, directions: Reals,
+    bent: Reals, products: Reals, deviating: Reals,
+) -> None:  # fmt: skip
+    """Set steps against gradients in bases at ``places`` (count,), as ``solve_in_bases`` does.
+
+    Of Hessians that are not diagonal there, 1 + Psi' slope Psi + deviation K', by projected
+    conjugate gradients, which these inverses precondition: four histories of a basis at a time, up
+    to ``most`` iterations, until residuals are below a tolerance relative to the first. Each
+    iterate carries the force; the change of approach is the multiplier of that condition. From
+    ``which`` on there is room, for four numbers, or for seven rows.
+    """
+    begin = 0
+    while begin < count:
+        first = rows[places[begin] % n_histories]
+        regular, together = are_regular[first], 0
+        share = regular_tolerance if regular else tolerance
+        while together < 4 and begin + together < count:
+            history = rows[places[begin + together] % n_histories]
+            if numbers[history] != numbers[first] or are_regular[history] != regular:
+                break
+            which[together], order[together] = numbers[first], together
+            together += 1
+        shifted = False
+        for q in range(together):
+            place, local = places[begin + q], q * n
+            history = rows[place % n_histories]
+            row, start, size, shift = history * n, place * n, 0.0, 0.0
+            for i in range(n):
+                size += inverses[row + i] * sides[start + i] * sides[start + i]
+            if with_forces and stiffness[history] > 0.0:
+                shift = missing[place] / stiffness[history]
+            # of so little as is mostly missing, the round-off of the last step, the residual is
+            # that of none
+            much = shift * shift * stiffness[history] > share * share * size
+            shifted = shifted or much
+            for i in range(n):
+                solutions[local + i] = shift * responses[row + i]
+                directions[local + i] = solutions[local + i] if much else 0.0
+                residuals[local + i] = -sides[start + i]
+            sizes[q], limits[q], multipliers[q] = 1.0, 0.0, 0.0
+        # the first time the residual is made that of the shift
+        for iteration in range(most + 1):
+            if iteration > 0 or shifted:
+                if not regular:
+                    _multiply(together, n, n, 1, together, order, which, directions, psi_t, bent)
+                    for q in range(together):
+                        row = rows[places[begin + q] % n_histories] * n
+                        for i in range(n):
+                            bent[q * n + i] *= slopes[row + i]
+                    _multiply(together, n, n, 1, together, order, which, bent, psi, products)
+                if with_derivatives:
+                    _multiply(
+                        together, n, n, 1, together, order, which, directions, derivatives,
+                        deviating,
+                    )  # fmt: skip
+            going = False
+            for q in range(together):
+                if not sizes[q] > limits[q]:
+                    continue
+                local, history = q * n, rows[places[begin + q] % n_histories]
+                row, basis, deviation = history * n, numbers[history] * n, deviations[history]
+                size, curvature = sizes[q], 0.0
+                if iteration > 0 or shifted:
+                    if regular:
+                        for i in range(n):
+                            products[local + i] = directions[local + i] / inverses[row + i]
+                    else:
+                        for i in range(n):
+                            products[local + i] += directions[local + i]
+                    if with_derivatives:
+                        for i in range(n):
+                            products[local + i] += deviation * deviating[local + i]
+                    for i in range(n):
+                        curvature += directions[local + i] * products[local + i]
+                    length = size / curvature if curvature > 0.0 else 0.0
+                    if iteration == 0:
+                        length = 1.0
+                    moved = length if iteration > 0 else 0.0
+                    for i in range(n):
+                        solutions[local + i] += moved * directions[local + i]
+                        residuals[local + i] -= length * products[local + i]
+                carried, before, size = 0.0, size, 0.0
+                if with_forces and stiffness[history] > 0.0:
+                    for i in range(n):
+                        carried += responses[row + i] * residuals[local + i]
+                    carried /= stiffness[history]
+                    for i in range(n):
+                        residuals[local + i] -= carried * forces[basis + i]
+                    multipliers[q] += carried
+                for i in range(n):
+                    size += inverses[row + i] * residuals[local + i] * residuals[local + i]
+                if iteration == 0:
+                    limits[q] = share * share * size
+                again = size / before if iteration > 0 else 0.0
+                for i in range(n):
+                    directions[local + i] = (
+                        again * directions[local + i] + inverses[row + i] * residuals[local + i]
+                    )
+                sizes[q] = size
+                going = going or size > limits[q]
+            if not going:
+                break
+        for q in range(together):
+            place = places[begin + q]
+            for i in range(n):
+                sides[place * n + i] = solutions[q * n + i]
+            changes[place] = -multipliers[q]
+        begin += together
 
 
 def correction_errors(

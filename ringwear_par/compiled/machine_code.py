@@ -11,6 +11,9 @@ axes, and nobody checks their lengths. The first parameter is the number of rows
 computes are the entries of the arrays that it sets. Sums are in inner loops that set nothing:
 others are compiled twice, for arrays that may overlap and for those that cannot, and sums of the
 two differ in their last digits.
+
+A function whose name begins with an underscore is a part of loops, which call it. It adds in the
+order in which it is written, and rounds a product and its addition once.
 """
 
 import ctypes
@@ -26,7 +29,7 @@ from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import FunctionType, ModuleType, SimpleNamespace
 from typing import Annotated, Any, NoReturn, TypeAlias
 
 log = logging.getLogger(__name__)
@@ -59,7 +62,7 @@ def load(module: ModuleType) -> Any:
     functions = [
         function
         for function in vars(module).values()
-        if inspect.isfunction(function) and function.__module__ == module.__name__
+        if isinstance(function, FunctionType) and function.__module__ == module.__name__
     ]
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
@@ -69,11 +72,20 @@ def load(module: ModuleType) -> Any:
     loader.finalize_object()
     _LOADERS.append(loader)
     return SimpleNamespace(
-        **{f.__name__: _call(f, loader.get_function_address(_symbol(f))) for f in functions}
+        **{
+            f.__name__: _call(f, loader.get_function_address(_symbol(f)))
+            for f in functions
+            if not _is_part(f)
+        }
     )
 
 
-def _call(function: Callable[..., None], address: int) -> Callable[..., None]:
+def _is_part(function: FunctionType) -> bool:
+    """Tell whether a function is a part of loops."""
+    return function.__name__.startswith("_")
+
+
+def _call(function: FunctionType, address: int) -> Callable[..., None]:
     """Return the compiled loop at an address as a function with the parameters of its source."""
     kinds = _kinds(function)
     dtypes = [dtype for _, dtype in kinds]
@@ -100,17 +112,17 @@ def _call(function: Callable[..., None], address: int) -> Callable[..., None]:
     return call
 
 
-def _refuse(function: Callable[..., None], argument: Any) -> NoReturn:
+def _refuse(function: FunctionType, argument: Any) -> NoReturn:
     raise TypeError(f"{function.__name__}: no argument may be an array of {argument.dtype}")
 
 
-def _kinds(function: Callable[..., None]) -> list[tuple[Any, str]]:
+def _kinds(function: FunctionType) -> list[tuple[Any, str]]:
     """Return int, float or Any of a loop's parameters, and the dtypes that arrays may have."""
     annotations = (part.annotation for part in inspect.signature(function).parameters.values())
     return [(annotation.__origin__, annotation.__metadata__[0]) for annotation in annotations]
 
 
-def _symbol(function: Callable[..., None]) -> str:
+def _symbol(function: FunctionType) -> str:
     return f"ringwear_{function.__name__}"
 
 
@@ -126,7 +138,7 @@ def _target_machine(llvm: Any) -> Any:
 # -- the object file -------------------------------------------------------------------------------
 
 
-def _stored_code(llvm: Any, source: Path, functions: Sequence[Callable[..., None]]) -> bytes:
+def _stored_code(llvm: Any, source: Path, functions: Sequence[FunctionType]) -> bytes:
     """Return the object file of loops, which is made where there is none."""
     processor = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
     sources = Path(__file__).read_bytes(), source.read_bytes()
@@ -185,7 +197,7 @@ def _write(path: Path, content: bytes) -> None:
         raise
 
 
-def _compile(llvm: Any, functions: Sequence[Callable[..., None]]) -> bytes:
+def _compile(llvm: Any, functions: Sequence[FunctionType]) -> bytes:
     """Return the object file of loops."""
     llvm.set_option("", _OPTION)
     import numba  # takes long
@@ -198,20 +210,30 @@ def _compile(llvm: Any, functions: Sequence[Callable[..., None]]) -> bytes:
         (Any, "l"): types.CPointer(types.int64),
         (Any, "?b"): types.CPointer(types.int8),
     }
+    parts: dict[str, Any] = {}
+    for function in filter(_is_part, functions):
+        compiled = numba.njit(error_model="numpy", fastmath={"contract"})
+        parts[function.__name__] = compiled(_with_parts(function, parts))
     module: Any = None
     for function in functions:
+        if _is_part(function):
+            continue
         signature = types.void(*[parameter[kind] for kind in _kinds(function)])
         # sums may be of several entries at a time
-        compiled = numba.cfunc(signature, error_model="numpy", fastmath={"reassoc"})(function)
-        code = compiled.inspect_llvm()
+        compiled = numba.cfunc(signature, error_model="numpy", fastmath={"reassoc"})
+        loop = compiled(_with_parts(function, parts))
         # of the loop and what calls it for C the former; the latter needs all of numba
-        code = re.sub(r'(?ms)^define [^\n]*@"?cfunc\..*?^}\n', "", code)
-        mangled = re.search(r'^define [^\n]*i32 @"?([^"( ]+)"?\(', code, re.MULTILINE)
-        assert mangled is not None
-        part = llvm.parse_assembly(code.replace(mangled[1], _symbol(function)))
+        code = re.sub(r'(?ms)^define [^\n]*@"?cfunc\..*?^}\n', "", loop.inspect_llvm())
+        name = loop.native_name.removeprefix("cfunc.")
+        part = llvm.parse_assembly(code.replace(name, _symbol(function)))
         if module is None:
             module = part
         else:
             module.link_in(part)
     module.verify()
     return bytes(_target_machine(llvm).emit_object(module))
+
+
+def _with_parts(function: FunctionType, parts: dict[str, Any]) -> FunctionType:
+    """Return a function that calls the compiled parts."""
+    return FunctionType(function.__code__, {**function.__globals__, **parts}, function.__name__)

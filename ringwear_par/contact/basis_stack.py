@@ -24,16 +24,13 @@ class BasisStack:
         self._numbers: dict[tuple[int, bytes], int] = {}
         #: numbers that no basis has
         self._vacant: list[int] = []
-        #: (m, n, n) and (m, n) each, room for more included; see ``Basis``
-        self.psi, self.mu, self.force = np.empty((0, n, n)), np.empty((0, n)), np.empty((0, n))
-        #: (m, n, n), K' of ``Differences`` in the bases; without these (m, 0, 0)
-        size = 0 if compliances.differences is None else n
-        self.change = np.empty((0, size, size))
-
-    @property
-    def psi_t(self) -> FloatArray:
-        """(m, n, n), transposed."""
-        return self.psi.transpose(0, 2, 1)
+        #: (m, n, n), bases and their transposes, and (m, n) each; room for more included, see
+        #: ``Basis``
+        self.psi, self.psi_t = np.empty((2, 0, n, n))
+        self.mu, self.force = np.empty((2, 0, n))
+        #: (m, n, n), K' of ``Deviations`` in the bases; without these (m, 0, 0)
+        size = 0 if compliances.deviations is None else n
+        self.derivatives = np.empty((0, size, size))
 
     @property
     def is_full(self) -> bool:
@@ -57,9 +54,12 @@ class BasisStack:
             else:
                 number = self._numbers[name] = self._vacant.pop()
                 self.psi[number], self.mu[number], self.force[number] = basis
-                more = self._compliances.differences
+                self.psi_t[number] = basis.psi.T
+                more = self._compliances.deviations
                 if more is not None:
-                    self.change[number] = basis.psi.T @ more.matrices[compliance] @ basis.psi
+                    self.derivatives[number] = (
+                        basis.psi.T @ more.derivatives[compliance] @ basis.psi
+                    )
         return self._numbers[name]
 
     def make_room(self, used: IntArray) -> None:
@@ -80,9 +80,8 @@ class BasisStack:
         if more > 0 or not len(vacant):
             # room that is not used costs nothing, to copy bases does: two of each compliance
             more = max(_LEAST_ROOM, more, 2 * len(self._compliances.matrices) - len(vacant))
-            self.psi, self.mu, self.force, self.change = (
-                _longer(values, more) for values in (self.psi, self.mu, self.force, self.change)
-            )
+            for name in ("psi", "psi_t", "mu", "force", "derivatives"):
+                setattr(self, name, _longer(getattr(self, name), more))
             vacant = np.append(vacant, np.ones(more, dtype=bool))
         # the lowest are taken first: products are fewer where numbers follow each other
         self._vacant = np.flatnonzero(vacant)[::-1].tolist()

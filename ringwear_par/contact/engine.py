@@ -56,7 +56,9 @@ class _Callbacks:
     def _at_work(self, x: PETSc.Vec) -> FloatArray:
         """Return the unknowns of the histories at work, (h, n)."""
         q = x.getArray(readonly=True)
-        return q[None] if self._is_one(q) else self._problem.rows_in(q)[self._problem.rows]
+        if self._is_one(q):
+            return q[None].copy()  # loops take what may be written to
+        return self._problem.rows_in(q)[self._problem.rows]
 
     def _is_one(self, vector: FloatArray) -> bool:
         """Tell whether a vector is of the only history at work."""

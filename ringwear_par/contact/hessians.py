@@ -1,9 +1,10 @@
 """The Hessians of B contact problems, A of each history and what its wear adds, and their inverses.
 
-They are diagonal in bases that histories share (see ``scaled_compliances``), or, of compliances
-that differ from their references, nearly so: a few terms of a Neumann series do. Where the slope of
-wear over pressure has another shape, such a basis preconditions conjugate gradients. Wear that gets
-through layers, non-local wear and large systems have Cholesky factors of their own.
+They are diagonal in bases that histories share (see ``scaled_compliances``). Of compliances that
+deviate from their references, or where the slope of wear over pressure has another shape, such a
+basis preconditions projected conjugate gradients (Gould, Hribar and Nocedal, SIAM J. Sci. Comput.
+23 (2001) 1376-1395). Wear that gets through layers, non-local wear and large systems have Cholesky
+factors of their own.
 """
 
 from collections import defaultdict
@@ -17,7 +18,6 @@ from ringwear_par.batched import keep
 from ringwear_par.compiled import contact_rows
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.contact.basis_stack import BROKEN, BasisStack
-from ringwear_par.contact.conjugate_gradients import ModalHessians, divided, solve_iteratively
 from ringwear_par.contact.problem import LARGEST_WITH_BASES
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
@@ -27,11 +27,13 @@ from ringwear_par.wear.increment import WearIncrement
 _ROUND_OFF = 1e-12
 #: instead of the number of a basis: a factor of its own
 _FACTOR = -1
-#: residuals, relative to the first, at which conjugate gradients end: of estimates, within Newton's
-#: method, whose next step corrects what this one left, and of solutions
-ROUGH, NEAR, SOLVED = 1e-3, 1e-6, 1e-13
-#: error at which series end that stand for inverses in the bases, where none is to be smaller
-_SERIES = 1e-6
+#: residuals, relative to the first, at which conjugate gradients end: where slopes have another
+#: shape than the bases, and where they have that. Of estimates, of solutions, and within Newton's
+#: method, whose next step corrects what this one left; slopes of that shape are linear, so that
+#: this step is the last
+ROUGH, SOLVED = (1e-3, 1e-3), (1e-13, 1e-13)
+NEAR = 1e-6, 1e-13
+_MOST_ITERATIONS = 200
 #: where nothing touches
 _NO_FACTOR = np.zeros((0, 0))
 
@@ -49,7 +51,9 @@ class Hessians:
         self._compliances, self._which = compliances, which
         count, n = len(which), len(compliances.area)
         self._per_speed = (1.0 / compliances.speed)[compliances.reference]
-        self._loops = load(contact_rows)
+        more, self._loops = compliances.deviations, load(contact_rows)
+        #: (B,) from the references, see ``Deviations``
+        self._deviation = np.zeros(count) if more is None else more.deviation[which]
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
         #: (B, n) the diagonal
@@ -81,7 +85,7 @@ class Hessians:
         self.coupling = self.coupling[histories] if len(self.coupling) else self.coupling
         keep(
             self,
-            ("_which", "_free", "_valid", "_wearing", "_number",
+            ("_which", "_deviation", "_free", "_valid", "_wearing", "_number",
              "_inverse", "_regular", "_response", "_stiffness"),
             histories,
         )  # fmt: skip
@@ -223,7 +227,7 @@ class Hessians:
             if len(modal) == len(every):
                 places = slice(None)
             numbers = every[places]
-            more, root = self._compliances.differences, None
+            more, root = self._compliances.deviations, None
             if more is not None:
                 root = more.root[self._which[histories[places]]]
             rows = _Rows(places, histories[places], numbers, RowProducts(numbers), root)
@@ -232,20 +236,14 @@ class Hessians:
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
         """Return H^-1 right, (..., h, n), of some histories; 0 off their sets."""
-        solved = -self.steps(histories, right, None, SOLVED)[0]
-        if self._compliances.differences is not None:  # bases know no part that is not linear
-            products = self._compliances.products(self._which[histories])
-            rest = products.not_linear(solved)
-            rest[..., self._number[histories] < 0, :] = 0.0  # factors do
-            solved += self.steps(histories, rest, None, SOLVED)[0]
-        return solved
+        return -self.steps(histories, right, None, SOLVED)[0]
 
     def steps(
         self,
         histories: IntArray,
         gradient: FloatArray,
         missing: FloatArray | None,
-        tolerance: float,
+        tolerance: tuple[float, float],
     ) -> tuple[FloatArray, FloatArray]:
         """Return the steps (..., h, n) against gradients, and of the approaches, (..., h).
 
@@ -255,7 +253,7 @@ class Hessians:
         ----------
         gradient : (..., h, n) float.
         missing : (..., h) float, N; None: approaches stay.
-        tolerance : of the residual, relative to the first, where steps are iterated for.
+        tolerance : ``ROUGH``, ``NEAR`` or ``SOLVED``.
         """
         rows = self._rows_of(histories)
         products = rows.groups.of
@@ -274,77 +272,48 @@ class Hessians:
         return steps, approach
 
     def _modal_steps(
-        self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None, tolerance: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return steps in the bases, (..., h, n), and of approaches, (..., h)."""
-        irregular = np.flatnonzero(~self._regular[rows.histories])
-        sides = modal[..., irregular, :] if len(irregular) else modal
-        if rows.root is not None and missing is not None:
-            missing = missing * rows.root
-        solved, change = self._direct_steps(rows, modal, missing)
-        if rows.root is not None:
-            self._add_series(rows, (solved, change), missing is None, tolerance)
-        if len(irregular):
-            many = np.broadcast_to(rows.histories[irregular], sides.shape[:-1])
-            x, more = solve_iteratively(
-                self._modal_hessians(many.ravel()),
-                -sides.reshape(many.size, -1),
-                None if missing is None else missing[..., irregular].ravel(),
-                tolerance,
-            )
-            solved[..., irregular, :] = x.reshape(sides.shape)
-            change[..., irregular] = more.reshape(many.shape)
-        if rows.root is not None:
-            change *= rows.root
-        return solved, change
-
-    def _modal_hessians(self, histories: IntArray) -> ModalHessians:
-        """Return the Hessians of histories in their bases."""
-        numbers, stack, differences = (
-            self._number[histories], self._stack, self._compliances.differences,
-        )  # fmt: skip
-        change = None if differences is None else differences.change[self._which[histories], None]
-        return ModalHessians(
-            numbers, stack.psi, stack.psi_t, stack.change, self.slope[histories], change,
-            self._inverse[histories], stack.force[numbers], self._response[histories],
-            self._stiffness[histories],
-        )  # fmt: skip
-
-    def _direct_steps(
-        self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return steps in the bases as if slopes had the shape, and compliances were references.
-
-        They are where ``modal`` was.
-        """
-        change, count = np.empty(modal.shape[:-1]), len(rows.histories)
-        self._loops.solve_in_bases(
-            change.size, modal.shape[-1], count, rows.histories, self._number, self._stack.force,
-            self._inverse, self._response, self._stiffness, change if missing is None else missing,
-            missing is not None, modal, change,
-        )  # fmt: skip
-        return modal, change
-
-    def _add_series(
         self,
         rows: "_Rows",
-        out: tuple[FloatArray, FloatArray],
-        approach_stays: bool,
-        tolerance: float,
-    ) -> None:
-        """Add to direct steps the terms of the Neumann series in the differences of compliances."""
-        more = self._compliances.differences
-        assert more is not None
-        which = self._which[rows.histories]
-        terms, change = more.terms(min(tolerance, _SERIES))[which], more.change[which]
-        terms[~self._regular[rows.histories]] = 0
-        step, none = out[0], None if approach_stays else np.zeros(out[1].shape)
-        for term in range(terms.max(initial=0)):
-            sides = rows.groups.of(step, self._stack.change)
-            sides *= np.where(terms > term, change, 0.0)[:, None]
-            step, approach = self._direct_steps(rows, sides, none)
-            np.add(out[0], step, out=out[0])
-            np.add(out[1], approach, out=out[1])
+        modal: FloatArray,
+        missing: FloatArray | None,
+        tolerance: tuple[float, float],
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return steps in the bases, (..., h, n), where ``modal`` was, and of approaches, (..., h).
+
+        Parameters
+        ----------
+        modal : (..., h, n) float, the gradients in the bases.
+        """
+        change, stack, n = np.empty(modal.shape[:-1]), self._stack, modal.shape[-1]
+        with_forces, count, histories = missing is not None, len(rows.histories), rows.histories
+        if missing is None:
+            missing = change
+        elif rows.root is not None:
+            missing = missing * rows.root
+        diagonal = self._inverse, self._response, self._stiffness
+        kinds = self._regular, self._deviation
+        iterated = np.flatnonzero(~self._regular[histories] | (self._deviation[histories] != 0.0))
+        if len(iterated):
+            # those of a basis one after another
+            among = histories[iterated]
+            order = np.argsort(2 * self._number[among] + self._regular[among], kind="stable")
+            times = np.arange(0, change.size, count)
+            places = (iterated[order][:, None] + times).ravel()
+            deviates = stack.derivatives.size > 0
+            self._loops.conjugate_gradients(
+                len(places), n, places, count, histories, self._number, stack.psi, stack.psi_t,
+                stack.derivatives if deviates else stack.psi, deviates, stack.force, self.slope,
+                *kinds, *diagonal, missing, with_forces, *tolerance, _MOST_ITERATIONS, modal,
+                change, *np.empty((2, 4), dtype=np.int64), *np.empty((3, 4)), *np.empty((6, 7, n)),
+            )  # fmt: skip
+        if len(iterated) < count:
+            self._loops.solve_in_bases(
+                change.size, n, count, histories, self._number, stack.force, *diagonal, *kinds,
+                missing, with_forces, modal, change,
+            )  # fmt: skip
+        if rows.root is not None:
+            change *= rows.root
+        return modal, change
 
     def _set_factored(
         self,
@@ -371,7 +340,7 @@ class Hessians:
         change = np.zeros(sides.shape[:-1])
         if missing is not None:
             carried, stiffness = inner(weights, by_gradient), inner(weights, response)
-            change = divided(missing[..., places] + carried, stiffness)
+            change = _divided(missing[..., places] + carried, stiffness)
         out[0][..., places, :] = change[..., None] * response - by_gradient
         out[1][..., places] = change
 
@@ -387,5 +356,10 @@ class _Rows(NamedTuple):
     numbers: IntArray
     #: of the rows by basis
     groups: RowProducts
-    #: (h,) float, see ``Differences``; None: compliances are references
+    #: (h,) float, see ``Deviations``; None: compliances are references
     root: FloatArray | None
+
+
+def _divided(force: FloatArray, stiffness: FloatArray) -> FloatArray:
+    """Return forces over stiffnesses, (h,); 0 where nothing touches."""
+    return np.divide(force, stiffness, out=np.zeros_like(force), where=stiffness > 0.0)

@@ -70,7 +70,7 @@ class SolutionDerivatives:
         hessians, rows = self._hessians, self._problem.rows_of(histories)
         weights, scale = part(self._problem.weights, rows), part(self._problem.scale, rows)
         by_gap = hessians.solve(histories, d_gap[:, rows] * weights)
-        by_approach = hessians.solve(histories, np.broadcast_to(weights, by_gap.shape[1:]))
+        by_approach = hessians.solve(histories, np.broadcast_to(weights, by_gap.shape[1:]).copy())
         mismatch = None if slope is None else self._hessian_mismatch(slope, rows)
         if mismatch is not None:
             by_gap -= hessians.solve(histories, np.array([mismatch(x) for x in by_gap]))

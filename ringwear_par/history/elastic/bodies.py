@@ -31,14 +31,12 @@ def has_family(case: Case) -> bool:
     It is where a modulus has more than four digits: moduli that a user writes have a reference
     each, which serves all cases of a sweep; those that a design draws or a fit tries share one. The
     answer depends on the case alone, so that its digits do. Not in a family are bodies with layers
-    and elements that follow the wear, whose compliances are their own anyway; large systems, which
-    have no bases to share; and contacts up to the axis, near which compliances may jump with a
-    ratio of moduli.
+    and elements that follow the wear, whose compliances are their own anyway, and large systems,
+    which have no bases to share.
     """
     plain = all(float(f"{modulus:.3e}") == modulus for modulus in young(case))
     alone = case.follows_wear or any(ring.layers for ring in case.rings)
-    shares = not alone and case.mesh.contact_elements <= LARGEST_WITH_BASES
-    return not plain and shares and case.line.edges[0] > 0.0
+    return not plain and not alone and case.mesh.contact_elements <= LARGEST_WITH_BASES
 
 
 def operator_key(case: Case) -> Hashable:
