@@ -86,7 +86,9 @@ def measured(case: Case, work: Work, finer_by: float) -> Row:
     history = trace(replace(case, output=Output()), MPI.COMM_SELF, pair=pair)
     contacts = work.contacts - before
     states = history.states[1:]
-    finer = replace(case.time, tolerance=finer_by * case.time.tolerance, pressure_tolerance=math.inf)
+    finer = replace(
+        case.time, tolerance=finer_by * case.time.tolerance, pressure_tolerance=math.inf
+    )
     times = Output(times=tuple(state.time for state in states))
     exact = trace(replace(case, time=finer, output=times), MPI.COMM_SELF, pair=pair)
     at_times = [exact.at(state.time) for state in states]

@@ -230,8 +230,9 @@ class Passage:
     def growth_at(self, usual: FloatArray) -> FloatArray:
         """Return factors by which errors of depth grow in the next layer, 1 or more, (B, n).
 
-        At the pressures, or at usual ones, (B, 1) MPa, if it is more there. Pressures may have fallen to the usual ones when the layer is worn through; near a threshold
-        hardly anything is worn off it then.
+        At the pressures, or at usual ones, (B, 1) MPa, if it is more there. Pressures may have
+        fallen to the usual ones when the layer is worn through; near a threshold hardly anything is
+        worn off it then.
         """
         low, at = np.minimum(self.pressure, usual), (self.time, self.sliding)
         rates = self.physics.rates(*at, self.wear, low)
@@ -251,7 +252,10 @@ class Passage:
 def _ratio(rates: FloatArray, rates_below: FloatArray) -> FloatArray:
     """Return rates below over those above, at most ``_MOST_GROWTH``; 1 where both are 0."""
     most = np.where(rates_below > 0.0, _MOST_GROWTH, 1.0)
-    return np.divide(rates_below, rates, out=most, where=rates * _MOST_GROWTH > rates_below)
+    ratio: FloatArray = np.divide(
+        rates_below, rates, out=most, where=rates * _MOST_GROWTH > rates_below
+    )
+    return ratio
 
 
 def _in_next_layers(
