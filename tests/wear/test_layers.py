@@ -51,6 +51,7 @@ def test_layers_are_those_at_the_depth_that_is_worn_off():
 CASES = {
     "one kind": (COATING, BODY, ThresholdLaw(5e-8, 10.0)),
     "several kinds": (COATING, UNDER, BODY),
+    "powers": (UNDER, PowerLaw(1e-11, 2.0), PowerLaw(1e-9, 1.2)),
     "does not wear": (COATING, NoWear(), BODY),
     "remembers": (RunningInLaw(2e-8, 9e-8, 0.0, depth=1e-3), COATING, BODY),
     "in time": (ThresholdLaw(Table((0.0, 1.0), (1e-8, 2e-8)), 30.0), BODY, COATING),
@@ -65,7 +66,7 @@ def test_each_element_wears_by_the_law_of_its_layer(name):
     alone = [WearIncrement((law, None), (local(), local()), STEP) for law in laws]
     for method in ("depth", "d_depth_dp"):
         values = np.array([getattr(own, method)(p) for own in alone])
-        rtol = 1e-14 if name == "remembers" else 0.0
+        rtol = 1e-14 if name in ("remembers", "powers") else 0.0
         expected = values[PRESENT, np.arange(N)]
         np.testing.assert_allclose(getattr(during, method)(p), expected, rtol=rtol)
 

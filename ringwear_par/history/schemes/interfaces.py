@@ -219,20 +219,26 @@ class Passage:
             return _AIM * self.allowed / np.abs(self.rate_ratio_below - 1.0)
 
     @property
-    def growth(self) -> FloatArray:
-        """Factors by which errors of depth grow in the next layer, (B, n)."""
-        return _growth(self.rates, self.rates_below)
+    def error_ratio(self) -> FloatArray:
+        """Errors of both bodies' depths after a crossing over those before it, (B, n).
+
+        An element crosses too early or too late by the error over the rate.
+        """
+        after = np.where(self.crossing, self.rates_below, self.rates)
+        return _ratio(self.rates.sum(axis=0), after.sum(axis=0))
 
     def growth_at(self, usual: FloatArray) -> FloatArray:
-        """Return ``growth``, or that at usual pressures, (B, 1) MPa, if it is more.
+        """Return factors by which errors of depth grow in the next layer, 1 or more, (B, n).
 
-        Pressures may have fallen to the usual ones when the layer is worn through; near a threshold
-        hardly anything is worn off it then.
+        At the pressures, or at usual ones, (B, 1) MPa, if it is more there. Pressures may have
+        fallen to the usual ones when the layer is worn through; near a threshold hardly anything is
+        worn off it then.
         """
         low, at = np.minimum(self.pressure, usual), (self.time, self.sliding)
         rates = self.physics.rates(*at, self.wear, low)
         rates_below = self.physics_below.rates(*at, self.reached, low)
-        return np.maximum(self.growth, _growth(rates, rates_below))
+        at_usual, present = _ratio(rates, rates_below), _ratio(self.rates, self.rates_below)
+        return np.maximum(np.maximum(present, at_usual), 1.0).max(axis=0)
 
     def unit_increments(self) -> tuple[WearIncrement, WearIncrement]:
         """Return the wear of 1 s of the last part, in these layers and in the next ones."""
@@ -243,14 +249,13 @@ class Passage:
         )
 
 
-def _growth(rates: FloatArray, rates_below: FloatArray) -> FloatArray:
-    """Return factors by which errors of depth grow in the next layer, 1 or more, (B, n).
-
-    With such an error, the next layer begins to wear too early or too late.
-    """
+def _ratio(rates: FloatArray, rates_below: FloatArray) -> FloatArray:
+    """Return rates below over those above, at most ``_MOST_GROWTH``; 1 where both are 0."""
     most = np.where(rates_below > 0.0, _MOST_GROWTH, 1.0)
-    ratio = np.divide(rates_below, rates, out=most, where=rates * _MOST_GROWTH > rates_below)
-    return np.maximum(ratio, 1.0).max(axis=0)
+    ratio: FloatArray = np.divide(
+        rates_below, rates, out=most, where=rates * _MOST_GROWTH > rates_below
+    )
+    return ratio
 
 
 def _in_next_layers(
@@ -294,7 +299,7 @@ def _in_next_layers(
         worn=after.worn + physics.integrals(wear - after.wear),
         contact=contact,
         rates=present.rates_at(time, wear, contact.pressure),
-        error=after.error * np.where(crossing.any(axis=0), passage.growth, 1.0),
+        error=after.error * np.where(crossing.any(axis=0), passage.error_ratio, 1.0),
         tangent=None if step_tangent is None else step_tangent.reached(contact),
         through=np.minimum(after.through, np.maximum(time - time_beyond, before.time)),
     )

@@ -74,10 +74,12 @@ class PowerLaw(Law):
 def _power(x: FloatArray, exponent: float | FloatArray) -> FloatArray:
     """Return (..., n) powers; exponents of B histories, (B, 1), one by one.
 
+    Those of elements, which layers have, are (..., n).
+
     Squares and roots of a whole array are other operations than those of arrays of exponents, and
     a history is to have the same numbers alone and among others.
     """
-    if not isinstance(exponent, np.ndarray):
+    if not isinstance(exponent, np.ndarray) or exponent.shape[-1] > 1:
         return x**exponent
     rows = np.broadcast_to(x, (len(exponent), x.shape[-1]))
     return np.array([row**e for row, e in zip(rows, exponent.ravel().tolist(), strict=True)])
