@@ -1,47 +1,50 @@
 """Loops over the rows of B contact problems, see ``contact.problem`` and ``contact.hessians``.
 
 Arrays are (B, n) or (B,), of which ``rows`` (count,) are at work, but for those that are called
-compact: (count, n) or (count,), of these rows one after another; and ``weights``, ``per_speed`` and
-``stiffness``, (m, n), of the compliances ``which`` (B,) of the histories.
+compact: (count, n) or (count,), of these rows one after another; and ``weights``, ``per_scale``,
+``slope_scale``, ``per_speed`` and ``stiffness``, (m, n), of the compliances ``which`` (B,) of the
+histories.
 """
 
 import math
 
-from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals
+from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals, in_order
 
 
 def multiply(
-    count: Count, n: Count, k: Count, times: Count, order: Integers, which: Integers, rows: Reals,
-    matrices: Reals, products: Reals,
-) -> None:  # fmt: skip
-    """Set products (times, count, k) of rows (times, count, n) with their matrices (m, n, k).
-
-    Rows have the matrices ``which`` (count,), in whose ``order`` (count,) they are multiplied:
-    digits of a row do not depend on the others. After the products there is room for 3 more.
-    """
-    _multiply(count * times, n, k, times, count, order, which, rows, matrices, products)
-
-
-def _multiply(
-    size: Count, n: Count, k: Count, times: Count, count: Count, order: Integers, which: Integers,
+    count: Count, n: Count, k: Count, times: Count, size: Count, order: Integers, which: Integers,
     rows: Reals, matrices: Reals, products: Reals,
 ) -> None:  # fmt: skip
-    """Multiply four rows of a matrix at a time; where there are less, the first again."""
-    at = 0
-    while at < size:
+    """Set products (times, size, k) of rows (times, size, n) with their matrices (m, n, k).
+
+    Rows have the matrices ``which`` (size,), by which the ``order`` (count,) of those that are
+    multiplied should be: digits of a row do not depend on the others. After the products there is
+    room for 3 more.
+    """
+    _multiply(count, n, k, times, size, order, which, rows, matrices, products)
+
+
+@in_order
+def _multiply(
+    count: Count, n: Count, k: Count, times: Count, size: Count, order: Integers, which: Integers,
+    rows: Reals, matrices: Reals, products: Reals,
+) -> None:  # fmt: skip
+    """Multiply four rows of a matrix at a time; where there are fewer, the first again."""
+    at, end, spare = 0, count * times, size * times
+    while at < end:
         number = which[order[at // times]]
-        row0 = at % times * count + order[at // times]
+        row0 = at % times * size + order[at // times]
         row1 = row2 = row3 = row0
-        out1, out2, out3 = size, size + 1, size + 2
+        out1, out2, out3 = spare, spare + 1, spare + 2
         at += 1
-        if at < size and which[order[at // times]] == number:
-            row1 = out1 = at % times * count + order[at // times]
+        if at < end and which[order[at // times]] == number:
+            row1 = out1 = at % times * size + order[at // times]
             at += 1
-            if at < size and which[order[at // times]] == number:
-                row2 = out2 = at % times * count + order[at // times]
+            if at < end and which[order[at // times]] == number:
+                row2 = out2 = at % times * size + order[at // times]
                 at += 1
-                if at < size and which[order[at // times]] == number:
-                    row3 = out3 = at % times * count + order[at // times]
+                if at < end and which[order[at // times]] == number:
+                    row3 = out3 = at % times * size + order[at // times]
                     at += 1
         x0, x1, x2, x3 = row0 * n, row1 * n, row2 * n, row3 * n
         y0, y1, y2, y3 = row0 * k, out1 * k, out2 * k, out3 * k
@@ -71,30 +74,43 @@ def _multiply(
                 products[y3 + j] += a3 * a
 
 
+def pressures(
+    count: Count, n: Count, rows: Integers, which: Integers, unknowns: Reals, per_scale: Reals,
+    pressures: Reals,
+) -> None:  # fmt: skip
+    """Set pressures, compact, which are 0 where unknowns are negative."""
+    for place in range(count):
+        row, compliance, start = rows[place] * n, which[rows[place]] * n, place * n
+        for i in range(n):
+            x = unknowns[row + i]
+            pressures[start + i] = 0.0 if x <= 0.0 else x * per_scale[compliance + i]
+
+
 def gradient(
     count: Count, n: Count, rows: Integers, which: Integers, gaps: Reals, approaches: Reals,
     depths: Reals, weights: Reals, products: Reals, gradients: Reals,
 ) -> None:  # fmt: skip
-    """Set gradients, the weighted gaps; depths of wear, products A q and gradients are compact."""
+    """Set gradients, the weighted gaps; depths of wear are compact, products are A q."""
     for place in range(count):
         history, start = rows[place], place * n
         row, compliance, approach = history * n, which[history] * n, approaches[history]
         for i in range(n):
             gap = gaps[row + i] - approach + depths[start + i]
-            gradients[start + i] = gap * weights[compliance + i] + products[start + i]
+            gradients[row + i] = gap * weights[compliance + i] + products[row + i]
 
 
-def judge(
+def settle(
     count: Count, n: Count, rows: Integers, which: Integers, unknowns: Reals, gradients: Reals,
     diagonals: Reals, weights: Reals, gaps: Reals, approaches: Reals, forces: Reals,
-    with_forces: Count, free: Flags, residuals: Reals, are_fine: Flags, are_broken: Flags,
-    are_same: Flags, round_off: Real, gradient_tolerance: Real, force_tolerance: Real,
+    with_forces: Count, free: Flags, residuals: Reals, are_settled: Flags, are_broken: Flags,
+    are_cleared: Flags, round_off: Real, gradient_tolerance: Real, force_tolerance: Real,
 ) -> None:  # fmt: skip
-    """Set whether histories, compact, are optimal on their sets, not finite, and keep their sets.
+    """Set which histories, compact, have settled and are not finite; change the sets of others.
 
-    Optimal is where the natural residual min(g, diag(H) x) is small against the overlap of the
-    bodies, or at the round-off of x, and the force is met. ``residuals`` are relative to the
-    largest unknowns.
+    They have settled where they keep their sets and are optimal on these: the natural residual
+    min(g, diag(H) x) is small against the overlap of the bodies, or at the round-off of x, and the
+    force is met. ``residuals`` are relative to the largest unknowns. The sets of others become
+    those of the signs; unknowns that leave them become 0, cleared where any did.
     """
     for place in range(count):
         history = rows[place]
@@ -124,23 +140,35 @@ def judge(
             force = forces[history]
             fine = fine and abs(carried - force) <= force_tolerance * force
         residuals[history] = worst / most if most > 0.0 else math.inf
-        are_fine[place], are_broken[place], are_same[place] = fine, broken, same
-
-
-def change_sets(
-    count: Count, n: Count, rows: Integers, unknowns: Reals, gradients: Reals, free: Flags,
-    are_cleared: Flags,
-) -> None:  # fmt: skip
-    """Set the sets by the signs; unknowns that leave them become 0, cleared where any did."""
-    for place in range(count):
-        row, cleared = rows[place] * n, False
-        for k in range(row, row + n):
-            keep = unknowns[k] > 0.0 if free[k] else gradients[k] < 0.0
-            free[k] = keep
-            if not keep and unknowns[k] != 0.0:
-                unknowns[k] = 0.0
-                cleared = True
+        cleared = False
+        if not same and not broken:
+            for k in range(row, row + n):
+                keep = unknowns[k] > 0.0 if free[k] else gradients[k] < 0.0
+                free[k] = keep
+                if not keep and unknowns[k] != 0.0:
+                    unknowns[k] = 0.0
+                    cleared = True
+        are_settled[place], are_broken[place] = fine and same and not broken, broken
         are_cleared[place] = cleared
+
+
+def set_slopes(
+    count: Count, n: Count, rows: Integers, which: Integers, depth_slopes: Reals,
+    slope_scale: Reals, slopes: Reals, diagonals: Reals, are_valid: Flags,
+) -> None:  # fmt: skip
+    """Set slopes from those of depths, compact; inverses of others are no longer valid."""
+    for place in range(count):
+        history, start = rows[place], place * n
+        row, compliance, same = history * n, which[history] * n, True
+        for i in range(n):
+            slope = depth_slopes[start + i] * slope_scale[compliance + i]
+            same = same and slope == slopes[row + i]
+        if not same:
+            are_valid[history] = False
+            for i in range(n):
+                slope = depth_slopes[start + i] * slope_scale[compliance + i]
+                slopes[row + i] = slope
+                diagonals[row + i] = 1.0 + slope
 
 
 def compare_slopes(
@@ -199,27 +227,82 @@ def invert(
 
 
 def solve_in_bases(
-    count: Count, n: Count, n_histories: Count, rows: Integers, numbers: Integers, forces: Reals,
-    inverses: Reals, responses: Reals, stiffness: Reals, missing: Reals, with_forces: Count,
-    sides: Reals, changes: Reals,
+    count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
+    numbers: Integers, forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
+    missing: Reals, with_missing: Count, sides: Reals, changes: Reals,
 ) -> None:  # fmt: skip
-    """Set steps against gradients (count, n) in bases, in their place, and changes of approaches.
+    """Set steps against gradients (times, size, n) in bases, in their place, and of approaches.
 
-    There may be several gradients of each of the histories ``rows`` (n_histories,), one round of
-    them after another. Steps carry the forces that are missing (count,), where these are given.
+    Gradients are of the ``histories`` (size,), those of the ``order`` (count,) of places are solved
+    in the bases ``numbers`` (size,). Steps carry the forces that are missing (times, size), where
+    these are given.
     """
-    for place in range(count):
-        history = rows[place % n_histories]
-        row, basis, start = history * n, numbers[history] * n, place * n
-        change = 0.0
-        if with_forces and stiffness[history] > 0.0:
+    _solve_in_bases(
+        count, n, times, size, order, histories, numbers, forces, inverses, responses, stiffness,
+        missing, with_missing, sides, changes,
+    )  # fmt: skip
+
+
+def _solve_in_bases(
+    count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
+    numbers: Integers, forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
+    missing: Reals, with_missing: Count, sides: Reals, changes: Reals,
+) -> None:  # fmt: skip
+    for at in range(count * times):
+        place = order[at % count]
+        history, basis, into = histories[place], numbers[place] * n, at // count * size + place
+        row, start, change = history * n, into * n, 0.0
+        if with_missing and stiffness[history] > 0.0:
             carried = 0.0
             for i in range(n):
                 carried += responses[row + i] * sides[start + i]
-            change = (missing[place] + carried) / stiffness[history]
+            change = (missing[into] + carried) / stiffness[history]
         for i in range(n):
             sides[start + i] = (change * forces[basis + i] - sides[start + i]) * inverses[row + i]
-        changes[place] = change
+        changes[into] = change
+
+
+def steps_in_bases(
+    count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
+    numbers: Integers, bases: Reals, transposed: Reals, forces: Reals, inverses: Reals,
+    responses: Reals, stiffness: Reals, missing: Reals, with_missing: Count, gradients: Reals,
+    modal: Reals, steps: Reals, changes: Reals,
+) -> None:  # fmt: skip
+    """Set steps against gradients, by way of bases (m, n, n), see ``solve_in_bases``.
+
+    After the steps, and in ``modal``, there is room for 3 rows more than gradients are.
+    """
+    _multiply(count, n, n, times, size, order, numbers, gradients, bases, modal)
+    _solve_in_bases(
+        count, n, times, size, order, histories, numbers, forces, inverses, responses, stiffness,
+        missing, with_missing, modal, changes,
+    )  # fmt: skip
+    _multiply(count, n, n, times, size, order, numbers, modal, transposed, steps)
+
+
+def missing_forces(
+    count: Count, n: Count, rows: Integers, which: Integers, unknowns: Reals, weights: Reals,
+    forces: Reals, missing: Reals,
+) -> None:  # fmt: skip
+    """Set what unknowns lack of the forces."""
+    for place in range(count):
+        history, carried = rows[place], 0.0
+        row, compliance = history * n, which[history] * n
+        for i in range(n):
+            carried += weights[compliance + i] * unknowns[row + i]
+        missing[history] = forces[history] - carried
+
+
+def add_steps(
+    count: Count, n: Count, rows: Integers, steps: Reals, changes: Reals, unknowns: Reals,
+    approaches: Reals,
+) -> None:  # fmt: skip
+    """Take the steps."""
+    for place in range(count):
+        history = rows[place]
+        approaches[history] += changes[history]
+        for k in range(history * n, history * n + n):
+            unknowns[k] += steps[k]
 
 
 def correction_errors(

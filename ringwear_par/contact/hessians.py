@@ -18,8 +18,8 @@ from ringwear_par.compiled import contact_rows
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.contact.basis_stack import BROKEN, BasisStack
 from ringwear_par.contact.conjugate_gradients import ModalHessians, divided, solve_iteratively
-from ringwear_par.contact.problem import LARGEST_WITH_BASES
-from ringwear_par.contact.row_products import RowProducts
+from ringwear_par.contact.problem import LARGEST_WITH_BASES, ContactProblem
+from ringwear_par.contact.row_products import ROOM, RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.wear.increment import WearIncrement
 
@@ -49,6 +49,7 @@ class Hessians:
         self._compliances, self._which = compliances, which
         count, n = len(which), len(compliances.area)
         self._per_speed = (1.0 / compliances.speed)[compliances.reference]
+        self._slope_scale = compliances.weights / compliances.scale
         self._loops = load(contact_rows)
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
@@ -65,15 +66,15 @@ class Hessians:
         #: (B, n) elements that bases take to wear
         self._wearing = np.zeros((count, n), dtype=bool)
         #: bases, and the number of that of each history
-        self._stack, self._number = BasisStack(compliances), np.full(count, BROKEN)
+        self._stack, self._basis = BasisStack(compliances), np.full(count, BROKEN)
         #: (B, n) inverses in the bases, exact where the slope has the shape, else preconditioners
         self._inverse, self._regular = np.ones((count, n)), np.ones(count, dtype=bool)
         #: (B, n) in the bases, what unknowns grow by with the approach, and (B,) the force with it,
         #: by the weights of the reference
         self._response, self._stiffness = np.zeros((count, n)), np.zeros(count)
         self._factors: dict[int, FloatArray] = {}
-        #: how all histories are solved (True), and how some of them are
-        self._rows: dict[bool, tuple[IntArray, _Rows]] = {}
+        #: how histories are solved whose rows are compact (True), or among those of all
+        self._rows: dict[bool, tuple[IntArray, _BasisRows]] = {}
 
     def keep(self, histories: IntArray) -> None:
         """Go on with some of the histories."""
@@ -81,7 +82,7 @@ class Hessians:
         self.coupling = self.coupling[histories] if len(self.coupling) else self.coupling
         keep(
             self,
-            ("_which", "_free", "_valid", "_wearing", "_number",
+            ("_which", "_free", "_valid", "_wearing", "_basis",
              "_inverse", "_regular", "_response", "_stiffness"),
             histories,
         )  # fmt: skip
@@ -94,26 +95,22 @@ class Hessians:
     def pose(self, wear: WearIncrement | None) -> None:
         """Make room for what the wear of an implicit step adds; none adds nothing."""
         if wear is None:
-            self.set_slopes(slice(None), np.zeros_like(self.slope), None)
+            self.set_slopes(np.arange(len(self.slope)), np.zeros_like(self.slope), None)
         self.through_layers = wear is not None and wear.layered
         coupled, (count, n) = wear is not None and not wear.local, self.slope.shape
         if coupled != bool(len(self.coupling)):
             self.coupling = np.zeros((count if coupled else 0, n, n))
 
     def set_slopes(
-        self, rows: IntArray | slice, slope: FloatArray, coupling: FloatArray | None
+        self, histories: IntArray, depth_slopes: FloatArray, coupling: FloatArray | None
     ) -> None:
-        """Set what wear adds in some rows, see ``ContactProblem.slopes``."""
-        if slope is not self.slope:
-            self._valid[rows] &= (slope == self.slope[rows]).all(axis=1)
-            if isinstance(rows, slice):
-                self.slope, self.diagonal = slope, 1.0 + slope
-            else:
-                self.slope = self.slope.copy()
-                self.slope[rows] = slope
-                self.diagonal[rows] = 1.0 + slope
+        """Set what wear adds in some histories, see ``ContactProblem.slopes``."""
+        self._loops.set_slopes(
+            *depth_slopes.shape, histories, self._which, depth_slopes, self._slope_scale,
+            self.slope, self.diagonal, self._valid,
+        )  # fmt: skip
         if coupling is not None:
-            self.coupling[rows] = coupling
+            self.coupling[histories] = coupling
 
     def matrix(self, history: int) -> FloatArray:
         """Return the Hessian of a history, (n, n)."""
@@ -126,7 +123,7 @@ class Hessians:
     def forget(self, histories: IntArray) -> None:
         """Let nothing touch in some histories."""
         self._free[histories], self._valid[histories] = False, False
-        self._number[histories] = _FACTOR
+        self._basis[histories] = _FACTOR
         self._rows.clear()
         for history in histories.tolist():
             self._factors[history] = _NO_FACTOR
@@ -168,13 +165,13 @@ class Hessians:
                     return
             else:
                 rates[irregular] = self._median_rates(histories[irregular])
-        new_sets |= self._number[histories] < 0
+        new_sets |= self._basis[histories] < 0
         if new_sets.any():
             self._choose_bases(histories[new_sets])
-            valid = self._number[histories] >= 0
+            valid = self._basis[histories] >= 0
             histories, rates = histories[valid], rates[valid]
         self._loops.invert(
-            len(histories), n, histories, self._number, rates, self._stack.mu, self._stack.force,
+            len(histories), n, histories, self._basis, rates, self._stack.mu, self._stack.force,
             self._inverse, self._response, self._stiffness,
         )  # fmt: skip
 
@@ -197,8 +194,8 @@ class Hessians:
             alike[compliance, packed[place * width : (place + 1) * width]].append(place)
         for (compliance, name), places in alike.items():
             if self._stack.is_full:
-                self._stack.make_room(self._number)
-            self._number[histories[places]] = self._stack.number_of(
+                self._stack.make_room(self._basis)
+            self._basis[histories[places]] = self._stack.number_of(
                 compliance, name, free[places[0]], wearing[places[0]]
             )
 
@@ -210,25 +207,42 @@ class Hessians:
             if not free.all():
                 block = block[np.ix_(free, free)]
             self._factors[history], info = dpotrf(block, lower=1, clean=0)
-            self._number[history] = _FACTOR if info == 0 else BROKEN
+            self._basis[history] = _FACTOR if info == 0 else BROKEN
 
-    def _rows_of(self, histories: IntArray) -> "_Rows":
-        """Return how some histories are solved, remembered for the same ones."""
-        whole = len(histories) == len(self._number)
-        known = self._rows.get(whole)
-        if known is None or (known[0] is not histories and not whole):
-            every = self._number[histories]
-            modal = np.flatnonzero(every >= 0)
-            places: IntArray | slice = modal
-            if len(modal) == len(every):
-                places = slice(None)
-            numbers = every[places]
-            more, root = self._compliances.differences, None
-            if more is not None:
-                root = more.root[self._which[histories[places]]]
-            rows = _Rows(places, histories[places], numbers, RowProducts(numbers), root)
-            known = self._rows[whole] = histories, rows
+    def _rows_of(self, histories: IntArray, compact: bool) -> "_BasisRows":
+        """Return how some histories are solved, remembered for the same ones.
+
+        Parameters
+        ----------
+        compact : whether arrays are of these histories one after another, or of all.
+        """
+        known = self._rows.get(compact)
+        if known is None or known[0] is not histories:
+            bases = self._basis[histories]
+            order = np.argsort(bases, kind="stable")
+            factored, places = np.count_nonzero(bases < 0), order if compact else histories[order]
+            every = np.arange(len(self._basis))
+            rows = _BasisRows(
+                histories if compact else every, bases if compact else self._basis,
+                places[factored:], places[:factored],
+            )  # fmt: skip
+            known = self._rows[compact] = histories, rows
         return known[1]
+
+    def take_steps(self, problem: ContactProblem) -> None:
+        """Take the steps of the histories at work of a problem, and of their approaches."""
+        histories, n, missing = problem.at_work, self.slope.shape[1], None
+        if problem.forces is not None:
+            missing = np.empty(len(problem.every))
+            self._loops.missing_forces(
+                len(histories), n, histories, self._which, problem.unknowns,
+                self._compliances.weights, problem.forces, missing,
+            )  # fmt: skip
+        rows = self._rows_of(histories, compact=False)
+        steps, changes = self._steps(rows, problem.gradients, missing, NEAR)
+        self._loops.add_steps(
+            len(histories), n, histories, steps, changes, problem.unknowns, problem.approaches
+        )
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
         """Return H^-1 right, (..., h, n), of some histories; 0 off their sets."""
@@ -236,7 +250,7 @@ class Hessians:
         if self._compliances.differences is not None:  # bases know no part that is not linear
             products = self._compliances.products(self._which[histories])
             rest = products.not_linear(solved)
-            rest[..., self._number[histories] < 0, :] = 0.0  # factors do
+            rest[..., self._basis[histories] < 0, :] = 0.0  # factors do
             solved += self.steps(histories, rest, None, SOLVED)[0]
         return solved
 
@@ -257,35 +271,64 @@ class Hessians:
         missing : (..., h) float, N; None: approaches stay.
         tolerance : of the residual, relative to the first, where steps are iterated for.
         """
-        rows = self._rows_of(histories)
-        products = rows.groups.of
-        if len(rows.numbers) == len(histories):
-            modal = products(gradient, self._stack.psi)
-            solved, approach = self._modal_steps(rows, modal, missing, tolerance)
-            return products(solved, self._stack.psi_t), approach
-        steps, approach = np.zeros_like(gradient), np.zeros(gradient.shape[:-1])
-        if len(rows.numbers):
-            places = rows.places
-            modal = products(gradient[..., places, :], self._stack.psi)
-            left = None if missing is None else np.ascontiguousarray(missing[..., places])
-            solved, approach[..., places] = self._modal_steps(rows, modal, left, tolerance)
-            steps[..., places, :] = products(solved, self._stack.psi_t)
-        self._set_factored(histories, gradient, missing, (steps, approach))
-        return steps, approach
+        return self._steps(self._rows_of(histories, compact=True), gradient, missing, tolerance)
 
-    def _modal_steps(
-        self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None, tolerance: float
+    def _steps(
+        self,
+        rows: "_BasisRows",
+        gradient: FloatArray,
+        missing: FloatArray | None,
+        tolerance: float,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return steps in the bases, (..., h, n), and of approaches, (..., h)."""
-        irregular = np.flatnonzero(~self._regular[rows.histories])
+        """Return steps and those of approaches; what is not among the rows is anything."""
+        size, n, stack = len(rows.histories), gradient.shape[-1], self._stack
+        count = gradient.size // n
+        direct, indirect = rows.modal, rows.modal[:0]
+        if self._compliances.differences is not None:
+            direct, indirect = indirect, direct
+        elif not (regular := self._regular[rows.histories[direct]]).all():
+            direct, indirect = direct[regular], direct[~regular]
+        modal, steps = np.empty((2, count + ROOM, n))
+        changes = np.zeros(gradient.shape[:-1])
+        self._loops.steps_in_bases(
+            len(direct), n, count // size, size, direct, rows.histories, rows.bases, stack.psi,
+            stack.psi_t, stack.force, self._inverse, self._response, self._stiffness,
+            changes if missing is None else missing, missing is not None, gradient, modal, steps,
+            changes,
+        )  # fmt: skip
+        out = steps[:count].reshape(gradient.shape), changes
+        if len(indirect):
+            self._set_indirect(rows, indirect, gradient, missing, tolerance, out)
+        if len(rows.factored):
+            self._set_factored(rows.histories, rows.factored, gradient, missing, out)
+        return out
+
+    def _set_indirect(
+        self,
+        rows: "_BasisRows",
+        places: IntArray,
+        gradient: FloatArray,
+        missing: FloatArray | None,
+        tolerance: float,
+        out: tuple[FloatArray, FloatArray],
+    ) -> None:
+        """Set steps and changes of approaches that take a series or iterations."""
+        histories, bases = rows.histories[places], rows.bases[places]
+        groups = RowProducts(bases)
+        modal = groups.of(gradient[..., places, :], self._stack.psi)
+        irregular = np.flatnonzero(~self._regular[histories])
         sides = modal[..., irregular, :] if len(irregular) else modal
-        if rows.root is not None and missing is not None:
-            missing = missing * rows.root
-        solved, change = self._direct_steps(rows, modal, missing)
-        if rows.root is not None:
-            self._add_series(rows, (solved, change), missing is None, tolerance)
+        if missing is not None:
+            missing = np.ascontiguousarray(missing[..., places])
+        differences = self._compliances.differences
+        if differences is not None:
+            root = differences.root[self._which[histories]]
+            missing = None if missing is None else missing * root
+        solved, change = self._direct_steps(histories, bases, modal, missing)
+        if differences is not None:
+            self._add_series(histories, bases, groups, (solved, change), missing is None, tolerance)
         if len(irregular):
-            many = np.broadcast_to(rows.histories[irregular], sides.shape[:-1])
+            many = np.broadcast_to(histories[irregular], sides.shape[:-1])
             x, more = solve_iteratively(
                 self._modal_hessians(many.ravel()),
                 -sides.reshape(many.size, -1),
@@ -294,14 +337,13 @@ class Hessians:
             )
             solved[..., irregular, :] = x.reshape(sides.shape)
             change[..., irregular] = more.reshape(many.shape)
-        if rows.root is not None:
-            change *= rows.root
-        return solved, change
+        out[0][..., places, :] = groups.of(solved, self._stack.psi_t)
+        out[1][..., places] = change if differences is None else change * root
 
     def _modal_hessians(self, histories: IntArray) -> ModalHessians:
         """Return the Hessians of histories in their bases."""
         numbers, stack, differences = (
-            self._number[histories], self._stack, self._compliances.differences,
+            self._basis[histories], self._stack, self._compliances.differences,
         )  # fmt: skip
         change = None if differences is None else differences.change[self._which[histories], None]
         return ModalHessians(
@@ -311,23 +353,29 @@ class Hessians:
         )  # fmt: skip
 
     def _direct_steps(
-        self, rows: "_Rows", modal: FloatArray, missing: FloatArray | None
+        self,
+        histories: IntArray,
+        bases: IntArray,
+        modal: FloatArray,
+        missing: FloatArray | None,
     ) -> tuple[FloatArray, FloatArray]:
         """Return steps in the bases as if slopes had the shape, and compliances were references.
 
         They are where ``modal`` was.
         """
-        change, count = np.empty(modal.shape[:-1]), len(rows.histories)
+        change, count = np.empty(modal.shape[:-1]), len(histories)
         self._loops.solve_in_bases(
-            change.size, modal.shape[-1], count, rows.histories, self._number, self._stack.force,
-            self._inverse, self._response, self._stiffness, change if missing is None else missing,
-            missing is not None, modal, change,
+            count, modal.shape[-1], change.size // count, count, np.arange(count), histories, bases,
+            self._stack.force, self._inverse, self._response, self._stiffness,
+            change if missing is None else missing, missing is not None, modal, change,
         )  # fmt: skip
         return modal, change
 
     def _add_series(
         self,
-        rows: "_Rows",
+        histories: IntArray,
+        bases: IntArray,
+        groups: RowProducts,
         out: tuple[FloatArray, FloatArray],
         approach_stays: bool,
         tolerance: float,
@@ -335,26 +383,26 @@ class Hessians:
         """Add to direct steps the terms of the Neumann series in the differences of compliances."""
         more = self._compliances.differences
         assert more is not None
-        which = self._which[rows.histories]
+        which = self._which[histories]
         terms, change = more.terms(min(tolerance, _SERIES))[which], more.change[which]
-        terms[~self._regular[rows.histories]] = 0
+        terms[~self._regular[histories]] = 0
         step, none = out[0], None if approach_stays else np.zeros(out[1].shape)
         for term in range(terms.max(initial=0)):
-            sides = rows.groups.of(step, self._stack.change)
+            sides = groups.of(step, self._stack.change)
             sides *= np.where(terms > term, change, 0.0)[:, None]
-            step, approach = self._direct_steps(rows, sides, none)
+            step, approach = self._direct_steps(histories, bases, sides, none)
             np.add(out[0], step, out=out[0])
             np.add(out[1], approach, out=out[1])
 
     def _set_factored(
         self,
         histories: IntArray,
+        places: IntArray,
         gradient: FloatArray,
         missing: FloatArray | None,
         out: tuple[FloatArray, FloatArray],
     ) -> None:
         """Set steps and changes of approaches of histories that have factors of their own."""
-        places = np.flatnonzero(self._number[histories] < 0)
         weights = self._compliances.weights[self._which[histories[places]]]
         sides = gradient[..., places, :]
         right = np.concatenate([sides.reshape(-1, *weights.shape), weights[None]])
@@ -362,7 +410,7 @@ class Hessians:
         whole = self._free[histories[places]].all(axis=1).tolist()
         for place, history in enumerate(histories[places].tolist()):
             factor = self._factors.get(history, _NO_FACTOR)
-            if self._number[history] == BROKEN:
+            if self._basis[history] == BROKEN:
                 solved[:, place] = np.nan
             elif len(factor):
                 free = slice(None) if whole[place] else self._free[history]
@@ -376,16 +424,12 @@ class Hessians:
         out[1][..., places] = change
 
 
-class _Rows(NamedTuple):
+class _BasisRows(NamedTuple):
     """Which rows are solved in bases, and in which."""
 
-    #: of these rows among those that are solved
-    places: IntArray | slice
-    #: (h,) int, of the rows
+    #: (h,) int, of the rows, and of their bases
     histories: IntArray
-    #: (h,) int, of their bases
-    numbers: IntArray
-    #: of the rows by basis
-    groups: RowProducts
-    #: (h,) float, see ``Differences``; None: compliances are references
-    root: FloatArray | None
+    bases: IntArray
+    #: which of the rows are solved in bases, one basis after the other, and which by factors
+    modal: IntArray
+    factored: IntArray

@@ -37,7 +37,7 @@ class SolutionDerivatives:
         problem = self._problem
         missing = None if problem.forces is None else np.zeros(gap.shape[:-1])
         steps, _ = self._hessians.steps(problem.every, problem.weights * gap, missing, ROUGH)
-        return problem.pressures(steps, slice(None))
+        return steps / problem.scale
 
     def deflections(self, d_p: FloatArray) -> FloatArray:
         """Return the changes of gaps, mm, with those of pressures, (P, B, n) MPa."""

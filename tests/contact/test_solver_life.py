@@ -100,7 +100,7 @@ def test_what_is_raised_inside_tao_comes_out_as_it_is(kind, error, wrapped, monk
         before = solver.solve(gap, force=force)
         if wrapped:
             monkeypatch.setattr(solver, "_tao", _Wrapping(solver._tao))
-        places = [(solver._problem, "gradient"), (solver._problem, "slopes")]
+        places = [(solver._problem, "evaluate"), (solver._problem, "slopes")]
         if kind == "python":
             places.append((solver._hessians, "steps"))
         for place, name in places:
