@@ -24,54 +24,70 @@ def multiply(
     _multiply(count, n, k, times, size, order, which, rows, matrices, products)
 
 
-@in_order
 def _multiply(
     count: Count, n: Count, k: Count, times: Count, size: Count, order: Integers, which: Integers,
     rows: Reals, matrices: Reals, products: Reals,
 ) -> None:  # fmt: skip
     """Multiply four rows of a matrix at a time; where there are fewer, the first again."""
-    at, end, spare = 0, count * times, size * times
-    while at < end:
-        number = which[order[at // times]]
-        row0 = at % times * size + order[at // times]
-        row1 = row2 = row3 = row0
-        out1, out2, out3 = spare, spare + 1, spare + 2
-        at += 1
-        if at < end and which[order[at // times]] == number:
-            row1 = out1 = at % times * size + order[at // times]
-            at += 1
-            if at < end and which[order[at // times]] == number:
-                row2 = out2 = at % times * size + order[at // times]
-                at += 1
-                if at < end and which[order[at // times]] == number:
-                    row3 = out3 = at % times * size + order[at // times]
-                    at += 1
-        x0, x1, x2, x3 = row0 * n, row1 * n, row2 * n, row3 * n
-        y0, y1, y2, y3 = row0 * k, out1 * k, out2 * k, out3 * k
+    at, spare = 0, times * size
+    while at < count * times:
+        row0, row1, row2, row3, together = _four(at, count, times, size, order, which)
+        _multiply_four(
+            n, k, row0, row1, row2, row3, rows, which[order[at // times]], matrices, row0,
+            row1 if together > 1 else spare, row2 if together > 2 else spare + 1,
+            row3 if together > 3 else spare + 2, products,
+        )  # fmt: skip
+        at += together
+
+
+def _four(
+    at: Count, count: Count, times: Count, size: Count, order: Integers, which: Integers
+) -> tuple[int, int, int, int, int]:
+    """Return four rows of one matrix, the first again where there are fewer, and how many."""
+    number, end, together = which[order[at // times]], count * times, 1
+    row0 = at % times * size + order[at // times]
+    row1 = row2 = row3 = row0
+    if at + 1 < end and which[order[(at + 1) // times]] == number:
+        row1, together = (at + 1) % times * size + order[(at + 1) // times], 2
+        if at + 2 < end and which[order[(at + 2) // times]] == number:
+            row2, together = (at + 2) % times * size + order[(at + 2) // times], 3
+            if at + 3 < end and which[order[(at + 3) // times]] == number:
+                row3, together = (at + 3) % times * size + order[(at + 3) // times], 4
+    return row0, row1, row2, row3, together
+
+
+@in_order
+def _multiply_four(
+    n: Count, k: Count, row0: Count, row1: Count, row2: Count, row3: Count, rows: Reals,
+    number: Count, matrices: Reals, to0: Count, to1: Count, to2: Count, to3: Count, products: Reals,
+) -> None:  # fmt: skip
+    """Set four products, of four rows or the same."""
+    x0, x1, x2, x3 = row0 * n, row1 * n, row2 * n, row3 * n
+    y0, y1, y2, y3 = to0 * k, to1 * k, to2 * k, to3 * k
+    for j in range(k):
+        products[y0 + j] = products[y1 + j] = products[y2 + j] = products[y3 + j] = 0.0
+    matrix, whole = number * n * k, n // 4 * 4
+    for i in range(0, whole, 4):
+        a0, b0, c0, d0 = rows[x0 + i], rows[x0 + i + 1], rows[x0 + i + 2], rows[x0 + i + 3]
+        a1, b1, c1, d1 = rows[x1 + i], rows[x1 + i + 1], rows[x1 + i + 2], rows[x1 + i + 3]
+        a2, b2, c2, d2 = rows[x2 + i], rows[x2 + i + 1], rows[x2 + i + 2], rows[x2 + i + 3]
+        a3, b3, c3, d3 = rows[x3 + i], rows[x3 + i + 1], rows[x3 + i + 2], rows[x3 + i + 3]
+        m = matrix + i * k
         for j in range(k):
-            products[y0 + j] = products[y1 + j] = products[y2 + j] = products[y3 + j] = 0.0
-        matrix, whole = number * n * k, n // 4 * 4
-        for i in range(0, whole, 4):
-            a0, b0, c0, d0 = rows[x0 + i], rows[x0 + i + 1], rows[x0 + i + 2], rows[x0 + i + 3]
-            a1, b1, c1, d1 = rows[x1 + i], rows[x1 + i + 1], rows[x1 + i + 2], rows[x1 + i + 3]
-            a2, b2, c2, d2 = rows[x2 + i], rows[x2 + i + 1], rows[x2 + i + 2], rows[x2 + i + 3]
-            a3, b3, c3, d3 = rows[x3 + i], rows[x3 + i + 1], rows[x3 + i + 2], rows[x3 + i + 3]
-            m = matrix + i * k
-            for j in range(k):
-                a, b = matrices[m + j], matrices[m + k + j]
-                c, d = matrices[m + 2 * k + j], matrices[m + 3 * k + j]
-                products[y0 + j] = products[y0 + j] + a0 * a + b0 * b + c0 * c + d0 * d
-                products[y1 + j] = products[y1 + j] + a1 * a + b1 * b + c1 * c + d1 * d
-                products[y2 + j] = products[y2 + j] + a2 * a + b2 * b + c2 * c + d2 * d
-                products[y3 + j] = products[y3 + j] + a3 * a + b3 * b + c3 * c + d3 * d
-        for i in range(whole, n):
-            a0, a1, a2, a3 = rows[x0 + i], rows[x1 + i], rows[x2 + i], rows[x3 + i]
-            for j in range(k):
-                a = matrices[matrix + i * k + j]
-                products[y0 + j] += a0 * a
-                products[y1 + j] += a1 * a
-                products[y2 + j] += a2 * a
-                products[y3 + j] += a3 * a
+            a, b = matrices[m + j], matrices[m + k + j]
+            c, d = matrices[m + 2 * k + j], matrices[m + 3 * k + j]
+            products[y0 + j] = products[y0 + j] + a0 * a + b0 * b + c0 * c + d0 * d
+            products[y1 + j] = products[y1 + j] + a1 * a + b1 * b + c1 * c + d1 * d
+            products[y2 + j] = products[y2 + j] + a2 * a + b2 * b + c2 * c + d2 * d
+            products[y3 + j] = products[y3 + j] + a3 * a + b3 * b + c3 * c + d3 * d
+    for i in range(whole, n):
+        a0, a1, a2, a3 = rows[x0 + i], rows[x1 + i], rows[x2 + i], rows[x3 + i]
+        for j in range(k):
+            a = matrices[matrix + i * k + j]
+            products[y0 + j] += a0 * a
+            products[y1 + j] += a1 * a
+            products[y2 + j] += a2 * a
+            products[y3 + j] += a3 * a
 
 
 def pressures(
@@ -226,58 +242,177 @@ def invert(
         stiffness[rows[place]] = carried
 
 
-def solve_in_bases(
-    count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
-    numbers: Integers, forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
-    missing: Reals, with_missing: Count, sides: Reals, changes: Reals,
-) -> None:  # fmt: skip
-    """Set steps against gradients (times, size, n) in bases, in their place, and of approaches.
-
-    Gradients are of the ``histories`` (size,), those of the ``order`` (count,) of places are solved
-    in the bases ``numbers`` (size,). Steps carry the forces that are missing (times, size), where
-    these are given.
-    """
-    _solve_in_bases(
-        count, n, times, size, order, histories, numbers, forces, inverses, responses, stiffness,
-        missing, with_missing, sides, changes,
-    )  # fmt: skip
-
-
-def _solve_in_bases(
-    count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
-    numbers: Integers, forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
-    missing: Reals, with_missing: Count, sides: Reals, changes: Reals,
-) -> None:  # fmt: skip
-    for at in range(count * times):
-        place = order[at % count]
-        history, basis, into = histories[place], numbers[place] * n, at // count * size + place
-        row, start, change = history * n, into * n, 0.0
-        if with_missing and stiffness[history] > 0.0:
-            carried = 0.0
-            for i in range(n):
-                carried += responses[row + i] * sides[start + i]
-            change = (missing[into] + carried) / stiffness[history]
-        for i in range(n):
-            sides[start + i] = (change * forces[basis + i] - sides[start + i]) * inverses[row + i]
-        changes[into] = change
-
-
 def steps_in_bases(
     count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
     numbers: Integers, bases: Reals, transposed: Reals, forces: Reals, inverses: Reals,
     responses: Reals, stiffness: Reals, missing: Reals, with_missing: Count, gradients: Reals,
+    which: Integers, weights: Reals, per_scale: Reals, with_scales: Count, scaled: Reals,
     modal: Reals, steps: Reals, changes: Reals,
 ) -> None:  # fmt: skip
-    """Set steps against gradients, by way of bases (m, n, n), see ``solve_in_bases``.
+    """Set steps against gradients (times, size, n), and of approaches, by way of bases (m, n, n).
 
-    After the steps, and in ``modal``, there is room for 3 rows more than gradients are.
+    Of Hessians that are diagonal there: slopes are regular, and compliances references.
+
+    Gradients are of the ``histories`` (size,), those of the ``order`` (count,) of places are solved
+    in the bases ``numbers`` (size,). Steps carry the forces that are missing (times, size), where
+    these are given. With scales these are gaps and pressures instead. After the steps there is room
+    for 3 rows; ``scaled`` and ``modal`` are room for 4.
     """
-    _multiply(count, n, n, times, size, order, numbers, gradients, bases, modal)
-    _solve_in_bases(
-        count, n, times, size, order, histories, numbers, forces, inverses, responses, stiffness,
-        missing, with_missing, modal, changes,
-    )  # fmt: skip
-    _multiply(count, n, n, times, size, order, numbers, modal, transposed, steps)
+    at, spare = 0, times * size
+    while at < count * times:
+        row0, row1, row2, row3, together = _four(at, count, times, size, order, numbers)
+        number = numbers[order[at // times]]
+        if with_scales:
+            for q in range(together):
+                place = order[(at + q) // times]
+                start, compliance = ((at + q) % times * size + place) * n, which[place] * n
+                for i in range(n):
+                    scaled[q * n + i] = gradients[start + i] * weights[compliance + i]
+            _multiply_four(n, n, 0, 1, 2, 3, scaled, number, bases, 0, 1, 2, 3, modal)
+        else:
+            _multiply_four(
+                n, n, row0, row1, row2, row3, gradients, number, bases, 0, 1, 2, 3, modal
+            )
+        for q in range(together):
+            place = order[(at + q) // times]
+            history, into = histories[place], (at + q) % times * size + place
+            row, basis, start, change = history * n, number * n, q * n, 0.0
+            if with_missing and stiffness[history] > 0.0:
+                carried = 0.0
+                for i in range(n):
+                    carried += responses[row + i] * modal[start + i]
+                change = (missing[into] + carried) / stiffness[history]
+            for i in range(n):
+                modal[start + i] = (change * forces[basis + i] - modal[start + i]) * inverses[
+                    row + i
+                ]
+            changes[into] = change
+        _multiply_four(
+            n, n, 0, 1, 2, 3, modal, number, transposed, row0, row1 if together > 1 else spare,
+            row2 if together > 2 else spare + 1, row3 if together > 3 else spare + 2, steps,
+        )  # fmt: skip
+        if with_scales:
+            for q in range(together):
+                place = order[(at + q) // times]
+                start, compliance = ((at + q) % times * size + place) * n, which[place] * n
+                for i in range(n):
+                    steps[start + i] *= per_scale[compliance + i]
+        at += together
+
+
+def conjugate_gradients(
+    count: Count, n: Count, places: Integers, n_histories: Count, rows: Integers, numbers: Integers,
+    psi: Reals, psi_t: Reals, derivatives: Reals, with_derivatives: Count, forces: Reals,
+    slopes: Reals, are_regular: Flags, deviations: Reals, inverses: Reals, responses: Reals,
+    stiffness: Reals, missing: Reals, with_forces: Count, tolerance: Real, most: Count,
+    sides: Reals, changes: Reals, which: Integers, order: Integers, sizes: Reals, limits: Reals,
+    multipliers: Reals, solutions: Reals, residuals: Reals, directions: Reals, bent: Reals,
+    products: Reals, deviating: Reals,
+) -> None:  # fmt: skip
+    """Set steps against gradients in bases at ``places`` (count,), as ``solve_in_bases`` does.
+
+    Of Hessians that are not diagonal there, 1 + Psi' slope Psi + deviation K', by projected
+    conjugate gradients, which these inverses precondition, up to ``most`` iterations, until
+    residuals are below the ``tolerance`` relative to the first: four histories of a basis at a
+    time. Each iterate carries the force; the change of approach is the multiplier of that
+    condition. From ``which`` on there is room, for four numbers, or for seven rows.
+    """
+    begin = 0
+    while begin < count:
+        first = rows[places[begin] % n_histories]
+        regular, together = are_regular[first], 0
+        while together < 4 and begin + together < count:
+            history = rows[places[begin + together] % n_histories]
+            if numbers[history] != numbers[first] or are_regular[history] != regular:
+                break
+            which[together], order[together] = numbers[first], together
+            together += 1
+        shifted = False
+        for q in range(together):
+            place, local = places[begin + q], q * n
+            history = rows[place % n_histories]
+            row, start, size, shift = history * n, place * n, 0.0, 0.0
+            for i in range(n):
+                size += inverses[row + i] * sides[start + i] * sides[start + i]
+            if with_forces and stiffness[history] > 0.0:
+                shift = missing[place] / stiffness[history]
+            # of so little as is mostly missing, the round-off of the last step, the residual is
+            # that of none
+            much = shift * shift * stiffness[history] > tolerance * tolerance * size
+            shifted = shifted or much
+            for i in range(n):
+                solutions[local + i] = shift * responses[row + i]
+                directions[local + i] = solutions[local + i] if much else 0.0
+                residuals[local + i] = -sides[start + i]
+            sizes[q], limits[q], multipliers[q] = 1.0, 0.0, 0.0
+        # the first time the residual is made that of the shift
+        for iteration in range(most + 1):
+            if iteration > 0 or shifted:
+                if not regular:
+                    _multiply(together, n, n, 1, together, order, which, directions, psi_t, bent)
+                    for q in range(together):
+                        row = rows[places[begin + q] % n_histories] * n
+                        for i in range(n):
+                            bent[q * n + i] *= slopes[row + i]
+                    _multiply(together, n, n, 1, together, order, which, bent, psi, products)
+                if with_derivatives:
+                    _multiply(
+                        together, n, n, 1, together, order, which, directions, derivatives,
+                        deviating,
+                    )  # fmt: skip
+            going = False
+            for q in range(together):
+                if not sizes[q] > limits[q]:
+                    continue
+                local, history = q * n, rows[places[begin + q] % n_histories]
+                row, basis, deviation = history * n, numbers[history] * n, deviations[history]
+                size, curvature = sizes[q], 0.0
+                if iteration > 0 or shifted:
+                    if regular:
+                        for i in range(n):
+                            products[local + i] = directions[local + i] / inverses[row + i]
+                    else:
+                        for i in range(n):
+                            products[local + i] += directions[local + i]
+                    if with_derivatives:
+                        for i in range(n):
+                            products[local + i] += deviation * deviating[local + i]
+                    for i in range(n):
+                        curvature += directions[local + i] * products[local + i]
+                    length = size / curvature if curvature > 0.0 else 0.0
+                    if iteration == 0:
+                        length = 1.0
+                    moved = length if iteration > 0 else 0.0
+                    for i in range(n):
+                        solutions[local + i] += moved * directions[local + i]
+                        residuals[local + i] -= length * products[local + i]
+                carried, before, size = 0.0, size, 0.0
+                if with_forces and stiffness[history] > 0.0:
+                    for i in range(n):
+                        carried += responses[row + i] * residuals[local + i]
+                    carried /= stiffness[history]
+                    for i in range(n):
+                        residuals[local + i] -= carried * forces[basis + i]
+                    multipliers[q] += carried
+                for i in range(n):
+                    size += inverses[row + i] * residuals[local + i] * residuals[local + i]
+                if iteration == 0:
+                    limits[q] = tolerance * tolerance * size
+                again = size / before if iteration > 0 else 0.0
+                for i in range(n):
+                    directions[local + i] = (
+                        again * directions[local + i] + inverses[row + i] * residuals[local + i]
+                    )
+                sizes[q] = size
+                going = going or size > limits[q]
+            if not going:
+                break
+        for q in range(together):
+            place = places[begin + q]
+            for i in range(n):
+                sides[place * n + i] = solutions[q * n + i]
+            changes[place] = -multipliers[q]
+        begin += together
 
 
 def missing_forces(

@@ -226,13 +226,13 @@ def _compile(llvm: Any, functions: Sequence[FunctionType]) -> bytes:
         }
         for f in functions
     }
-    parts: dict[str, Any] = {}
+    names: dict[str, Any] = dict(functions[0].__globals__)
     module: Any = None
     for function in sorted(functions, key=_is_part, reverse=True):
         name = function.__name__
-        with_parts = FunctionType(function.__code__, {**function.__globals__, **parts}, name)
+        with_parts = FunctionType(function.__code__, names, name)  # which are compiled, too
         if _is_part(function):
-            parts[name] = numba.njit(**options[name])(with_parts)
+            names[name] = numba.njit(**options[name])(with_parts)
             continue
         signature = types.void(*[parameter[kind] for kind in _kinds(function)])
         loop = numba.cfunc(signature, **options[name])(with_parts)

@@ -28,9 +28,9 @@ class BasisStack:
         #: ``Basis``
         self.psi, self.psi_t = np.empty((2, 0, n, n))
         self.mu, self.force = np.empty((2, 0, n))
-        #: (m, n, n), K' of ``Differences`` in the bases; without these (m, 0, 0)
-        size = 0 if compliances.differences is None else n
-        self.change = np.empty((0, size, size))
+        #: (m, n, n), K' of ``Deviations`` in the bases; without these (m, 0, 0)
+        size = 0 if compliances.deviations is None else n
+        self.derivatives = np.empty((0, size, size))
 
     @property
     def is_full(self) -> bool:
@@ -55,9 +55,11 @@ class BasisStack:
                 number = self._numbers[name] = self._vacant.pop()
                 self.psi[number], self.mu[number], self.force[number] = basis
                 self.psi_t[number] = basis.psi.T
-                more = self._compliances.differences
+                more = self._compliances.deviations
                 if more is not None:
-                    self.change[number] = basis.psi.T @ more.matrices[compliance] @ basis.psi
+                    self.derivatives[number] = (
+                        basis.psi.T @ more.derivatives[compliance] @ basis.psi
+                    )
         return self._numbers[name]
 
     def make_room(self, used: IntArray) -> None:
@@ -78,7 +80,7 @@ class BasisStack:
         if more > 0 or not len(vacant):
             # room that is not used costs nothing, to copy bases does: two of each compliance
             more = max(_LEAST_ROOM, more, 2 * len(self._compliances.matrices) - len(vacant))
-            for name in ("psi", "psi_t", "mu", "force", "change"):
+            for name in ("psi", "psi_t", "mu", "force", "derivatives"):
                 setattr(self, name, _longer(getattr(self, name), more))
             vacant = np.append(vacant, np.ones(more, dtype=bool))
         # the lowest are taken first: products are fewer where numbers follow each other

@@ -1,9 +1,10 @@
 """The Hessians of B contact problems, A of each history and what its wear adds, and their inverses.
 
-They are diagonal in bases that histories share (see ``scaled_compliances``), or, of compliances
-that differ from their references, nearly so: a few terms of a Neumann series do. Where the slope of
-wear over pressure has another shape, such a basis preconditions conjugate gradients. Wear that gets
-through layers, non-local wear and large systems have Cholesky factors of their own.
+They are diagonal in bases that histories share (see ``scaled_compliances``). Of compliances that
+deviate from their references, or where the slope of wear over pressure has another shape, such a
+basis preconditions projected conjugate gradients (Gould, Hribar and Nocedal, SIAM J. Sci. Comput.
+23 (2001) 1376-1395). Wear that gets through layers, non-local wear and large systems have Cholesky
+factors of their own.
 """
 
 from collections import defaultdict
@@ -17,7 +18,6 @@ from ringwear_par.batched import keep
 from ringwear_par.compiled import contact_rows
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.contact.basis_stack import BROKEN, BasisStack
-from ringwear_par.contact.conjugate_gradients import ModalHessians, divided, solve_iteratively
 from ringwear_par.contact.problem import LARGEST_WITH_BASES, ContactProblem
 from ringwear_par.contact.row_products import ROOM, RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
@@ -30,8 +30,7 @@ _FACTOR = -1
 #: residuals, relative to the first, at which conjugate gradients end: of estimates, within Newton's
 #: method, whose next step corrects what this one left, and of solutions
 ROUGH, NEAR, SOLVED = 1e-3, 1e-6, 1e-13
-#: error at which series end that stand for inverses in the bases, where none is to be smaller
-_SERIES = 1e-6
+_MOST_ITERATIONS = 200
 #: where nothing touches
 _NO_FACTOR = np.zeros((0, 0))
 
@@ -50,7 +49,11 @@ class Hessians:
         count, n = len(which), len(compliances.area)
         self._per_speed = (1.0 / compliances.speed)[compliances.reference]
         self._slope_scale = compliances.weights / compliances.scale
-        self._loops = load(contact_rows)
+        self._per_scale = 1.0 / compliances.scale
+        more, self._loops = compliances.deviations, load(contact_rows)
+        #: (B,) from the references, see ``Deviations``, and whether there are any
+        self._deviation = np.zeros(count) if more is None else more.deviation[which]
+        self._root = None if more is None else more.root
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
         #: (B, n) the diagonal
@@ -82,7 +85,7 @@ class Hessians:
         self.coupling = self.coupling[histories] if len(self.coupling) else self.coupling
         keep(
             self,
-            ("_which", "_free", "_valid", "_wearing", "_basis",
+            ("_which", "_deviation", "_free", "_valid", "_wearing", "_basis",
              "_inverse", "_regular", "_response", "_stiffness"),
             histories,
         )  # fmt: skip
@@ -224,6 +227,7 @@ class Hessians:
             every = np.arange(len(self._basis))
             rows = _BasisRows(
                 histories if compact else every, bases if compact else self._basis,
+                self._which[histories] if compact else self._which,
                 places[factored:], places[:factored],
             )  # fmt: skip
             known = self._rows[compact] = histories, rows
@@ -246,13 +250,7 @@ class Hessians:
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
         """Return H^-1 right, (..., h, n), of some histories; 0 off their sets."""
-        solved = -self.steps(histories, right, None, SOLVED)[0]
-        if self._compliances.differences is not None:  # bases know no part that is not linear
-            products = self._compliances.products(self._which[histories])
-            rest = products.not_linear(solved)
-            rest[..., self._basis[histories] < 0, :] = 0.0  # factors do
-            solved += self.steps(histories, rest, None, SOLVED)[0]
-        return solved
+        return -self.steps(histories, right, None, SOLVED)[0]
 
     def steps(
         self,
@@ -273,34 +271,57 @@ class Hessians:
         """
         return self._steps(self._rows_of(histories, compact=True), gradient, missing, tolerance)
 
+    def responses(self, histories: IntArray, gaps: FloatArray, with_forces: bool) -> FloatArray:
+        """Return about the changes of pressures, MPa, with gaps (..., h, n) mm, to some 1e-3.
+
+        Parameters
+        ----------
+        with_forces : whether forces stay, or approaches.
+        """
+        rows, missing = self._rows_of(histories, compact=True), None
+        if with_forces:
+            missing = np.zeros(gaps.shape[:-1])
+        return self._steps(rows, gaps, missing, ROUGH, with_scales=True)[0]
+
     def _steps(
         self,
         rows: "_BasisRows",
         gradient: FloatArray,
         missing: FloatArray | None,
         tolerance: float,
+        with_scales: bool = False,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return steps and those of approaches; what is not among the rows is anything."""
-        size, n, stack = len(rows.histories), gradient.shape[-1], self._stack
+        """Return steps and those of approaches; what is not among the rows is anything.
+
+        Parameters
+        ----------
+        with_scales : whether gradients are gaps instead, mm, and steps are to be pressures, MPa.
+        """
+        size, n, stack, which = len(rows.histories), gradient.shape[-1], self._stack, rows.which
+        weights, per_scale = self._compliances.weights, self._per_scale
         count = gradient.size // n
         direct, indirect = rows.modal, rows.modal[:0]
-        if self._compliances.differences is not None:
-            direct, indirect = indirect, direct
-        elif not (regular := self._regular[rows.histories[direct]]).all():
-            direct, indirect = direct[regular], direct[~regular]
-        modal, steps = np.empty((2, count + ROOM, n))
-        changes = np.zeros(gradient.shape[:-1])
+        among = rows.histories[direct]
+        diagonal = self._regular[among] & (self._deviation[among] == 0.0)
+        if not diagonal.all():
+            direct, indirect = direct[diagonal], direct[~diagonal]
+        steps, changes = np.empty((count + ROOM, n)), np.zeros(gradient.shape[:-1])
         self._loops.steps_in_bases(
             len(direct), n, count // size, size, direct, rows.histories, rows.bases, stack.psi,
             stack.psi_t, stack.force, self._inverse, self._response, self._stiffness,
-            changes if missing is None else missing, missing is not None, gradient, modal, steps,
-            changes,
+            changes if missing is None else missing, missing is not None, gradient, which,
+            weights, per_scale, with_scales, *np.empty((2, 4, n)), steps, changes,
         )  # fmt: skip
         out = steps[:count].reshape(gradient.shape), changes
+        others = np.append(indirect, rows.factored)
+        if with_scales and len(others):
+            gradient = gradient * weights[which]
         if len(indirect):
             self._set_indirect(rows, indirect, gradient, missing, tolerance, out)
         if len(rows.factored):
             self._set_factored(rows.histories, rows.factored, gradient, missing, out)
+        if with_scales and len(others):
+            out[0][..., others, :] *= per_scale[which[others]]
         return out
 
     def _set_indirect(
@@ -312,87 +333,30 @@ class Hessians:
         tolerance: float,
         out: tuple[FloatArray, FloatArray],
     ) -> None:
-        """Set steps and changes of approaches that take a series or iterations."""
-        histories, bases = rows.histories[places], rows.bases[places]
-        groups = RowProducts(bases)
-        modal = groups.of(gradient[..., places, :], self._stack.psi)
-        irregular = np.flatnonzero(~self._regular[histories])
-        sides = modal[..., irregular, :] if len(irregular) else modal
+        """Set steps and changes of approaches that take conjugate gradients."""
+        order = np.argsort(
+            2 * rows.bases[places] + self._regular[rows.histories[places]], kind="stable"
+        )
+        places = places[order]
+        histories, stack, n = rows.histories[places], self._stack, gradient.shape[-1]
+        groups, count = RowProducts(rows.bases[places]), len(places)
+        modal = groups.of(gradient[..., places, :], stack.psi)
+        changes, deviates = np.empty(modal.shape[:-1]), stack.derivatives.size > 0
+        root = np.ones(count) if self._root is None else self._root[self._which[histories]]
+        lacking = changes
         if missing is not None:
-            missing = np.ascontiguousarray(missing[..., places])
-        differences = self._compliances.differences
-        if differences is not None:
-            root = differences.root[self._which[histories]]
-            missing = None if missing is None else missing * root
-        solved, change = self._direct_steps(histories, bases, modal, missing)
-        if differences is not None:
-            self._add_series(histories, bases, groups, (solved, change), missing is None, tolerance)
-        if len(irregular):
-            many = np.broadcast_to(histories[irregular], sides.shape[:-1])
-            x, more = solve_iteratively(
-                self._modal_hessians(many.ravel()),
-                -sides.reshape(many.size, -1),
-                None if missing is None else missing[..., irregular].ravel(),
-                tolerance,
-            )
-            solved[..., irregular, :] = x.reshape(sides.shape)
-            change[..., irregular] = more.reshape(many.shape)
-        out[0][..., places, :] = groups.of(solved, self._stack.psi_t)
-        out[1][..., places] = change if differences is None else change * root
-
-    def _modal_hessians(self, histories: IntArray) -> ModalHessians:
-        """Return the Hessians of histories in their bases."""
-        numbers, stack, differences = (
-            self._basis[histories], self._stack, self._compliances.differences,
+            lacking = np.ascontiguousarray(missing[..., places]) * root
+        # all that there are of a history one after another
+        every = np.arange(changes.size).reshape(-1, count).T.ravel()
+        self._loops.conjugate_gradients(
+            len(every), n, every, count, histories, self._basis, stack.psi, stack.psi_t,
+            stack.derivatives if deviates else stack.psi, deviates, stack.force, self.slope,
+            self._regular, self._deviation, self._inverse, self._response, self._stiffness,
+            lacking, missing is not None, tolerance, _MOST_ITERATIONS, modal, changes,
+            *np.empty((2, 4), dtype=np.int64), *np.empty((3, 4)), *np.empty((6, 7, n)),
         )  # fmt: skip
-        change = None if differences is None else differences.change[self._which[histories], None]
-        return ModalHessians(
-            numbers, stack.psi, stack.psi_t, stack.change, self.slope[histories], change,
-            self._inverse[histories], stack.force[numbers], self._response[histories],
-            self._stiffness[histories],
-        )  # fmt: skip
-
-    def _direct_steps(
-        self,
-        histories: IntArray,
-        bases: IntArray,
-        modal: FloatArray,
-        missing: FloatArray | None,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return steps in the bases as if slopes had the shape, and compliances were references.
-
-        They are where ``modal`` was.
-        """
-        change, count = np.empty(modal.shape[:-1]), len(histories)
-        self._loops.solve_in_bases(
-            count, modal.shape[-1], change.size // count, count, np.arange(count), histories, bases,
-            self._stack.force, self._inverse, self._response, self._stiffness,
-            change if missing is None else missing, missing is not None, modal, change,
-        )  # fmt: skip
-        return modal, change
-
-    def _add_series(
-        self,
-        histories: IntArray,
-        bases: IntArray,
-        groups: RowProducts,
-        out: tuple[FloatArray, FloatArray],
-        approach_stays: bool,
-        tolerance: float,
-    ) -> None:
-        """Add to direct steps the terms of the Neumann series in the differences of compliances."""
-        more = self._compliances.differences
-        assert more is not None
-        which = self._which[histories]
-        terms, change = more.terms(min(tolerance, _SERIES))[which], more.change[which]
-        terms[~self._regular[histories]] = 0
-        step, none = out[0], None if approach_stays else np.zeros(out[1].shape)
-        for term in range(terms.max(initial=0)):
-            sides = groups.of(step, self._stack.change)
-            sides *= np.where(terms > term, change, 0.0)[:, None]
-            step, approach = self._direct_steps(histories, bases, sides, none)
-            np.add(out[0], step, out=out[0])
-            np.add(out[1], approach, out=out[1])
+        out[0][..., places, :] = groups.of(modal, stack.psi_t)
+        out[1][..., places] = changes * root
 
     def _set_factored(
         self,
@@ -419,7 +383,7 @@ class Hessians:
         change = np.zeros(sides.shape[:-1])
         if missing is not None:
             carried, stiffness = inner(weights, by_gradient), inner(weights, response)
-            change = divided(missing[..., places] + carried, stiffness)
+            change = _divided(missing[..., places] + carried, stiffness)
         out[0][..., places, :] = change[..., None] * response - by_gradient
         out[1][..., places] = change
 
@@ -427,9 +391,15 @@ class Hessians:
 class _BasisRows(NamedTuple):
     """Which rows are solved in bases, and in which."""
 
-    #: (h,) int, of the rows, and of their bases
+    #: (h,) int, of the rows, of their bases, and of their compliances
     histories: IntArray
     bases: IntArray
+    which: IntArray
     #: which of the rows are solved in bases, one basis after the other, and which by factors
     modal: IntArray
     factored: IntArray
+
+
+def _divided(force: FloatArray, stiffness: FloatArray) -> FloatArray:
+    """Return forces over stiffnesses, (h,); 0 where nothing touches."""
+    return np.divide(force, stiffness, out=np.zeros_like(force), where=stiffness > 0.0)

@@ -242,7 +242,7 @@ class ContactProblem:
             which = self.which[histories]
             order = histories[np.argsort(compliances.reference[which], kind="stable")]
             known = self._products = histories, order, compliances.products(which)
-        if compliances.differences is None:
+        if compliances.deviations is None:
             self.loops.multiply(
                 len(histories), n, n, 1, len(self.every), known[1], self._reference,
                 self.unknowns, compliances.matrices, self._product,

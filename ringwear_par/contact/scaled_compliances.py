@@ -9,7 +9,6 @@ so that one basis serves every step of every history with the same elements in c
 Compliances may differ a little from references, whose bases they share.
 """
 
-import math
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -39,52 +38,24 @@ class Basis(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Differences:
-    """How m compliances differ from f references, K = share (K_ref + change K' + Q C Q').
-
-    C is a sum of cores, by polynomials.
+class Deviations:
+    """How m compliances deviate from f references, K = share (K_ref + deviation K').
 
     Unscaled or, as A of K, scaled.
     """
 
-    #: (m,) float; nothing but the reference is 1, 0 and 0
+    #: (m,) float; nothing but the reference is 1 and 0
     share: FloatArray
-    change: FloatArray
-    #: (m,) float, largest size of ``change K'`` relative to K_ref
-    contraction: FloatArray
-    #: (m, p) float
-    polynomials: FloatArray
-    #: (f, n, n) float, K', and (f, n, rank) float, Q
-    matrices: FloatArray = field(metadata=along(None))
-    factors: FloatArray = field(metadata=along(None))
-    #: (f, rank, p rank) float, cores side by side
-    cores: FloatArray = field(metadata=along(None))
+    deviation: FloatArray
+    #: (f, n, n) float, K'
+    derivatives: FloatArray = field(metadata=along(None))
     #: (f, n, n) float, mm/MPa, what K' has more than the same of collocated compliances, transposed
     transposed_excess: FloatArray = field(metadata=along(None))
-    _terms: dict[float, IntArray] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def root(self) -> FloatArray:
         """(m,) weights of references over those of the compliances."""
         return np.sqrt(self.share)
-
-    @cached_property
-    def transposed_factors(self) -> FloatArray:
-        """(f, rank, n) Q'."""
-        return np.ascontiguousarray(self.factors.transpose(0, 2, 1))
-
-    @property
-    def rank(self) -> int:
-        """Columns of Q."""
-        return self.factors.shape[2]
-
-    def terms(self, tolerance: float) -> IntArray:
-        """Return how many terms of a series in ``change K'`` are not below a tolerance, (m,)."""
-        if tolerance not in self._terms:
-            with np.errstate(divide="ignore"):
-                terms = np.ceil(math.log(tolerance) / np.log(self.contraction)) - 1.0
-            self._terms[tolerance] = np.maximum(terms, 0.0).astype(np.int64)
-        return self._terms[tolerance]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +83,7 @@ class ScaledCompliances:
     #: (f,) bytes, different if anything is that a basis depends on
     names: Any = field(metadata=along(None))
     #: None: all of them are references
-    differences: Differences | None
+    deviations: Deviations | None
 
     @classmethod
     def of(
@@ -122,7 +93,7 @@ class ScaledCompliances:
         speed: FloatArray | None = None,
         excess: FloatArray | None = None,
         reference: IntArray | None = None,
-        differences: Differences | None = None,
+        deviations: Deviations | None = None,
     ) -> "ScaledCompliances":
         """Return compliances scaled.
 
@@ -134,7 +105,7 @@ class ScaledCompliances:
         excess : (f, n, n) float, mm/MPa, what these have more than the collocated ones; None: no
             more.
         reference : (m,) int, those that compliances are near to; None: they are these.
-        differences : from the references, not scaled; None: they are these.
+        deviations : from the references, not scaled; None: they are these.
         """
         diagonal = np.diagonal(symmetric, axis1=1, axis2=2)
         scale = np.sqrt(diagonal)
@@ -149,13 +120,12 @@ class ScaledCompliances:
         ]
         every = np.arange(len(symmetric)) if reference is None else reference
         root, stiffness, scaled = np.ones((len(every), 1)), (area / diagonal)[every], None
-        if differences is not None:
-            root = np.sqrt(differences.share)[:, None]
-            stiffness = stiffness / differences.share[:, None]
+        if deviations is not None:
+            root = np.sqrt(deviations.share)[:, None]
+            stiffness = stiffness / deviations.share[:, None]
             scaled = replace(
-                differences,
-                matrices=differences.matrices / (scale[:, :, None] * scale[:, None, :]),
-                factors=differences.factors / scale[:, :, None],
+                deviations,
+                derivatives=deviations.derivatives / (scale[:, :, None] * scale[:, None, :]),
             )
         return cls(
             area, matrices, every, scale[every] * root, weights[every] / root, weights, speed,
@@ -173,13 +143,10 @@ class ScaledCompliances:
 
     def matrix(self, number: int) -> FloatArray:
         """Return A of one of the compliances, (n, n)."""
-        at, more = self.reference[number], self.differences
+        at, more = self.reference[number], self.deviations
         if more is None:
             return self.matrices[at].copy()
-        inside = (more.factors[at] @ more.cores[at]).reshape(len(self.area), -1, more.rank)
-        inside = np.einsum("p,npr->nr", more.polynomials[number], inside)
-        small = inside @ more.factors[at].T
-        return self.matrices[at] + more.change[number] * more.matrices[at] + small
+        return self.matrices[at] + more.deviation[number] * more.derivatives[at]
 
     def basis(self, number: int, free: BoolArray, wearing: BoolArray) -> Basis | None:
         """Return the basis of elements of a reference in contact and wearing, (n,).
@@ -229,39 +196,34 @@ class ComplianceProducts:
 
     def __init__(self, compliances: ScaledCompliances, which: IntArray) -> None:
         self._compliances, self._which = compliances, which
-        self._groups, more = RowProducts(compliances.reference[which]), compliances.differences
-        #: of the rows; None: all are those of references
-        self._change: FloatArray | None = None
-        if more is not None and more.polynomials[which].any():
-            self._change, self._polynomials = more.change[which][:, None], more.polynomials[which]
+        self._groups, more = RowProducts(compliances.reference[which]), compliances.deviations
+        #: (h, 1) of the rows; None: all are those of references
+        self._deviation: FloatArray | None = None
+        if more is not None and more.deviation[which].any():
+            self._deviation = more.deviation[which][:, None]
 
-    def not_linear(self, q: FloatArray) -> FloatArray:
-        """Return Q C Q' q of ``Differences``, (..., h, n)."""
-        more = self._compliances.differences
-        if more is None or self._change is None:
-            return np.zeros_like(q)
-        inside = self._groups.of(self._groups.of(q, more.factors), more.cores)
-        inside = inside.reshape(*q.shape[:-1], -1, more.rank)
-        inside = np.einsum("hp,...hpr->...hr", self._polynomials, inside)
-        return self._groups.of(inside, more.transposed_factors)
+    def _product(
+        self, rows: FloatArray, references: FloatArray, derivatives: FloatArray | None
+    ) -> FloatArray:
+        """Return products with matrices that deviate from those of references, (..., h, n)."""
+        product = self._groups.of(rows, references)
+        if self._deviation is not None and derivatives is not None:
+            product += self._deviation * self._groups.of(rows, derivatives)
+        return product
 
     def symmetric(self, q: FloatArray) -> FloatArray:
         """Return A q, (..., h, n)."""
-        compliances, more = self._compliances, self._compliances.differences
-        product = self._groups.of(q, compliances.matrices)
-        if more is not None and self._change is not None:
-            product += self._change * self._groups.of(q, more.matrices)
-            product += self.not_linear(q)
-        return product
+        more = self._compliances.deviations
+        derivatives = None if more is None else more.derivatives
+        return self._product(q, self._compliances.matrices, derivatives)
 
     def gap_of_excess(self, p: FloatArray) -> FloatArray:
         """Return the gap that the excess opens at pressures (..., h, n) MPa, mm."""
-        compliances, which = self._compliances, self._which
-        gap, more = self._groups.of(p, compliances.transposed_excess), compliances.differences
-        if more is not None and self._change is not None:
-            gap += self._change * self._groups.of(p, more.transposed_excess)
-            gap *= more.share[which][:, None]
-            gap += self.not_linear(compliances.scale[which] * p) / compliances.weights[which]
+        more = self._compliances.deviations
+        if more is None:
+            return self._product(p, self._compliances.transposed_excess, None)
+        gap = self._product(p, self._compliances.transposed_excess, more.transposed_excess)
+        gap *= more.share[self._which][:, None]
         return gap
 
 

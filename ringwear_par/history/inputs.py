@@ -28,14 +28,14 @@ class HistoryInputs:
     tolerance: FloatArray
     #: rad/s
     omega: Quantity
-    #: N and mm; one of them is None
+    #: N, and mm; the cases have one or the other, None is the other
     force: Quantity | None
     displacement: Quantity | None
     #: of lower and upper, None where a body does not wear
     laws: tuple[Law | None, ...]
-    #: worn volume of lower and upper per dissipated energy, (B,) 1/MPa, 0 where it is not fixed;
-    #: None where it is for none. Of bodies with layers those of all of them and of the body itself,
-    #: (layers + 1, B).
+    #: worn volume of lower and upper per dissipated energy, (B,) 1/MPa, 0 where it is no constant;
+    #: None where it is one in no history. Of a body with layers, (layers + 1, B): those of the
+    #: layers and of the body itself
     per_energy: tuple[FloatArray | None, ...]
     #: (B,) ``output.every``
     every: IntArray
@@ -86,7 +86,7 @@ class HistoryInputs:
         )
 
     def with_laws(self, change: Callable[[int, LayeredLaw], LayeredLaw]) -> Self:
-        """Return the inputs with other laws of bodies with layers, whose number is 0 or 1."""
+        """Return the inputs with ``change(body, law)`` as the laws of bodies with layers."""
         laws = tuple(
             change(i, law) if isinstance(law, LayeredLaw) else law
             for i, law in enumerate(self.laws)
@@ -100,7 +100,7 @@ class HistoryInputs:
 
     @cached_property
     def wears(self) -> bool:
-        """Whether any body does."""
+        """Whether any body wears."""
         return any(law is not None for law in self.laws)
 
     @cached_property
@@ -120,16 +120,16 @@ class HistoryInputs:
 
     @cached_property
     def rates_last(self) -> bool:
-        """Whether the rates at the end of an increment are those of the instant.
+        """Whether rates at the end of an implicit step are those at its last instant.
 
-        Speed, friction and wear before the increment then make no difference.
+        That is where sliding is steady and no law reads the wear at the start of the step.
         """
         reads = any(law is not None and law.reads_wear for law in self.laws)
         return self.steady_sliding and not reads
 
     @cached_property
     def rates_stay(self) -> bool:
-        """Whether the rates at a pressure are the same at all times, whatever has been worn."""
+        """Whether the rates at a pressure are the same at all times and worn depths."""
         return self.steady_sliding and all(law is None or law.is_steady for law in self.laws)
 
 
@@ -145,9 +145,9 @@ def _per_energy(laws: Sequence[Any], frictions: Sequence[Quantity]) -> FloatArra
 
 
 def of_faces(cases: Sequence[Case], number: Callable[[Case], Any]) -> list[Any]:
-    """Return of each case what depends on its unworn faces alone: worked out once for equal ones.
+    """Return a number of each case that depends on its unworn faces alone.
 
-    The cases are of one pair.
+    It is computed once for cases of equal faces. The cases are of one pair.
     """
     known: dict[Hashable, Any] = {}
     numbers = []

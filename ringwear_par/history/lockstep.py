@@ -14,7 +14,7 @@ from ringwear_par.wear.trials import serves_many
 
 
 def must_run_alone(case: Case) -> bool:
-    """Tell whether a case steps alone: its elasticity is its own. Not collective."""
+    """Tell whether a case steps alone, as no other shares its elasticity. Not collective."""
     return case.follows_wear or case.output.boundary != "none"
 
 

@@ -1,4 +1,4 @@
-"""Elements that follow the wear: when they do, and the physics and state that this leads to."""
+"""Elements that follow the wear: when they are meshed anew, and the physics and state after it."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ from ringwear_par.history.state import State
 
 
 class MovingGeometry:
-    """The elasticity of a case whose elements follow the wear; owns what stays of its matrices.
+    """The elasticity of a case whose elements follow the wear, with its matrices' constant parts.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class MovingGeometry:
 
     def __init__(self, case: Case, comm: MPI.Comm) -> None:
         self._case, self._geometry = case, updated_geometry(case, comm)
-        #: (2, n) mm, the wear that the elements have followed
+        #: (2, n) mm, wear of the profiles that the elements are meshed on
         self._meshed_wear = np.zeros((2, case.line.n))
 
     def unworn(self) -> ContactPair:
@@ -42,8 +42,9 @@ class MovingGeometry:
     ) -> tuple[Physics, CorrectedContacts, State]:
         """Return physics, contacts and state of elements that have followed the wear of a state.
 
-        If that is more than the tolerance of the geometry; otherwise those that it had before.
-        Collective. It depends on the state alone, so that a restarted history does the same.
+        Only if the wear since then is more than ``mesh.geometry_tolerance``; otherwise they are the
+        same as before. It depends on the state alone, so that a restarted history does the same.
+        Collective.
 
         Raises
         ------
@@ -56,12 +57,12 @@ class MovingGeometry:
         before = physics.compliances.every[0]
         physics, contacts = self.remesh_to(state.wear, physics, contacts)
         after = physics.compliances.every[0]
-        # faces that wear has made to slope alike touch as they are displaced: what the turned slope
-        # makes of displacements that there are already is no gap
+        # where a slope has turned, the displacement along the axis under the present pressure
+        # jumps, though nothing has moved: the offset takes this jump out of the gap
         turned = after.slope != before.slope
-        gained = state.contact.pressure @ (after.collocated - before.collocated).T
+        jump = state.contact.pressure @ (after.collocated - before.collocated).T
         offset = 0.0 if state.gap_offset is None else state.gap_offset
-        offset = np.where(turned, gained, 0.0) + offset
+        offset = np.where(turned, jump, 0.0) + offset
         physics = replace(physics, gap_offset=offset, updates=physics.updates + 1)
         # the rates at the start of the next step are to be those of the new elasticity
         inputs = physics.contact_inputs(state.time, state.wear)
@@ -89,26 +90,26 @@ class MovingGeometry:
         self._meshed_wear = wear[:, 0]
         physics = physics.with_compliances(Compliances.of_each([compliance]), pair.cost)
         contacts.close()
-        following = physics.contacts()
-        rescaled = following.engine.scale / contacts.engine.scale
+        new_contacts = physics.contacts()
+        rescaled = new_contacts.engine.scale / contacts.engine.scale
         warm = contacts.warm
-        following.warm = WarmStart(warm.scaled_pressure * rescaled, warm.approach)
-        following.largest_errors = contacts.largest_errors
-        return physics, following
+        new_contacts.warm = WarmStart(warm.scaled_pressure * rescaled, warm.approach)
+        new_contacts.largest_errors = contacts.largest_errors
+        return physics, new_contacts
 
 
-def _slivers(line: ContactLine, shape: FloatArray) -> str:
+def _slivers(line: ContactLine, wear: FloatArray) -> str:
     """Return where a worn face stands out by more than elements are wide; "" for nowhere."""
-    rises = np.abs(np.diff(shape, axis=-1))
+    rises = np.abs(np.diff(wear, axis=-1))
     steep = rises / np.minimum(line.width[1:], line.width[:-1])
     body, e = np.unravel_index(steep.argmax(), steep.shape)
     if steep[body, e] <= 1.0:
         return ""
-    less, more = sorted((e, e + 1), key=lambda place: shape[body, place])
+    less, more = sorted((e, e + 1), key=lambda place: wear[body, place])
     return (
         f"elements that follow the wear: {('lower', 'upper')[body]} is worn by "
-        f"{shape[body, more]:.4g} mm at r = {line.r[more]:.6g} mm and by "
-        f"{shape[body, less]:.4g} mm at r = {line.r[less]:.6g} mm beside it; what stands out "
+        f"{wear[body, more]:.4g} mm at r = {line.r[more]:.6g} mm and by "
+        f"{wear[body, less]:.4g} mm at r = {line.r[less]:.6g} mm beside it; what stands out "
         f"by {steep[body, e]:.2g} times the width of an element is no face that can be computed"
         ': mesh.geometry = "fixed", or laws of wear that differ less, must be used'
     )

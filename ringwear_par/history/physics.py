@@ -1,11 +1,12 @@
-"""The physics of one contact line: what presses (3), how it wears (4), what a step wears off.
+"""The physics of one contact line: loads and gaps (3), rates of wear (4), wear of a step.
 
-Pure: contact solutions are the matter of ``contact.correction``, whose problems are posed here;
-nothing here knows of schemes, step control, files or observers.
+Pure functions: they pose the contact problems, which ``contact.correction`` solves. Nothing here
+depends on schemes, step control, files or observers.
 
 There are B >= 1 histories on the line: fields are (B, n), numbers of histories (B,). Loads, laws
 and gaps are ``inputs``, moduli ``compliances``; elements that follow the wear are the matter of
-``moving_geometry``, states for which all this does not hold that of ``admissible``.
+``moving_geometry``; states for which the physics does not hold are refused by
+``refusals.states``.
 """
 
 import itertools
@@ -35,7 +36,7 @@ from ringwear_par.wear.local_state import LocalState
 
 
 class Sliding(NamedTuple):
-    """How B histories slide at an instant, or in the mean over a step."""
+    """Speed and friction of B histories at an instant, or their means over a step."""
 
     #: (B,) rad/s
     omega: FloatArray
@@ -49,25 +50,25 @@ class Physics:
 
     #: loads, laws and gaps of the cases
     inputs: HistoryInputs
-    #: of each history, the contact pair before any wear
+    #: contact pair of each history, before any wear
     pairs: tuple[ContactPair, ...]
-    #: of the histories
+    #: compliances of the contact lines of the histories
     compliances: Compliances
     #: (layers, B, n) mm, along the axis, depths at which the layers of lower and upper end; None
     #: for a body without
     layer_ends: tuple[FloatArray | None, ...]
     #: (n, n) of the pressures, and of the rates, of non-local laws of lower and upper
     averages: tuple[FloatArray | None, ...] = (None, None)
-    #: what the numbers act on that there are derivatives with respect to, if any
+    #: how the numbers enter that states have derivatives with respect to; None without derivatives
     sensitivity: Sensitivity | None = None
-    #: (B, n) mm, what elements are nearer than their profiles say, see ``State``
+    #: (B, n) mm, by which gaps are smaller than those of the worn profiles, see ``State``
     gap_offset: FloatArray | None = None
-    #: how often elements were assembled anew to follow the wear, and what that took
+    #: how often elements were assembled anew to follow the wear, and the time and memory of it
     updates: int = 0
     update_cost: BodyCost = field(default_factory=BodyCost)
-    #: whether the pair was assembled for others, too
+    #: whether other simulations use the pair, too
     pair_is_shared: bool = False
-    #: the last increment of rates that stay: that of a stage or step of the same length is the same
+    #: the last increment, where rates stay: it is that of all steps or stages of the same length
     _last: list[WearIncrement] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @classmethod
@@ -86,7 +87,7 @@ class Physics:
         cases : of one shape and mesh, with laws of the same kinds; one alone if its elements follow
             the wear.
         pairs : contact pair of the cases, or one of each.
-        known : compliances, as far as they are known.
+        known : compliances that are known already.
         derivatives : keys that states are to have derivatives with respect to.
 
         Raises
@@ -112,7 +113,7 @@ class Physics:
         )._along_slopes()
 
     def _along_slopes(self) -> Self:
-        """Return the physics whose averages and layers are those of faces of these slopes."""
+        """Return the physics with averages and layers along the slopes of its compliances."""
         inputs, true_area = self.inputs, self.area * self.compliances.every[0].obliquity
         if inputs.layered:
             ends = [None if e is None else self._along_normal(e) for e in self.layer_ends]
@@ -153,7 +154,7 @@ class Physics:
 
     def area_in_contact(self, p: FloatArray) -> FloatArray:
         """Return the area of elements with pressure, mm^2, (B,), at (B, n)."""
-        if p.min() > 0.0:  # few batches have elements that are apart, and looking is quick
+        if p.min() > 0.0:  # so in most batches, and this look is quick
             return np.repeat(self._whole_area, len(p))
         return np.asarray(inner(self.area, (p > 0.0).astype(float)))
 
@@ -205,7 +206,7 @@ class Physics:
     # -- wear, eq. (4) -----------------------------------------------------------------------------
 
     def sliding(self, time: FloatArray) -> Sliding:
-        """Return how the histories slide at times (B,) s."""
+        """Return speed and friction of the histories at times (B,) s."""
         return self._at_all_times or self._sliding(time)
 
     def _sliding(self, time: FloatArray) -> Sliding:
@@ -214,12 +215,12 @@ class Physics:
 
     @cached_property
     def _at_all_times(self) -> Sliding | None:
-        """How the histories slide, where that never changes."""
+        """Speed and friction of the histories, where they never change."""
         inputs = self.inputs
         return self._sliding(np.zeros(len(inputs.cases))) if inputs.steady_sliding else None
 
     def mean_sliding(self, start: FloatArray, end: FloatArray) -> Sliding:
-        """Return how the histories slide in the mean over steps."""
+        """Return the means of speed and friction over steps."""
         inputs = self.inputs
         return self._at_all_times or Sliding(
             mean(inputs.omega, start, end), mean(inputs.friction, start, end)
@@ -228,7 +229,7 @@ class Physics:
     def local_state(self, time: FloatArray, sliding: Sliding, wear: FloatArray) -> LocalState:
         """Return the local state of a body whose wear is (B, n) mm.
 
-        Laws speak of depths along the normal; everything else here is along the axis.
+        Depths of laws are along the normal; all others in this module are along the axis.
         """
         angle, arm = integral(self.inputs.omega, 0.0, time), self.line.arm
         if self.obliquity is not None:
@@ -261,10 +262,10 @@ class Physics:
 
         ``closing`` is of elements that come into contact in it.
         """
-        # derivatives are with respect to all that there is
+        # with derivatives it is not shared: a linearisation needs the state of its own stage
         stays = self.inputs.rates_stay and self.sensitivity is None
-        last, lasts = self._last[0] if stays and self._last else None, columns(step)
-        if last is not None and closing is None and np.array_equal(last.step, lasts):
+        last, duration = self._last[0] if stays and self._last else None, columns(step)
+        if last is not None and closing is None and np.array_equal(last.step, duration):
             return last
         if last is not None:
             at = last.at
@@ -295,7 +296,7 @@ class Physics:
         return rates
 
     def rates_at(self, time: FloatArray, wear: FloatArray, p: FloatArray) -> FloatArray:
-        """Return the rates of wear at an instant, (2, B, n) mm/s, as they slide then."""
+        """Return the rates of wear, (2, B, n) mm/s, at the speed and friction of an instant."""
         return self.rates(time, self.sliding(time), wear, p)
 
     # -- integrals over the contact ----------------------------------------------------------------
@@ -392,7 +393,7 @@ class Physics:
 
     def at_pace(self, pace: FloatArray) -> Self:
         """Return the physics of a step in which rates are multiplied, by (2, B)."""
-        # energy does not tell what wears at random
+        # worn volume is no constant times energy where wear is random
         inputs = replace(self.inputs, pace=pace, per_energy=(None, None))
         return replace(self, inputs=inputs)
 

@@ -10,7 +10,7 @@ from ringwear_par.contact.problem import ContactState
 from ringwear_par.errors import ComputationError, HistoriesError
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.refusals.states import check_interpenetration, checked
+from ringwear_par.history.refusals.states import check_interpenetration, check_state
 from ringwear_par.history.schemes.tangent import StepTangent
 from ringwear_par.history.state import State
 
@@ -51,4 +51,4 @@ def initial_state(physics: Physics, contacts: CorrectedContacts) -> State:
         np.zeros(shape), tangent=None if step_tangent is None else step_tangent.reached(contact),
         through=np.full(worn.shape, np.inf) if physics.inputs.layered else None,
     )  # fmt: skip
-    return checked(physics.case, state)
+    return check_state(physics.case, state)

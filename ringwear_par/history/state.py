@@ -35,10 +35,10 @@ class Tangent:
     __repr__ = short_repr
 
     def at_interfaces(self, moving: BoolArray) -> "Tangent":
-        """Return the derivatives at ends that are those of interfaces where so (B,), else fixed."""
+        """Return the derivatives, of histories ``moving`` (B,) at the moving ends of interfaces."""
         time = np.where(moving, self.interface, 0.0)
 
-        def moved(values: FloatArray, rows: int) -> FloatArray:
+        def at_end(values: FloatArray, rows: int) -> FloatArray:
             last = np.take(values, [-1], axis=rows)
             shift = time.reshape(*time.shape, *(1,) * (values.ndim - rows - 2))
             changed = values + shift * last
@@ -46,8 +46,8 @@ class Tangent:
             return changed
 
         return Tangent(
-            moved(self.wear, 1), moved(self.energy, 0), moved(self.pressure, 0),
-            moved(self.gap, 0), moved(self.approach, 0), time, np.zeros_like(time),
+            at_end(self.wear, 1), at_end(self.energy, 0), at_end(self.pressure, 0),
+            at_end(self.gap, 0), at_end(self.approach, 0), time, np.zeros_like(time),
         )  # fmt: skip
 
 
@@ -63,19 +63,20 @@ class State:
     worn: FloatArray = field(metadata=along(1))
     #: (B,) float, N mm, dissipated by friction
     energy: FloatArray
-    #: (B,) float, N mm, pressure times sliding distance, over all places
+    #: (B,) float, N mm, integral of pressure times sliding speed over contact area and time
     normal_work: FloatArray
     #: the contact solution with these profiles
     contact: ContactState
     #: (2, B, n) float, mm/s, at which lower and upper wear now
     rates: FloatArray = field(metadata=along(1))
-    #: (B, n) float, mm, what the wear of both bodies together lacks for the steps so far, by
-    #: estimate; 0 from schemes that do not carry it
+    #: (B, n) float, mm, estimated error of the wear of both bodies together by the steps so far,
+    #: to be added to it; 0 from schemes that do not carry it
     error: FloatArray
-    #: (2, B, n) float, mm, the wear that the elements have followed; None where they do not
+    #: (2, B, n) float, mm, wear of the profiles that elements are meshed on; None where they do not
+    #: follow the wear
     meshed_wear: FloatArray | None = field(default=None, metadata=along(1))
-    #: (B, n) float, mm, what elements are nearer than their profiles say since their slopes turned,
-    #: see ``moving_geometry``; None where they do not
+    #: (B, n) float, mm, by which gaps are smaller than those of the worn profiles since slopes have
+    #: turned, see ``moving_geometry``; None where elements do not follow the wear
     gap_offset: FloatArray | None = None
     #: derivatives; None where there are none
     tangent: Tangent | None = None

@@ -24,7 +24,7 @@ _AFTER_FAILURE = 0.25
 NO_STEP = "and no step is short enough"
 #: beginning of a sentence about a step that is to end at an interface
 _UNREACHED = "the time at which an element reaches the end of its layer cannot be computed"
-#: share of the tolerance that a step may miss whatever the history before it has missed
+#: share of the tolerance that the error of a step may be, whatever the history's error before it
 _LEAST_ALLOWED = 0.05
 #: wear of the first step, in tolerances: edges wear fast and not for long
 _FIRST_WEAR = 50.0
@@ -35,14 +35,14 @@ _ENERGY_TOLERANCE = 1e-4
 
 @dataclass(frozen=True)
 class Decision:
-    """What a control makes of tries."""
+    """What a control decides of tries."""
 
-    #: (B,) bool, which histories go on from the end of their try
+    #: (B,) bool, which histories accept their try
     accepted: BoolArray
     #: (B,) bool, which of these have come to the end of a step; the others to an interface of
     #: layers within it
     complete: BoolArray
-    #: afterwards
+    #: after the tries
     progress: Progress
 
 
@@ -99,7 +99,7 @@ def _padded(rows: Sequence[Sequence[float]]) -> FloatArray:
 
 @dataclass(frozen=True)
 class FixedSteps:
-    """Steps of one length, or to given times; their errors are estimated, not held."""
+    """Steps of one length, or to given times; their errors are estimated, not controlled."""
 
     #: (B,) s
     length: FloatArray
@@ -135,8 +135,8 @@ class FixedSteps:
     def decide(self, before: State, step: Step, progress: Progress) -> Decision:
         """Accept every step, and every part of one that ends at an interface of layers.
 
-        Such an end is found by a try of what is left of the step, so that histories whose numbers
-        differ a little step alike.
+        After such an end the rest of the step is tried, so that histories whose numbers differ a
+        little make the same steps.
         """
         iterations = progress.tried_iterations + step.state.contact.iterations
         accepted = np.logical_not(step.too_far) & np.ones(len(self.length), dtype=bool)
@@ -212,13 +212,13 @@ class ErrorControl:
                 raise HistoriesError(stuck)
             if progress.interface[0] == end[0]:
                 raise InterfaceError(f"{_UNREACHED}, {NO_STEP}")
-            why = (
+            reason = (
                 "the estimated error of the step is not a number"
                 if progress.undefined[0]
                 else f"errors exceed time.tolerance = {self.wear_tolerance[0]:g} mm or "
                 f"time.pressure_tolerance = {self.pressure_tolerance[0]:g} (try larger tolerances)"
             )
-            raise ComputationError(f"{why}, {NO_STEP}")
+            raise ComputationError(f"{reason}, {NO_STEP}")
         fresh = ~progress.begun
         return end, replace(
             progress,
@@ -248,14 +248,14 @@ class ErrorControl:
             length = np.where(fresh, wanted, length)
         left = limit - state.time
         cut = length >= left * (1.0 - 1e-9)
-        whole = (length < 0.5 * left) | (length > 0.9 * left)  # no sliver at the end
+        whole = (length < 0.5 * left) | (length > 0.9 * left)  # else the last step would be tiny
         end = np.where(cut, limit, state.time + np.where(whole, length, 0.5 * left))
         return end, cut, length
 
     def decide(self, before: State, step: Step, progress: Progress) -> Decision:
         """Accept steps within the tolerances; change the next one with the third root of its error.
 
-        The energy is held too: schedules may change it where nothing wears.
+        So is the error of energy: schedules may change the power where nothing wears.
         """
         length = step.state.time - before.time
         iterations = progress.tried_iterations + step.state.contact.iterations
@@ -297,10 +297,10 @@ class ErrorControl:
         return state.time >= self.end
 
     def _ratios(self, before: State, step: Step) -> tuple[FloatArray, BoolArray, FloatArray]:
-        """Return the errors of a step over the allowed ones, and what they say of the next step.
+        """Return the errors of a step over the allowed ones, and those to expect of the next step.
 
-        That is whether the error of pressure was too large, and the errors of a step like this one
-        over what the next may miss. NaN counts as infinite.
+        Also, whether the error of pressure is too large. The expected errors are those of a step of
+        this length over the error that the next step is allowed. NaN counts as infinite.
         """
         state, missed = step.state, largest(np.abs(before.error))
         whole = state.energy + step.power * (self.end - state.time)
@@ -316,7 +316,7 @@ class ErrorControl:
         return _or_infinite(ratio), pressing, _or_infinite(ahead)
 
     def _allowed(self, missed: FloatArray) -> FloatArray:
-        """Return the error of a step, mm, that is allowed where the history has missed so much."""
+        """Return the error, mm, that a step may make whose history's error is ``missed``."""
         return np.maximum(self.wear_tolerance - missed, _LEAST_ALLOWED * self.wear_tolerance)
 
 

@@ -1,6 +1,7 @@
-"""Laws of users' code, from files and as objects: what they lack is computed, results are checked.
+"""Laws of users' code, from files and as objects.
 
-Built-in laws are called as they are.
+Their results are checked, and the methods of a law that they lack are computed. Built-in laws are
+called as they are.
 """
 
 from collections.abc import Callable, Iterable
@@ -33,8 +34,8 @@ def checked_call(
 ) -> FloatArray:
     """Return the checked result of a function of a user's law, (..., n), as a copy.
 
-    Real, unless something that it knows is complex: such answers are held against differences
-    element by element (see ``derivative``), so that they are not refused here for one of them.
+    Real, unless an input is complex, as in complex steps: such results are not checked here, as
+    ``derivative`` compares each element's with a difference quotient.
 
     Parameters
     ----------
@@ -42,12 +43,12 @@ def checked_call(
     name : of the function.
     function : of the user's code.
     p : (..., n) float, MPa.
-    local : as the code sees it, which may not change what it has.
-    parameters : values that the function knows besides.
+    local : as the code sees it, with arrays that are read-only.
+    parameters : values of the law's parameters.
 
     Raises
     ------
-    LawError : the function failed, or gave NaN, a negative rate or a negative slope.
+    LawError : the function failed, or returned NaN, a negative rate or a negative slope.
     ComputationError : pressures are not finite.
     """
     if not np.isfinite(p).all():
@@ -91,12 +92,12 @@ def _refused(
     quantity = {"rate": "rate", "potential": "integral of the rate"}.get(
         name, "derivative of the rate"
     )
-    why = "a finite number" if name in _SIGNED else "a finite number >= 0"
+    allowed = "a finite number" if name in _SIGNED else "a finite number >= 0"
     if name == "d_rate_dp" and result[where] < 0.0:
-        why += ": rates must not fall with pressure"
+        allowed += ": rates must not fall with pressure"
     return (
         f"{called} gives {result[where]:g} as {quantity} at {_when(local)}, "
-        f"element {e} (r = {local.r[e]:.6g} mm), p = {p[where]:.6g} MPa; must be {why}"
+        f"element {e} (r = {local.r[e]:.6g} mm), p = {p[where]:.6g} MPa; must be {allowed}"
     )
 
 
@@ -108,7 +109,7 @@ def _when(local: LocalState) -> str:
 
 
 def _each_history(method: Callable[..., Any]) -> Callable[..., Any]:
-    """Have a method called for one history at a time where the code serves no others.
+    """Have a method called for one history at a time where the code serves no more.
 
     Derivatives too: whether code takes complex numbers may depend on the history.
     """
@@ -130,7 +131,7 @@ def _each_history(method: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class CheckedLaw(Law):
-    """A law of a user's code: its results are checked, and derivatives that it lacks are computed.
+    """A law of a user's code: its results are checked, and missing derivatives are computed.
 
     Whatever the code does wrong is reported with time and element.
     """
@@ -140,7 +141,7 @@ class CheckedLaw(Law):
 
     @property
     def reads_wear(self) -> bool:
-        """Whether the rate may depend on ``local.wear``: nobody knows."""
+        """Whether the rate may depend on ``local.wear``: it may, as code is not searched for it."""
         return True
 
     @property
@@ -211,16 +212,16 @@ class CheckedLaw(Law):
         return super().d_rate_dparameter(name, p, local)
 
     @_each_history
-    def d_rate_dlocal(self, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
-        """Return how the rate changes as speed, friction and slid do along those of another.
+    def d_rate_dlocal(self, p: FloatArray, local: LocalState, direction: LocalState) -> FloatArray:
+        """Return the derivative of the rate as speed, friction and slid change in a direction.
 
         The code need not take complex numbers.
         """
-        return derivative(lambda x: self.rate(p, local.moved(x, along)), 0.0, 1.0)
+        return derivative(lambda x: self.rate(p, local.moved(x, direction)), 0.0, 1.0)
 
     @_each_history
     def d_rate_dbefore(self, p: FloatArray, local: LocalState) -> FloatArray | None:
-        """Return how the rate changes with the wear before a step, 1/s."""
+        """Return the derivative of the rate by the wear at the start of a step, 1/s."""
         if self.remembers:
             return self.d_rate_dwear(p, local)
         return derivative(
@@ -230,7 +231,7 @@ class CheckedLaw(Law):
 
 @dataclass(frozen=True)
 class CompletedLaw(CheckedLaw):
-    """A user's object with a ``rate``, and what else of ``Law`` it has.
+    """A user's object with a ``rate``, completed to a ``Law``.
 
     Its rate counts as one that remembers wear unless it says ``remembers = False``. Where it is a
     dataclass, the numbers among its fields are its parameters.
@@ -301,9 +302,9 @@ class CompletedLaw(CheckedLaw):
     def describe(self) -> str:
         """Return the object's formula with its numbers."""
         formula = self._attribute("formula", f"{self.called}.rate(p, local)")
-        return formula + self._with({name: self.quantity(name) for name in self.numeric})
+        return formula + self._values_text({name: self.quantity(name) for name in self.numeric})
 
 
 def complete(law: WearLaw | Law) -> Law:
-    """Return a law that has all that a history asks: itself, or what makes up for what it lacks."""
+    """Return a law with all methods that a history calls: itself, or an object completed."""
     return law if isinstance(law, Law) else CompletedLaw(law)

@@ -1,8 +1,9 @@
-"""Wear laws, eq. (4) of the paper and beyond: what a law is given, and what it must and may give.
+"""Wear laws, eq. (4) of the paper and beyond: the methods and parameters of a law.
 
-A law gives the rate of wear at a contact pressure. It may know the instant, the sliding, and what
-is local memory: the depth worn off this body and the distance slid. Rates must not be negative and
-not fall with pressure, so that the implicit step is a convex problem.
+A law returns the rate of wear at a contact pressure. The rate may depend on the time, the sliding
+speed, the friction coefficient, and on the memory of a place: the depth worn off this body and the
+distance slid. Rates must not be negative and not fall with pressure, so that the implicit step is a
+convex problem.
 
 Its parameters are declared once, as annotations of its fields: a field
 ``p0: Annotated[Quantity, Parameter("MPa", "threshold pressure")] = 0.0`` is a parameter with its
@@ -46,23 +47,23 @@ from ringwear_par.wear.local_state import LocalState
 class Parameter:
     """A parameter of a wear law."""
 
-    #: "1" for none, "-" where it has no sense
+    #: "1" of a plain number, "-" of a file or a table
     unit: str
     #: in a few words
     meaning: str
     #: a quantity is a number, a table in time or a profile along the radius; the others are a
     #: number only, pairs (p V, rate), the name of a Python file, a table of quantities
     kind: Literal["quantity", "number", "rates", "file", "parameters"] = "quantity"
-    #: between which numbers may lie
+    #: least and largest number that is allowed
     low: float = 0.0
     high: float = math.inf
-    #: whether they may be these too
+    #: whether ``low`` and ``high`` themselves are allowed
     ends: bool = True
-    #: the parameter of the same law that it is never less than, "" for none
+    #: the parameter of the same law that this one must not be less than, "" for none
     at_least: str = ""
     #: whether the rate at a place depends on it, and has a derivative with respect to it
     local: bool = True
-    #: of the field that declares it; the default is ... where it must be given.
+    #: name and default of the field that declares it; the default is ... where there is none
     name: str = ""
     default: Any = ...
 
@@ -98,18 +99,19 @@ Coefficient = Annotated[Quantity, Parameter("1/MPa", "wear coefficient")]
 Threshold = Annotated[Quantity, Parameter("MPa", "threshold pressure")]
 
 
-#: below which pressures (MPa), worn depths (mm) and parameters do not tell the size of a difference
+#: pressure (MPa), worn depth (mm) and parameter of which difference quotients take a part as their
+#: step, where the value itself is smaller
 _SMALL_PRESSURE, SMALL_WEAR, _SMALL_PARAMETER = 1e-3, 1e-6, 1e-3
 
 
 @runtime_checkable
 class WearLaw(Protocol):
-    """A wear law as a user may write it: whatever has a rate.
+    """A wear law as a user may write it: any object with a rate.
 
-    It may have more of what ``Law`` has, such as ``d_rate_dp`` or ``breakpoints``; the rest is
-    found by ``complete``. It is asked for any history at any time, in no order, and must not
-    remember what it was asked before; where it does not serve (B, n) as each of B histories by
-    itself, these are computed one by one.
+    It may have other attributes of ``Law``, such as ``d_rate_dp`` or ``breakpoints``; ``complete``
+    adds the missing ones. Calls come for any history, at any time, in any order, so that a law must
+    not keep anything from one call to the next. If (B, n) pressures give other rates than the (n,)
+    of each history, histories are computed one by one.
     """
 
     def rate(self, p: FloatArray, local: LocalState, /) -> FloatArray:
@@ -118,12 +120,12 @@ class WearLaw(Protocol):
 
 
 class Law:
-    """All that a history asks of a law; subclasses give ``rate``, and what else they know.
+    """A wear law with all methods that a history calls; a subclass needs no more than ``rate``.
 
     Pressures ``p`` are (..., n) float, MPa, >= 0; so are results, but for their units.
     """
 
-    #: what case files call it, and its rate in the paper's symbols
+    #: value of ``law`` in case files, and the rate in the paper's symbols
     name: ClassVar[str] = ""
     formula: ClassVar[str] = "rate(p, local)"
 
@@ -140,12 +142,12 @@ class Law:
 
     @property
     def reads_wear(self) -> bool:
-        """Whether the rate may depend on ``local.wear``, remembered within a step or not."""
+        """Whether the rate may depend on ``local.wear``, if only on that at the start of a step."""
         return self.remembers
 
     @property
     def is_steady(self) -> bool:
-        """Whether the rate at a pressure stays while speed and friction do."""
+        """Whether the rate at a pressure changes only where speed or friction does."""
         return vars(type(self)).get("steady", False) and not self.breakpoints
 
     @property
@@ -169,7 +171,7 @@ class Law:
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa, >= 0.
 
-        The same array as before only where its values are the same.
+        It must be a new array wherever values are new: callers compare arrays by identity.
         """
         d_rate = derivative(lambda p: self.rate(p, local), p, _SMALL_PRESSURE)
         return np.maximum(d_rate, 0.0)
@@ -195,17 +197,17 @@ class Law:
             _SMALL_PARAMETER,
         )
 
-    def d_rate_dlocal(self, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
-        """Return how the rate changes as speed, friction and slid do along those of another state.
+    def d_rate_dlocal(self, p: FloatArray, local: LocalState, direction: LocalState) -> FloatArray:
+        """Return the derivative of the rate as speed, friction and slid change in a direction.
 
         By complex step, exact to round-off: the rates of our own laws take complex numbers.
         """
-        return np.imag(self.rate(p, local.moved(1j * COMPLEX_STEP, along))) / COMPLEX_STEP
+        return np.imag(self.rate(p, local.moved(1j * COMPLEX_STEP, direction))) / COMPLEX_STEP
 
     def d_rate_dbefore(self, p: FloatArray, local: LocalState) -> FloatArray | None:
-        """Return how the rate changes with the wear before a step, 1/s; None: not at all.
+        """Return the derivative of the rate by the wear at the start of a step, 1/s.
 
-        Laws may read it without remembering what is worn within the step.
+        None: 0. A law may read this wear without depending on the wear within the step.
         """
         return self.d_rate_dwear(p, local) if self.remembers else None
 
@@ -214,7 +216,7 @@ class Law:
 
         Raises
         ------
-        ValueError : it is none.
+        ValueError : it is no numeric parameter.
         """
         if name not in self.numeric:
             raise ValueError(f"{name}: must be one of {', '.join(self.numeric) or 'none'}")
@@ -252,9 +254,9 @@ class Law:
             for name, parameter in parameters_of(type(self)).items()
             if parameter.kind in ("quantity", "number")
         }
-        return self.formula + self._with(values)
+        return self.formula + self._values_text(values)
 
-    def _with(self, values: Mapping[str, Quantity | None]) -> str:
+    def _values_text(self, values: Mapping[str, Quantity | None]) -> str:
         """Return " with ..." of numbers and tables that are not None."""
         declared = parameters_of(type(self))
         parts = []
@@ -298,7 +300,7 @@ class Law:
         return self._with_stacks(lambda q: take(q, histories))
 
     def _with_stacks(self, change: Callable[[Any], Any]) -> Self:
-        """Return the law with something else for what differs between histories."""
+        """Return the law with changes of the parameters that differ between histories."""
         parameters = {name: getattr(self, name) for name in parameters_of(type(self))}
         stacks = {k: q for k, q in parameters.items() if isinstance(q, Stacked | np.ndarray)}
         changed = {name: change(q) for name, q in stacks.items()}
@@ -318,12 +320,12 @@ class Law:
 
     @classmethod
     def faults(cls, table: str, values: Mapping[str, Any]) -> list[str]:
-        """Return the faults of parameters together that are right one by one.
+        """Return the faults of parameters that are right one by one, but not together.
 
         Parameters
         ----------
-        table : what their names begin with, "wear.lower.".
-        values : by name; None for one that is not given, none at all for one that is wrong itself.
+        table : beginning of their keys, "wear.lower.".
+        values : by name; None if the file has none; without those that are wrong by themselves.
         """
         faults = []
         for name, parameter in parameters_of(cls).items():
@@ -338,9 +340,9 @@ class Law:
 
 @dataclass(frozen=True)
 class PacedLaw(Law):
-    """A law whose rate is that of another one times a factor: wear that is random, in a step."""
+    """The rate of another law times a factor: in a step of a history whose wear is random."""
 
-    #: the other one
+    #: the other law
     law: Law
     #: the factor, or (B, 1) of B histories
     pace: float | FloatArray

@@ -33,7 +33,7 @@ def worn_through(ends: FloatArray, wear: FloatArray) -> BoolArray:
 
 @dataclass(frozen=True)
 class NoWear(Law):
-    """Of a layer, or a body under layers, that does not wear."""
+    """The law of a layer, or of a body under layers, that does not wear."""
 
     formula = "0"
 
@@ -54,8 +54,8 @@ class NoWear(Law):
 class LayeredLaw(Law):
     """The law of the layer that an element is in.
 
-    Laws that remember worn depth are told of what is worn off their own layer. Parameters are those
-    of the body, by name, and of layers with laws of their own, "layers[0].k".
+    The ``wear`` that the law of a layer reads is the depth worn off this layer. Parameters are
+    those of the body, by name, and of layers with laws of their own, "layers[0].k".
     """
 
     #: of the layers from the contact face inwards, and of the body itself
@@ -70,7 +70,8 @@ class LayeredLaw(Law):
     #: (..., n) int, the layers that elements are in, 0 at the unworn face; None: those at the depth
     #: that is worn off
     present: IntArray | None = field(default=None, compare=False, repr=False)
-    #: one law whose parameters are those of each element's layer, where layers differ in no more
+    #: one law whose parameters are arrays, each element's those of its layer; None where the laws
+    #: of layers differ in more than numbers
     _joined: Law | None = field(default=None, init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -81,9 +82,9 @@ class LayeredLaw(Law):
     def of(
         cls, thicknesses: Sequence[float], layer_laws: Sequence[Law | None], body: Law | None
     ) -> Self:
-        """Return the law of a body with layers, whose own laws are None where they wear as it."""
-        itself = NoWear() if body is None else body
-        laws = (*(itself if law is None else law for law in layer_laws), itself)
+        """Return the law of a body with layers; a layer whose law is None wears as the body."""
+        body_law = NoWear() if body is None else body
+        laws = (*(body_law if law is None else law for law in layer_laws), body_law)
         return cls(laws, tuple(thicknesses), tuple(law is not None for law in layer_laws))
 
     def at(self, ends: FloatArray | None) -> Self:
@@ -111,7 +112,7 @@ class LayeredLaw(Law):
         return layers
 
     def in_layers(self, present: IntArray) -> Self:
-        """Return the law of elements in these layers, (..., n), whatever is worn off."""
+        """Return the law of elements that are in these layers, (..., n), at any worn depth."""
         return replace(self, present=present)
 
     def end_of(self, layers: IntArray) -> FloatArray:
@@ -128,12 +129,12 @@ class LayeredLaw(Law):
         present = self.layers_at(local.wear) if self.present is None else self.present
         values: Any = None
         for number, (law, at) in enumerate(zip(self.laws, self.states(local), strict=True)):
-            here = present == number
-            if here.any():
+            in_layer = present == number
+            if in_layer.any():
                 of_layer = getattr(law, method)(p, at, *more)
                 if of_layer is None:
                     return None
-                values = of_layer if values is None else np.where(here, of_layer, values)
+                values = of_layer if values is None else np.where(in_layer, of_layer, values)
         return values
 
     # -- as any law --------------------------------------------------------------------------------
@@ -169,7 +170,7 @@ class LayeredLaw(Law):
         ]
         return (*self.laws[-1].numeric, *of_layers)
 
-    def of_layer(self, name: str, number: int) -> str | None:
+    def name_in_layer(self, name: str, number: int) -> str | None:
         """Return the name of a parameter in the law of a layer or the body, None if not in it."""
         has_law = number < len(self.has_law) and self.has_law[number]
         begin = f"layers[{number}]."
@@ -179,20 +180,20 @@ class LayeredLaw(Law):
 
     def quantity(self, name: str) -> Quantity:
         """Return a numeric parameter as it was given."""
-        number, short = next(self.having(name))
+        number, short = next(self.laws_with(name))
         return self.laws[number].quantity(short)
 
-    def having(self, name: str) -> Any:
-        """Yield the laws that have a parameter, by number, and what they call it."""
+    def laws_with(self, name: str) -> Any:
+        """Yield the laws that have a parameter: their numbers, and its names in them."""
         for number in range(len(self.laws)):
-            short = self.of_layer(name, number)
+            short = self.name_in_layer(name, number)
             if short is not None:
                 yield number, short
 
     def with_parameter(self, name: str, values: Any) -> Self:
         """Return the law with another number, or other values at the elements."""
         laws = list(self.laws)
-        for number, short in self.having(name):
+        for number, short in self.laws_with(name):
             laws[number] = laws[number].with_parameter(short, values)
         return replace(self, laws=tuple(laws))
 
@@ -208,15 +209,15 @@ class LayeredLaw(Law):
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
         return self._at_face("d_rate_dwear", p, local)
 
-    def d_rate_dlocal(self, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
-        """Return how the rate changes as speed, friction and slid do along those of another."""
-        return self._at_face("d_rate_dlocal", p, local, along)
+    def d_rate_dlocal(self, p: FloatArray, local: LocalState, direction: LocalState) -> FloatArray:
+        """Return the derivative of the rate as speed, friction and slid change in a direction."""
+        return self._at_face("d_rate_dlocal", p, local, direction)
 
     def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to a numeric parameter's value there."""
         present = self.layers_at(local.wear) if self.present is None else self.present
         states, d_rate = self.states(local), np.zeros_like(p)
-        for number, short in self.having(name):
+        for number, short in self.laws_with(name):
             of_layer = self.laws[number].d_rate_dparameter(short, p, states[number])
             d_rate = np.where(present == number, of_layer, d_rate)
         return d_rate
@@ -292,7 +293,7 @@ def _joined(laws: Sequence[Law], present: IntArray) -> Law | None:
         numbers = [value.numbers if isinstance(value, Stacked) else value for value in values]
         if not parameter.numeric or any(n is None or isinstance(n, Table) for n in numbers):
             return None
-        here = [present == layer for layer in range(len(laws))]
-        changed[name] = np.select(here, [columns(n) for n in numbers])
+        in_layers = [present == layer for layer in range(len(laws))]
+        changed[name] = np.select(in_layers, [columns(n) for n in numbers])
     joined: Law = replace(first, **changed)
     return joined

@@ -1,4 +1,4 @@
-"""What a law may know of a contact line besides the pressure."""
+"""The quantities along a contact line, besides the pressure, that a wear law may read."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -13,9 +13,9 @@ from ringwear_par.schedules import history, take
 
 @dataclass(frozen=True)
 class LocalState:
-    """What a law may know besides the pressure, for the elements of the contact line.
+    """Quantities besides the pressure that a wear law may read, at the contact elements.
 
-    Of one history, or of B: then ``time`` and ``friction`` may be (B,), which laws find as (B, 1).
+    Of one history, or of B: then ``time`` and ``friction`` may be (B,), which are stored as (B, 1).
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class LocalState:
     wear: FloatArray
     slid: FloatArray
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    #: what a law has worked out of all this, for its next call: itself, then what it likes
+    #: values that a law has computed from this state, for its next call: the law, then the values
     memo: list[Any] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -55,7 +55,7 @@ class LocalState:
         after.__dict__["power"] = self.power
         return after
 
-    if not TYPE_CHECKING:  # which tells unknown names by itself
+    if not TYPE_CHECKING:  # type checkers see unknown names without it
 
         def __getattr__(self, name: str) -> Any:
             names = ", ".join([*(f.name for f in fields(self) if f.name != "memo"), "power"])
@@ -72,15 +72,15 @@ class LocalState:
             slid=take(self.slid, histories),
         )
 
-    def moved(self, by: Any, along: "LocalState") -> "LocalState":
-        """Return the state with ``by`` times another's speed, friction and slid added."""
+    def moved(self, factor: Any, direction: "LocalState") -> "LocalState":
+        """Return the state with ``factor`` times the direction's speed, friction and slid added."""
         return LocalState(
             self.time,
             self.r,
-            self.speed + by * along.speed,
-            self.friction + by * along.friction,
+            self.speed + factor * direction.speed,
+            self.friction + factor * direction.friction,
             self.wear,
-            self.slid + by * along.slid,
+            self.slid + factor * direction.slid,
             self.parameters,
         )
 

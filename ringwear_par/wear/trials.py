@@ -1,6 +1,6 @@
 """Trials of laws before they are used: of users' code, and of derivatives against rates.
 
-Derivatives are held against rates by Taylor tests.
+Derivatives are compared with rates by Taylor tests.
 """
 
 import math
@@ -21,7 +21,7 @@ from ringwear_par.wear.local_state import LocalState
 _NOISE = 1e-14
 #: halvings of the interval of pressures in which a rate may jump
 _BISECTIONS = 30
-#: up to which laws are tried with many histories, MPa
+#: largest pressure at which laws are tried with many histories, MPa
 _TRIED_PRESSURE = 300.0
 
 
@@ -33,8 +33,8 @@ class Remainders:
     steps: tuple[float, ...]
     #: largest remainder of all elements at each, relative to the largest ``|f'(p) d|``
     remainders: tuple[float, ...]
-    #: whether at the smallest h no element's remainder is more than h times what the derivative
-    #: changes on the way, so that kinks, and nothing else, may spoil the order
+    #: whether at the smallest h each element's remainder is at most h times the change of its
+    #: derivative over h: then nothing but kinks lowers the order
     bounded: bool
 
     @property
@@ -102,23 +102,23 @@ def taylor_test_parameter(law: Law, at: LocalState, p: FloatArray, name: str) ->
 
     Not collective.
     """
-    here = law.parameter(name, at)
+    number = law.parameter(name, at)
 
     def changed(h: float) -> Law:
-        return law.with_parameter(name, here + h)
+        return law.with_parameter(name, number + h)
 
     return _remainders(
         lambda h: changed(h).rate(p, at),
         lambda h: changed(h).d_rate_dparameter(name, p, at),
-        float(np.abs(here).max()) or 1.0,
+        float(np.abs(number).max()) or 1.0,
         _NOISE,
     )
 
 
 def depends(law: Law, at: LocalState, p: FloatArray, name: str) -> bool:
     """Tell whether a law's rate changes at all with a numeric parameter. Not collective."""
-    here = law.parameter(name, at)
-    close = here + 2.0**-8 * (float(np.abs(here).max()) or 1.0)
+    number = law.parameter(name, at)
+    close = number + 2.0**-8 * (float(np.abs(number).max()) or 1.0)
     return not np.array_equal(law.with_parameter(name, close).rate(p, at), law.rate(p, at))
 
 
@@ -143,11 +143,11 @@ def _remainders(
 
 
 def check_user_slope(law: CheckedLaw, at: LocalState, pressure: float) -> None:
-    """Refuse a user's law that gives another slope than that of its rate. Not collective.
+    """Refuse a user's law whose ``d_rate_dp`` is not the slope of its rate. Not collective.
 
     Raises
     ------
-    InputError : it is.
+    InputError : it is not.
     """
     if law.defined("d_rate_dp") is None:
         return
@@ -161,11 +161,11 @@ def check_user_slope(law: CheckedLaw, at: LocalState, pressure: float) -> None:
 
 
 def check_object(law: object) -> None:
-    """Refuse what is no law at all, or says nonsense of itself. Not collective.
+    """Refuse an object that is no law, or whose ``length`` or ``breakpoints`` are no numbers.
 
     Raises
     ------
-    InputError : what it is, and what it must be.
+    InputError : with its type, and the type that is needed.
     """
     must = "must be an object with rate(p, local)"
     if isinstance(law, type):
@@ -218,7 +218,7 @@ def check_user_law(law: CheckedLaw, at: LocalState, pressure: float) -> None:
 
 
 def serves_many(law: Law, r: FloatArray) -> bool:
-    """Tell whether a law gives many histories at once, (B, n), what it gives each by itself.
+    """Tell whether a law gives the same numbers for many histories, (B, n), as for each alone.
 
     Code that was written for one history may take rows for elements, or look at all pressures at
     once. Not collective.
@@ -233,7 +233,7 @@ def serves_many(law: Law, r: FloatArray) -> bool:
     for method in ("rate", "d_rate_dp", "d_rate_dwear"):
         try:
             alone = [getattr(law, method)(p[i], at.history(i)) for i in range(3)]
-        except Exception:  # nothing that company would change: its histories will tell
+        except Exception:  # it fails alone, too: its history will say so
             continue
         try:
             if not np.array_equal(getattr(law, method)(p, at), alone):

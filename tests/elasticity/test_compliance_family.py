@@ -1,4 +1,4 @@
-"""Compliances that differ a little from a reference: what is interpolated is the compliance."""
+"""Compliances that differ a little from a reference: they share its bases."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ringwear_par.contact.hessians import Hessians
-from ringwear_par.elasticity.bem.compliance_family import family_number, family_of
+from ringwear_par.elasticity.bem.compliance_family import family_number
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic.bodies import has_family
 from ringwear_par.history.elastic.compliances import Compliances
@@ -27,34 +27,32 @@ def with_moduli(case, lower, upper):
 
 
 def test_members_are_the_compliances_of_their_moduli(case, comm):
-    """At both ends of a family and within."""
+    """At both ends of a family and within; the collocated ones exactly."""
     pair = assemble(case, comm)
     ends = [2.0 ** (0.5 * (3 + by)) for by in (-0.499, 0.2, 0.499)]
     moduli = [(1e3 * ratio, 1e3) for ratio in ends]
     assert {family_number(young) for young in moduli} == {3}
     found = Compliances.of([pair] * 3, [with_moduli(case, *young) for young in moduli], {})
-    scaled, family = found.scaled(), family_of(pair, 3)
+    scaled, area = found.scaled(), pair.line.area
     assert len(found.every) == 1
     products = scaled.products(np.arange(3))
     p = np.random.default_rng(1).uniform(1.0, 2.0, (3, pair.line.n))
     for i, young in enumerate(moduli):
-        exact = pair.compliance(young)
-        size, scale = np.abs(exact.matrix).max(), scaled.scale[i]
+        exact, scale = pair.compliance(young), scaled.scale[i]
         matrix = scaled.matrix(i) * scale[:, None] * scale
-        assert np.abs(matrix - exact.matrix).max() <= 1e-13 * size
+        assert np.abs(matrix - exact.matrix).max() <= 1e-5 * np.abs(exact.matrix).max()
         product = scale * products.symmetric(scaled.scale * p)[i]
-        assert product == pytest.approx(exact.matrix @ p[i], rel=1e-12)
-        gap = exact.excess @ p[i]
-        error = np.abs(products.gap_of_excess(p)[i] - gap).max()
-        assert error <= 1e-13 * np.abs(exact.collocated @ p[i]).max()
-        assert found.diagonal[i] == pytest.approx(np.diag(exact.matrix) / pair.line.area, rel=1e-12)
-        assert found.stiffness[i] == pytest.approx(pair.line.area.sum() / exact.matrix.sum())
+        assert product == pytest.approx(matrix @ p[i], rel=1e-12)
+        collocated = product / area - products.gap_of_excess(p)[i]
+        assert collocated == pytest.approx(exact.collocated @ p[i], rel=1e-12)
+        assert found.diagonal[i] == pytest.approx(np.diag(matrix) / area, rel=1e-12)
+        assert found.stiffness[i] == pytest.approx(area.sum() / matrix.sum())
         assert found.twist[i] == pytest.approx(exact.twist, rel=1e-13)
         assert found.symmetry_defect[i] == pytest.approx(exact.symmetry_defect, rel=1e-13)
-        # the series that stands for inverses converges as it is said to
-        change = np.linalg.solve(family.reference.matrix, matrix / found.members.share[i])
-        largest = np.abs(np.linalg.eigvals(change) - 1.0).max()
-        assert largest <= 1.02 * found.members.contraction[i] < 0.1
+        # conjugate gradients end soon
+        change = np.linalg.solve(pair.compliance((ends[1], 1.0)).matrix, matrix)
+        spread = np.linalg.eigvals(change).real
+        assert spread.max() < 1.2 * spread.min()
 
 
 @pytest.mark.parametrize("shape", ["speed", "any"])
@@ -82,11 +80,8 @@ def test_inverses_are_those_of_the_members(case, shape, comm):
 
 
 def test_moduli_that_are_written_have_references_of_their_own(case, comm):
-    """So that the many histories of one pair of moduli need no series; and so have layers."""
+    """So that the many histories of one pair of moduli need no iterations; and so have layers."""
     own = [(210e3, 70e3), (206.8e3, 3.0), (1e-3, 9.99e11)]
     shared = [(210000.1, 70e3), (1e4, 1e5 / 3.0)]
     assert not any(has_family(with_moduli(case, *young)) for young in own)
     assert all(has_family(with_moduli(case, *young)) for young in shared)
-    solid = replace(case, lower=replace(case.lower, r=(0.0, 40.0)),
-                    upper=replace(case.upper, r=(0.0, 10.0)))  # fmt: skip
-    assert not has_family(with_moduli(solid, *shared[0]))

@@ -1,7 +1,7 @@
-"""What numbers of layers do to the elasticity of a pair: of these each value has its own operator.
+"""Derivatives of the compliance of a pair by the numbers of layers.
 
-Histories have derivatives with respect to them like any other number, by differences of operators
-(``elasticity.bem.pair``); those at other values need another pair.
+They are differences of compliances (``elasticity.bem.pair``). Another value of such a number needs
+another pair.
 """
 
 from collections.abc import Sequence
@@ -76,7 +76,7 @@ def compliance_change(case: Case, pair: ContactPair, key: str) -> ComplianceChan
 
     Returns
     -------
-    (n, n) and (n,), mm/MPa and mm^3/MPa over the unit of the number, moduli counted.
+    (n, n) and (n,), mm/MPa and mm^3/MPa over the unit of the number; moduli are included.
     """
     which = BODIES.index("lower" if key.startswith("lower.") else "upper")
     ring = case.rings[which]
@@ -88,7 +88,7 @@ def compliance_change(case: Case, pair: ContactPair, key: str) -> ComplianceChan
         return ComplianceChange(factor * change.normal, factor * change.twist)
     normal = -share * share * pair.normal[which]
     twist = -share * share * pair.twist[which]
-    for i, layer in enumerate(ring.layers):  # stiffer bodies have layers that are softer than they
+    for i, layer in enumerate(ring.layers):  # a stiffer body has layers softer than it
         change = _of_layer(case, pair, which, i, "young")
         normal -= layer.young * share**3 * change.normal
         twist -= layer.young * share**3 * change.twist

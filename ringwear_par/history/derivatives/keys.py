@@ -10,14 +10,14 @@ from ringwear_par.errors import InputError, legible
 from ringwear_par.wear.law import Law, parameters_of
 from ringwear_par.wear.layered import LayeredLaw
 
-#: names of a factor on all rates of a body, about 1, in the place of a case's key
+#: names, like keys of a case, of a factor on all rates of a body, whose value is 1
 RATES = tuple(f"wear.{body}" for body in BODIES)
-#: keys that stand for a factor on the whole of a table in time, about 1, where they have one
+#: keys whose number is a factor on the whole of a table in time, of value 1, where they have one
 SCHEDULES = ("contact.friction", "load.force", "load.omega")
 
 
 def elastic_numbers(case: Case) -> dict[str, str]:
-    """Return the keys of numbers that each value of has its own operator, and their units."""
+    """Return the keys of numbers that need a compliance for each value, and their units."""
     units = {}
     for body, ring in zip(BODIES, case.rings, strict=True):
         for i in range(len(ring.layers)):
@@ -31,7 +31,7 @@ def elastic_numbers(case: Case) -> dict[str, str]:
 
 
 def is_elastic(case: Case, keys: Sequence[str]) -> bool:
-    """Tell whether any of these keys is of a number that each value of has its own operator."""
+    """Tell whether any of these keys is one of ``elastic_numbers``."""
     return not elastic_numbers(case).keys().isdisjoint(keys)
 
 
@@ -46,7 +46,7 @@ def differentiable(case: Case) -> dict[str, str]:
             continue
         for name in law.numeric:
             if _is_number(law.quantity(name)):
-                units[_key_of_number(body, name)] = _unit(law, name)
+                units[_key_of_parameter(body, name)] = _unit(law, name)
         if law.length and "length" in parameters_of(type(law)):
             units[f"wear.{body}.length"] = "mm"
     load = case.load
@@ -64,7 +64,7 @@ def differentiable(case: Case) -> dict[str, str]:
     return units | elastic_numbers(case)
 
 
-def _key_of_number(body: str, name: str) -> str:
+def _key_of_parameter(body: str, name: str) -> str:
     """Return the key of a parameter of a body's law, or of one of its layers' laws."""
     layer, _, parameter = name.rpartition("].")
     return f"{body}.{layer}].wear.{parameter}" if layer else f"wear.{body}.{name}"
@@ -73,7 +73,7 @@ def _key_of_number(body: str, name: str) -> str:
 def _unit(law: Law, name: str) -> str:
     """Return the unit of a parameter, "1" where it is not declared."""
     if isinstance(law, LayeredLaw):
-        return next(_unit(law.laws[i], parameter) for i, parameter in law.having(name))
+        return next(_unit(law.laws[i], parameter) for i, parameter in law.laws_with(name))
     parameter = parameters_of(type(law)).get(name)
     return "1" if parameter is None else parameter.unit
 
@@ -89,7 +89,7 @@ def units_of(case: Case, keys: Sequence[str]) -> dict[str, str]:
 
 
 def check_derivatives(case: Case, keys: Sequence[str]) -> None:
-    """Refuse derivatives that there are not. Not collective.
+    """Refuse keys that histories have no derivatives with respect to. Not collective.
 
     Raises
     ------

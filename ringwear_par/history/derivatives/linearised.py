@@ -1,4 +1,4 @@
-"""How the wear of a step varies with P numbers and with pressure."""
+"""The linearisation of a step's wear: its derivatives by P numbers and by pressure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from ringwear_par.wear.laws.non_local import averaged
 
 @dataclass(frozen=True)
 class LinearisedBody:
-    """How a body's depth in all of a step varies with P numbers, along the normal."""
+    """Derivatives of a body's depth, along the normal, in a step in contact all along."""
 
     #: at the start of the step
     body: WearingBody
@@ -34,7 +34,7 @@ class LinearisedBody:
 
 @dataclass(frozen=True)
 class LinearisedIncrement:
-    """How the depths of an increment vary with P numbers."""
+    """Derivatives of the depths of an increment by P numbers and by pressure."""
 
     #: of which it is the linearisation
     increment: WearIncrement
@@ -96,7 +96,7 @@ def linearise(
     d_step: FloatArray | None,
     instant: bool,
 ) -> LinearisedIncrement:
-    """Return how the depths of an increment vary with P numbers, and with pressure.
+    """Return the derivatives of the depths of an increment by P numbers, and by pressure.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def _linearised(
     d_step: FloatArray | None,
     instant: bool,
 ) -> LinearisedBody:
-    """Return how the depths of a body vary, whose layers' own wear does by (P, ..., n) mm."""
+    """Return the derivatives of a body's depths; ``normal`` are those of the wear of its layer."""
     step, (side, law, at, average) = increment.step, body
     q = np.maximum(p if average is None else averaged(average, p), 0.0)
     row, d_average = numbers.averages.get(side, (0, None))

@@ -1,4 +1,4 @@
-"""What the numbers act on that histories have derivatives with respect to."""
+"""How the numbers enter a history that it has derivatives with respect to."""
 
 import copy
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
 
 
-def _name_of_number(body: str, key: str) -> str:
-    """Return the name that the law of a body has for a key, "" for a key that is not its own."""
+def _parameter_of_key(body: str, key: str) -> str:
+    """Return the name of a key's parameter in the law of a body, "" for keys of anything else."""
     entry = layer_entry(key)
     if entry is not None and entry[0] == f"{body}.layers":
         return f"layers{entry[1]}.{entry[2].removeprefix('wear.')}"
@@ -35,7 +35,7 @@ def _size(quantity: Quantity) -> float:
 
 
 class Sensitivity:
-    """What P numbers of a case, or of B cases that step together, act on directly.
+    """Partial derivatives of loads, rates and elasticity of B histories by P numbers.
 
     Parameters
     ----------
@@ -49,15 +49,15 @@ class Sensitivity:
     ) -> None:
         line, slope = pairs[0].line, pairs[0].slope
         self.keys, self._arm = tuple(keys), line.arm
-        #: whether a last row is that of the end of the step, which then may be an interface's
+        #: whether the last row is of the end of the step, which an interface may set
         self.moving_ends = any(isinstance(law, LayeredLaw) for law in cases[0].laws)
         rows = {key: row for row, key in enumerate(keys)}
         #: rows and names of the parameters of the laws of lower and upper
         self._laws = tuple(
-            [(row, name) for key, row in rows.items() if (name := _name_of_number(body, key))]
+            [(row, name) for key, row in rows.items() if (name := _parameter_of_key(body, key))]
             for body in BODIES
         )
-        #: of bodies, which number is the length of their averages, and what it does to these
+        #: by body: row of the length of its averages, and the derivatives of these by it
         self.averages: dict[int, tuple[int, FloatArray]] = {}
         true_area = line.area * obliquity(slope)
         for body, (numbers, law) in enumerate(zip(self._laws, cases[0].laws, strict=True)):
@@ -67,7 +67,8 @@ class Sensitivity:
                 numbers.remove((row, "length"))
         self.friction, self.omega = rows.get("contact.friction"), rows.get("load.omega")
 
-        #: what mu and omega are, which tells how far differences may go; 0 of tables
+        #: |mu| and |omega|, by which their derivatives are scaled; 0 of tables, whose number is a
+        #: factor
         self._sizes = {
             row: np.array([_size(number(case)) for case in cases])
             for row, number in (
@@ -83,7 +84,7 @@ class Sensitivity:
                 self._load[row] = [case.area for case in cases]
             elif key in ("load.force", "load.displacement"):
                 self._load[row] = 1.0
-        #: row of the force, and of which histories it is a factor on a table, (B,) bool
+        #: row of the force; (B,) bool, whether its number is a factor on a table
         self._force = rows.get("load.force")
         self._is_table = np.array([isinstance(case.load.force, Table) for case in cases])
         elastic = {"lower.young", "upper.young", *elastic_numbers(cases[0])}
@@ -117,7 +118,7 @@ class Sensitivity:
         return np.zeros((len(self), *shape))
 
     def d_friction(self, friction: FloatArray) -> FloatArray:
-        """Return the derivative (B,) of frictions (B,) by the number, or by the factor."""
+        """Return the derivative (B,) of mu (B,) by the number, or by the factor on its table."""
         assert self.friction is not None
         return np.where(self._sizes[self.friction] > 0.0, 1.0, friction)
 
@@ -154,18 +155,20 @@ class Sensitivity:
                 out[row] = law.d_rate_dparameter(name, p, at)
         if RATES[i] in self.keys:
             out[self.keys.index(RATES[i])] = law.rate(p, at)
-        still = np.zeros(p.shape[-1])
+        zero = np.zeros(p.shape[-1])
         if self.friction is not None:
             size = columns(self._sizes[self.friction])
             friction = np.where(size > 0.0, size, at.friction)
-            along = LocalState(0.0, at.r, still, friction, still, still)
-            out[self.friction] = law.d_rate_dlocal(p, at, along) / np.where(size > 0.0, size, 1.0)
+            direction = LocalState(0.0, at.r, zero, friction, zero, zero)
+            d_rate = law.d_rate_dlocal(p, at, direction)
+            out[self.friction] = d_rate / np.where(size > 0.0, size, 1.0)
         if self.omega is not None:
             size = columns(self._sizes[self.omega])
-            turn = np.where(size > 0.0, size * self._arm, at.speed)
-            slid = np.where(size > 0.0, at.time * turn, at.slid)
-            along = LocalState(0.0, at.r, turn, 0.0, still, slid)
-            out[self.omega] = law.d_rate_dlocal(p, at, along) / np.where(size > 0.0, size, 1.0)
+            speed = np.where(size > 0.0, size * self._arm, at.speed)
+            slid = np.where(size > 0.0, at.time * speed, at.slid)
+            direction = LocalState(0.0, at.r, speed, 0.0, zero, slid)
+            d_rate = law.d_rate_dlocal(p, at, direction)
+            out[self.omega] = d_rate / np.where(size > 0.0, size, 1.0)
         return out
 
     def add_gap(self, gap: FloatArray, p: FloatArray, at: FloatArray) -> None:

@@ -26,18 +26,17 @@ def young(case: Case) -> tuple[float, float]:
 
 
 def has_family(case: Case) -> bool:
-    """Tell whether the compliance of a case is one of a family, not a reference of its own.
+    """Tell whether the compliance of a case is one of a family, and not a reference itself.
 
-    That is where a modulus has more than four digits: those that are written have a reference each,
-    which serves all cases of a sweep; those that are drawn or sought share one with others. It
-    depends on the case alone, as all of its digits do. Bodies with layers, and elements that follow
-    the wear, have operators of their own anyway, and large systems no bases to share; near the
-    axis, compliances may change at once with a ratio of moduli.
+    It is where a modulus has more than four digits: moduli that a user writes have a reference
+    each, which serves all cases of a sweep; those that a design draws or a fit tries share one. The
+    answer depends on the case alone, so that its digits do. Not in a family are bodies with layers
+    and elements that follow the wear, whose compliances are their own anyway, and large systems,
+    which have no bases to share.
     """
     plain = all(float(f"{modulus:.3e}") == modulus for modulus in young(case))
     alone = case.follows_wear or any(ring.layers for ring in case.rings)
-    shares = not alone and case.mesh.contact_elements <= LARGEST_WITH_BASES
-    return not plain and shares and case.line.edges[0] > 0.0
+    return not plain and not alone and case.mesh.contact_elements <= LARGEST_WITH_BASES
 
 
 def operator_key(case: Case) -> Hashable:

@@ -12,7 +12,7 @@ from ringwear_par.batched import along, concat, take
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.engine import ContactEngine
-from ringwear_par.contact.scaled_compliances import Differences, ScaledCompliances
+from ringwear_par.contact.scaled_compliances import Deviations, ScaledCompliances
 from ringwear_par.elasticity.bem.compliance_family import (
     ComplianceFamily,
     Members,
@@ -33,13 +33,13 @@ def key_of(pair: ContactPair, case: Case) -> OperatorKey:
 
 @dataclass(frozen=True)
 class Compliances:
-    """How the contact elements of B histories yield."""
+    """The different compliances of B histories, and which history has which."""
 
     #: f references: compliances of pairs and moduli, and those of families
     every: Sequence[ContactCompliance] = field(metadata=along(None))
-    #: those that are no family's, by their keys
+    #: references that are no family's, by their keys
     known: Mapping[OperatorKey, ContactCompliance] = field(metadata=along(None))
-    #: of the last references
+    #: families, whose references are the last ones
     families: Sequence[ComplianceFamily] = field(metadata=along(None))
     #: m different compliances, and (m,) int their references
     members: Members = field(metadata=along(None))
@@ -128,31 +128,23 @@ class Compliances:
 
     def scaled(self) -> ScaledCompliances:
         """Return the different compliances as contact problems have them."""
-        line, differences = self.every[0].line, None
-        if self.families:
-            differences = self._differences()
+        line = self.every[0].line
         return ScaledCompliances.of(
             np.array([c.matrix for c in self.every]),
             line.area,
             speed=np.array([line.arm * c.obliquity for c in self.every]),
             excess=np.array([c.excess for c in self.every]),
             reference=self.reference,
-            differences=differences,
+            deviations=self._deviations() if self.families else None,
         )
 
-    def _differences(self) -> Differences:
-        """Return how the compliances differ from their references."""
-        first, count, members = self.families[0], len(self.every), self.members
-        rank = first.factors.shape[1]
-        sizes = first.change.shape, first.factors.shape, (rank, first.cores.size // rank)
-        change, factors, cores, excess = (np.zeros((count, *s)) for s in (*sizes, sizes[0]))
-        for i, family in enumerate(self.families, start=count - len(self.families)):
-            change[i], factors[i], excess[i] = family.change, family.factors, family.excess_change.T
-            cores[i] = family.cores.transpose(1, 0, 2).reshape(rank, -1)
-        return Differences(
-            members.share, members.change, members.contraction, members.polynomials, change,
-            factors, cores, excess,
-        )  # fmt: skip
+    def _deviations(self) -> Deviations:
+        """Return how the compliances deviate from their references."""
+        singles = len(self.every) - len(self.families)
+        matrices, excess = np.zeros((2, len(self.every), *self.families[0].derivative.shape))
+        for i, family in enumerate(self.families, start=singles):
+            matrices[i], excess[i] = family.derivative, family.excess_derivative.T
+        return Deviations(self.members.share, self.members.deviation, matrices, excess)
 
     def contacts(self) -> CorrectedContacts:
         """Return the contacts of the histories. Not collective."""

@@ -1,4 +1,4 @@
-"""What is assembled of a case's bodies."""
+"""Elasticity that is assembled of a case's bodies: contact pairs, updated geometry, fields."""
 
 import time
 from dataclasses import replace
@@ -20,13 +20,13 @@ from ringwear_par.elasticity.mesh import pair_slope
 from ringwear_par.elasticity.stress.boundary_recovery import BoundaryRecovery
 from ringwear_par.history.elastic.bodies import bodies, operator_key
 
-#: by which reciprocity and equilibrium may be missed in a pair that is kept: several times what
-#: eight elements miss them by, 0.02, and 200 times what 64 do
+#: allowed relative error of reciprocity and equilibrium of a cached pair: several times that of
+#: eight elements, 0.02, and 200 times that of 64
 _MOST_DEFECT = 0.1
 
 
 def assemble(case: Case, comm: MPI.Comm | None = None, *, use_kept: bool = True) -> ContactPair:
-    """Return the contact pair of a case (equation 5); it serves all of the same ``operator_key``.
+    """Return the contact pair of a case (equation 5), which serves all of one ``operator_key``.
 
     Collective on comm, the world's where none is given. The same on all ranks. Pairs are kept among
     the user's caches (see ``pair_cache``) and read from there, with the same bits.
@@ -107,7 +107,7 @@ def is_sound(area: FloatArray, stacked: FloatArray) -> bool:
 
 
 def from_stacked(case: Case, stacked: FloatArray) -> ContactPair:
-    """Return the pair of a case that ``to_stacked`` was given. Not collective."""
+    """Return the pair of a case from its responses, see ``to_stacked``. Not collective."""
     n = stacked.shape[2]
     parts = stacked[:, :n], stacked[:, n], stacked[:, n + 1], stacked[:, n + 2]
     slope = pair_slope(case.sections, case.line, case.mesh)

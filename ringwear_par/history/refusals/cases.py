@@ -1,4 +1,4 @@
-"""What a case may ask for before any of it is computed: memory, and lengths above round-off."""
+"""Cases that are refused before anything is computed, for their memory or smallest lengths."""
 
 import math
 import os
@@ -15,7 +15,7 @@ from ringwear_par.elasticity.bem.boundary import count_elements, face_elements, 
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import toml_value
 
-#: about how many points of both bodies are looked at for the largest stress
+#: about how many points of both bodies the search for the largest stress computes
 SEARCHED = 4000.0
 #: of a machine's memory that a run may take
 _SHARE_OF_MEMORY = 0.9
@@ -26,9 +26,9 @@ _SMALLEST_GRID = 4
 def memory_needed(case: Case, ranks: int) -> float:
     """Return an estimate of the bytes that a run needs on all ranks together.
 
-    The systems of the boundary elements; where elements follow the wear, what stays of the matrices
-    of each body that wears; on every rank the compliance and its copies, and the responses of whole
-    boundaries where their fields are asked for; on one the history.
+    Those are: the systems of the boundary elements; where elements follow the wear, the parts of
+    the matrices of each wearing body that stay; on every rank the compliance and its copies, and
+    the responses of whole boundaries where the case stores their fields; on one rank the history.
     """
     n = float(case.mesh.contact_elements)
     elements = max(count_elements(case.section(r), case.contact, case.mesh) for r in case.rings)
@@ -95,7 +95,7 @@ def _numbers_of_systems(unknowns: float, loads: float, ranks: int) -> float:
 
 
 def check_case(case: Case, ranks: int, name: str, known_mesh: bool = False) -> None:
-    """Refuse a case that cannot be computed, as far as that can be told before. Not collective.
+    """Refuse a case that cannot be computed, as far as that is known before. Not collective.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def check_case(case: Case, ranks: int, name: str, known_mesh: bool = False) -> N
 
 
 def check_memory(case: Case, ranks: int, name: str) -> None:
-    """Refuse what this machine cannot hold, as if all ranks were on it. Not collective.
+    """Refuse a case that takes more memory than this machine has, all ranks on it. Not collective.
 
     Raises
     ------
@@ -148,8 +148,8 @@ def check_memory(case: Case, ranks: int, name: str) -> None:
         f"needs about {needed / 1e9:.3g} GB of memory, this machine has "
         f"{installed / 1e9:.3g} GB; must"
     )
-    if said := _too_many_points(case, ranks, needed, most):
-        key, allowed = said
+    if too_many := _too_many_points(case, ranks, needed, most):
+        key, allowed = too_many
         raise InputError(f"{name}: {key}: {sentence} be at most {allowed} points")
     taking = [f"mesh.contact_elements = {case.mesh.contact_elements}"]
     if not case.time.adaptive:
@@ -218,22 +218,22 @@ def check_mesh(case: Case, name: str) -> None:
             shortest, least = float(lengths.min()), 1e-11 * ring.r[1]
             if shortest >= least:
                 continue
-            said = (
+            subject = (
                 f"mesh.grading = {case.mesh.grading:g} with mesh.contact_elements = "
                 f"{case.mesh.contact_elements}: the shortest element of this geometry"
             )
             if ring.layers and lengths.argmin() in [*zone.inner_side, *zone.outer_side]:
-                said = _thin(body, ring, i)
+                subject = _thin(body, ring, i)
             raise InputError(
-                f"{name}: {said} is {shortest:.1e} mm; must be at least {least:.1e} mm"
+                f"{name}: {subject} is {shortest:.1e} mm; must be at least {least:.1e} mm"
             )
 
 
 def _thin(body: str, ring: Ring, i: int) -> str:
-    """Return the sentence about a layer, or the rest of a body under layers, that is too thin."""
+    """Return the subject of the sentence on a layer, or a body under layers, that is too thin."""
     if i < len(ring.layers):
-        said = f"{body}.layers[{i}].thickness = {ring.layers[i].thickness:g}"
+        keys = f"{body}.layers[{i}].thickness = {ring.layers[i].thickness:g}"
     else:
         left = ring.z[1] - ring.z[0] - math.fsum(layer.thickness for layer in ring.layers)
-        said = f"{body}.layers: leave {left:.1e} mm of {body} itself"
-    return f"{said}: the shortest element on its side"
+        keys = f"{body}.layers: leave {left:.1e} mm of {body} itself"
+    return f"{keys}: the shortest element on its side"

@@ -14,7 +14,7 @@ from ringwear_par.wear.law import Law
 from ringwear_par.wear.layered import LayeredLaw
 from ringwear_par.wear.local_state import LocalState
 
-#: of the range of a load, by which steps may miss it
+#: share of the range of a load by which steps may miss it
 _SLIGHT_MISS = 0.01
 
 
@@ -42,10 +42,10 @@ def missed_corner(case: Case) -> tuple[float, float, float] | None:
 def stable_steps(physics: Physics, contacts: CorrectedContacts) -> list[float]:
     """Return the largest stable steps of the explicit scheme, s, of B histories.
 
-    Unworn, under the largest load and speed, with the steepest of what laws do in time.
+    Unworn, under the largest load and speed, with the steepest slopes of the laws at any time.
     """
     warm = contacts.warm
-    largest_pressures = pressed(physics, contacts).pressure.max(axis=1).tolist()
+    largest_pressures = most_loaded_contacts(physics, contacts).pressure.max(axis=1).tolist()
     contacts.warm = warm
     return [
         _stable_step(case, physics.pairs[i].compliance(young(case)), largest_pressures[i])
@@ -53,10 +53,10 @@ def stable_steps(physics: Physics, contacts: CorrectedContacts) -> list[float]:
     ]
 
 
-def _stable_step(case: Case, compliance: ContactCompliance, most: float) -> float:
-    """Return the largest stable step of a case whose largest pressure is so many MPa."""
+def _stable_step(case: Case, compliance: ContactCompliance, largest_pressure: float) -> float:
+    """Return the largest stable step of a case, s, at its largest pressure, MPa."""
     line = compliance.line
-    p = np.full_like(line.r, most)
+    p = np.full_like(line.r, largest_pressure)
     zero = np.zeros_like(p)
     slopes, omega = zero, case.load.omega
     for time in (0.0, *case.breakpoints):
@@ -74,7 +74,7 @@ def _steepest(law: Law, p: FloatArray, at: LocalState) -> FloatArray:
     return law.d_rate_dp(p, at)
 
 
-def pressed(
+def most_loaded_contacts(
     physics: Physics, contacts: CorrectedContacts, histories: IntArray | None = None
 ) -> ContactState:
     """Return the contacts before any wear, under the largest loads of the cases.

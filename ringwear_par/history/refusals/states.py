@@ -1,4 +1,4 @@
-"""What the physics does not hold for: overlapping bodies, contact cut by the mesh, deep wear."""
+"""States that are refused: overlapping bodies, contact at the end of the mesh, deep wear."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.errors import ComputationError, HistoriesError, UnfitError
 from ringwear_par.history.inputs import of_faces
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.refusals.stable_steps import pressed
+from ringwear_par.history.refusals.stable_steps import most_loaded_contacts
 from ringwear_par.history.state import State
 
 
@@ -24,7 +24,7 @@ def check_interpenetration(physics: Physics, contacts: CorrectedContacts) -> Non
         return
     overlaps = np.array(of_faces(inputs.cases, lambda case: case.interpenetration))
     overlapping = np.flatnonzero(overlaps > 0.0)
-    approach = pressed(physics, contacts, overlapping).approach
+    approach = most_loaded_contacts(physics, contacts, overlapping).approach
     apart = np.zeros(len(overlaps), dtype=bool)
     apart[overlapping] = approach[overlapping] < 0.0
     if not apart.any():
@@ -39,7 +39,7 @@ def check_interpenetration(physics: Physics, contacts: CorrectedContacts) -> Non
     )
 
 
-def checked(case: Case, state: State) -> State:
+def check_state(case: Case, state: State) -> State:
     """Return a state if the physics holds for it. Not collective.
 
     Parameters

@@ -1,10 +1,10 @@
 """Elements that wear brings into contact within a step.
 
-Such an element is in contact for a part of the step only. A stage that has it wear for all of its
-time is off by as much as the element wears, and its pressure, which is to wear it off, by up to 1.4
-times what it should be. So these elements make one implicit step each, in which gap and wear go at
-the rate of their pressure (see ``Closing``). Where the force is kept, the others' stages count for
-as much longer as makes up for it: over a step, all elements together carry the load.
+Such an element is in contact for a part of the step only. If it wore for the whole of a stage, the
+error would be as large as its wear, and that of its pressure up to 1.4 times the right pressure. So
+each of these elements makes one implicit step of its own, in which its gap closes and it wears at
+the rate of its pressure (see ``Closing``). Where the force is prescribed, the stages of the other
+elements get more weight, so that over a step all elements together carry the load.
 """
 
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ from ringwear_par.history.physics import Physics
 from ringwear_par.history.state import State
 from ringwear_par.wear.increment import Closing
 
-#: gaps that a step may close, in what the fastest element wears in it
+#: largest gap that a step may close, over the wear of the fastest element in it
 _REACH = 2.0
-#: largest area of closing elements, in that of those in contact
+#: largest area of closing elements over that of elements in contact
 _MOST = 0.25
-#: least of what a stage counts more: wear never falls
+#: least addition to the weight of a stage, which stays positive: wear never falls
 _LEAST = -0.9
 #: error of pressure of an element after it has entered, measured, as a part of
 #: p * elastic * most / size (see ``entry_error``): in a closing step, and in an ordinary stage
@@ -36,7 +36,7 @@ class ClosingElements:
     gap: FloatArray
     #: (n,) float, mm^2
     area: FloatArray
-    #: whether the others carry what these do not
+    #: whether the force is prescribed, so that other elements carry what these do not
     force_kept: bool
 
     @property
@@ -49,39 +49,40 @@ class ClosingElements:
         return Closing(self.gap, columns(step) * stretch)
 
     def stage_weights(self, p: FloatArray, weights: FloatArray | float) -> FloatArray:
-        """Return how many times its weight a stage counts for each element, (..., n).
+        """Return factors on the weight of a stage, for each element, (..., n).
 
         Parameters
         ----------
         p : (..., n) float, MPa, of the stage.
-        weights : for the closing elements.
+        weights : the factors of closing elements.
         """
-        chosen, area = self.mask, self.area
+        closing, area = self.mask, self.area
         ones = np.ones_like(p)
         if self.force_kept:
-            lacking = np.asarray(inner(area, np.where(chosen, (1.0 - weights) * p, 0.0)))
-            carried = np.asarray(inner(area, np.where(chosen, 0.0, p)))
-            more = np.divide(lacking, carried, out=np.zeros_like(carried), where=carried > 0.0)
-            ones = ones + np.maximum(more, _LEAST)[..., None]
-        return np.where(chosen, weights, ones)
+            lacking = np.asarray(inner(area, np.where(closing, (1.0 - weights) * p, 0.0)))
+            carried = np.asarray(inner(area, np.where(closing, 0.0, p)))
+            extra = np.divide(lacking, carried, out=np.zeros_like(carried), where=carried > 0.0)
+            ones = ones + np.maximum(extra, _LEAST)[..., None]
+        return np.where(closing, weights, ones)
 
     def d_stage_weights(
         self, p: FloatArray, d_p: FloatArray, weights: Any, d_weights: Any
     ) -> FloatArray:
-        """Return derivatives of ``stage_weights``, (P, ..., n), from those of what it is given."""
-        chosen, area = self.mask, self.area
+        """Return derivatives of ``stage_weights``, (P, ..., n), from those of its arguments."""
+        closing, area = self.mask, self.area
         if not self.force_kept:
-            return np.where(chosen, d_weights, np.zeros_like(d_p))
+            return np.where(closing, d_weights, np.zeros_like(d_p))
 
         def carried(of_closing: Any, of_touching: Any) -> Any:
-            return np.asarray(inner(area, np.where(chosen, of_closing, of_touching)))
+            return np.asarray(inner(area, np.where(closing, of_closing, of_touching)))
 
         lacking, load = carried((1.0 - weights) * p, 0.0), carried(0.0, p)
         d_lacking, d_load = carried((1.0 - weights) * d_p - d_weights * p, 0.0), carried(0.0, d_p)
-        whole = np.where(load > 0.0, load, 1.0)
-        more = lacking / whole
-        d_more = np.where((load > 0.0) & (more > _LEAST), (d_lacking - more * d_load) / whole, 0.0)
-        return np.where(chosen, d_weights, d_more[..., None])
+        nonzero_load = np.where(load > 0.0, load, 1.0)
+        extra = lacking / nonzero_load
+        rises = (load > 0.0) & (extra > _LEAST)
+        d_extra = np.where(rises, (d_lacking - extra * d_load) / nonzero_load, 0.0)
+        return np.where(closing, d_weights, d_extra[..., None])
 
 
 def find_closing_elements(
@@ -98,16 +99,16 @@ def find_closing_elements(
     if not physics.inputs.wears_locally or p.min() > 0.0:
         return None
     worn = columns(length * state.rates.sum(axis=0).max(axis=-1))
-    chosen = (p <= 0.0) & (gap > 0.0) & (gap < _REACH * worn)
-    chosen &= worn > physics.own_displacement(columns(p.max(axis=-1)))
-    # the others can make up for what a few of them carry
+    closing = (p <= 0.0) & (gap > 0.0) & (gap < _REACH * worn)
+    closing &= worn > physics.own_displacement(columns(p.max(axis=-1)))
+    # other elements can make up only for the load of a few
     touching = physics.area_in_contact(p)
-    joining = np.asarray(inner(physics.area, (chosen & (gap < worn)).astype(float)))
-    chosen &= (joining <= _MOST * touching)[..., None]
-    if not chosen.any():
+    joining = np.asarray(inner(physics.area, (closing & (gap < worn)).astype(float)))
+    closing &= (joining <= _MOST * touching)[..., None]
+    if not closing.any():
         return None
     return ClosingElements(
-        np.where(chosen, gap, 0.0), physics.area, physics.inputs.force is not None
+        np.where(closing, gap, 0.0), physics.area, physics.inputs.force is not None
     )
 
 
@@ -122,9 +123,9 @@ def entry_error(
 
     None where none did.
 
-    Such a pressure is right where the wear of the element is far more than what it yields, or far
-    less: it is then what wears it off as fast as the gap closes, or what elasticity alone makes of
-    the overlap. In between it depends on when the element entered.
+    Such a pressure is right where the element wears far more than it is displaced, as it then wears
+    as fast as the gap closes; or far less, as elasticity alone then resists the overlap. In between
+    it depends on when the element entered.
 
     Parameters
     ----------
@@ -133,8 +134,8 @@ def entry_error(
     p = after.contact.pressure
     if before.contact.pressure.min() > 0.0:
         return None
-    came = (before.contact.pressure <= 0.0) & (p > 0.0)
-    if not came.any():
+    entered = (before.contact.pressure <= 0.0) & (p > 0.0)
+    if not entered.any():
         return None
     elastic, most = physics.own_displacement(p), depth_if_always_in_contact.sum(axis=0)
     worn = (after.wear - before.wear).sum(axis=0)
@@ -142,4 +143,4 @@ def entry_error(
     share: FloatArray | float = _STAGE_ERROR
     if closing is not None:
         share = np.where(closing.mask, _ENTRY_ERROR, _STAGE_ERROR)
-    return np.where(came, share * p * elastic * most / size, 0.0)
+    return np.where(entered, share * p * elastic * most / size, 0.0)

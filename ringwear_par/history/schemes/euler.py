@@ -2,7 +2,7 @@
 
 Forward, (6) of the paper: the pressure at the start of a step wears throughout it. Backward: the
 pressure at its end does, which is found together with the wear inside the contact problem; stable
-for steps of any length. What a step misses is about half of its length times the change of the
+for steps of any length. The error of a step is about half of its length times the change of the
 rate.
 """
 
@@ -32,12 +32,14 @@ def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: Fl
         step_tangent.explicit(physics.increment(state.time, sliding, state.wear, length), p)
         step_tangent.work(length, sliding, p, step_tangent.pressure)
     contact = contacts.solve(physics.contact_inputs(end, wear), p, tangents=step_tangent)
-    then = physics.rates_at(end, wear, contact.pressure)
+    end_rates = physics.rates_at(end, wear, contact.pressure)
     turn, moment = length * sliding.omega, physics.moment(p)
     energy, work = turn * (sliding.friction * moment), turn * moment
-    after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, step_tangent)
+    after = advanced(
+        physics, state, end, wear, volumes, energy, work, contact, end_rates, step_tangent
+    )
     passage = Passage.of(physics, state, after, state.time, sliding, p)
-    return end_at_interfaces(contacts, state, _judged(state, after), passage, step_tangent)
+    return end_at_interfaces(contacts, state, _estimate_error(state, after), passage, step_tangent)
 
 
 def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
@@ -54,22 +56,24 @@ def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: F
     )
     p = contact.pressure
     depths = increment.depths(p)
-    wear, then = state.wear + depths, increment.rates(p, depths)
-    volumes = length * physics.integrals(then)
+    wear, end_rates = state.wear + depths, increment.rates(p, depths)
+    volumes = length * physics.integrals(end_rates)
     if not physics.inputs.rates_last:
-        then = physics.rates_at(end, wear, p)
+        end_rates = physics.rates_at(end, wear, p)
     turn, moment = length * sliding.omega, physics.moment(p)
     energy, work = turn * (sliding.friction * moment), turn * moment
     if step_tangent is not None:
         step_tangent.implicit()
         step_tangent.work(length, sliding, p, step_tangent.pressure)
-    after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, step_tangent)
+    after = advanced(
+        physics, state, end, wear, volumes, energy, work, contact, end_rates, step_tangent
+    )
     passage = Passage.of(physics, state, after, end, sliding, p)
-    return end_at_interfaces(contacts, state, _judged(state, after), passage, step_tangent)
+    return end_at_interfaces(contacts, state, _estimate_error(state, after), passage, step_tangent)
 
 
-def _judged(state: State, after: State) -> Step:
-    """Return the step from one state to another, half of what the rates changed as its error."""
+def _estimate_error(state: State, after: State) -> Step:
+    """Return the step between states; its error is half the change of rates times its length."""
     change = total_of(after.rates) - total_of(state.rates)
     error = 0.5 * (after.time - state.time) * largest(np.abs(change))
     return Step(after, error, error)

@@ -1,10 +1,10 @@
 """Interfaces of layers: steps end where the first element reaches one.
 
-Each element stays in its layer throughout a step, so that rates do not jump within it. A try that
-goes too far beyond an interface is repeated: it ends where the quadratic through the wear of this
-one says that the first element gets there. Where it goes beyond by less, what it has lost there is
-worn off the next layer instead, in the time that it took and at the pressure of the last part of
-the step, which keeps the balance of energy; contacts are solved once more with that wear. So
+Each element wears by the law of one layer throughout a step, so that rates do not jump within it. A
+try that goes too far beyond an interface is repeated, to a shorter end: when the first element gets
+there by the quadratic through the wear of the first try. If it goes beyond by less, the depth
+beyond is replaced by what the next layer loses in the same time, at the pressure of the last part
+of the step, which keeps the balance of energy; contacts are solved once more with that wear. So
 several elements may cross at once.
 """
 
@@ -25,19 +25,19 @@ from ringwear_par.history.state import State
 from ringwear_par.wear.increment import WearIncrement
 from ringwear_par.wear.layered import worn_through
 
-#: depth by which a step may be corrected where an element crosses, in ``time.tolerance``, the same
-#: with fixed steps and adaptive ones; and the share of it that steps aim at. Of 24 random coatings
-#: of 3 um the worst and the median error were the same with 0.02, 0.1, 0.3 and 1; a history took
-#: 213, 201, 185 and 161 tries. Derivatives of fixed steps to ends that move are off by 1e-5 with
-#: 0.02, by 5e-3 (of torques) with 0.1 and more
+#: largest correction of depth where an element crosses, over ``time.tolerance``, in any steps, and
+#: the share of it that steps aim at. Of 24 random coatings of 3 um the worst and the median error
+#: were the same with 0.02, 0.1, 0.3 and 1; a history took 213, 201, 185 and 161 tries. Derivatives
+#: of fixed steps to ends that move are off by 1e-5 with 0.02, by 5e-3 (of torques) with 0.1 and
+#: more
 _ALLOWED, _AIM = 0.02, 0.5
-#: by how many times an error of depth counts more at most: near the threshold of a layer there is
-#: no bound. Of 24 random coatings of 3 um, bodies wearing up to 2000 times as fast, the worst was
-#: off by 0.012 um with 3000, by 0.089 with 300 and by 1.2 without
+#: largest factor by which errors of depth grow in a next layer: near the threshold of a layer they
+#: grow without bound. Of 24 random coatings of 3 um, bodies wearing up to 2000 times as fast, the
+#: worst error was 0.012 um with 3000, 0.089 um with 300 and 1.2 um without
 _MOST_GROWTH = 3000.0
-#: least rate at the end of a step, in that of all of it
+#: least rate at the end of a step, over its mean rate
 _LEAST_RATE = 0.01
-#: share of a depth below which a change of it is none
+#: relative change of a depth that is round-off
 _ROUND_OFF = 1e-14
 
 
@@ -48,9 +48,10 @@ def end_at_interfaces(
     passage: "Passage | None",
     step_tangent: StepTangent | None,
 ) -> Step:
-    """Return a step with its elements in the layers that they have come to.
+    """Return a step whose elements have the wear and rates of the layers that they are in then.
 
-    Or, of histories where an element has gone too far beyond its layer, when it got there.
+    Of histories where an element has gone too far beyond its layer, it has the time when it got
+    there, instead.
 
     Parameters
     ----------
@@ -65,19 +66,19 @@ def end_at_interfaces(
     if too_far.any():
         shares = _shares(left + aim, before.rates * length, after.wear - before.wear)
         shares = np.where(passage.crossing, shares, np.inf)
-        reached = before.time + (after.time - before.time) * _first(shares)
+        reached = before.time + (after.time - before.time) * _least(shares)
     rise = (after.rates - before.rates) / length
     crossing = passage.crossing & ~too_far[:, None]
     left = passage.ends - after.wear
     if step_tangent is not None:
-        laws = passage.following.inputs.laws
+        laws = passage.physics_below.inputs.laws
         tangent = step_tangent.end_at_interface(after.tangent, laws, passage.time_left)
         after = replace(after, tangent=tangent)
     if crossing.any():
         after = _in_next_layers(contacts, before, after, passage, crossing, step_tangent)
         left = np.where(crossing, passage.next_ends - after.wear, left)
         rise[crossing], aim[crossing] = 0.0, 0.0
-    expected = after.time + _first(_times(left + aim, after.rates, rise))
+    expected = after.time + _least(_times(left + aim, after.rates, rise))
     return replace(
         step, state=after, too_far=too_far, interface=np.where(too_far, reached, expected)
     )
@@ -98,27 +99,26 @@ def next_to_cross(physics: Physics, state: State) -> str:
 class Passage:
     """How elements come to the ends of their layers in a step, (2, B, n) of lower and upper."""
 
-    #: with the laws of the layers that elements are in, and with those of the layers below, where
-    #: there are any
+    #: with the laws of the layers that elements are in, and of the next layers below
     physics: Physics
-    following: Physics
-    #: int, that elements are in
+    physics_below: Physics
+    #: int, layers that elements are in
     layers: IntArray
-    #: mm, of these, infinite of bodies themselves
+    #: mm, depths at which these end, infinite of bodies themselves
     ends: FloatArray
     #: mm, at the end of the step
     wear: FloatArray
     #: which elements get to the end of their layer
     crossing: BoolArray
-    #: (B,) s, at which rates are those of the last part of the step
+    #: (B,) s, time of the rates of the last part of the step
     time: FloatArray
     sliding: Sliding
     #: (B, n) MPa, of the last part
     pressure: FloatArray
-    #: mm/s, rates in the step, in its last part, and those of the next layers
-    mean: FloatArray
-    here: FloatArray
-    below: FloatArray
+    #: mm/s, mean rates of the step, rates in its last part, and those of the next layers then
+    mean_rates: FloatArray
+    rates: FloatArray
+    rates_below: FloatArray
 
     @classmethod
     def of(
@@ -139,14 +139,15 @@ class Passage:
         layers, wear = physics.layers_at(before.wear), after.wear
         ends = physics.ends_of(layers)
         inside = np.isfinite(ends)
-        following = physics.in_layers(layers + inside)
+        physics_below = physics.in_layers(layers + inside)
         crossing = inside & worn_through(ends, wear)
-        mean = (wear - before.wear) / columns(after.time - before.time)
-        here = physics.rates(time, sliding, wear, pressure)
-        below = following.rates(time, sliding, np.where(crossing, ends, wear), pressure)
+        mean_rates = (wear - before.wear) / columns(after.time - before.time)
+        rates = physics.rates(time, sliding, wear, pressure)
+        reached = np.where(crossing, ends, wear)
+        rates_below = physics_below.rates(time, sliding, reached, pressure)
         return cls(
-            physics, following, layers, ends, wear, crossing, time, sliding, pressure, mean, here,
-            below,
+            physics, physics_below, layers, ends, wear, crossing, time, sliding, pressure,
+            mean_rates, rates, rates_below,
         )  # fmt: skip
 
     @cached_property
@@ -165,35 +166,37 @@ class Passage:
         return np.where(self.crossing, np.maximum(self.wear - self.ends, 0.0), 0.0)
 
     @cached_property
-    def rate(self) -> FloatArray:
-        """Rates at which elements went beyond, mm/s; 0 where these are not known.
+    def rates_beyond(self) -> FloatArray:
+        """Rates at which elements went beyond, mm/s; 0 where they are not known.
 
-        Those of the last part, unless pressure has fallen below the threshold of the layer by then.
+        Those of the last part, and not much less than the mean rates of the step: the pressure may
+        have fallen below the threshold of the layer by then.
         """
-        return np.maximum(self.here, np.where(self.below > 0.0, _LEAST_RATE * self.mean, 0.0))
+        least = np.where(self.rates_below > 0.0, _LEAST_RATE * self.mean_rates, 0.0)
+        return np.maximum(self.rates, least)
 
     @cached_property
-    def since(self) -> FloatArray:
-        """For how long elements have been beyond, s."""
-        rate, beyond = self.rate, self.beyond
+    def time_beyond(self) -> FloatArray:
+        """Time that elements have been beyond, s."""
+        rate, beyond = self.rates_beyond, self.beyond
         return np.divide(beyond, rate, out=np.where(beyond > 0.0, np.inf, 0.0), where=rate > 0.0)
 
     @property
     def time_left(self) -> FloatArray:
-        """When elements get to the ends of their layers at these rates, s from the end on."""
-        rate, never = self.rate, np.full_like(self.ends, np.inf)
+        """Time from the end until elements get to the ends of their layers at these rates, s."""
+        rate, never = self.rates_beyond, np.full_like(self.ends, np.inf)
         return np.divide(self.ends - self.wear, rate, out=never, where=rate > 0.0)
 
     @cached_property
-    def depth(self) -> FloatArray:
+    def depth_below(self) -> FloatArray:
         """Depths that elements lose of their next layer in this time, mm."""
-        return np.where(self.below > 0.0, self.since, 0.0) * self.below
+        return np.where(self.rates_below > 0.0, self.time_beyond, 0.0) * self.rates_below
 
     @cached_property
     def rate_ratio_below(self) -> FloatArray:
         """Rates of the next layers over those of these; infinite where these do not wear."""
-        rate = self.rate
-        return np.divide(self.below, rate, out=np.full_like(rate, np.inf), where=rate > 0.0)
+        rate = self.rates_beyond
+        return np.divide(self.rates_below, rate, out=np.full_like(rate, np.inf), where=rate > 0.0)
 
     @property
     def allowed(self) -> FloatArray:
@@ -202,50 +205,51 @@ class Passage:
 
     @property
     def too_far(self) -> BoolArray:
-        """In which histories, (B,), an element goes on in its layer for too long."""
-        wrong = (np.abs(self.depth - self.beyond) > self.allowed) | np.isinf(self.since)
+        """Whether an element of a history, (B,), has gone too far beyond its layer."""
+        wrong = (np.abs(self.depth_below - self.beyond) > self.allowed) | np.isinf(self.time_beyond)
         return (self.crossing & wrong).any(axis=(0, 2))
 
     @property
     def aim(self) -> FloatArray:
-        """How far beyond the ends of layers steps are to go, mm.
+        """Depth beyond the ends of layers that steps aim at, mm.
 
-        Infinitely far where the next one wears as this one does.
+        Infinite where the next layer wears as fast as this one.
         """
         with np.errstate(divide="ignore"):
             return _AIM * self.allowed / np.abs(self.rate_ratio_below - 1.0)
 
     @property
     def growth(self) -> FloatArray:
-        """By how many times errors of depth are more in the next layer, (B, n)."""
-        return _growth(self.here, self.below)
+        """Factors by which errors of depth grow in the next layer, (B, n)."""
+        return _growth(self.rates, self.rates_below)
 
     def growth_at(self, usual: FloatArray) -> FloatArray:
-        """Return ``growth``, or what it is at usual pressures, (B, 1) MPa, if that is more.
+        """Return ``growth``, or that at usual pressures, (B, 1) MPa, if it is more.
 
-        To which pressures may have fallen when the layer is through: near a threshold of the layer
-        hardly anything is worn off it.
+        Pressures may have fallen to the usual ones when the layer is worn through; near a threshold
+        hardly anything is worn off it then.
         """
         low, at = np.minimum(self.pressure, usual), (self.time, self.sliding)
-        here = self.physics.rates(*at, self.wear, low)
-        return np.maximum(self.growth, _growth(here, self.following.rates(*at, self.reached, low)))
+        rates = self.physics.rates(*at, self.wear, low)
+        rates_below = self.physics_below.rates(*at, self.reached, low)
+        return np.maximum(self.growth, _growth(rates, rates_below))
 
     def unit_increments(self) -> tuple[WearIncrement, WearIncrement]:
         """Return the wear of 1 s of the last part, in these layers and in the next ones."""
         at, second = (self.time, self.sliding), np.ones_like(self.time)
         return (
             self.physics.increment(*at, self.wear, second),
-            self.following.increment(*at, self.reached, second),
+            self.physics_below.increment(*at, self.reached, second),
         )
 
 
-def _growth(here: FloatArray, below: FloatArray) -> FloatArray:
-    """Return by how many times errors of depth are more at other rates, from 1 on, (B, n).
+def _growth(rates: FloatArray, rates_below: FloatArray) -> FloatArray:
+    """Return factors by which errors of depth grow in the next layer, 1 or more, (B, n).
 
-    The next layer then begins to wear too early or too late.
+    With such an error, the next layer begins to wear too early or too late.
     """
-    most = np.where(below > 0.0, _MOST_GROWTH, 1.0)
-    ratio = np.divide(below, here, out=most, where=here * _MOST_GROWTH > below)
+    most = np.where(rates_below > 0.0, _MOST_GROWTH, 1.0)
+    ratio = np.divide(rates_below, rates, out=most, where=rates * _MOST_GROWTH > rates_below)
     return np.maximum(ratio, 1.0).max(axis=0)
 
 
@@ -257,17 +261,17 @@ def _in_next_layers(
     crossing: BoolArray,
     step_tangent: StepTangent | None,
 ) -> State:
-    """Return the state with what is beyond the ends of layers worn off the next ones."""
+    """Return the state with the depths beyond the ends of layers replaced by those of the next."""
     physics, time, contact = passage.physics, after.time, after.contact
-    wear = np.where(crossing, passage.ends + passage.depth, after.wear)
+    wear = np.where(crossing, passage.ends + passage.depth_below, after.wear)
     crosses = crossing.any(axis=(0, 2))
     still = ~(crossing & (np.abs(wear - after.wear) > _ROUND_OFF * wear)).any(axis=(0, 2))
     if step_tangent is not None:
-        since, rate_ratio_below = (
-            np.where(crossing, v, 0.0) for v in (passage.since, passage.rate_ratio_below)
+        time_beyond, rate_ratio_below = (
+            np.where(crossing, v, 0.0) for v in (passage.time_beyond, passage.rate_ratio_below)
         )
         step_tangent.cross(
-            crossing, passage.unit_increments(), passage.pressure, since, rate_ratio_below
+            crossing, passage.unit_increments(), passage.pressure, time_beyond, rate_ratio_below
         )
     if not still.all():
         inputs = physics.contact_inputs(time, wear)
@@ -280,8 +284,8 @@ def _in_next_layers(
             residual=np.maximum(contact.residual, solved.residual),
         )
         contact = batched.where(still, contact, solved)
-    in_itself = crossing & np.isinf(passage.next_ends)
-    since = np.where(in_itself, passage.since, -np.inf).max(axis=-1)
+    in_body = crossing & np.isinf(passage.next_ends)
+    time_beyond = np.where(in_body, passage.time_beyond, -np.inf).max(axis=-1)
     present = physics.in_present_layers(wear)
     assert after.through is not None
     new = replace(
@@ -292,13 +296,13 @@ def _in_next_layers(
         rates=present.rates_at(time, wear, contact.pressure),
         error=after.error * np.where(crossing.any(axis=0), passage.growth, 1.0),
         tangent=None if step_tangent is None else step_tangent.reached(contact),
-        through=np.minimum(after.through, np.maximum(time - since, before.time)),
+        through=np.minimum(after.through, np.maximum(time - time_beyond, before.time)),
     )
     return batched.where(crosses, new, after)
 
 
 def _shares(need: FloatArray, slope: FloatArray, change: FloatArray) -> FloatArray:
-    """Return the share of a step after which wear comes to ``need``, mm, less than its change.
+    """Return the share of a step after which wear has gone on by ``need`` mm, less than its change.
 
     By the quadratic through the wear at both ends, with the slope of its start, else straight.
     """
@@ -318,6 +322,6 @@ def _times(need: FloatArray, rate: FloatArray, rise: FloatArray) -> FloatArray:
     return np.where(np.isfinite(time) & (time > 0.0), time, np.inf)
 
 
-def _first(values: FloatArray) -> FloatArray:
+def _least(values: FloatArray) -> FloatArray:
     """Return the least values of (2, B, n), (B,)."""
     return values.min(axis=(0, 2))

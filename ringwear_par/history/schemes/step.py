@@ -1,7 +1,7 @@
-"""What a scheme is: a function that makes one step and says how far it may be off.
+"""What a scheme is: a function that makes one step and estimates its error.
 
 ``scheme(physics, contacts, state, end) -> Step``, for B histories with ends of their own. Schemes
-remember nothing and decide nothing; a new one is a file with such a function, and a line in
+store nothing and decide nothing; a new one is a file with such a function, and a line in
 ``loop.METHODS``.
 """
 
@@ -15,22 +15,22 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.history.physics import Physics
-from ringwear_par.history.refusals.states import checked
+from ringwear_par.history.refusals.states import check_state
 from ringwear_par.history.schemes.tangent import StepTangent
 from ringwear_par.history.state import State
 
 
 @dataclass(frozen=True)
 class Step:
-    """One step."""
+    """One step of B histories, with its estimated errors."""
 
     #: at its end; the iterations of its contact are those of all stages
     state: State
     #: (B,), mm, estimated error of the wear of both bodies together in the step, of the worst
     #: element
     wear_error: FloatArray
-    #: (B,), mm, that of the history up to the end of the step; from a scheme that does not carry it
-    #: that of the step
+    #: (B,), mm, estimated error of the wear of the history up to the end of the step; from a scheme
+    #: that does not carry it, that of the step
     history_error: FloatArray
     #: (B,), N mm, estimated error of the energy dissipated in the step; 0 from a scheme that leaves
     #: it to the wear
@@ -43,7 +43,7 @@ class Step:
     #: (B,), mm, the error of the history at the start of the step, propagated to its end; 0 from a
     #: scheme that does not propagate it
     carried_error: Any = 0.0
-    #: (B,), whether elements came into contact within the step, which errors of wear do not know of
+    #: (B,), whether elements came into contact within the step: errors of wear leave these out
     closing: Any = False
     #: (B,), whether an element went too far beyond its layer; the step is no good then
     too_far: Any = False
@@ -78,7 +78,7 @@ def advanced(
 
     Raises
     ------
-    ComputationError : the physics no longer holds, see ``checked``.
+    ComputationError : the physics no longer holds, see ``check_state``.
     """
     after = State(
         end, wear, state.worn + volumes, state.energy + energy,
@@ -86,4 +86,4 @@ def advanced(
         state.gap_offset, None if step_tangent is None else step_tangent.reached(contact),
         state.through,
     )  # fmt: skip
-    return checked(physics.case, after)
+    return check_state(physics.case, after)

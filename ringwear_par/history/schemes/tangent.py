@@ -1,7 +1,7 @@
 """Tangent-linear histories: derivatives of everything that is stored with respect to numbers.
 
-What is differentiated is what the program computes, its step sizes given: every contact solution,
-corrected as it is, on the factor that it ended with. On the elements in contact
+Differentiated is the computed history, at the step sizes that it has: every contact solution with
+its corrections, by the factors of its last Newton step. On the elements in contact
 
     K p + m (gap + depth(p, q) - excess p_near - delta) = 0,    m.p = F,
 
@@ -10,7 +10,7 @@ depth' = D p' + depth_q. Where elements pass a kink (contact, a threshold), deri
 one of its sides.
 
 Derivatives with respect to P numbers are (P, ..., n) of fields, (P, ...) of a history's numbers,
-and (2, P, ..., n) of what both bodies have.
+and (2, P, ..., n) of fields of both bodies.
 """
 
 from collections.abc import Sequence
@@ -66,7 +66,7 @@ class StepTangent:
                 zeros(*shape), *[zeros(*shape[:-1])] * 3,
             )  # fmt: skip
         self._before = before
-        #: (P, ...) of the length of the step, over it; None: it stays
+        #: (P, ...) derivatives of the length of the step, over the length; None: 0
         self._stretch: FloatArray | None = None
         if self._numbers.moving_ends and length is not None:
             ends = np.zeros_like(before.time)
@@ -78,20 +78,20 @@ class StepTangent:
         self.wear = before.wear
         #: (P, ..., n) MPa and (P, ...) mm, of the last contact
         self.pressure, self.approach = before.pressure, before.approach
-        #: of the pressures that the next solution is corrected at
-        self._near = before.pressure
+        #: of the pressures at which the next solution is corrected
+        self._correction_pressure = before.pressure
         #: of the gap at given pressure
         self._gap = zeros(*shape)
         self._increment: WearIncrement | None = None
         self._linearised: LinearisedIncrement | None = None
-        self._closes: FloatArray | None = None
+        self._closing_gap: FloatArray | None = None
         if closing is not None:
-            self._closes = np.where(closing.gap > 0.0, before.gap, 0.0)
-        #: (P, ..., n) s, of the steps of elements
+            self._closing_gap = np.where(closing.gap > 0.0, before.gap, 0.0)
+        #: (P, ..., n) s, of the steps of elements; None: 0
         self._step: FloatArray | None = None
         self._energy = before.energy
         #: (P, ..., n) MPa, of the pressure in the last part of the step
-        self._last = before.pressure
+        self._last_pressure = before.pressure
 
     # -- contact -----------------------------------------------------------------------------------
 
@@ -103,12 +103,12 @@ class StepTangent:
         contacts, p = self._contacts, solution.pressure
         increment = self._increment = wear
         gap = self.wear[0] + self.wear[1]
-        gap -= contacts.gap_of_excess(self._near)
+        gap -= contacts.gap_of_excess(self._correction_pressure)
         self._numbers.add_gap(gap, p, at)
         slope: FloatArray | None = None
         if increment is not None:
             linearised = self._linearise(increment, p, self._d_step(increment), instant=False)
-            worn, slope = linearised.in_contact_problem(p, self._closes)
+            worn, slope = linearised.in_contact_problem(p, self._closing_gap)
             gap += worn
             self._linearised = linearised
         load = self._numbers.load(self._physics.inputs.force, self._time)
@@ -124,7 +124,7 @@ class StepTangent:
             self.approach = self.approach.copy()
             self._gap[:, histories] = gap[:, histories]
             self.pressure[:, histories], self.approach[:, histories] = solved
-        self._near = self.pressure
+        self._correction_pressure = self.pressure
 
     def _d_step(self, increment: WearIncrement) -> FloatArray | None:
         """Return derivatives of the steps of elements, (P, ..., n) s; None: 0."""
@@ -140,7 +140,7 @@ class StepTangent:
         return linearise(increment, p, self._numbers, self.wear, d_step, instant)
 
     def d_depth_if_always_in_contact(self) -> dict[int, FloatArray]:
-        """Return derivatives of what the last stage wears off bodies all along, (P, ..., n) mm."""
+        """Return derivatives of the last stage's depths in contact all along, (P, ..., n) mm."""
         return {} if self._linearised is None else self._linearised.depths(self.pressure)
 
     def _wear_off(self, d_depths: dict[int, FloatArray]) -> None:
@@ -149,27 +149,27 @@ class StepTangent:
         for i, depths in d_depths.items():
             self.wear[i] += depths
 
-    # -- what schemes tell -------------------------------------------------------------------------
+    # -- stages, as schemes report them ------------------------------------------------------------
 
     def explicit(self, increment: WearIncrement, p: FloatArray) -> None:
-        """Wear off what an explicit step does at the pressure of its start."""
+        """Add the wear of an explicit step, at the pressure of its start."""
         linearised = self._linearise(increment, p, self._d_step(increment), instant=True)
-        self._last = self._before.pressure
+        self._last_pressure = self._before.pressure
         self._wear_off(linearised.depths(self._before.pressure))
 
     def implicit(self) -> None:
-        """Wear off what the last stage does."""
-        self._last = self.pressure
+        """Add the wear of an implicit step, which is its last stage."""
+        self._last_pressure = self.pressure
         self._wear_off(self.d_depth_if_always_in_contact())
 
     def first_stage(self, p: FloatArray, weights: FloatArray | float, share: float) -> None:
-        """Go on to the last stage of two.
+        """Add the wear of the first stage of two.
 
         Parameters
         ----------
         p : (..., n) MPa, at the end of the first.
-        weights : how many times its weight the stage counts, (..., n) or 1.
-        share : of what is worn that the last stage starts from.
+        weights : factors on the weight of the stage, (..., n) or 1.
+        share : of its wear that the last stage starts from.
         """
         first = self._weighted = self.pressure
         d_weights: FloatArray | float = 0.0
@@ -177,47 +177,49 @@ class StepTangent:
             d_weights = self._closing.d_stage_weights(p, first, 0.0, 0.0)
             self._weighted = weights * first + d_weights * p
         self._wear_off(self._d_depths(share * weights, share * d_weights))
-        self._near = self._first = first
+        self._correction_pressure = self._first = first
         self._time = self._end
 
     def lengthen(self, last: WearIncrement, p: FloatArray, step: FloatArray) -> None:
-        """Take note that the last stage is tried again, its steps being those that ``p`` asks for.
+        """Set the steps of elements for a second try of the last stage, after one that gave ``p``.
 
         Parameters
         ----------
-        step : s, of which steps are so many times as much as the stage counts.
+        step : s, of the stage, without the factors on its weight.
         """
         assert self._closing is not None
-        whole = last.step / columns(step)
-        inside, d_inside = self._inside(last, p)
-        weights = whole * inside
-        d_weights = self._closing.d_stage_weights(p, self.pressure, weights, whole * d_inside)
+        factor = last.step / columns(step)
+        share, d_share = self._share_after_closing(last, p)
+        weights, d_closing = factor * share, factor * d_share
+        d_weights = self._closing.d_stage_weights(p, self.pressure, weights, d_closing)
         self._step = np.where(self._closing.mask, 0.0, columns(step) * d_weights)
-        self._near = self._first
+        self._correction_pressure = self._first
 
     def last_stage(self, last: WearIncrement, p: FloatArray, step: FloatArray) -> None:
-        """Wear off what the last stage of two does, see ``first_stage`` and ``lengthen``."""
-        self._last = self._weighted_last = self.pressure
-        inside: FloatArray | float = 1.0
-        d_inside: FloatArray | float = 0.0
+        """Add the wear of the last stage of two, see ``first_stage`` and ``lengthen``."""
+        self._last_pressure = self._weighted_last = self.pressure
+        share: FloatArray | float = 1.0
+        d_share: FloatArray | float = 0.0
         if self._closing is not None:
-            inside, d_inside = self._inside(last, p)
+            share, d_share = self._share_after_closing(last, p)
             weights = last.step / columns(step)
-            d_weights = weights * d_inside
+            d_weights = weights * d_share
             if self._step is not None:
-                d_weights = d_weights + inside * self._step / columns(step)
-            self._weighted_last = weights * inside * self.pressure + d_weights * p
-        self._wear_off(self._d_depths(inside, d_inside))
+                d_weights = d_weights + share * self._step / columns(step)
+            self._weighted_last = weights * share * self.pressure + d_weights * p
+        self._wear_off(self._d_depths(share, d_share))
 
-    def _inside(self, last: WearIncrement, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _share_after_closing(
+        self, last: WearIncrement, p: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Return ``WearIncrement.share`` at a solution, (..., n), and its derivatives."""
         assert self._linearised is not None
         depth = last.depth_if_always_in_contact(p)
         d_depth = total_of(list(self.d_depth_if_always_in_contact().values()))
-        return last.share(depth), last.d_share(depth[0] + depth[1], d_depth, self._closes)
+        return last.share(depth), last.d_share(depth[0] + depth[1], d_depth, self._closing_gap)
 
     def _d_depths(self, share: Any, d_share: Any) -> dict[int, FloatArray]:
-        """Return derivatives of what the last stage wears off in a share of its step."""
+        """Return derivatives of the depths of the last stage in a share of its step."""
         if self._linearised is None:
             return {}
         return self._linearised.depths(self.pressure, share, d_share)
@@ -249,44 +251,46 @@ class StepTangent:
         crossing: BoolArray,
         second: tuple[WearIncrement, WearIncrement],
         p: FloatArray,
-        since: FloatArray,
+        time_beyond: FloatArray,
         rate_ratio_below: FloatArray,
     ) -> None:
-        """Wear what was lost beyond the ends of layers off the next ones.
+        """Replace the depths beyond the ends of layers by those of the next layers.
 
         Parameters
         ----------
         crossing : (2, ..., n), which elements come to their next layer.
-        second : what these lose in a second before it and in it, the end of the step included.
+        second : wear of 1 s in the layers before and in the next ones.
         p : (..., n) MPa, of the last part of the step.
-        since : (2, ..., n) s, for how long they have been beyond it.
+        time_beyond : (2, ..., n) s, that they have been beyond the end.
         rate_ratio_below : (2, ..., n), rates in the next layer over those before it.
         """
         ends = self._ends(second[1].laws)
         reached = np.where(crossing[:, None], ends, self.wear)
-        here, below = (
-            linearise(increment, p, self._numbers, d_wear, None, instant=True).depths(self._last)
+        d_p = self._last_pressure
+        d_before, d_below = (
+            linearise(increment, p, self._numbers, d_wear, None, instant=True).depths(d_p)
             for increment, d_wear in zip(second, (self.wear, reached), strict=True)
         )
         self.wear = self.wear.copy()
-        for i in here:
+        for i in d_before:
             beyond = rate_ratio_below[i] * (self.wear[i] - ends[i])
-            depth = beyond + since[i] * (below[i] - rate_ratio_below[i] * here[i])
+            d_rates = d_below[i] - rate_ratio_below[i] * d_before[i]
+            depth = beyond + time_beyond[i] * d_rates
             self.wear[i] = np.where(crossing[i], ends[i] + depth, self.wear[i])
 
-    def work(self, lasts: FloatArray, sliding: Sliding, p: FloatArray, d_p: FloatArray) -> None:
-        """Dissipate the energy of a time, s, of sliding at a pressure."""
+    def work(self, duration: FloatArray, sliding: Sliding, p: FloatArray, d_p: FloatArray) -> None:
+        """Add the energy that sliding dissipates in a duration, s, at a pressure."""
         omega, torque = sliding.omega, self._physics.torque(p, sliding)
         power = omega * d_torque(self._physics, sliding, p, d_p)
         if self._numbers.omega is not None:
             power[self._numbers.omega] += self._numbers.d_omega(omega) * torque
         if self._stretch is not None:
             power += self._stretch * (omega * torque)
-        self._energy = self._energy + lasts * power
+        self._energy = self._energy + duration * power
 
     @property
     def weighted(self) -> tuple[FloatArray, FloatArray]:
-        """Derivatives of the pressures of both stages, (P, ..., n), times what these count."""
+        """Derivatives of the pressures of both stages, (P, ..., n), times the stages' factors."""
         return self._weighted, self._weighted_last
 
     def reached(self, contact: ContactState) -> Tangent:
@@ -349,13 +353,13 @@ def _moved_ends(left: FloatArray, d_left: FloatArray) -> FloatArray:
     return moved
 
 
-# -- what is stored --------------------------------------------------------------------------------
+# -- variables of results --------------------------------------------------------------------------
 
 
 def variables(physics: Physics, state: State) -> dict[str, Any]:
-    """Return derivatives of what is stored of a state by name, (P, ...) each. Not collective.
+    """Return derivatives of the variables of a state by name, (P, ...) each. Not collective.
 
-    All but that of ``penetration``, in which the first state has a part.
+    All but that of ``penetration``, which depends on the first state, too.
     """
     tangent, numbers = state.tangent, physics.sensitivity
     if tangent is None or numbers is None:

@@ -55,7 +55,7 @@ class NonLocalLaw(ThresholdLaw):
         return None
 
 
-#: how often averages are scaled at most, and to what they have to keep constants by then
+#: most scalings of averages, and the error of averaged constants that is allowed after them
 _SCALINGS, _SCALED = 1000, 1e-10
 
 

@@ -11,7 +11,7 @@ from ringwear_par.wear.local_state import LocalState
 
 
 class AboveThreshold(Law):
-    """What laws of the form rise x max(0, p - p0) share; they give the rise."""
+    """A law of the form rise x max(0, p - p0); subclasses define the rise."""
 
     p0: Quantity
 
@@ -20,7 +20,7 @@ class AboveThreshold(Law):
         raise NotImplementedError
 
     def _line(self, local: LocalState) -> tuple[FloatArray, float | FloatArray]:
-        """Return rise and threshold; a step asks for them several times."""
+        """Return rise and threshold, kept in the memo: a step needs them several times."""
         memo = local.memo
         if not memo or memo[0] is not self:
             memo[:] = self, self._rise(local), value(self.p0, local.time, local.r)
@@ -86,9 +86,9 @@ class ThresholdLaw(AboveThreshold):
     def _rise(self, local: LocalState) -> FloatArray:
         return value(self.k, local.time, local.r) * local.power
 
-    def d_rate_dlocal(self, p: FloatArray, local: LocalState, along: LocalState) -> FloatArray:
-        """Return how the rate changes as speed and friction do along those of another state."""
-        power = local.friction * along.speed + along.friction * local.speed
+    def d_rate_dlocal(self, p: FloatArray, local: LocalState, direction: LocalState) -> FloatArray:
+        """Return the derivative of the rate as speed and friction change in a direction."""
+        power = local.friction * direction.speed + direction.friction * local.speed
         return value(self.k, local.time, local.r) * power * self._excess(p, local)
 
     def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:

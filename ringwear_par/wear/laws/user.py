@@ -141,7 +141,7 @@ class UserLaw(CheckedLaw):
 
     def describe(self) -> str:
         """Return the file's name with its parameters."""
-        return f"rate(p, at) of {self.file}" + self._with(dict(self.parameters))
+        return f"rate(p, at) of {self.file}" + self._values_text(dict(self.parameters))
 
     @property
     def _functions(self) -> dict[str, Any]:
