@@ -51,9 +51,10 @@ class Hessians:
         self._slope_scale = compliances.weights / compliances.scale
         self._per_scale = 1.0 / compliances.scale
         more, self._loops = compliances.deviations, load(contact_rows)
-        #: (B,) from the references, see ``Deviations``, and whether there are any
+        #: (B,) from the references, see ``Deviations``, and whether any do
         self._deviation = np.zeros(count) if more is None else more.deviation[which]
         self._root = None if more is None else more.root
+        self._deviates = bool(self._deviation.any())
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
         #: (B, n) the diagonal
@@ -301,9 +302,9 @@ class Hessians:
         weights, per_scale = self._compliances.weights, self._per_scale
         count = gradient.size // n
         direct, indirect = rows.modal, rows.modal[:0]
-        among = rows.histories[direct]
-        diagonal = self._regular[among] & (self._deviation[among] == 0.0)
-        if not diagonal.all():
+        if self._deviates or not self._regular.all():
+            among = rows.histories[direct]
+            diagonal = self._regular[among] & (self._deviation[among] == 0.0)
             direct, indirect = direct[diagonal], direct[~diagonal]
         steps, changes = np.empty((count + ROOM, n)), np.zeros(gradient.shape[:-1])
         self._loops.steps_in_bases(
@@ -313,14 +314,16 @@ class Hessians:
             weights, per_scale, with_scales, *np.empty((2, 4, n)), steps, changes,
         )  # fmt: skip
         out = steps[:count].reshape(gradient.shape), changes
+        if not (len(indirect) or len(rows.factored)):
+            return out
         others = np.append(indirect, rows.factored)
-        if with_scales and len(others):
+        if with_scales:
             gradient = gradient * weights[which]
         if len(indirect):
             self._set_indirect(rows, indirect, gradient, missing, tolerance, out)
         if len(rows.factored):
             self._set_factored(rows.histories, rows.factored, gradient, missing, out)
-        if with_scales and len(others):
+        if with_scales:
             out[0][..., others, :] *= per_scale[which[others]]
         return out
 
