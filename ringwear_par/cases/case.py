@@ -12,7 +12,6 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.schema import FIELDS, SCHEMES
-from ringwear_par.cases.stress import Stress
 from ringwear_par.elasticity.mesh import ContactLine, Mesh, contact_line
 from ringwear_par.elasticity.sections import BODIES, CLOSE, Grip, Polyline, Section
 from ringwear_par.errors import InputError
@@ -20,6 +19,45 @@ from ringwear_par.schedules import Quantity, bends, in_time
 from ringwear_par.wear.checked_law import complete
 from ringwear_par.wear.law import Law, WearLaw
 from ringwear_par.wear.layered import LayeredLaw
+
+#: of which material a point on the line between two is
+Side = Literal["", "above", "below"]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Points at ``n`` radii and heights between two each (mm), of one body or of both."""
+
+    body: Literal["lower", "upper", "both"]
+    r: tuple[float, float]
+    z: tuple[float, float]
+    n: tuple[int, int]
+
+    @property
+    def axes(self) -> tuple[FloatArray, FloatArray]:
+        """Radii and heights, mm."""
+        return np.linspace(*self.r, self.n[0]), np.linspace(*self.z, self.n[1])
+
+
+@dataclass(frozen=True)
+class Stress:
+    """What stresses are stored."""
+
+    #: r and z (mm) in the frame of the case, and the side of a face or an interface that they lie
+    #: on; inside a body any side is as good as none
+    points: tuple[tuple[float, float, Side], ...] = ()
+    #: further ones, of which those outside the bodies have none
+    grid: Grid | None = None
+    #: of the stored states, which; or times (s) from each of which on the first one is
+    times: str | tuple[float, ...] = "last"
+    #: mm, radius round edges in which the largest stress is not looked for
+    exclude: float = 0.1
+
+    @property
+    def size(self) -> float:
+        """Number of points, those of the grid included."""
+        return len(self.points) + (float(self.grid.n[0]) * self.grid.n[1] if self.grid else 0.0)
+
 
 #: dotted keys and values, or "KEY=VALUE" texts
 Overrides = Mapping[str, Any] | Sequence[str]
@@ -107,7 +145,7 @@ class Stepping:
     @property
     def adaptive(self) -> bool:
         """Whether steps are chosen by the tolerances."""
-        return SCHEMES[self.scheme]
+        return SCHEMES[self.scheme].adaptive
 
     @property
     def end(self) -> float:
@@ -141,6 +179,7 @@ class Case:
     Parameters
     ----------
     stress : what stresses are stored; None: none.
+    stop : limits, in the units of ``STOP_CRITERIA``, that end the history before its time, by name.
     text : the TOML text as run, overrides included; "" for a case that was constructed.
     with_units : keys whose numbers were written with a unit.
     rebuild : makes a changed case of the text; None where the text does not tell this case, for it
@@ -157,6 +196,7 @@ class Case:
     mesh: Mesh
     output: Output
     stress: Stress | None = None
+    stop: tuple[tuple[str, float], ...] = ()
     title: str = ""
     text: str = field(default="", compare=False, repr=False)
     with_units: frozenset[str] = field(default=frozenset(), compare=False, repr=False)
@@ -388,6 +428,22 @@ def _law(ring: Ring, body_law: WearLaw | None) -> Law | None:
     if not ring.layers:
         return itself
     return LayeredLaw.of([layer.thickness for layer in ring.layers], layer_laws, itself)
+
+
+def refuse_stop(case: Case, name: str, purpose: str) -> None:
+    """Refuse a case that may end before its time, for a purpose that needs all of it.
+
+    Raises
+    ------
+    InputError : it has limits that end it.
+    """
+    if case.stop:
+        raise InputError(
+            *(
+                f"{name}: stop.{key} = {limit:g}: must be absent {purpose}"
+                for key, limit in case.stop
+            )
+        )
 
 
 def need_case(value: object, name: str) -> None:

@@ -102,7 +102,8 @@ def needs_reading(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray
     refused = np.zeros(len(next(iter(numbers.values()))), dtype=bool)
     if any(isinstance(law, UserLaw) for law in (case.wear_lower, case.wear_upper)):
         return ~refused  # their functions are tried
-    if ("time.end", None) in numbers and (case.output.times or _has_breakpoints(case)):
+    whole = replace(case, time=replace(case.time, until=math.inf))  # with all its breakpoints
+    if ("time.end", None) in numbers and (case.output.times or whole.breakpoints):
         return ~refused
     displacement = numbers.get(("load.displacement", None))
     if displacement is not None:
@@ -127,11 +128,6 @@ def _refused_by(
     values = {name: getattr(law, name) for name in parameters_of(type(law))}
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
     return np.array([make_law(type(law), table, values | row)[0] is None for row in rows])
-
-
-def _has_breakpoints(case: Case) -> bool:
-    """Tell whether the slope of a schedule or of a parameter jumps at any time."""
-    return bool(replace(case, time=replace(case.time, until=math.inf)).breakpoints)
 
 
 def with_numbers(

@@ -6,7 +6,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
-from typing import Any
+from importlib import import_module
+from typing import Any, NamedTuple
 
 from ringwear_par.cases.tables import Key
 from ringwear_par.cases.units import in_signs
@@ -35,8 +36,59 @@ from ringwear_par.elasticity.sections import SHAPE_UNITS
 from ringwear_par.wear.law import Law, Parameter, parameters_of
 from ringwear_par.wear.laws import LAWS
 
-#: values of ``time.scheme``, and whether steps are chosen by tolerances
-SCHEMES = {"implicit": False, "explicit": False, "adaptive": True}
+
+@cache
+def load(name: str) -> Any:
+    """Return the function or class of a name in these tables: its module is loaded when needed."""
+    module, _, attribute = name.partition(":")
+    return getattr(import_module(f"ringwear_par.{module}"), attribute)
+
+
+class Scheme(NamedTuple):
+    """A value of ``time.scheme``."""
+
+    #: module and function that makes a step, see ``history/schemes/step.py``
+    step: str
+    #: module and class that controls the lengths of steps, see ``history/step_control.py``
+    control: str
+    #: whether the control chooses the lengths by tolerances, to ``time.end``
+    adaptive: bool
+
+
+SCHEMES = {
+    "implicit": Scheme(
+        "history.schemes.euler:backward", "history.step_control:FixedSteps", adaptive=False
+    ),
+    "explicit": Scheme(
+        "history.schemes.euler:forward", "history.step_control:FixedSteps", adaptive=False
+    ),
+    "adaptive": Scheme(
+        "history.schemes.sdirk2:step", "history.step_control:ErrorControl", adaptive=True
+    ),
+}
+
+
+class StopCriterion(NamedTuple):
+    """A key of [stop]: a quantity whose limit ends a history."""
+
+    unit: str
+    meaning: str
+    #: module and function that returns the quantity of a state, see ``history/stop_criteria.py``
+    quantity: str
+
+
+STOP_CRITERIA = {
+    "penetration": StopCriterion("mm", "penetration depth", "history.stop_criteria:penetration"),
+    "wear_lower": StopCriterion(
+        "mm", "largest depth worn off lower", "history.stop_criteria:wear_lower"
+    ),
+    "wear_upper": StopCriterion(
+        "mm", "largest depth worn off upper", "history.stop_criteria:wear_upper"
+    ),
+    "energy": StopCriterion(
+        "N mm", "energy dissipated by friction", "history.stop_criteria:energy"
+    ),
+}
 
 #: most layers of a body, and most points of a grid along r or z
 MOST_LAYERS, MOST_ON_A_SIDE = 1000, 10_000
@@ -190,6 +242,14 @@ KEYS: tuple[Key, ...] = (
         "time.pressure_tolerance", *number(0.0), "1",
         "largest estimated error that one adaptive step makes in the pressure of an element, "
         "divided by the mean pressure in contact", 0.1,
+    ),
+    *(
+        Key(
+            f"stop.{name}", *number(0.0), criterion.unit,
+            f"{criterion.meaning} at which the history ends, after the step that reaches it, if it "
+            "is before the end of time; not in fits, predictions and functions", None,
+        )
+        for name, criterion in STOP_CRITERIA.items()
     ),
     Key("mesh.contact_elements", *whole(4), "-", "number of contact elements",
         Mesh.contact_elements),

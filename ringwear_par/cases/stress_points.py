@@ -5,8 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.cases.case import Case, Ring
-from ringwear_par.cases.stress import Side
+from ringwear_par.cases.case import Case, Ring, Side
 from ringwear_par.elasticity.sections import BODIES, corners
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import shortened
@@ -107,7 +106,9 @@ def _point_faults(case: Case, points: Sequence[tuple[float, float, Side]]) -> It
             )
         elif not bodies:
             yield f'{subject}: lies on a face with no body {side} it; must be without "{side}"'
-        elif not side and _on_interface(case, bodies[0], z):
+        elif not side and (
+            np.abs(_interfaces(case, case.rings[bodies[0]]) - z) <= _ON * size
+        ).any():  # fmt: skip
             yield f'{subject}: lies between two layers; must have its side, "above" or "below"'
 
 
@@ -133,11 +134,6 @@ def _material_side(case: Case, i: int, r: float, z: float) -> Side:
     if abs(z - float(_face(case, ring, np.array([r]))[0])) <= _ON * _size(case):
         return _SIDES[i]
     return _SIDES[1 - i] if abs(z - far_face) <= _ON * _size(case) else ""
-
-
-def _on_interface(case: Case, i: int, z: float) -> bool:
-    """Tell whether a height is that of an interface between layers of lower (0) or upper (1)."""
-    return bool((np.abs(_interfaces(case, case.rings[i]) - z) <= _ON * _size(case)).any())
 
 
 def _interfaces(case: Case, ring: Ring) -> FloatArray:

@@ -66,7 +66,7 @@ def _forecast(cases: Sequence[Case]) -> list[list[Forecast]]:
     forecasts: list[list[Forecast]] = [[] for _ in cases]
     ends = np.array([case.time.end for case in cases])
     means = [
-        (mean(case.load.force or 0.0, 0.0, end), mean(case.load.omega, 0.0, end), _friction(case))
+        [mean(q, 0.0, end) for q in (case.load.force or 0.0, case.load.omega, case.friction)]
         for case, end in zip(cases, ends.tolist(), strict=True)
     ]
     force, omega, friction = np.array(means).T
@@ -164,11 +164,6 @@ def _with_means(case: Case, law: Law) -> Law:
             along = case.overlap if quantity.axis == "r" else (0.0, case.time.end)
             law = law.with_parameter(name, mean(quantity, *along))
     return law
-
-
-def _friction(case: Case) -> float:
-    """Return the mean friction coefficient."""
-    return mean(case.friction, 0.0, case.time.end)
 
 
 _FLAG = "implausible_numbers"

@@ -89,11 +89,10 @@ def number(low: float, high: float = math.inf, *, ends: bool = False) -> Values:
     """Return the numbers between two, perhaps themselves included."""
 
     def read(value: Any) -> float:
-        if not is_finite(value):
-            raise RejectedError
+        read_number = _finite(value)
         if not (low < value < high or (ends and value in (low, high))):
             raise RejectedError
-        return float(value)
+        return read_number
 
     if (low, high) == (-math.inf, math.inf):
         allowed = "a finite number"
@@ -119,18 +118,27 @@ def whole(low: int, high: int = 10**12) -> Values:
     return Values("whole", read, f"a whole number from {low} to {high:g}")
 
 
+def _finite(value: Any) -> float:
+    if not is_finite(value):
+        raise RejectedError
+    return float(value)
+
+
+def _entries(value: Any, read: Reader, least: int = 1, most: float = math.inf) -> tuple[Any, ...]:
+    """Return the entries of a list of so many, each as it is read."""
+    if not isinstance(value, list) or not least <= len(value) <= most:
+        raise RejectedError
+    return tuple(read(entry) for entry in value)
+
+
 def _points(value: Any, read: Reader) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return abscissae, which must increase, and values of a list of pairs."""
-    if not isinstance(value, list) or not value:
-        raise RejectedError
-    for pair in value:
-        if not isinstance(pair, list) or len(pair) != 2 or not is_finite(pair[0]):
-            raise RejectedError
-    x = tuple(float(pair[0]) for pair in value)
+    pairs = _entries(value, lambda pair: _entries(pair, lambda entry: entry, 2, 2))
+    x = tuple(_finite(pair[0]) for pair in pairs)
     for before, after in itertools.pairwise(x):
         if after <= before:
             raise RejectedError(f"{after:g} after {before:g}: the first of each pair must increase")
-    return x, tuple(read(pair[1]) for pair in value)
+    return x, tuple(read(pair[1]) for pair in pairs)
 
 
 def schedule(low: float, *, ends: bool = False) -> Values:
@@ -197,10 +205,10 @@ def rates() -> Values:
     return Values("points", read, allowed)
 
 
-def _increasing(value: Any, read: Reader) -> tuple[float, ...]:
-    if not isinstance(value, list) or not value:
-        raise RejectedError
-    numbers = tuple(float(read(v)) for v in value)
+def _increasing(
+    value: Any, read: Reader, least: int = 1, most: float = math.inf
+) -> tuple[float, ...]:
+    numbers = _entries(value, read, least, most)
     if any(after <= before for before, after in itertools.pairwise(numbers)):
         raise RejectedError
     return numbers
@@ -213,6 +221,17 @@ def times() -> Values:
         lambda value: _increasing(value, number(0.0).read),
         "a list of increasing numbers > 0",
     )
+
+
+def _of(kind: type) -> Reader:
+    """Return the reader of what is of a type."""
+
+    def read(value: Any) -> Any:
+        if not isinstance(value, kind):
+            raise RejectedError
+        return value
+
+    return read
 
 
 def which_times(*names: str) -> Values:
@@ -230,26 +249,21 @@ def which_times(*names: str) -> Values:
 
 def pair(low: float) -> Values:
     """Return two increasing numbers."""
-
-    def read(value: Any) -> tuple[float, float]:
-        if not isinstance(value, list) or len(value) != 2:
-            raise RejectedError
-        if not all(is_finite(v) and v >= low for v in value) or not value[0] < value[1]:
-            raise RejectedError
-        return float(value[0]), float(value[1])
-
+    entry = number(low, ends=True).read
     allowed = "two increasing numbers" + (f" >= {low:g}" if low > -math.inf else "")
-    return Values("pair", read, allowed)
+    return Values("pair", lambda value: _increasing(value, entry, 2, 2), allowed)
 
 
 def chamfer() -> Values:
     """Return [inner, outer], or one number for both (inner None: none on a solid disc)."""
 
     def read(value: Any) -> tuple[float | None, float]:
-        both = value if isinstance(value, list) else [value, value]
-        if len(both) != 2 or not all(is_finite(v) and v >= 0 for v in both):
-            raise RejectedError
-        return (float(both[0]) if both is value else None), float(both[1])
+        if not isinstance(value, list):
+            return None, width(value)
+        inner, outer = _entries(value, width, 2, 2)
+        return inner, outer
+
+    width = number(0.0, ends=True).read
 
     return Values("chamfer", read, "a number >= 0, or two of them: [inner, outer]")
 
@@ -279,12 +293,7 @@ def profile() -> Values:
     def read(value: Any) -> tuple[tuple[float, float], ...] | Shape:
         if isinstance(value, dict):
             return _shape(value)
-        if not isinstance(value, list) or len(value) < 2:
-            raise RejectedError
-        for point in value:
-            if not isinstance(point, list) or len(point) != 2 or not all(map(is_finite, point)):
-                raise RejectedError
-        return tuple((float(r), float(z)) for r, z in value)
+        return _entries(value, lambda point: _entries(point, _finite, 2, 2), 2)
 
     shapes = "{ crown, sphere, cone, fillet or file }"
     return Values("points", read, f"at least 2 points [r, z] of finite numbers or {shapes}")
@@ -300,11 +309,10 @@ def tables(content: str, most: int) -> Values:
     """
 
     def read(value: Any) -> tuple[dict[str, Any], ...]:
-        if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
-            raise RejectedError
+        read_tables = _entries(value, _of(dict), 0)
         if len(value) > most:
             raise RejectedError(f"there are {len(value)} of them")
-        return tuple(value)
+        return read_tables
 
     return Values("layers", read, f"a list of at most {most} tables {content}")
 
@@ -312,34 +320,22 @@ def tables(content: str, most: int) -> Values:
 def places(*sides: str) -> Values:
     """Return lists of points, some with a side."""
 
-    def read(value: Any) -> tuple[tuple[float, float, str], ...]:
-        if not isinstance(value, list) or not value:
+    def read(point: Any) -> tuple[float, float, str]:
+        r, z, *side = _entries(point, lambda entry: entry, 2, 3)
+        if not all(s in sides for s in side):
             raise RejectedError
-        points = []
-        for point in value:
-            if not isinstance(point, list) or len(point) not in (2, 3):
-                raise RejectedError
-            r, z, *side = point
-            if not (is_finite(r) and is_finite(z)) or not all(s in sides for s in side):
-                raise RejectedError
-            points.append((float(r), float(z), str(*side)))
-        return tuple(points)
+        return _finite(r), _finite(z), str(*side)
 
     quoted = " or ".join(f'"{side}"' for side in sides)
     allowed = f"a list of points [r, z], or [r, z, side] with the side {quoted}"
-    return Values("places", read, allowed)
+    return Values("places", lambda value: _entries(value, read), allowed)
 
 
 def counts(low: int, high: int) -> Values:
     """Return pairs of whole numbers from one to another."""
-    count = whole(low, high)
-
-    def read(value: Any) -> tuple[int, int]:
-        if not isinstance(value, list) or len(value) != 2:
-            raise RejectedError
-        return count.read(value[0]), count.read(value[1])
-
-    return Values("counts", read, f"two whole numbers from {low} to {high:g}")
+    count = whole(low, high).read
+    allowed = f"two whole numbers from {low} to {high:g}"
+    return Values("counts", lambda value: _entries(value, count, 2, 2), allowed)
 
 
 def choice(*names: str) -> Values:
@@ -369,22 +365,15 @@ def some_of(*names: str) -> Values:
     """Return lists of some names, in the order of these."""
 
     def read(value: Any) -> tuple[str, ...]:
-        if not isinstance(value, list) or not all(v in names for v in value):
-            raise RejectedError
-        return tuple(name for name in names if name in value)
+        chosen = _entries(value, choice(*names).read, 0)
+        return tuple(name for name in names if name in chosen)
 
     return Values("names", read, "a list of " + ", ".join(f'"{name}"' for name in names))
 
 
 def texts(allowed: str) -> Values:
     """Return lists of texts."""
-
-    def read(value: Any) -> tuple[str, ...]:
-        if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
-            raise RejectedError
-        return tuple(value)
-
-    return Values("names", read, allowed)
+    return Values("names", lambda value: _entries(value, _of(str), 0), allowed)
 
 
 def text(allowed: str = "a text") -> Values:

@@ -304,23 +304,24 @@ def conjugate_gradients(
     count: Count, n: Count, places: Integers, n_histories: Count, rows: Integers, numbers: Integers,
     psi: Reals, psi_t: Reals, derivatives: Reals, with_derivatives: Count, forces: Reals,
     slopes: Reals, are_regular: Flags, deviations: Reals, inverses: Reals, responses: Reals,
-    stiffness: Reals, missing: Reals, with_forces: Count, tolerance: Real, most: Count,
-    sides: Reals, changes: Reals, which: Integers, order: Integers, sizes: Reals, limits: Reals,
-    multipliers: Reals, solutions: Reals, residuals: Reals, directions: Reals, bent: Reals,
-    products: Reals, deviating: Reals,
+    stiffness: Reals, missing: Reals, with_forces: Count, tolerance: Real, regular_tolerance: Real,
+    most: Count, sides: Reals, changes: Reals, which: Integers, order: Integers, sizes: Reals,
+    limits: Reals, multipliers: Reals, solutions: Reals, residuals: Reals, directions: Reals,
+    bent: Reals, products: Reals, deviating: Reals,
 ) -> None:  # fmt: skip
     """Set steps against gradients in bases at ``places`` (count,), as ``solve_in_bases`` does.
 
     Of Hessians that are not diagonal there, 1 + Psi' slope Psi + deviation K', by projected
-    conjugate gradients, which these inverses precondition, up to ``most`` iterations, until
-    residuals are below the ``tolerance`` relative to the first: four histories of a basis at a
-    time. Each iterate carries the force; the change of approach is the multiplier of that
-    condition. From ``which`` on there is room, for four numbers, or for seven rows.
+    conjugate gradients, which these inverses precondition: four histories of a basis at a time, up
+    to ``most`` iterations, until residuals are below a tolerance relative to the first. Each
+    iterate carries the force; the change of approach is the multiplier of that condition. From
+    ``which`` on there is room, for four numbers, or for seven rows.
     """
     begin = 0
     while begin < count:
         first = rows[places[begin] % n_histories]
         regular, together = are_regular[first], 0
+        share = regular_tolerance if regular else tolerance
         while together < 4 and begin + together < count:
             history = rows[places[begin + together] % n_histories]
             if numbers[history] != numbers[first] or are_regular[history] != regular:
@@ -338,7 +339,7 @@ def conjugate_gradients(
                 shift = missing[place] / stiffness[history]
             # of so little as is mostly missing, the round-off of the last step, the residual is
             # that of none
-            much = shift * shift * stiffness[history] > tolerance * tolerance * size
+            much = shift * shift * stiffness[history] > share * share * size
             shifted = shifted or much
             for i in range(n):
                 solutions[local + i] = shift * responses[row + i]
@@ -397,7 +398,7 @@ def conjugate_gradients(
                 for i in range(n):
                     size += inverses[row + i] * residuals[local + i] * residuals[local + i]
                 if iteration == 0:
-                    limits[q] = tolerance * tolerance * size
+                    limits[q] = share * share * size
                 again = size / before if iteration > 0 else 0.0
                 for i in range(n):
                     directions[local + i] = (

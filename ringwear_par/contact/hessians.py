@@ -8,7 +8,7 @@ factors of their own.
 """
 
 from collections import defaultdict
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
@@ -27,9 +27,12 @@ from ringwear_par.wear.increment import WearIncrement
 _ROUND_OFF = 1e-12
 #: instead of the number of a basis: a factor of its own
 _FACTOR = -1
-#: residuals, relative to the first, at which conjugate gradients end: of estimates, within Newton's
-#: method, whose next step corrects what this one left, and of solutions
-ROUGH, NEAR, SOLVED = 1e-3, 1e-6, 1e-13
+#: residuals, relative to the first, at which conjugate gradients end: where slopes have another
+#: shape than the bases, and where they have that. Of estimates, of solutions, and within Newton's
+#: method, whose next step corrects what this one left; slopes of that shape are linear, so that
+#: this step is the last
+ROUGH, SOLVED = (1e-3, 1e-3), (1e-13, 1e-13)
+NEAR = 1e-6, 1e-13
 _MOST_ITERATIONS = 200
 #: where nothing touches
 _NO_FACTOR = np.zeros((0, 0))
@@ -258,7 +261,7 @@ class Hessians:
         histories: IntArray,
         gradient: FloatArray,
         missing: FloatArray | None,
-        tolerance: float,
+        tolerance: tuple[float, float],
     ) -> tuple[FloatArray, FloatArray]:
         """Return the steps (..., h, n) against gradients, and of the approaches, (..., h).
 
@@ -268,7 +271,7 @@ class Hessians:
         ----------
         gradient : (..., h, n) float.
         missing : (..., h) float, N; None: approaches stay.
-        tolerance : of the residual, relative to the first, where steps are iterated for.
+        tolerance : ``ROUGH``, ``NEAR`` or ``SOLVED``.
         """
         return self._steps(self._rows_of(histories, compact=True), gradient, missing, tolerance)
 
@@ -289,7 +292,7 @@ class Hessians:
         rows: "_BasisRows",
         gradient: FloatArray,
         missing: FloatArray | None,
-        tolerance: float,
+        tolerance: tuple[float, float],
         with_scales: bool = False,
     ) -> tuple[FloatArray, FloatArray]:
         """Return steps and those of approaches; what is not among the rows is anything.
@@ -307,23 +310,27 @@ class Hessians:
             diagonal = self._regular[among] & (self._deviation[among] == 0.0)
             direct, indirect = direct[diagonal], direct[~diagonal]
         steps, changes = np.empty((count + ROOM, n)), np.zeros(gradient.shape[:-1])
+        # forces and approaches are by the weights of references in bases
+        root: Any = 1.0 if self._root is None else self._root[which]
+        lacking = changes if missing is None else missing * root
         self._loops.steps_in_bases(
             len(direct), n, count // size, size, direct, rows.histories, rows.bases, stack.psi,
             stack.psi_t, stack.force, self._inverse, self._response, self._stiffness,
-            changes if missing is None else missing, missing is not None, gradient, which,
+            lacking, missing is not None, gradient, which,
             weights, per_scale, with_scales, *np.empty((2, 4, n)), steps, changes,
         )  # fmt: skip
         out = steps[:count].reshape(gradient.shape), changes
-        if not (len(indirect) or len(rows.factored)):
-            return out
-        others = np.append(indirect, rows.factored)
-        if with_scales:
+        others = np.append(indirect, rows.factored) if len(direct) < size else direct[:0]
+        if with_scales and len(others):
             gradient = gradient * weights[which]
         if len(indirect):
-            self._set_indirect(rows, indirect, gradient, missing, tolerance, out)
+            sides = gradient, None if missing is None else lacking
+            self._set_indirect(rows, indirect, *sides, tolerance, out)
+        if self._root is not None:
+            changes *= root
         if len(rows.factored):
             self._set_factored(rows.histories, rows.factored, gradient, missing, out)
-        if with_scales:
+        if with_scales and len(others):
             out[0][..., others, :] *= per_scale[which[others]]
         return out
 
@@ -333,7 +340,7 @@ class Hessians:
         places: IntArray,
         gradient: FloatArray,
         missing: FloatArray | None,
-        tolerance: float,
+        tolerance: tuple[float, float],
         out: tuple[FloatArray, FloatArray],
     ) -> None:
         """Set steps and changes of approaches that take conjugate gradients."""
@@ -345,21 +352,18 @@ class Hessians:
         groups, count = RowProducts(rows.bases[places]), len(places)
         modal = groups.of(gradient[..., places, :], stack.psi)
         changes, deviates = np.empty(modal.shape[:-1]), stack.derivatives.size > 0
-        root = np.ones(count) if self._root is None else self._root[self._which[histories]]
-        lacking = changes
-        if missing is not None:
-            lacking = np.ascontiguousarray(missing[..., places]) * root
+        lacking = changes if missing is None else np.ascontiguousarray(missing[..., places])
         # all that there are of a history one after another
         every = np.arange(changes.size).reshape(-1, count).T.ravel()
         self._loops.conjugate_gradients(
             len(every), n, every, count, histories, self._basis, stack.psi, stack.psi_t,
             stack.derivatives if deviates else stack.psi, deviates, stack.force, self.slope,
             self._regular, self._deviation, self._inverse, self._response, self._stiffness,
-            lacking, missing is not None, tolerance, _MOST_ITERATIONS, modal, changes,
+            lacking, missing is not None, *tolerance, _MOST_ITERATIONS, modal, changes,
             *np.empty((2, 4), dtype=np.int64), *np.empty((3, 4)), *np.empty((6, 7, n)),
         )  # fmt: skip
         out[0][..., places, :] = groups.of(modal, stack.psi_t)
-        out[1][..., places] = changes * root
+        out[1][..., places] = changes
 
     def _set_factored(
         self,

@@ -11,9 +11,8 @@ from ringwear_par.cases.case import Case
 from ringwear_par.cases.files.keys import in_full
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.explorer.controls import controls_of
+from ringwear_par.explorer.controls import Control, controls_of
 from ringwear_par.explorer.moved_keys import changed_keys
-from ringwear_par.explorer.sliders import Control
 from ringwear_par.files.text import toml_text
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.history.elastic.pairs import assemble

@@ -11,7 +11,7 @@ from ringwear_par.cases.layers import changed_layers, expanded
 from ringwear_par.cases.units import has_unit, in_unit, is_plain, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
-from ringwear_par.explorer.sliders import Control
+from ringwear_par.explorer.controls import Control
 from ringwear_par.files.text import read_text
 from ringwear_par.history.refusals.cases import check_case
 

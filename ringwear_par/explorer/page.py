@@ -20,10 +20,10 @@ from markupsafe import Markup
 from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError, RingwearError, reason_of
+from ringwear_par.explorer.controls import Control
 from ringwear_par.explorer.exploring import Exploration, Explored
 from ringwear_par.explorer.figures import CASE_FILE, MENU, PINNED, Drawing, figures
 from ringwear_par.explorer.measured import LARGEST, MeasuredColumn, read_table
-from ringwear_par.explorer.sliders import Control
 from ringwear_par.pictures.rig import rig_address
 from ringwear_par.reports.report import html_text
 from ringwear_par.reports.run_page import answers, key_rows, run_page, worn_table
@@ -334,7 +334,10 @@ class Page:
                 "rig": "" if request["moving"] else rig_address(explored.case),
                 "wrong": self._wrong(), "compared": list(references),
                 "numbers": _beside(key_rows, numbers, references),
-                "answers": _beside(_answer_rows, numbers, references),
+                "answers": _beside(
+                    lambda numbers: [(t.label, t.value, t.unit) for t in answers(numbers)],
+                    numbers, references,
+                ),
                 "worn": [] if worn is None else [worn.header, *worn.rows],
                 "chosen": drawing.chosen_time, "charts": drawing.columns(), "laid": columns,
                 "laid_fault": ". ".join(dict.fromkeys(faults)), "seconds": self._seconds,
@@ -354,11 +357,6 @@ class Page:
 
     def _tell(self, answer: dict[str, Any]) -> None:
         self._talk.answer = json.dumps(answer)
-
-
-def _answer_rows(numbers: list[KeyNumber]) -> list[tuple[str, str, str]]:
-    """Return the key numbers that stand beside the sliders."""
-    return [(tile.label, tile.value, tile.unit) for tile in answers(numbers)]
 
 
 def _beside(

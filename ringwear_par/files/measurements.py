@@ -12,21 +12,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.table_text import (
-    EMPTY,
-    NUMBER,
-    StampError,
-    across_midnight,
-    ambiguous_date,
-    clock_time,
-    decode,
-    has_hours,
-    is_clock,
-    is_date,
-    is_stamp,
-    seconds_of,
-    table_in,
-)
+from ringwear_par.files import table_text
 from ringwear_par.files.writing import read_bytes
 
 #: most columns of a table: loggers have hundreds of channels, files with more are something else
@@ -78,12 +64,21 @@ class Measurements:
         rows = (tuple("" if cell in texts else cell for cell in row) for row in self.rows)
         return replace(self, rows=tuple(rows))
 
+    def cells(self, name: str) -> list[str]:
+        """Return the cells of a column."""
+        place = self.columns.index(name)
+        return [row[place] for row in self.rows]
+
+    def cell_place(self, name: str, row: int, count: int = 1) -> str:
+        """Return the file, line, column and text of a cell, the first of so many, for messages."""
+        cell = legible(self.cells(name)[row])
+        more = and_more(count, "line")
+        return f"{self.name}: line {self.lines[row]}: {legible(name)} = {cell}{more}"
+
     def filled(self, *names: str) -> BoolArray:
         """(rows,) bool, where none of some columns is empty."""
-        places = [self.columns.index(name) for name in names]
-        return np.array(
-            [all(row[i].lower() not in EMPTY for i in places) for row in self.rows], dtype=bool
-        )
+        rows = zip(*map(self.cells, names), strict=True)
+        return np.array([table_text.EMPTY.isdisjoint(map(str.lower, row)) for row in rows], bool)
 
     def numbers(self, name: str, rows: BoolArray, hour: float | None = None) -> FloatArray:
         """Return the numbers of a column in some of the rows.
@@ -98,23 +93,22 @@ class Measurements:
         ------
         InputError : cells that are none; the first is shown. Stamps that go back.
         """
-        place = self.columns.index(name)
-        values, wrong = np.full(len(self.rows), np.nan), []
+        cells, values, wrong = self.cells(name), np.full(len(self.rows), np.nan), []
         clocks, stamps, grouped = [], [], []
         for i in np.flatnonzero(rows).tolist():
-            written = self.rows[i][place]
+            written = cells[i]
             cell = written.replace(",", ".")
-            if NUMBER.fullmatch(cell) and np.isfinite(float(cell)):
+            if table_text.NUMBER.fullmatch(cell) and np.isfinite(float(cell)):
                 values[i] = float(cell)
                 if "," in written and _GROUPED.fullmatch(written):
                     grouped.append((i, True))
                 elif "." in written and _GROUPED_BY_POINTS.fullmatch(written):
                     grouped.append((i, False))
-            elif hour is not None and is_clock(written):
-                values[i] = clock_time(written, hour)
-                if has_hours(written):
+            elif hour is not None and table_text.is_clock(written):
+                values[i] = table_text.clock_time(written, hour)
+                if table_text.has_hours(written):
                     clocks.append(i)
-            elif hour is not None and is_stamp(written):
+            elif hour is not None and table_text.is_stamp(written):
                 stamps.append(i)
             else:
                 wrong.append(i)
@@ -127,50 +121,52 @@ class Measurements:
             if line := self._decimals["." if by_commas else ","]:
                 self._refuse_groups(name, i, line)
         if clocks and hour is not None:
-            values[clocks] = across_midnight(values[clocks], 24.0 * hour)
+            values[clocks] = table_text.across_midnight(values[clocks], 24.0 * hour)
         return values[rows]
 
     def _stamps(self, name: str, rows: BoolArray) -> FloatArray:
         """Return the seconds of stamps in some of the rows, from the first of the table."""
-        place = self.columns.index(name)
-        filled = np.flatnonzero(self.filled(name))
+        cells, filled = self.cells(name), np.flatnonzero(self.filled(name))
         try:
-            seconds = seconds_of([self.rows[i][place] for i in filled.tolist()])
-        except StampError as error:
-            i = int(filled[error.row])
-            raise InputError(
-                f"{self.name}: line {self.lines[i]}: {legible(name)} = "
-                f"{legible(self.rows[i][place])}: {error}"
-            ) from error
-        back = np.flatnonzero(np.diff(seconds) < 0.0)
-        if len(back):
-            before, i = int(filled[back[0]]), int(filled[back[0] + 1])
-            raise InputError(
-                f"{self.name}: line {self.lines[i]}: {legible(name)} = "
-                f"{legible(self.rows[i][place])}{and_more(len(back), 'line')}: goes back, line "
-                f"{self.lines[before]} has {legible(self.rows[before][place])}; must not fall"
-            )
+            seconds = table_text.seconds_of([cells[i] for i in filled.tolist()])
+        except table_text.StampError as error:
+            raise InputError(f"{self.cell_place(name, int(filled[error.row]))}: {error}") from error
+        self.refuse_fall(name, filled, seconds)
         values = np.full(len(self.rows), np.nan)
         values[filled] = seconds - seconds[0]
         return values[rows]
 
+    def refuse_fall(self, name: str, rows: IntArray, times: FloatArray, more: str = "") -> None:
+        """Refuse times of some rows of a column that go back; ``more`` ends the rule.
+
+        Raises
+        ------
+        InputError : the first one that does.
+        """
+        back = np.flatnonzero(np.diff(times) < 0.0)
+        if len(back):
+            before, row = int(rows[back[0]]), int(rows[back[0] + 1])
+            raise InputError(
+                f"{self.cell_place(name, row, len(back))}: goes back, line {self.lines[before]} "
+                f"has {legible(self.cells(name)[before])}; must not fall{more}"
+            )
+
     def _refuse(self, name: str, wrong: list[int], in_time: bool) -> None:
-        cell = self.rows[wrong[0]][self.columns.index(name)]
-        hint = ""
-        for pattern in (_GROUPED, _GROUPED_BY_POINTS, _GROUPED_BY_OTHERS):
-            if pattern.fullmatch(cell):
-                hint = "; thousands must not be separated"
+        cell = self.cells(name)[wrong[0]]
+        patterns = (_GROUPED, _GROUPED_BY_POINTS, _GROUPED_BY_OTHERS)
+        grouped = any(pattern.fullmatch(cell) for pattern in patterns)
         raise InputError(
-            f"{self.name}: line {self.lines[wrong[0]]}: {legible(name)} = "
-            f"{legible(cell)}{and_more(len(wrong), 'line')}: must be a "
-            f"number{' or a clock time (h:mm:ss)' if in_time else ''}, or empty{hint}"
+            f"{self.cell_place(name, wrong[0], len(wrong))}: must be a "
+            f"number{' or a clock time (h:mm:ss)' if in_time else ''}, or empty"
+            + "; thousands must not be separated"
+            * grouped
         )
 
     def _refuse_groups(self, name: str, row: int, line: int) -> None:
-        cell = self.rows[row][self.columns.index(name)]
-        mark, usual = ("comma", "points") if "," in cell else ("point", "commas")
+        commas = "," in self.cells(name)[row]
+        mark, usual = ("comma", "points") if commas else ("point", "commas")
         raise InputError(
-            f"{self.name}: line {self.lines[row]}: {legible(name)} = {legible(cell)}: has a {mark} "
+            f"{self.cell_place(name, row)}: has a {mark} "
             f"where other numbers, as in line {line}, have decimal {usual}; must be without "
             "separators of thousands, or with the same decimal mark"
         )
@@ -182,7 +178,11 @@ class Measurements:
         numbered = zip(self.lines.tolist(), self.rows, strict=True)
         for line, cell in ((line, c) for line, row in numbered for c in row[self.labelled :]):
             for mark, grouped in ((".", _GROUPED_BY_POINTS), (",", _GROUPED)):
-                if mark in cell and not marks[mark] and NUMBER.fullmatch(cell.replace(mark, ".")):
+                if (
+                    mark in cell
+                    and not marks[mark]
+                    and table_text.NUMBER.fullmatch(cell.replace(mark, "."))
+                ):
                     marks[mark] = 0 if grouped.fullmatch(cell) else line
         return marks
 
@@ -201,29 +201,27 @@ class Measurements:
 
     def first_stamps(self, name: str, rows: BoolArray) -> BoolArray:
         """(rows,) bool, some rows without those whose stamp is that of the row before."""
-        place, first, before = self.columns.index(name), rows.copy(), ""
+        cells, first, before = self.cells(name), rows.copy(), ""
         for i in np.flatnonzero(rows).tolist():
-            cell = self.rows[i][place]
-            first[i] = cell != before or not is_stamp(cell)
+            cell = cells[i]
+            first[i] = cell != before or not table_text.is_stamp(cell)
             before = cell
         return first
 
     def begins_with_stamp(self, name: str) -> bool:
         """Tell whether the first filled cell of a column is a stamp or a clock time h:mm:ss."""
         cell = self.first_cell(name)
-        return is_stamp(cell) or has_hours(cell)
+        return table_text.is_stamp(cell) or table_text.has_hours(cell)
 
     def first_cell(self, name: str) -> str:
         """Return the first filled cell of a column, "" for none."""
-        place = self.columns.index(name)
-        return next((row[place] for row in self.rows if row[place].lower() not in EMPTY), "")
+        return next((c for c in self.cells(name) if c.lower() not in table_text.EMPTY), "")
 
     def dates(self, name: str) -> set[str]:
         """Return the different dates of a column; none where it begins with something else."""
-        if not is_date(self.first_cell(name)):
+        if not table_text.is_date(self.first_cell(name)):
             return set()
-        place = self.columns.index(name)
-        return {row[place] for row in self.rows if is_date(row[place])}
+        return {cell for cell in self.cells(name) if table_text.is_date(cell)}
 
     def joined(self, date: str, clock: str) -> "Measurements":
         """Return the table with the dates of a column in front of the times of day of another."""
@@ -237,14 +235,14 @@ class Measurements:
 
     def ambiguous_date(self, name: str) -> str:
         """Return a date of a column of stamps whose order of day and month no date tells, or ""."""
-        place = self.columns.index(name)
-        return ambiguous_date([row[place] for row in self.rows])
+        return table_text.ambiguous_date(self.cells(name))
 
     def names_seconds(self, name: str, rows: BoolArray) -> bool:
         """Tell whether a column has stamps or clock times with seconds in the rows, no others."""
-        place = self.columns.index(name)
-        cells = [self.rows[i][place] for i in np.flatnonzero(rows).tolist()]
-        return all(has_hours(cell) for cell in cells) or all(is_stamp(cell) for cell in cells)
+        cells = np.array(self.cells(name), dtype=object)[rows].tolist()
+        return all(table_text.has_hours(cell) for cell in cells) or all(
+            table_text.is_stamp(cell) for cell in cells
+        )
 
 
 def unused_columns(names: Sequence[str]) -> str:
@@ -294,13 +292,15 @@ def measurements_in(
     ------
     InputError : it is no such table.
     """
-    table = table_in(decode(path, content), path, labelled=labelled, skip=skip or 0)
+    table = table_text.table_in(
+        table_text.decode(path, content), path, labelled=labelled, skip=skip or 0
+    )
     columns, first = tuple(table.names), table.first
     if len(columns) > MOST_COLUMNS:
         raise InputError(
             f"{path}: line {first}: names {len(columns)} columns; must be at most {MOST_COLUMNS}"
         )
-    if any(NUMBER.fullmatch(name.replace(",", ".")) for name in columns):
+    if any(table_text.NUMBER.fullmatch(name.replace(",", ".")) for name in columns):
         hint = "" if skip is None else "; skip = 3 leaves out three lines above them"
         raise InputError(
             f"{path}: line {first}: {legible(', '.join(columns))}: must be the names of the "

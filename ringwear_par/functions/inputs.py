@@ -16,15 +16,7 @@ from ringwear_par.cases.tables import name_unknown_keys
 from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files.text import shortened
-from ringwear_par.studies.definition.variations import (
-    has_entry,
-    is_known,
-    own_key,
-    path_of,
-    split_key,
-    value_of,
-    varied_keys,
-)
+from ringwear_par.studies.definition import variations
 
 
 @dataclass(frozen=True)
@@ -42,7 +34,7 @@ class CaseInputs:
         """Return unit, bounds (None: none), meaning and value in the base case of each."""
         schema = {}
         for name, value in zip(self.names, self.values, strict=True):
-            key = own_key(name)
+            key = variations.own_key(name)
             ends = (None, None) if key.numbers is None else (key.numbers.low, key.numbers.high)
             bounds = [None if end is None or np.isinf(end) else end for end in ends]
             unit = unit_of(name) or "1"
@@ -56,7 +48,9 @@ class CaseInputs:
         ------
         InputError : all its faults.
         """
-        keys = varied_keys(self.keys, [split_key(name) for name in self.names], row)
+        keys = variations.varied_keys(
+            self.keys, [variations.split_key(name) for name in self.names], row
+        )
         return make_case(keys, "case")
 
     def rows(self, values: Mapping[str, Any]) -> tuple[list[tuple[float, ...]], tuple[int, ...]]:
@@ -115,9 +109,9 @@ def _numbers(name: str, value: Any, faults: list[str]) -> Any:
 
 
 def _without_unit(name: str, text: str) -> Any:
-    path, entry = split_key(name)
+    path, entry = variations.split_key(name)
     table = entry if isinstance(entry, str) and path not in LAYERS else None
-    return own_key(name).without_units(text, table)
+    return variations.own_key(name).without_units(text, table)
 
 
 def case_inputs(case: Case, names: Sequence[str], changes: Mapping[str, Any]) -> CaseInputs:
@@ -148,13 +142,13 @@ def case_inputs(case: Case, names: Sequence[str], changes: Mapping[str, Any]) ->
 
 def _name_faults(case: Case, keys: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
     for place, name in enumerate(names):
-        value = _value(case, keys, name) if is_known(name) else None
-        if not is_known(name):
-            path = path_of(name)
+        value = _value(case, keys, name) if variations.is_known(name) else None
+        if not variations.is_known(name):
+            path = variations.path_of(name)
             yield f"{legible(name)}: {unknown_key(name if path in LAYERS else path)}"
         elif name in names[:place]:
             yield f"{name}: must be named once"
-        elif value is None or not has_entry(name):
+        elif value is None or not variations.has_entry(name):
             yield f"{legible(name)}: is not in the case; must be a number of it"
         elif not is_number(value):
             yield f"{name} = {shortened(value)}: must be a number in the case"
@@ -165,4 +159,4 @@ def _value(case: Case, keys: Mapping[str, Any], name: str) -> Any:
     force: Any = case.load.force
     if is_number(force):
         keys = {"load.force": force, "load.pressure": force / case.area, **keys}
-    return value_of(keys, name)
+    return variations.value_of(keys, name)

@@ -26,6 +26,7 @@ from ringwear_par.history.schemes.interfaces import next_to_cross
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import Progress, State
 from ringwear_par.history.step_control import NO_STEP
+from ringwear_par.history.stop_criteria import have_reached
 from ringwear_par.parallel import as_on_first_rank, together
 
 log = logging.getLogger(__name__)
@@ -156,7 +157,8 @@ class Batch:
             state = batched.where(accepted, state, _with_entries_of(before.state, state))
         self._present = replace(before, state=state, progress=progress)
         new = accepted & decision.complete
-        finished = new & control.finished(state, progress)
+        stopped = have_reached(physics.inputs.stop_limits, state)
+        finished = new & (control.finished(state, progress) | stopped)
         return [
             *snapshots,
             Snapshot(

@@ -1,6 +1,6 @@
 """The inputs of B histories on one contact pair: loads, laws and gaps, stacked."""
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
@@ -9,6 +9,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
+from ringwear_par.history.stop_criteria import stop_limits
 from ringwear_par.schedules import Quantity, stack, take, varies
 from ringwear_par.wear.law import Law, stack_laws
 from ringwear_par.wear.layered import LayeredLaw
@@ -39,6 +40,8 @@ class HistoryInputs:
     per_energy: tuple[FloatArray | None, ...]
     #: (B,) ``output.every``
     every: IntArray
+    #: (B,) limits that end histories, see ``stop_criteria``, by name
+    stop_limits: Mapping[str, FloatArray]
     #: (2, B) factors on the rates of wear of lower and upper in the present step; None: 1
     pace: FloatArray | None = None
 
@@ -66,6 +69,7 @@ class HistoryInputs:
             tuple(stack_laws(body_laws) for body_laws in laws),
             tuple(_per_energy(body_laws, frictions) for body_laws in laws),
             np.array([case.output.every for case in cases]),
+            stop_limits(cases),
         )
 
     def take(self, histories: IntArray) -> Self:
@@ -82,6 +86,7 @@ class HistoryInputs:
             laws=tuple(None if law is None else law.take(histories) for law in self.laws),
             per_energy=tuple(None if r is None else r[..., histories] for r in self.per_energy),
             every=self.every[histories],
+            stop_limits={name: limit[histories] for name, limit in self.stop_limits.items()},
             pace=None if self.pace is None else self.pace[:, histories],
         )
 

@@ -5,9 +5,10 @@
 
 Each round every history of a batch tries a step as long as its control says. One whose try is
 rejected tries a shorter step in the next round, while the others go on, and one that has ended
-leaves its place to another case. A history ends where its step control says that it is finished; an
-observer interrupts all of them. Digits of a history do not depend on the others. One whose step
-cannot be made steps alone until it has made it, or fails with the reason.
+leaves its place to another case. A history ends where its step control says that it is finished, or
+where it reaches a limit of its case (``stop_criteria``); an observer interrupts all of them. Digits
+of a history do not depend on the others. One whose step cannot be made steps alone until it has
+made it, or fails with the reason.
 """
 
 from collections.abc import Sequence
@@ -18,20 +19,14 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.schema import SCHEMES, load
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.batch import Batch
 from ringwear_par.history.ensemble import Ensemble, Method
-from ringwear_par.history.schemes import euler, sdirk2
 from ringwear_par.history.snapshots import Observer
 from ringwear_par.history.state import Start
-from ringwear_par.history.step_control import ErrorControl, FixedSteps, step_times_of
-
-#: by the name of ``time.scheme``, see also ``SCHEMES`` of ``cases/schema.py``
-METHODS: dict[str, Method] = {
-    "explicit": Method(euler.forward, FixedSteps),
-    "implicit": Method(euler.backward, FixedSteps),
-    "adaptive": Method(sdirk2.step, ErrorControl),
-}
+from ringwear_par.history.step_control import step_times_of
+from ringwear_par.history.stop_criteria import have_reached, stop_limits
 
 
 class Outcome(NamedTuple):
@@ -41,6 +36,11 @@ class Outcome(NamedTuple):
     failures: dict[int, Exception]
     #: whether an observer ended all of them before their ends
     interrupted: bool
+
+
+def method_of(scheme: str) -> Method:
+    """Return how histories of a ``time.scheme`` step: its line in ``SCHEMES``."""
+    return Method(load(SCHEMES[scheme].step), load(SCHEMES[scheme].control))
 
 
 def simulate(
@@ -86,7 +86,7 @@ def simulate(
         step_times_of(times, case)
     ensemble = Ensemble(
         cases, comm, pair, start, observers, tuple(derivatives), step_times, paces,
-        METHODS[cases[0].time.scheme],
+        method_of(cases[0].time.scheme),
     )  # fmt: skip
     batches: list[Batch] = []
     begun, most = 0, most_together or len(cases)
@@ -133,5 +133,6 @@ def simulate_one(
 
 def is_at_end(case: Case, start: Start) -> bool:
     """Tell whether a history that continues has come to the end of its case."""
-    control = METHODS[case.time.scheme].control.of([case], None)
-    return bool(control.finished(start.state, start.progress)[0])
+    control = method_of(case.time.scheme).control.of([case], None)
+    stopped = have_reached(stop_limits([case]), start.state)
+    return bool(control.finished(start.state, start.progress)[0] or stopped[0])

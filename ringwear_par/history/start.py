@@ -47,8 +47,9 @@ def initial_state(physics: Physics, contacts: CorrectedContacts) -> State:
     rates = physics.rates_at(time, wear, contact.pressure)
     worn = np.zeros(wear.shape[:-1])
     state = State(
-        time, wear, worn, np.zeros_like(time), np.zeros_like(time), contact, rates,
-        np.zeros(shape), tangent=None if step_tangent is None else step_tangent.reached(contact),
+        time, wear, worn, np.zeros_like(time), np.zeros_like(time), contact, contact.approach,
+        rates, np.zeros(shape),
+        tangent=None if step_tangent is None else step_tangent.reached(contact),
         through=np.full(worn.shape, np.inf) if physics.inputs.layered else None,
     )  # fmt: skip
     return check_state(physics.case, state)

@@ -67,6 +67,8 @@ class State:
     normal_work: FloatArray
     #: the contact solution with these profiles
     contact: ContactState
+    #: (B,) float, mm, approach at the start, from which penetration counts
+    first_approach: FloatArray
     #: (2, B, n) float, mm/s, at which lower and upper wear now
     rates: FloatArray = field(metadata=along(1))
     #: (B, n) float, mm, estimated error of the wear of both bodies together by the steps so far,

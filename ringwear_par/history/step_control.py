@@ -1,8 +1,8 @@
 """Step control: how far the next step of each history goes, and whether a try is accepted.
 
 A control is frozen data of B histories; what changes from step to step is their ``Progress``, which
-its functions take and return. Another control is a class with the same methods and a line in
-``loop.METHODS``.
+its functions take and return. Another control is a class with the same methods, in any file of
+``history``, and a line in ``SCHEMES`` of ``cases/schema.py``.
 """
 
 from collections.abc import Sequence

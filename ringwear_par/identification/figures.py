@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from ringwear_par.errors import InputError
 from ringwear_par.identification.definition.problem import Experiment, Series
 from ringwear_par.identification.fit_result import FitResult
-from ringwear_par.pictures import fit_panels
+from ringwear_par.pictures import fit_panels, key_panels
 from ringwear_par.pictures.matplotlib import add_letters, panel_figure, panel_grid
 from ringwear_par.pictures.panel import Panel
 from ringwear_par.pictures.style import STYLE, NotebookFigure
@@ -74,7 +74,7 @@ def plot_parameters(fit: FitResult) -> Figure:
     samples = {} if fit.posterior is None else dict(
         zip((p.key for p in fit.parameters), fit.posterior.samples.T, strict=True)
     )  # fmt: skip
-    rows = fit_panels.fitted_keys(fit.to_dict(), samples)
+    rows = key_panels.fitted_keys(fit.to_dict(), samples)
     return panel_figure(rows, (1.2 + 2.7 * len(rows), 0.9 + 2.5 * len(rows)))
 
 
@@ -86,5 +86,5 @@ def plot_specimens(fit: FitResult) -> Figure:
         raise InputError("plot_specimens: no key of the fit has scatter; must be a fit with one")
     widest = max(len(entry["each"]) for entry in scattering.values())
     size = max(_NARROWEST, 0.7 * min(widest, 16)), _LEGEND + _HEIGHT * len(scattering)
-    panels = [[fit_panels.specimens(k, entry, outcome["level"])] for k, entry in scattering.items()]
+    panels = [[key_panels.specimens(k, entry, outcome["level"])] for k, entry in scattering.items()]
     return panel_figure(panels, size)

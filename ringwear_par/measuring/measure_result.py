@@ -7,14 +7,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ringwear_par.cases.units import CUSTOMARY, SPECIFIC, factor
-from ringwear_par.measuring.analysis.budget import Estimate
+from ringwear_par.measuring.analysis.budget import Estimate, WholeTest
 from ringwear_par.measuring.analysis.numbers import (
     PSI_FT_MIN,
     TestNumbers,
     friction_readings,
 )
 from ringwear_par.measuring.analysis.repeats import Repeats
-from ringwear_par.measuring.analysis.whole_test import WholeTest
 from ringwear_par.measuring.definition.problem import Problem
 from ringwear_par.results.result import Outcome
 

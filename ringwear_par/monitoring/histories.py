@@ -21,12 +21,12 @@ from ringwear_par.identification.definition.problem import (
     BASE,
     Experiment,
     Problem,
-    Quantity,
     Series,
     body_of_wear,
 )
+from ringwear_par.identification.definition.reading_kinds import Trajectory
 from ringwear_par.identification.model.histories import Histories, HistoryError, step_times
-from ringwear_par.identification.model.readings import Reader, Trajectory
+from ringwear_par.identification.model.readings import Reader
 
 log = logging.getLogger(__name__)
 
@@ -47,9 +47,9 @@ def planned(problem: Problem) -> Problem:
     (test,) = problem.experiments
     case = test.case
     times = np.append(0.0, step_times(test))
-    quantities: list[Quantity] = ["approach", "torque", "volume.lower", "volume.upper"]
+    quantities: list[str] = ["approach", "torque", "volume.lower", "volume.upper"]
     layered = (bool(ring.layers) and None not in ring.densities for ring in case.rings)
-    masses: list[Quantity] = ["mass.lower", "mass.upper"]
+    masses: list[str] = ["mass.lower", "mass.upper"]
     quantities += itertools.compress(masses, layered)
     series = [
         Series(q, q, times, np.zeros(len(times)), np.ones(len(times)),

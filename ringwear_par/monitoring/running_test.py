@@ -16,8 +16,8 @@ from ringwear_par.files.text import parse_toml, read_text
 from ringwear_par.files.writing import read_bytes
 from ringwear_par.identification.definition.fit_file import experiment_tables, read_fit
 from ringwear_par.identification.definition.problem import Problem, Series
+from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 from ringwear_par.identification.definition.scatter import check_scatter
-from ringwear_par.identification.model.readings import AT_STEPS
 
 #: blocks of equal time of a test, in which the readings of a record are averaged
 BLOCKS = 500
@@ -176,9 +176,10 @@ def _faults(series: Series) -> list[str]:
     faults = [
         f"{series.file or series.name}: {a}; its unit must be given" for a in series.assumptions
     ]
-    if series.kind not in AT_STEPS:
+    if READING_KINDS[series.kind].values is None:
+        allowed = [name for name, kind in READING_KINDS.items() if kind.values is not None]
         faults.append(
-            f"{series.name}: must be one of {', '.join(AT_STEPS)} while a test runs; the fit after "
+            f"{series.name}: must be one of {', '.join(allowed)} while a test runs; the fit after "
             "it reads profiles and layers"
         )
     if series.sd_fitted:

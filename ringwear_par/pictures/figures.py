@@ -53,6 +53,7 @@ _PANEL, _NARROWEST, _WIDEST = (3.6, 3.3), 65, 1000
 _NOTICED = 0.01
 
 
+@matplotlib.rc_context(STYLE)
 def plot(
     results: Source | Sequence[Source],
     panels: str | Sequence[str] = DEFAULT,
@@ -88,8 +89,8 @@ def plot(
     InputError : a file that is not a result, an unknown panel, a step not stored, a time outside
         of the history, nothing that can be drawn.
     """
-    single = isinstance(results, Result | FailedResult | str | Path)
-    several: Any = [results] if single or not isinstance(results, Iterable) else results
+    single = isinstance(results, str) or not isinstance(results, Iterable)
+    several: Any = [results] if single else results
     sources = [*several]
     for number, source in enumerate(sources, 1):
         if isinstance(source, FailedResult):
@@ -101,32 +102,34 @@ def plot(
     names = panels.split(",") if isinstance(panels, str) else list(panels)
     if steps and times:
         raise InputError("--times: must be absent beside --steps")
-    with matplotlib.rc_context(STYLE):
-        return _drawn_panels(
-            [_place(s) for s in sources], names, steps, times, map(_place, profiles_of), width
-        )
-
-
-def plot_files(
-    paths: Sequence[Path],
-    output: Path,
-    panels: str = DEFAULT,
-    steps: str = "",
-    profiles_of: Sequence[Path] = (),
-    times: str = "",
-) -> None:
-    """Write a picture of one or more result files, see ``plot``. On one rank.
-
-    Parameters
-    ----------
-    output : its ending chooses the format.
-
-    Raises
-    ------
-    InputError : what ``plot`` refuses, or another format.
-    """
-    check_format(output)
-    save_figure(plot(paths, panels, steps, profiles_of, times), output)
+    sources = [*map(_place, sources)]
+    chosen = [*map(_place, profiles_of)]
+    read = [result_of(source) for source in sources]
+    for source in chosen:
+        if source not in sources:
+            name = source.name if isinstance(source, Result) else source
+            raise InputError(f"--profiles-of {name}: must be one of the result files to be drawn")
+    for panel in names:
+        if panel not in KINDS:
+            raise InputError(
+                f"--panels {legible(','.join(names))}: {legible(panel)!r} must be one of "
+                f"{', '.join(KINDS)}"
+            )
+    need_rows = any(KINDS[panel].rows for panel in names)
+    items, profiled = [], []
+    for source, result, label in zip(sources, read, _labels(read), strict=True):
+        rows: list[int] = []
+        if not chosen or source in chosen:
+            if need_rows:
+                rows = _at_times(result, times) if times else _rows(result, steps)
+            profiled.append(Item(result, label, rows, bool(steps or times)))
+        items.append(Item(result, label, rows, bool(steps or times)))
+    figure = _laid_out(_drawings(names, items, profiled), width)
+    titles = {str(result.attributes["title"]) for result in read} - {""}
+    if len(titles) == 1:
+        letters = int(LETTERS_OF_INCH * figure.get_figwidth())
+        figure.suptitle(textwrap.fill(plain(titles.pop()), letters), fontsize=8.0)
+    return figure
 
 
 @dataclass(frozen=True)
@@ -156,45 +159,20 @@ class FigureFile:
 
     def draw(self, results: Path) -> None:
         """Draw the default panels of a result file."""
-        plot_files([results], self.path)
+        save_figure(plot(results), self.path)
 
 
 def _place(source: Source) -> Result | Path:
     return Path(source) if isinstance(source, str) else source
 
 
-def _drawn_panels(
-    sources: Sequence[Result | Path],
-    panels: Sequence[str],
-    steps: str,
-    times: str,
-    profiles_of: Iterable[Result | Path],
-    width: float | None,
-) -> Figure:
-    results = [result_of(source) for source in sources]
-    chosen = list(profiles_of)
-    for source in chosen:
-        if source not in sources:
-            name = source.name if isinstance(source, Result) else source
-            raise InputError(f"--profiles-of {name}: must be one of the result files to be drawn")
-    for panel in panels:
-        if panel not in KINDS:
-            raise InputError(
-                f"--panels {legible(','.join(panels))}: {legible(panel)!r} must be one of "
-                f"{', '.join(KINDS)}"
-            )
-    need_rows = any(KINDS[panel].rows for panel in panels)
-    items, profiled = [], []
-    for source, result, label in zip(sources, results, _labels(results), strict=True):
-        rows: list[int] = []
-        if not chosen or source in chosen:
-            if need_rows:
-                rows = _at_times(result, times) if times else _rows(result, steps)
-            profiled.append(Item(result, label, rows, bool(steps or times)))
-        items.append(Item(result, label, rows, bool(steps or times)))
+def _drawings(
+    names: Sequence[str], items: Sequence[Item], profiled: Sequence[Item]
+) -> list[tuple[str, Drawing]]:
+    """Return the drawings of kinds of panels, with the kind; warn of those that are left out."""
     drawings: list[tuple[str, Drawing]] = []
     left_out: list[tuple[str, str]] = []
-    for panel in panels:
+    for panel in names:
         kind = KINDS[panel]
         scope = items if kind.shared else profiled
         faults = {id(item): kind.faults(item.result) for item in scope}
@@ -206,12 +184,7 @@ def _drawn_panels(
         raise InputError(*(fault for _, fault in left_out))
     for panel, fault in left_out:
         log.warning("%s is not drawn: %s", panel, fault)
-    figure = _laid_out(drawings, width)
-    titles = {str(result.attributes["title"]) for result in results} - {""}
-    if len(titles) == 1:
-        letters = int(LETTERS_OF_INCH * figure.get_figwidth())
-        figure.suptitle(textwrap.fill(plain(titles.pop()), letters), fontsize=8.0)
-    return figure
+    return drawings
 
 
 def _laid_out(drawings: Sequence[tuple[str, Drawing]], width: float | None) -> Figure:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import Any, NamedTuple
 
 from ringwear_par.elasticity.sections import BODIES
@@ -40,11 +41,6 @@ class Item(NamedTuple):
     chosen: bool
 
 
-def _worn_faces(items: Sequence[Item]) -> Iterator[Drawing]:
-    for result, label, rows, _ in items:
-        yield _titled(run_panels.worn_faces(result, None, rows), label)
-
-
 def _pressures(items: Sequence[Item]) -> Iterator[Drawing]:
     top = max(
         pressure_peak(result).top(float(result.profiles["pressure"][list(rows)].max()))
@@ -56,11 +52,6 @@ def _pressures(items: Sequence[Item]) -> Iterator[Drawing]:
 
 def _titled(panel: Panel, label: str) -> Panel:
     return replace(panel, legend="\n".join(filter(None, (label, panel.note))))
-
-
-def _sections(items: Sequence[Item]) -> Iterator[Drawing]:
-    for item in items:
-        yield partial(draw_section, result=item.result, label=item.label)
 
 
 def _states(item: Item) -> list[StressState]:
@@ -76,14 +67,9 @@ def _maps(items: Sequence[Item]) -> Iterator[Drawing]:
             yield partial(draw_map, result=item.result, label=item.label, state=state, top=top)
 
 
-def _depths(items: Sequence[Item]) -> Iterator[Drawing]:
-    for item in items:
-        yield along_height(item.result, item.label, _states(item))
-
-
-def _interfaces(items: Sequence[Item]) -> Iterator[Drawing]:
-    for item in items:
-        yield from along_interfaces(item.result, item.label, _states(item))
+def _by_result(panels: Callable[[Item], Iterable[Drawing]]) -> Any:
+    """Return a function that draws the panels of each result."""
+    return lambda items: chain.from_iterable(map(panels, items))
 
 
 def _shared(panel: Callable[[Sequence[Result], Sequence[str]], Panel]) -> Any:
@@ -123,7 +109,9 @@ class Kind:
 #: by name
 KINDS = {
     "wear": Kind(
-        _worn_faces,
+        _by_result(lambda item: [
+            _titled(run_panels.worn_faces(item.result, None, item.rows), item.label)
+        ]),
         lambda result: [run_panels.stored_field(result, f"wear_{body}") for body in BODIES],
         apart=True,
     ),
@@ -131,11 +119,17 @@ KINDS = {
         _pressures, lambda result: run_panels.stored_field(result, "pressure"), apart=True
     ),
     "section": Kind(
-        _sections, lambda result: boundary_states(result)[-1], rows=False, apart=True
+        _by_result(lambda item: [partial(draw_section, result=item.result, label=item.label)]),
+        lambda result: boundary_states(result)[-1], rows=False, apart=True,
     ),
     "stress": Kind(_maps, check_grid),
-    "depth": Kind(_depths, check_grid),
-    "interfaces": Kind(_interfaces, interfaces_of),
+    "depth": Kind(
+        _by_result(lambda item: [along_height(item.result, item.label, _states(item))]), check_grid
+    ),
+    "interfaces": Kind(
+        _by_result(lambda item: along_interfaces(item.result, item.label, _states(item))),
+        interfaces_of,
+    ),
     "mises": Kind(_shared(largest), stresses, rows=False, shared=True),
     **{
         name: Kind(

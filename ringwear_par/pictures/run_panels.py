@@ -70,11 +70,6 @@ def _rates(result: Result) -> dict[str, FloatArray]:
     return {body: 1e3 * np.diff(v) / area / hours for body, v in _volumes(result).items()}
 
 
-def _friction(result: Result) -> dict[str, FloatArray]:
-    """Return the friction coefficient at stored states."""
-    return {"": in_time(schedule_of(result.attributes, "friction"), result.histories["time"])}
-
-
 def _through(result: Result) -> dict[str, FloatArray]:
     """Return the shares of the contact area that are worn through, %."""
     shares = {
@@ -93,7 +88,12 @@ HISTORY_PANELS = {
     "approach": _stored("approach", "approach"),
     "force": _stored("force", "axial force"),
     "torque": _stored("torque", "friction torque"),
-    "friction": HistoryPanel("friction coefficient", _friction),
+    "friction": HistoryPanel(
+        "friction coefficient",
+        lambda result: {
+            "": in_time(schedule_of(result.attributes, "friction"), result.histories["time"])
+        },
+    ),
     "energy": _stored("dissipated_energy", "energy dissipated"),
     "volume": HistoryPanel("worn volume (mm\N{SUPERSCRIPT THREE})", _volumes),
     "rate": HistoryPanel("wear rate, mean depth (\N{MICRO SIGN}m/h)", _rates),

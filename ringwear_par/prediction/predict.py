@@ -9,7 +9,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import Case, Output, Overrides
+from ringwear_par.cases.case import Case, Output, Overrides, refuse_stop
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.identification.definition.problem import Experiment
@@ -149,6 +149,7 @@ def _job(
     known = fit_knowledge(fit)
     name = str(case) if isinstance(case, Path | str) else "case"
     case = case if isinstance(case, Case) else read_case(case, overrides)
+    refuse_stop(case, name, "in a prediction")
     check_predicted(known, case, name, of, dashes)
     random = np.random.default_rng(seed)
     return _Job(known, case, of, seed, *draw_values(known.values, of, draws, random))

@@ -14,35 +14,9 @@ from ringwear_par.errors import InputError, counted, legible
 from ringwear_par.files import folders
 from ringwear_par.files.text import parse_json
 from ringwear_par.files.text import read_text as read_file
-from ringwear_par.identification.summary import (
-    LAWS,
-    SERIES,
-    goodness,
-    input_lines,
-    key_rows,
-    law_rows,
-    limits,
-    of_specimens,
-    process_lines,
-    scatter_lines,
-    series_rows,
-)
-from ringwear_par.pictures import fit_panels
-from ringwear_par.pictures.design_panels import design_panels
-from ringwear_par.reports.blocks import (
-    Block,
-    Chart,
-    Charts,
-    Lines,
-    Page,
-    Section,
-    Source,
-    Table,
-    Tile,
-    Tiles,
-    checks_tile,
-    reproduced,
-)
+from ringwear_par.identification import summary
+from ringwear_par.pictures import fit_panels, key_panels
+from ringwear_par.reports import blocks as page
 from ringwear_par.results.key_numbers import time_words
 from ringwear_par.results.storage.hdf5 import read_text, reading
 from ringwear_par.results.variables import SOFTWARE
@@ -50,14 +24,14 @@ from ringwear_par.results.variables import SOFTWARE
 _DASH = "\N{EN DASH}"
 
 
-def fit_page(folder: Path) -> Page:
+def fit_page(folder: Path) -> page.Page:
     """Return the page of the folder of a fit, a design or both. Not collective.
 
     Raises
     ------
     InputError : it holds none, or a damaged one.
     """
-    sections: list[Section] = []
+    sections: list[page.Section] = []
     title = f"Fit: {legible(folder.resolve().name)}"
     if (folder / folders.FIT).exists():
         with stored_outcome(folder / folders.FIT, "the outcome of ringwear fit") as outcome:
@@ -68,7 +42,7 @@ def fit_page(folder: Path) -> Page:
         with stored_outcome(folder / folders.DESIGN, "the outcome of ringwear design") as outcome:
             sections.insert(max(len(sections) - 1, 0), _designed(folder, outcome))
     kind = "Fit of a wear law" if title.startswith("Fit") else "Design of the next tests"
-    return Page(kind, title, sections)
+    return page.Page(kind, title, sections)
 
 
 @contextmanager
@@ -87,65 +61,69 @@ def stored_outcome(path: Path, kind: str) -> Iterator[dict[str, Any]]:
         raise InputError(fault) from error
 
 
-def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[Section]:
-    sections = [Section("Summary", _summary(outcome))]
+def _fitted(folder: Path, outcome: Mapping[str, Any]) -> list[page.Section]:
+    sections = [page.Section("Summary", _summary(outcome))]
     level = float(outcome["level"])
     series, samples, text, inputs = stored_readings(folder / folders.READINGS, level)
     blocks = (
-        Lines(_bands(level)),
-        Charts(_series_charts(series)),
-        _cells("Series", SERIES, series_rows(outcome)),
+        page.Lines(_bands(level)),
+        page.Charts(_series_charts(series)),
+        _cells("Series", summary.SERIES, summary.series_rows(outcome)),
     )
-    sections.append(Section("Data, model and residuals", blocks))
+    sections.append(page.Section("Data, model and residuals", blocks))
     if inputs:
-        words = Lines([*map(with_signs, input_lines(outcome))])
-        sections.append(Section("Measured inputs", [words, Charts(inputs)]))
+        words = page.Lines([*map(with_signs, summary.input_lines(outcome))])
+        sections.append(page.Section("Measured inputs", [words, page.Charts(inputs)]))
     keys = [
-        Chart(f"keys-{i}-{j}", panel, f"{panel.y.label} over {panel.x.label}; numbers above")
-        for i, row in enumerate(fit_panels.fitted_keys(outcome, samples))
+        page.Chart(f"keys-{i}-{j}", panel, f"{panel.y.label} over {panel.x.label}; numbers above")
+        for i, row in enumerate(key_panels.fitted_keys(outcome, samples))
         for j, panel in enumerate(row)
     ]
-    sections.append(Section("Likelihoods and ellipses", [Charts(keys)]))
+    sections.append(page.Section("Likelihoods and ellipses", [page.Charts(keys)]))
     if outcome["alternatives"]:
-        sections.append(Section("Other laws", [_cells("Laws compared", LAWS, law_rows(outcome))]))
+        sections.append(
+            page.Section(
+                "Other laws", [_cells("Laws compared", summary.LAWS, summary.law_rows(outcome))]
+            )
+        )
     sections.append(_reproduced(outcome, text))
     return sections
 
 
-def _summary(outcome: Mapping[str, Any]) -> list[Block]:
+def _summary(outcome: Mapping[str, Any]) -> list[page.Block]:
     parameters, level = outcome["parameters"], float(outcome["level"])
     lines = [
         f"{counted(outcome['n_data'], 'reading')}, {counted(len(parameters), 'parameter')}, "
         f"{outcome['histories']} histories by {outcome['method']}, loss {outcome['loss']}",
-        goodness(outcome),
+        summary.goodness(outcome),
     ]
-    blocks: list[Block] = [_tiles(outcome)]
+    blocks: list[page.Block] = [_tiles(outcome)]
     if doubts := [with_signs(doubt["text"]) for doubt in outcome["doubts"]]:
-        blocks.append(Lines(doubts, warning=True))
-    blocks += [Lines(lines), _estimates(parameters, level), *_scatter(outcome)]
-    if random_wear := process_lines(outcome):
-        blocks.append(Lines([*map(with_signs, random_wear)]))
+        blocks.append(page.Lines(doubts, warning=True))
+    blocks += [page.Lines(lines), _estimates(parameters, level), *_scatter(outcome)]
+    if random_wear := summary.process_lines(outcome):
+        blocks.append(page.Lines([*map(with_signs, random_wear)]))
     if len(parameters) > 1:
         blocks.append(_correlations(outcome))
     return blocks
 
 
-def _tiles(outcome: Mapping[str, Any]) -> Tiles:
+def _tiles(outcome: Mapping[str, Any]) -> page.Tiles:
     """Return the tiles of a fit: its estimates, and whether it has doubts."""
     percent, tiles = f"{100 * outcome['level']:g} %", []
     for key, entry in outcome["parameters"].items():
-        row = key_rows(key, entry)[0]
+        row = summary.key_rows(key, entry)[0]
         unlimited = [end is None for end in row.interval]
         value, note = _number(row.estimate, 4), row.verdict
         if not any(unlimited):
-            note = f"{limits(row.interval, 4)} ({percent})"
+            note = f"{summary.limits(row.interval, 4)} ({percent})"
         elif not all(unlimited):
-            value, note = limits(row.interval, 4), f"{percent}, {note}"
-        tiles.append(Tile(key, value, in_signs(row.unit), note))
-    return Tiles([*tiles, checks_tile(len(outcome["doubts"]))])
+            value, note = summary.limits(row.interval, 4), f"{percent}, {note}"
+        tiles.append(page.Tile(key, value, in_signs(row.unit), note))
+    return page.Tiles([*tiles, page.checks_tile(len(outcome["doubts"]))])
 
 
-def _estimates(parameters: Mapping[str, Any], level: float) -> Table:
+def _estimates(parameters: Mapping[str, Any], level: float) -> page.Table:
     percent, header = f"{100 * level:g} %", ["key", "estimate", "sd", "unit"]
     header += [f"{percent} from", f"{percent} to", "verdict"]
     sampled = any("posterior" in entry for entry in parameters.values())
@@ -153,29 +131,29 @@ def _estimates(parameters: Mapping[str, Any], level: float) -> Table:
         header += ["posterior median", "posterior from", "posterior to"]
     rows = []
     for key, entry in parameters.items():
-        for row in key_rows(key, entry):
+        for row in summary.key_rows(key, entry):
             cells = [
                 row.label, _number(row.estimate, 5), _number(row.sd, 2), in_signs(row.unit),
                 *(_number(end, 5) for end in row.interval), row.verdict or with_signs(row.note),
             ]  # fmt: skip
             posterior = [_number(value, 5) for value in row.posterior] or [""] * 3
             rows.append(cells + posterior * sampled)
-    return Table("Estimates", header, rows)
+    return page.Table("Estimates", header, rows)
 
 
-def _scatter(outcome: Mapping[str, Any]) -> list[Block]:
+def _scatter(outcome: Mapping[str, Any]) -> list[page.Block]:
     """Return blocks about the specimens: intervals are of them, or of the material behind them."""
     parameters, level = outcome["parameters"], float(outcome["level"])
     scattering = {key: entry for key, entry in parameters.items() if entry["of"] == "material"}
     if not scattering:
-        return [Lines([f"Intervals {of_specimens(outcome)}"])]
-    blocks: list[Block] = []
+        return [page.Lines([f"Intervals {summary.of_specimens(outcome)}"])]
+    blocks: list[page.Block] = []
     for number, (key, entry) in enumerate(scattering.items(), start=1):
-        sentences = "; ".join(scatter_lines(entry, level))
-        blocks.append(Lines([f"{key} of the material, {with_signs(sentences)}"]))
-        panel = fit_panels.specimens(key, entry, level)
-        chart = Chart(f"specimens-{number}", panel, f"Values of {key} in each specimen")
-        blocks.append(Charts([chart]))
+        sentences = "; ".join(summary.scatter_lines(entry, level))
+        blocks.append(page.Lines([f"{key} of the material, {with_signs(sentences)}"]))
+        panel = key_panels.specimens(key, entry, level)
+        chart = page.Chart(f"specimens-{number}", panel, f"Values of {key} in each specimen")
+        blocks.append(page.Charts([chart]))
     return blocks
 
 
@@ -183,7 +161,7 @@ def _number(value: float | None, digits: int) -> str:
     return _DASH if value is None else f"{value:.{digits}g}"
 
 
-def _correlations(outcome: Mapping[str, Any]) -> Table:
+def _correlations(outcome: Mapping[str, Any]) -> page.Table:
     keys, covariance = outcome["keys"], outcome["covariance"]
     rows = []
     for i, key in enumerate(keys):
@@ -193,19 +171,19 @@ def _correlations(outcome: Mapping[str, Any]) -> Table:
             known = all(v is not None for v in entries) and entries[1] > 0 and entries[2] > 0
             row.append(f"{entries[0] / np.sqrt(entries[1] * entries[2]):+.3f}" if known else _DASH)
         rows.append(row)
-    return Table("Correlations of the estimates", ["key", *keys], rows)
+    return page.Table("Correlations of the estimates", ["key", *keys], rows)
 
 
-def _cells(caption: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+def _cells(caption: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> page.Table:
     """Return a table of cells of the summary, in the signs of pages."""
     signs = [in_signs if name == "unit" else with_signs for name in header]
     cells = [[sign(cell) or _DASH for sign, cell in zip(signs, row, strict=True)] for row in rows]
-    return Table(caption, header, cells)
+    return page.Table(caption, header, cells)
 
 
 def stored_readings(
     path: Path, level: float
-) -> tuple[list[fit_panels.Series], dict[str, FloatArray], str, list[Chart]]:
+) -> tuple[list[fit_panels.Series], dict[str, FloatArray], str, list[page.Chart]]:
     """Return series, samples of the posterior by key, the fit file's text, charts of inputs."""
     with reading(path, SOFTWARE, "the readings of ringwear fit") as file:
         series = [_series_of(group, level) for group in _groups(file)]
@@ -215,12 +193,12 @@ def stored_readings(
         return series, samples, read_text(file.attrs["fit"]), inputs
 
 
-def _input_chart(number: str, group: h5py.Group) -> Chart:
+def _input_chart(number: str, group: h5py.Group) -> page.Chart:
     name, key, unit = (read_text(group.attrs[n]) for n in ("experiment", "key", "unit"))
     panel = fit_panels.measured_input(
         name, key, unit, *(group[n][()] for n in ("time", "data", "curve"))
     )
-    return Chart(f"input-{number}", panel, f"Readings of {key} in {name}, and its curve")
+    return page.Chart(f"input-{number}", panel, f"Readings of {key} in {name}, and its curve")
 
 
 def _series_of(group: h5py.Group, level: float) -> fit_panels.Series:
@@ -239,18 +217,20 @@ def _series_of(group: h5py.Group, level: float) -> fit_panels.Series:
     )  # fmt: skip
 
 
-def _series_charts(drawn: Sequence[fit_panels.Series]) -> list[Chart]:
+def _series_charts(drawn: Sequence[fit_panels.Series]) -> list[page.Chart]:
     charts = []
     for number, series in enumerate(drawn, start=1):
         if len(series.x) > 1:
             name, title = f"series-{number}", series.title
             charts += [
-                Chart(name, fit_panels.readings(series), f"Data, model and band of {title}"),
-                Chart(f"{name}-residuals", fit_panels.residuals(series), f"Residuals of {title}"),
+                page.Chart(name, fit_panels.readings(series), f"Data, model and band of {title}"),
+                page.Chart(
+                    f"{name}-residuals", fit_panels.residuals(series), f"Residuals of {title}"
+                ),
             ]
     if single := [series for series in drawn if len(series.x) == 1]:
         panel, height = fit_panels.single_readings(single), 160 + 60 * len(single)
-        charts.append(Chart("single", panel, "Series of one reading", height, wide=True))
+        charts.append(page.Chart("single", panel, "Series of one reading", height, wide=True))
     return charts
 
 
@@ -270,7 +250,7 @@ def _groups(file: h5py.File) -> Iterator[h5py.Group]:
         yield file[name]
 
 
-def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
+def _designed(folder: Path, outcome: Mapping[str, Any]) -> page.Section:
     scales = outcome["sd_scales"]
 
     def sds(design: Mapping[str, Any]) -> list[str]:
@@ -294,23 +274,23 @@ def _designed(folder: Path, outcome: Mapping[str, Any]) -> Section:
     units = {key: f" ({in_signs(scale['unit'])})" * bool(scale["unit"])
              for key, scale in scales.items()}  # fmt: skip
     header = ["design", "tests", "duration", *(f"sd of {key}{units[key]}" for key in scales)]
-    blocks: list[Block] = [
-        Lines([f"{outcome['candidates']} candidate tests, criterion {outcome['criterion']}, "
+    blocks: list[page.Block] = [
+        page.Lines([f"{outcome['candidates']} candidate tests, criterion {outcome['criterion']}, "
                f"measured as in {outcome['measured_as']}"]),
-        Table("Best designs, with predicted standard deviations", header, rows),
+        page.Table("Best designs, with predicted standard deviations", header, rows),
     ]  # fmt: skip
-    panels, following = design_panels(outcome), folder / folders.NEXT
+    panels, following = key_panels.design_panels(outcome), folder / folders.NEXT
     charts = [
-        Chart(f"design-{number}", panel, "Predicted standard deviations over the tests")
+        page.Chart(f"design-{number}", panel, "Predicted standard deviations over the tests")
         for number, panel in enumerate(panels)
     ]
-    blocks.append(Charts(charts))
+    blocks.append(page.Charts(charts))
     if following.exists():
-        blocks.append(Source("The best tests, as tables of a fit file", read_file(following)))
-    return Section("The next tests", blocks)
+        blocks.append(page.Source("The best tests, as tables of a fit file", read_file(following)))
+    return page.Section("The next tests", blocks)
 
 
-def _reproduced(outcome: Mapping[str, Any], text: str) -> Section:
+def _reproduced(outcome: Mapping[str, Any], text: str) -> page.Section:
     commands = (
         f"ringwear fit fit.toml -o out/fit{' --compare' if outcome['alternatives'] else ''}\n"
         "ringwear report out/fit -o report.html\n"
@@ -322,6 +302,6 @@ def _reproduced(outcome: Mapping[str, Any], text: str) -> Section:
         for number, start in enumerate(outcome["starts"], start=1)
     ]  # fmt: skip
     header = ("start", "half the sum of squares, with priors", "converged", "error")
-    tables = [Table("Starts", header, starts)] if starts else []
-    source = Source("Fit file", text)
-    return reproduced(first, commands, [source], outcome["versions"], tables, outcome["data"])
+    tables = [page.Table("Starts", header, starts)] if starts else []
+    source = page.Source("Fit file", text)
+    return page.reproduced(first, commands, [source], outcome["versions"], tables, outcome["data"])

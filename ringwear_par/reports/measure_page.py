@@ -7,34 +7,9 @@ from typing import Any
 from ringwear_par.cases.units import SPECIFIC, in_signs, with_signs
 from ringwear_par.errors import legible
 from ringwear_par.files import folders
+from ringwear_par.measuring import measure_numbers as numbers
 from ringwear_par.measuring.figures import panels
-from ringwear_par.measuring.measure_numbers import (
-    FRICTION,
-    LOAD,
-    QUANTITIES,
-    SPEED,
-    TEMPERATURES,
-    Quantity,
-    entry_text,
-    estimate_text,
-    repeats_text,
-    skipped_text,
-    steady_text,
-)
-from ringwear_par.reports.blocks import (
-    Block,
-    Chart,
-    Charts,
-    Lines,
-    Page,
-    Section,
-    Source,
-    Table,
-    Tile,
-    Tiles,
-    checks_tile,
-    reproduced,
-)
+from ringwear_par.reports import blocks as page
 from ringwear_par.reports.fit_page import stored_outcome
 
 _DASH = "\N{EN DASH}"
@@ -49,7 +24,7 @@ _BUDGETS = {
 }
 
 
-def measure_page(folder: Path) -> Page:
+def measure_page(folder: Path) -> page.Page:
     """Return the page of the folder of a measurement. Not collective.
 
     Raises
@@ -58,50 +33,52 @@ def measure_page(folder: Path) -> Page:
     """
     with stored_outcome(folder / folders.MEASURE, "the outcome of ringwear measure") as outcome:
         sections = [
-            Section("Summary", list(_summary(outcome))),
-            Section("Records", [_records(outcome)]),
-            Section("Wear, in the form of ASTM C808", _wear(outcome)),
-            Section("Friction, in the form of ASTM G115", _friction(outcome)),
-            Section("Budgets of uncertainty", [_method(), *_budgets(outcome)]),
+            page.Section("Summary", list(_summary(outcome))),
+            page.Section("Records", [_records(outcome)]),
+            page.Section("Wear, in the form of ASTM C808", _wear(outcome)),
+            page.Section("Friction, in the form of ASTM G115", _friction(outcome)),
+            page.Section("Budgets of uncertainty", [_method(), *_budgets(outcome)]),
             _reproduced(outcome),
         ]
     title = f"Measured: {legible(folder.resolve().name)}"
-    return Page("Measurement of wear and friction", title, sections)
+    return page.Page("Measurement of wear and friction", title, sections)
 
 
-def _summary(outcome: Mapping[str, Any]) -> Iterator[Block]:
+def _summary(outcome: Mapping[str, Any]) -> Iterator[page.Block]:
     tests = outcome["tests"]
-    sentences = [f"Specific wear rate {repeats_text(repeats)}" for repeats in outcome["repeats"]]
+    sentences = [
+        f"Specific wear rate {numbers.repeats_text(repeats)}" for repeats in outcome["repeats"]
+    ]
     if not sentences:
         sentences = ["Numbers of these specimens only: repeats of a material scatter more"]
     yield _tiles(outcome)
-    yield Lines([with_signs(sentence) for sentence in sentences])
+    yield page.Lines([with_signs(sentence) for sentence in sentences])
     rows = [
-        [name, _bare(entry["specific_wear_rate"]), _customary(entry),
-         _bare(entry["wear_rate"], 3.6e6), _bare(entry["friction"]), steady_text(entry)]
+        [name, _bare(rate := entry["specific_wear_rate"]), _bare(rate and rate["us"]),
+         _bare(entry["wear_rate"], 3.6e6), _bare(entry["friction"]), numbers.steady_text(entry)]
         for name, entry in tests.items()
     ]  # fmt: skip
     header = ("test", "specific wear rate (mm\u00b3/(N m))", "in in\u00b3 min/(ft lbf h)",
               "wear rate (\u00b5m/h)", "friction", "part of the test")  # fmt: skip
-    yield Table("Tests, with intervals of 95 %: the value less and plus 2 u", header, rows)
+    yield page.Table("Tests, with intervals of 95 %: the value less and plus 2 u", header, rows)
     doubts = [
         with_signs(f"{name}: {doubt['text']}")
         for name, entry in tests.items()
         for doubt in entry["doubts"]
     ]
     if doubts:
-        yield Lines(doubts, warning=True)
+        yield page.Lines(doubts, warning=True)
     notes = [
         *outcome["notes"],
         *(f"{name}: {note}" for name, entry in tests.items() for note in entry["notes"]),
         *(f"{name}: skipped {skipped}" for name, entry in tests.items()
-          if (skipped := skipped_text(entry))),
+          if (skipped := numbers.skipped_text(entry))),
     ]  # fmt: skip
     if notes:
-        yield Lines([with_signs(note) for note in notes])
+        yield page.Lines([with_signs(note) for note in notes])
 
 
-def _tiles(outcome: Mapping[str, Any]) -> Tiles:
+def _tiles(outcome: Mapping[str, Any]) -> page.Tiles:
     """Return the specific wear rates: means of repeats, and tests that are none."""
     rates = [
         (
@@ -116,29 +93,31 @@ def _tiles(outcome: Mapping[str, Any]) -> Tiles:
         if name not in repeated and (rate := entry["specific_wear_rate"]) is not None:
             rates.append((name, rate["value"], rate))
     tiles = [
-        Tile(
+        page.Tile(
             f"specific wear rate of {names}", f"{value:.3g}", in_signs(SPECIFIC),
             "{:.3g} to {:.3g} (95 %)".format(*rate["interval"]),
         )
         for names, value, rate in rates
     ]  # fmt: skip
     doubts = sum(len(entry["doubts"]) for entry in outcome["tests"].values())
-    return Tiles([*tiles[:_MOST_TILES], checks_tile(doubts)])
+    return page.Tiles([*tiles[:_MOST_TILES], page.checks_tile(doubts)])
 
 
-def _records(outcome: Mapping[str, Any]) -> Charts:
+def _records(outcome: Mapping[str, Any]) -> page.Charts:
     """Return the charts of all records."""
-    return Charts([
-        Chart(f"{channel}-{number}", panel, f"Line chart: {panel.y.label} over time, {panel.title}")
+    return page.Charts([
+        page.Chart(
+            f"{channel}-{number}", panel, f"Line chart: {panel.y.label} over time, {panel.title}"
+        )
         for number, (name, entry) in enumerate(outcome["tests"].items(), start=1)
         for channel, panel in panels(name, entry).items()
     ])  # fmt: skip
 
 
-def _wear(outcome: Mapping[str, Any]) -> list[Block]:
+def _wear(outcome: Mapping[str, Any]) -> list[page.Block]:
     tests = outcome["tests"]
     first = next(iter(tests.values()))["conditions"]
-    conditions = Table(
+    conditions = page.Table(
         "Rig and specimens", ("item", "value"),
         [
             ("contact", f"annulus of radii {first['radii'][0]:g} to {first['radii'][1]:g} mm"),
@@ -151,37 +130,37 @@ def _wear(outcome: Mapping[str, Any]) -> list[Block]:
             ("atmosphere, humidity, lubricant, cleaning", _OPEN),
         ],
     )  # fmt: skip
-    quantities = [quantity for quantity in QUANTITIES if quantity is not FRICTION]
-    rows = [("part of the test", _cells(tests, steady_text)), *_rows(tests, quantities)]
+    quantities = [quantity for quantity in numbers.QUANTITIES if quantity is not numbers.FRICTION]
+    rows = [("part of the test", _cells(tests, numbers.steady_text)), *_rows(tests, quantities)]
     return [conditions, _by_test("Conditions and wear of each test", tests, rows)]
 
 
-def _friction(outcome: Mapping[str, Any]) -> list[Block]:
+def _friction(outcome: Mapping[str, Any]) -> list[page.Block]:
     tests = outcome["tests"]
     rows = [
-        *_rows(tests, [FRICTION], "kinetic friction coefficient"),
-        ("it is of", _cells(tests, steady_text)),
+        *_rows(tests, [numbers.FRICTION], "kinetic friction coefficient"),
+        ("it is of", _cells(tests, numbers.steady_text)),
         ("steady by itself from (h)", _cells(tests, lambda e: _DASH
                                             if e["steady_from"]["friction"] is None
                                             else f"{e['steady_from']['friction'] / 3600.0:.3g}")),
-        *_rows(tests, [LOAD, SPEED, *TEMPERATURES]),
+        *_rows(tests, [numbers.LOAD, numbers.SPEED, *numbers.TEMPERATURES]),
         ("static friction coefficient", _cells(tests, lambda e: _OPEN)),
     ]  # fmt: skip
     sentence = (
         "Friction is torque over load and mean radius, 2/3 (b\u00b3 - a\u00b3)/(b\u00b2 - a\u00b2),"
         " as a mean over the part. The rig and the specimens are as above."
     )
-    return [Lines([sentence]), _by_test("Friction of each test", tests, rows)]
+    return [page.Lines([sentence]), _by_test("Friction of each test", tests, rows)]
 
 
 def _by_test(
     caption: str, tests: Mapping[str, Any], rows: Sequence[tuple[str, list[str]]]
-) -> Table:
-    return Table(caption, ("quantity", *tests), [(name, *cells) for name, cells in rows])
+) -> page.Table:
+    return page.Table(caption, ("quantity", *tests), [(name, *cells) for name, cells in rows])
 
 
 def _rows(
-    tests: Mapping[str, Any], quantities: Sequence[Quantity], name: str = ""
+    tests: Mapping[str, Any], quantities: Sequence[numbers.Quantity], name: str = ""
 ) -> list[tuple[str, list[str]]]:
     """Return rows of quantities, of a name or their own, with the unit."""
     return [
@@ -197,8 +176,8 @@ def _cells(tests: Mapping[str, Any], cell: Any) -> list[str]:
     return [str(cell(entry)) for entry in tests.values()]
 
 
-def _method() -> Lines:
-    return Lines(
+def _method() -> page.Lines:
+    return page.Lines(
         [
             "u: standard uncertainty; type A: from the scatter of readings, whose autocorrelation "
             "counts; type B: otherwise (JCGM 100:2008)",
@@ -209,7 +188,7 @@ def _method() -> Lines:
     )
 
 
-def _budgets(outcome: Mapping[str, Any]) -> Iterator[Table]:
+def _budgets(outcome: Mapping[str, Any]) -> Iterator[page.Table]:
     for name, entry in outcome["tests"].items():
         for key, words in _BUDGETS.items():
             value = entry["whole"]["specific_wear_rate"] if key == "whole" else entry[key]
@@ -221,7 +200,7 @@ def _budgets(outcome: Mapping[str, Any]) -> Iterator[Table]:
                  f"{100 * row['share']:.1f}")
                 for row in value["budget"]
             ]  # fmt: skip
-            caption = f"{name}: {words}, {_text(value)}"
+            caption = f"{name}: {words}, {with_signs(numbers.entry_text(value))}"
             if "monte_carlo" in value:
                 low, high = value["monte_carlo"]
                 caption += f"; Monte Carlo {low:.4g} to {high:.4g}"
@@ -234,27 +213,18 @@ def _budgets(outcome: Mapping[str, Any]) -> Iterator[Table]:
                 "contribution",
                 "share of u\u00b2 (%)",
             )
-            yield Table(caption, header, rows, folded=True)
+            yield page.Table(caption, header, rows, folded=True)
 
 
-def _reproduced(outcome: Mapping[str, Any]) -> Section:
+def _reproduced(outcome: Mapping[str, Any]) -> page.Section:
     commands = (
         "ringwear measure measure.toml -o out/measure\nringwear report out/measure -o report.html\n"
     )
     first = "Save the measure file as measure.toml beside its case and its records, then type:"
-    source = Source("Measure file", outcome["measure_file"])
-    return reproduced(first, commands, [source], outcome["versions"], data=outcome["data"])
-
-
-def _text(entry: Mapping[str, Any] | None) -> str:
-    return _DASH if entry is None else with_signs(entry_text(entry))
+    source = page.Source("Measure file", outcome["measure_file"])
+    return page.reproduced(first, commands, [source], outcome["versions"], data=outcome["data"])
 
 
 def _bare(entry: Mapping[str, Any] | None, factor: float = 1.0) -> str:
     """Return an entry of measure.json with its uncertainty, without its unit."""
-    return _DASH if entry is None else entry_text(entry, factor, "")
-
-
-def _customary(entry: Mapping[str, Any]) -> str:
-    rate = entry["specific_wear_rate"]
-    return _DASH if rate is None else estimate_text(rate["us"]["value"], rate["us"]["u"])
+    return _DASH if entry is None else numbers.entry_text(entry, factor, "")

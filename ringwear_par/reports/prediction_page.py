@@ -9,23 +9,14 @@ from ringwear_par.cases.units import in_signs, with_signs
 from ringwear_par.errors import legible
 from ringwear_par.files import folders
 from ringwear_par.prediction.figure import panel
-from ringwear_par.reports.blocks import (
-    Chart,
-    Charts,
-    Lines,
-    Page,
-    Section,
-    Source,
-    Table,
-    reproduced,
-)
+from ringwear_par.reports import blocks as page
 from ringwear_par.reports.fit_page import stored_outcome
 from ringwear_par.results.variables import DISPLAY_UNITS
 
 _WARNING = "warning: "
 
 
-def prediction_page(folder: Path) -> Page:
+def prediction_page(folder: Path) -> page.Page:
     """Return the page of the folder of a prediction. Not collective.
 
     Raises
@@ -54,11 +45,17 @@ def prediction_page(folder: Path) -> Page:
         )
         if outcome.get("depth") is not None:
             command += f" --depth '{1e3 * outcome['depth']['depth']:g} um'"
+        summary: list[page.Block] = [page.Lines(answer)]
+        if warnings:
+            summary.append(page.Lines(warnings, warning=True))
+        summary.append(page.Table("Quantiles of the draws", header, rows))
+        chart = page.Chart("band", band, label, wide=True)
         sections = [
-            Section("Summary", [Lines(answer), *([Lines(warnings, warning=True)] * bool(warnings)),
-                                Table("Quantiles of the draws", header, rows)]),
-            Section("Penetration", [Charts([Chart("band", band, label, wide=True)])]),
-            reproduced("Save the case file as case.toml, then type:", f"{command}\n",
-                       [Source("Case file", outcome["case"])], outcome["versions"]),
+            page.Section("Summary", summary),
+            page.Section("Penetration", [page.Charts([chart])]),
+            page.reproduced(
+                "Save the case file as case.toml, then type:", f"{command}\n",
+                [page.Source("Case file", outcome["case"])], outcome["versions"],
+            ),
         ]  # fmt: skip
-    return Page("Prediction", f"Predicted: {legible(folder.resolve().name)}", sections)
+    return page.Page("Prediction", f"Predicted: {legible(folder.resolve().name)}", sections)

@@ -1,10 +1,11 @@
 """``ringwear report``: a page of a run, a sweep, a fit and so on, in one file."""
 
 import re
+from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, cast
 
 from ringwear_par.errors import ComputationError, InputError, counted
 from ringwear_par.files import folders
@@ -16,9 +17,14 @@ from ringwear_par.studies.storage.results_file import RESULTS
 from ringwear_par.version import __version__
 
 _ENDINGS = (".html", ".htm")
-#: cells of tables that stand right
+#: modules, and functions in them, of the pages of folders by what these hold
+_PAGES = {
+    folders.FIT: "fit_page", folders.DESIGN: "fit_page", folders.MEASURE: "measure_page",
+    folders.PREDICTION: "prediction_page", RESULTS: "sweep_page",
+}  # fmt: skip
 #: where a browser would begin a line within a number
 _EXPONENT = re.compile(r"\d[\d.]*e-\d+")
+#: cells of tables that stand right
 _NUMERIC = re.compile(r"[-+\N{MINUS SIGN}]?\d[\d.]*(?:e[-+]?\d+)?(?: %)?")
 
 
@@ -103,22 +109,10 @@ def _page(source: Result | str | Path) -> Page:
 
         return run_page(result_of(source))
     folder = Path(source)
-    if any((folder / name).exists() for name in (folders.FIT, folders.DESIGN)):
-        from ringwear_par.reports.fit_page import fit_page
-
-        return fit_page(folder)
-    if (folder / folders.MEASURE).exists():
-        from ringwear_par.reports.measure_page import measure_page
-
-        return measure_page(folder)
-    if (folder / folders.PREDICTION).exists():
-        from ringwear_par.reports.prediction_page import prediction_page
-
-        return prediction_page(folder)
-    if (folder / RESULTS).exists():
-        from ringwear_par.reports.sweep_page import sweep_page
-
-        return sweep_page(folder)
+    for name, page in _PAGES.items():
+        if (folder / name).exists():
+            function = getattr(import_module(f"ringwear_par.reports.{page}"), page)
+            return cast(Page, function(folder))
     raise InputError(
         f"{folder}: holds none of {folders.FIT}, {folders.DESIGN}, {folders.MEASURE}, "
         f"{folders.PREDICTION} and {RESULTS}; must be a result file, or a folder that ringwear "

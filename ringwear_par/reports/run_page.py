@@ -12,21 +12,7 @@ from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.pictures import run_panels
 from ringwear_par.pictures.figures import plot
 from ringwear_par.pictures.stresses import along_height, along_interfaces, largest
-from ringwear_par.reports.blocks import (
-    Block,
-    Chart,
-    Charts,
-    Lines,
-    Page,
-    Picture,
-    Section,
-    Table,
-    Tile,
-    Tiles,
-    checks_tile,
-    reproduced,
-    stored_versions,
-)
+from ringwear_par.reports import blocks as page
 from ringwear_par.reports.case_words import case_words
 from ringwear_par.results.key_numbers import (
     KeyNumber,
@@ -45,7 +31,7 @@ _SLIDER = 120
 _SHORT = 21
 
 
-def run_page(result: Result) -> Page:
+def run_page(result: Result) -> page.Page:
     """Return the page of a run. Not collective.
 
     Raises
@@ -59,29 +45,37 @@ def run_page(result: Result) -> Page:
         del lines[0]
     doubts = [line for line in lines if line.startswith("warning")]
     rig, case = case_words(result)
-    blocks: list[Block] = [_tiles(numbers, len(doubts), *checks(result)), *rig]
+    wrong, errors = checks(result)
+    passed = page.checks_tile(
+        len(doubts), with_signs("; ".join([*map(str, wrong), errors])), len(wrong)
+    )
+    blocks: list[page.Block] = [page.Tiles([*answers(numbers), passed]), *rig]
     if doubts:
-        blocks.append(Lines(doubts, warning=True))
-    blocks.append(Lines([line for line in lines if line not in doubts], folded="Summary in full"))
+        blocks.append(page.Lines(doubts, warning=True))
+    blocks.append(
+        page.Lines([line for line in lines if line not in doubts], folded="Summary in full")
+    )
     header = ("quantity", "value", "unit")
-    blocks.append(Table("Key numbers, at the end", header, key_rows(numbers)))
+    blocks.append(page.Table("Key numbers, at the end", header, key_rows(numbers)))
     if (worn := worn_table(numbers)) is not None:
         blocks.append(worn)
-    sections = [Section("Summary", blocks)]
+    sections = [page.Section("Summary", blocks)]
     drawn = profiles(result)
     absence = "No profiles are stored at several times (output.fields, output.profiles)."
     sections.append(
-        Section("Worn profiles and pressure", [Lines([absence]) if drawn is None else drawn])
+        page.Section(
+            "Worn profiles and pressure", [page.Lines([absence]) if drawn is None else drawn]
+        )
     )
-    sections.append(Section("Histories", [histories(result)]))
+    sections.append(page.Section("Histories", [histories(result)]))
     sections += _stresses(result)
-    sections.append(Section("The case", case))
-    sections.append(Section("Balances", [_errors(result)]))
+    sections.append(page.Section("The case", case))
+    sections.append(page.Section("Balances", [_errors(result)]))
     sections.append(_reproduced(result))
-    return Page("Wear history of a test", title or "Run without a title", sections)
+    return page.Page("Wear history of a test", title or "Run without a title", sections)
 
 
-def answers(numbers: Iterable[KeyNumber]) -> list[Tile]:
+def answers(numbers: Iterable[KeyNumber]) -> list[page.Tile]:
     """Return the key numbers that a page of a run begins with."""
     known, tiles = {number.name: number for number in numbers}, []
     bodies = [body for body in BODIES if f"{body}_worn_volume" in known]
@@ -97,25 +91,19 @@ def answers(numbers: Iterable[KeyNumber]) -> list[Tile]:
     for name, label in labels:
         number = known.get(name)
         if number is not None and not math.isnan(number.value):
-            tiles.append(Tile(label, number.short, in_signs(number.unit)))
+            tiles.append(page.Tile(label, number.short, in_signs(number.unit)))
     return tiles
 
 
-def _tiles(numbers: Iterable[KeyNumber], doubts: int, wrong: list[KeyNumber], errors: str) -> Tiles:
-    """Return the answers of a run, and whether its checks are good."""
-    note = with_signs("; ".join([*map(str, wrong), errors]))
-    return Tiles([*answers(numbers), checks_tile(doubts, note, len(wrong))])
-
-
-def histories(result: Result) -> Charts:
+def histories(result: Result) -> page.Charts:
     """Return the charts of the quantities over time that the result holds."""
-    return Charts([
-        Chart(name, panel, f"Line chart: {panel.title} over {panel.x.label}")
+    return page.Charts([
+        page.Chart(name, panel, f"Line chart: {panel.title} over {panel.x.label}")
         for name, panel in run_panels.histories(result).items()
     ])  # fmt: skip
 
 
-def profiles(result: Result) -> Charts | None:
+def profiles(result: Result) -> page.Charts | None:
     """Return worn faces and pressure at five instants and at that of a slider; None: not stored."""
     panels = {
         f"wear-{body}": (run_panels.worn_faces(result, [body]), run_panels.worn_depth(result, body))
@@ -134,8 +122,8 @@ def profiles(result: Result) -> Charts | None:
         frames = [values[row].tolist() for row in rows]
         chosen = run_panels.at_instant(result, values[rows[-1]])
         panel = replace(panel, curves=[*panel.curves, chosen])
-        charts.append(Chart(name, panel, label, 400, frames))
-    return Charts(charts, instants(time[rows].tolist(), float(time[-1])), len(rows) - 1)
+        charts.append(page.Chart(name, panel, label, 400, frames))
+    return page.Charts(charts, instants(time[rows].tolist(), float(time[-1])), len(rows) - 1)
 
 
 def key_rows(numbers: Iterable[KeyNumber]) -> list[tuple[str, str, str]]:
@@ -150,7 +138,7 @@ def key_rows(numbers: Iterable[KeyNumber]) -> list[tuple[str, str, str]]:
     ]  # fmt: skip
 
 
-def worn_table(numbers: Iterable[KeyNumber]) -> Table | None:
+def worn_table(numbers: Iterable[KeyNumber]) -> page.Table | None:
     """Return the wear of each body, None where nothing wears."""
     bodies = {body: rows for body, rows in in_groups(numbers).items() if body in BODIES}
     columns = {row.label: row.unit for rows in bodies.values() for row in rows}
@@ -161,41 +149,45 @@ def worn_table(numbers: Iterable[KeyNumber]) -> Table | None:
     rows = [
         (body, *(cells[body].get(label, "\N{EN DASH}") for label in columns)) for body in bodies
     ]
-    return Table("Wear", header, rows)
+    return page.Table("Wear", header, rows)
 
 
-def _errors(result: Result) -> Table:
+def _errors(result: Result) -> page.Table:
     caption = "Errors, the worst of all steps"
     rows = key_rows(check_numbers(result))
-    return Table(caption, ("check", "error", "unit"), rows, folded=True)
+    return page.Table(caption, ("check", "error", "unit"), rows, folded=True)
 
 
-def _stresses(result: Result) -> list[Section]:
+def _stresses(result: Result) -> list[page.Section]:
     """Return the pictures of the stored stresses and the largest of them, nothing without."""
     if result.stress is None or not result.stress.states:
         return []
     states = result.stress.states
     gridded, last = len(result.stress.grid[0]) > 0, nearest_states(states, [])
     label = "Line chart: von Mises stress"
-    blocks: list[Block] = []
+    blocks: list[page.Block] = []
     charts = []
     if gridded:
         content = io.BytesIO()
         plot(result, "stress").savefig(content, format="png", dpi=150)
         alt = "Map of von Mises stress in the section"
-        blocks.append(Picture("Stress inside", content.getvalue(), "image/png", alt))
+        blocks.append(page.Picture("Stress inside", content.getvalue(), "image/png", alt))
         along = along_height(result, "", last)
-        charts.append(Chart("depth", along, f"{label} along the height at {along.legend}"))
+        charts.append(page.Chart("depth", along, f"{label} along the height at {along.legend}"))
     if any(len(interface.z) for interface in result.stress.interfaces):
-        blocks.append(Lines(["Beside von Mises stress: tractions along interfaces of layers."]))
+        blocks.append(
+            page.Lines(["Beside von Mises stress: tractions along interfaces of layers."])
+        )
         charts += [
-            Chart(f"interface-{number}", panel, f"Line chart: {panel.y.label}, {panel.title}")
+            page.Chart(f"interface-{number}", panel, f"Line chart: {panel.y.label}, {panel.title}")
             for number, panel in enumerate(along_interfaces(result, "", last), start=1)
         ]
     if len(states) > 1:  # one is no history
-        charts.append(Chart("mises", largest([result], [""]), f"{label}, the largest over time"))
+        charts.append(
+            page.Chart("mises", largest([result], [""]), f"{label}, the largest over time")
+        )
     if charts:
-        blocks.append(Charts(charts))
+        blocks.append(page.Charts(charts))
     rows = [
         (f"{state.time:.6g}", body, f"{maximum.mises:.5g}", f"{maximum.r:.6g}", f"{maximum.z:.6g}")
         for state in states
@@ -203,11 +195,11 @@ def _stresses(result: Result) -> list[Section]:
     ]
     header = ("time (s)", "ring", "von Mises (MPa)", "at r (mm)", "z (mm)")
     caption = f"Largest von Mises stress, {result.stress.exclude:g} mm and more from edges"
-    blocks.append(Table(caption, header, rows, folded=len(rows) > _SHORT))
-    return [Section("Stress inside", blocks)]
+    blocks.append(page.Table(caption, header, rows, folded=len(rows) > _SHORT))
+    return [page.Section("Stress inside", blocks)]
 
 
-def _reproduced(result: Result) -> Section:
+def _reproduced(result: Result) -> page.Section:
     about = result.attributes
     ranks = int(about.get("ranks", 1))
     launched = f"mpirun -n {ranks} " if ranks > 1 else ""
@@ -225,5 +217,7 @@ def _reproduced(result: Result) -> Section:
     }
     rows = [("MPI ranks", str(ranks)), *((f"{k}, s", v) for k, v in seconds.items())]
     caption = "Ranks, and seconds that it took"
-    table = Table(caption, ("what", "value"), rows, folded=True)
-    return reproduced(f"{first}, then type:", commands, [], stored_versions(about), [table])
+    table = page.Table(caption, ("what", "value"), rows, folded=True)
+    return page.reproduced(
+        f"{first}, then type:", commands, [], page.stored_versions(about), [table]
+    )

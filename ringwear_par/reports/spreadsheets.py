@@ -76,7 +76,11 @@ def sweep_sheets(ensemble: Ensemble) -> list[Sheet]:
     columns: dict[str, tuple[str, str, Any]] = {"case": ("", "id of the case", ensemble.ids)}
     for name, values in ensemble.varied.items():
         unit, scale = ensemble.unit(name)
-        numbers = values / scale if values.dtype.kind == "f" else [_text(v) for v in values]
+        numbers = (
+            values / scale
+            if values.dtype.kind == "f"
+            else [value.decode() if isinstance(value, bytes) else str(value) for value in values]
+        )
         columns[name] = unit, own_key(name).meaning, numbers
     columns["status"] = "", "done, failed or incomplete", ensemble.status
     columns["error"] = "", "why the case failed", ensemble.error
@@ -89,7 +93,10 @@ def sweep_sheets(ensemble: Ensemble) -> list[Sheet]:
     columns["flags"] = "", "what makes the answer doubtful", flags
     header = [f"{name} ({unit})" if unit not in ("", "1") else name
               for name, (unit, _, _) in columns.items()]  # fmt: skip
-    rows = zip(*(_plain(values) for _, _, values in columns.values()), strict=True)
+    rows = zip(
+        *(v.tolist() if isinstance(v, np.ndarray) else v for _, _, v in columns.values()),
+        strict=True,
+    )
     count = len(ensemble.ids)
     meanings = [(name, unit, meaning) for name, (unit, meaning, _) in columns.items()]
     states = int(ensemble.steps_stored.sum())
@@ -108,15 +115,6 @@ def _states(ensemble: Ensemble) -> Iterator[Sequence[Any]]:
     for case, (identity, count) in enumerate(zip(ensemble.ids, ensemble.steps_stored, strict=True)):
         for state in range(int(count)):
             yield (identity, state, *(float(table[case, state]) for table in tables))
-
-
-def _text(value: Any) -> str:
-    return value.decode() if isinstance(value, bytes) else str(value)
-
-
-def _plain(values: Any) -> Sequence[Any]:
-    plain: Sequence[Any] = values.tolist() if isinstance(values, np.ndarray) else values
-    return plain
 
 
 def fit_sheets(folder: Path) -> list[Sheet]:

@@ -11,21 +11,7 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.errors import legible
-from ringwear_par.reports.blocks import (
-    Block,
-    Chart,
-    Charts,
-    Lines,
-    Page,
-    Section,
-    Source,
-    Table,
-    Tile,
-    Tiles,
-    checks_tile,
-    reproduced,
-    stored_versions,
-)
+from ringwear_par.reports import blocks as page
 from ringwear_par.results.key_numbers import number_words
 from ringwear_par.studies.analysis.responses import done_cases
 from ringwear_par.studies.analysis.sensitivity import Indices, surrogate_and_indices
@@ -51,7 +37,7 @@ _WORST = 10
 _DIGITS = 4
 
 
-def sweep_page(folder: Path) -> Page:
+def sweep_page(folder: Path) -> page.Page:
     """Return the page of a sweep's folder. Not collective.
 
     Raises
@@ -59,21 +45,21 @@ def sweep_page(folder: Path) -> Page:
     InputError : the folder holds no results.
     """
     ensemble = read_ensemble(folder)
-    sections = [Section("Summary", _summary(ensemble))]
+    sections = [page.Section("Summary", _summary(ensemble))]
     if done_cases(ensemble).any():
         regressions, indices, absence = surrogate_and_indices(ensemble)
         choice = choose(ensemble, regressions, indices)
-        sections.append(Section("Histories", [_histories(ensemble, choice)]))
-        sections.append(Section("Final values", _effects(ensemble, choice, absence)))
+        sections.append(page.Section("Histories", [_histories(ensemble, choice)]))
+        sections.append(page.Section("Final values", _effects(ensemble, choice, absence)))
         absence = "No indices: they need two varied numbers, and a design of enough cases."
-        blocks: list[Block] = [_index_charts(indices) if indices else Lines([absence])]
-        sections.append(Section("Sensitivity", [*blocks, *map(_index_table, indices)]))
-    sections.append(Section("Cases", _cases(ensemble)))
+        blocks: list[page.Block] = [_index_charts(indices) if indices else page.Lines([absence])]
+        sections.append(page.Section("Sensitivity", [*blocks, *map(_index_table, indices)]))
+    sections.append(page.Section("Cases", _cases(ensemble)))
     sections.append(_reproduced(ensemble))
-    return Page("Sweep of a study", f"Sweep: {legible(folder.resolve().name)}", sections)
+    return page.Page("Sweep of a study", f"Sweep: {legible(folder.resolve().name)}", sections)
 
 
-def _summary(ensemble: Ensemble) -> list[Block]:
+def _summary(ensemble: Ensemble) -> list[page.Block]:
     cases = np.flatnonzero(ensemble.in_study)
     status = Counter(ensemble.status[i] for i in cases)
     flags = Counter(ensemble.flags[i] for i in cases if ensemble.flags[i])
@@ -89,13 +75,13 @@ def _summary(ensemble: Ensemble) -> list[Block]:
     lines = [f"{len(cases)} cases ({counts}); design: {method}; the sweep is "
              f"{ensemble.attributes['status']}"]  # fmt: skip
     done = done_cases(ensemble)
-    blocks: list[Block] = [_tiles(ensemble, done, len(cases), len(doubts))]
+    blocks: list[page.Block] = [_tiles(ensemble, done, len(cases), len(doubts))]
     if doubts:
-        blocks.append(Lines(doubts, warning=True))
+        blocks.append(page.Lines(doubts, warning=True))
     ranges, fixed = _ranges(ensemble, cases)
     if fixed:
         lines.append(f"the same in all cases: {', '.join(fixed)}")
-    blocks += [Lines(lines), ranges]
+    blocks += [page.Lines(lines), ranges]
     if done.any():
         rows = [
             (
@@ -107,7 +93,7 @@ def _summary(ensemble: Ensemble) -> list[Block]:
             if np.isfinite(values[done]).any()
         ]
         header = ("at the end", "unit", "least", "median", "largest")
-        blocks.append(Table("Final values of all cases", header, rows))
+        blocks.append(page.Table("Final values of all cases", header, rows))
     return blocks
 
 
@@ -123,9 +109,9 @@ def _quantiles(values: FloatArray) -> FloatArray:
     return quantiles
 
 
-def _tiles(ensemble: Ensemble, done: BoolArray, total: int, doubts: int) -> Tiles:
+def _tiles(ensemble: Ensemble, done: BoolArray, total: int, doubts: int) -> page.Tiles:
     """Return the answers of a sweep: medians and ranges of what its figure draws."""
-    tiles = [Tile("cases done", str(int(done.sum())), f"of {total}")]
+    tiles = [page.Tile("cases done", str(int(done.sum())), f"of {total}")]
     names = figure_columns(ensemble.final, np.flatnonzero(done)) if done.any() else []
     for name in names:
         display = display_of(name)
@@ -133,11 +119,11 @@ def _tiles(ensemble: Ensemble, done: BoolArray, total: int, doubts: int) -> Tile
             number_words, display.factor * _quantiles(ensemble.final[name][done])
         )
         note = f"median; {low} to {high}"
-        tiles.append(Tile(f"final {display.name}", middle, in_signs(display.unit), note))
-    return Tiles([*tiles, checks_tile(doubts)])
+        tiles.append(page.Tile(f"final {display.name}", middle, in_signs(display.unit), note))
+    return page.Tiles([*tiles, page.checks_tile(doubts)])
 
 
-def _ranges(ensemble: Ensemble, cases: Any) -> tuple[Table, list[str]]:
+def _ranges(ensemble: Ensemble, cases: Any) -> tuple[page.Table, list[str]]:
     """Return the keys that differ between cases, and those of the study that do not."""
     rows, fixed = [], []
     for name, column in ensemble.varied.items():
@@ -154,26 +140,26 @@ def _ranges(ensemble: Ensemble, cases: Any) -> tuple[Table, list[str]]:
         else:
             fixed.append(f"{name} = {ends[0]} {in_signs(unit)}".rstrip())
     header = ("key", "unit", "meaning", "least, or first", "largest, or last", "values")
-    return Table("Varied keys", header, rows), fixed
+    return page.Table("Varied keys", header, rows), fixed
 
 
 def _number(value: float) -> str:
     return f"{value:.{_DIGITS}g}" if np.isfinite(value) else ""
 
 
-def _histories(ensemble: Ensemble, choice: Choice) -> Charts:
+def _histories(ensemble: Ensemble, choice: Choice) -> page.Charts:
     panel = histories(ensemble, choice)
     label = f"Line chart: {panel.y.label} over {panel.x.label}"
-    return Charts([Chart("histories", panel, label, 440, wide=True)])
+    return page.Charts([page.Chart("histories", panel, label, 440, wide=True)])
 
 
-def _index_charts(indices: Sequence[Indices]) -> Charts:
+def _index_charts(indices: Sequence[Indices]) -> page.Charts:
     charts = []
     for output, panel in index_panels(indices).items():
         label = f"Bar chart: {panel.title}; the table has the numbers"
         height = 160 + 55 * len(panel.y.categories)
-        charts.append(Chart(_name("indices", output), panel, label, height))
-    return Charts(charts)
+        charts.append(page.Chart(_name("indices", output), panel, label, height))
+    return page.Charts(charts)
 
 
 def _name(*words: str) -> str:
@@ -181,9 +167,9 @@ def _name(*words: str) -> str:
     return "-".join(words).replace("_", "-").replace(".", "-")
 
 
-def _effects(ensemble: Ensemble, choice: Choice, absence: str) -> list[Block]:
+def _effects(ensemble: Ensemble, choice: Choice, absence: str) -> list[page.Block]:
     charts = [
-        Chart(_name("effect", *names), panel, f"Chart: {panel.title}, a point each case")
+        page.Chart(_name("effect", *names), panel, f"Chart: {panel.title}, a point each case")
         for names, panel in effects(ensemble, choice).items()
     ]
     cases = pointed_cases(choice)
@@ -197,10 +183,10 @@ def _effects(ensemble: Ensemble, choice: Choice, absence: str) -> list[Block]:
         lines.append("; ".join(choice.responses.remarks))
     elif absence:
         lines.append(f"No surrogate: {absence}")
-    return [Lines(lines), Charts(charts, points=case_words(ensemble, choice, cases))]
+    return [page.Lines(lines), page.Charts(charts, points=case_words(ensemble, choice, cases))]
 
 
-def _index_table(indices: Indices) -> Table:
+def _index_table(indices: Indices) -> page.Table:
     columns = [indices.first, indices.influence]
     widths = [w for w in (indices.first_width, indices.influence_width) if w is not None]
     header = ["key", *indices.names]
@@ -211,10 +197,10 @@ def _index_table(indices: Indices) -> Table:
     ]
     source = " ".join(indices.source.split())
     noise = f"; of a key without influence {indices.noise:.3f}" if indices.noise else ""
-    return Table(f"Sensitivity of {final_name(indices.output)}: {source}{noise}", header, rows)
+    return page.Table(f"Sensitivity of {final_name(indices.output)}: {source}{noise}", header, rows)
 
 
-def _cases(ensemble: Ensemble) -> list[Block]:
+def _cases(ensemble: Ensemble) -> list[page.Block]:
     """Return the worst cases of the study and the first ones, failed ones with why."""
     cases = np.flatnonzero(ensemble.in_study)
     first = cases[:_MOST]
@@ -245,7 +231,7 @@ def worst_cases(ensemble: Ensemble, cases: IntArray) -> IntArray:
     return cases[sorted(range(len(cases)), key=order.__getitem__)]
 
 
-def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> Table:
+def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> page.Table:
     """Return a table of some cases."""
     keys = [Key.of(name, column, unit=ensemble.unit(name))
             for name, column in ensemble.varied.items()]  # fmt: skip
@@ -267,10 +253,10 @@ def _case_table(ensemble: Ensemble, tabulated: IntArray, caption: str) -> Table:
         ends = [_number(d.factor * ensemble.final[name][i]) for name, d in displays.items()]
         words = [texts[i] for texts in remarks.values()]
         rows.append((ensemble.ids[i], ensemble.status[i], *values, *ends, *words))
-    return Table(caption, header, rows, sortable=True)
+    return page.Table(caption, header, rows, sortable=True)
 
 
-def _reproduced(ensemble: Ensemble) -> Section:
+def _reproduced(ensemble: Ensemble) -> page.Section:
     about = ensemble.attributes
     commands = (
         "ringwear sweep study.toml -o out/study\nringwear report out/study -o report.html\n"
@@ -280,7 +266,7 @@ def _reproduced(ensemble: Ensemble) -> Section:
         "Save the study as study.toml beside the case file that it names; the text of a case below "
         "has all its keys, those that vary with their values of this case. Then type:"
     )
-    sources = [Source("Study", str(about["study"]))]
+    sources = [page.Source("Study", str(about["study"]))]
     if len(ensemble.ids):
-        sources.append(Source(f"Case {ensemble.ids[0]} of the study", ensemble.text(0)))
-    return reproduced(first, commands, sources, stored_versions(about))
+        sources.append(page.Source(f"Case {ensemble.ids[0]} of the study", ensemble.text(0)))
+    return page.reproduced(first, commands, sources, page.stored_versions(about))

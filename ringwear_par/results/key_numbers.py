@@ -395,7 +395,7 @@ def check_numbers(result: Result) -> list[KeyNumber]:
         KeyNumber("symmetry_defect", MESH_BALANCES, label, defect, "", ".1e", "corrected for")
     )
     if "step_error" in off:
-        adaptive = SCHEMES[about["scheme"]]
+        adaptive = SCHEMES[about["scheme"]].adaptive
         label = "of the whole history" if adaptive else "of the worst single step"
         error = 1e3 * off["step_error"]
         when = f"in the step to t = {about['step_error_time']:g} s"

@@ -56,19 +56,13 @@ def _mass(body: int, course: Course) -> FloatArray | None:
     return 1e3 * lost.sum(axis=1)
 
 
-def _mean_rate(body: int, course: Course) -> FloatArray | None:
+def _rate(body: int, course: Course, divisor: FloatArray) -> FloatArray | None:
+    """Return the worn volume of a body over a divisor, NaN where that is not positive."""
     volume = _worn(body, course)
-    return None if volume is None else _ratio(1e3 * volume, course.area * course.time / _HOUR)
-
-
-def _specific_rate(body: int, course: Course) -> FloatArray | None:
-    volume = _worn(body, course)
-    return None if volume is None else _ratio(1e3 * volume, course.normal_work)
-
-
-def _ratio(volume: FloatArray, divisor: FloatArray) -> FloatArray:
-    """Return a volume over a divisor, NaN where that is not positive."""
-    return np.divide(volume, divisor, out=np.full(volume.shape, np.nan), where=divisor > 0.0)
+    if volume is None:
+        return None
+    rates = np.full(volume.shape, np.nan)
+    return np.divide(1e3 * volume, divisor, out=rates, where=divisor > 0.0)
 
 
 @dataclass(frozen=True)
@@ -113,12 +107,12 @@ LABORATORY = {
         *_of_bodies(
             "mean_wear_rate", "mean_rate", "mean rate", "um/h",
             "mean rate of wear of the {} ring since the start: volume over contact area and time",
-            _mean_rate,
+            lambda body, course: _rate(body, course, course.area * course.time / _HOUR),
         ),
         *_of_bodies(
             "specific_wear_rate", "specific_rate", "specific wear rate", "mm3/(N m)",
             "specific wear rate of the {} ring since the start: volume over force and distance",
-            _specific_rate,
+            lambda body, course: _rate(body, course, course.normal_work),
         ),
         LaboratoryNumber(
             Variable("sliding_distance", ("step",), "m", "sliding distance at the mean radius"),

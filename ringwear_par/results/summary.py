@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.case import CHANGED
+from ringwear_par.cases.case import CHANGED, SAME_TIME
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.schema import BY_PATH, SCHEMES
 from ringwear_par.cases.values import is_number
@@ -72,6 +72,9 @@ def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple
             return f"{number.label} unknown ({number.note})"
         return f"{number_words(number.value)} {number.unit}"
 
+    ended, end = float(result.histories["time"][-1]), float(result.attributes["time_end"])
+    if result.attributes["status"] == "complete" and ended < end * (1.0 - SAME_TIME):
+        yield "ended", f"at t = {ended:g} of {end:g} s, where it reached a limit of [stop]"
     parts = ""
     if "worn_off" in numbers:
         parts = f" (worn off {text('worn_off')}, elastic {text('elastic')})"
@@ -112,7 +115,7 @@ def checks(result: Result) -> tuple[list[KeyNumber], str]:
     }
     details = [f"{name} {value:.0e}" for name, value in errors.items()]
     if TIME_STEPS in groups:
-        error, adaptive = groups[TIME_STEPS][0], SCHEMES[result.attributes["scheme"]]
+        error, adaptive = groups[TIME_STEPS][0], SCHEMES[result.attributes["scheme"]].adaptive
         extent = "in all" if adaptive else "each"
         details.append(f"time steps to {error.text} {error.unit} {extent}")
     return wrong, ", ".join(details)
@@ -174,7 +177,7 @@ def to_dict(result: Result) -> dict[str, Any]:
 def _steps(about: Mapping[str, Any], last: Checkpoint) -> str:
     """Return the steps of a run in words."""
     steps, scheme = int(last.progress.steps), about["scheme"]
-    if not SCHEMES[scheme]:
+    if not SCHEMES[scheme].adaptive:
         return f"{steps} of {about['time_steps']} {scheme} steps of {about['time_step']:g} s"
     repeated = f" (and {last.progress.rejected} repeated)" if last.progress.rejected else ""
     return f"{steps} {scheme} steps{repeated} to {last.state.time:g} s"
@@ -200,7 +203,7 @@ def _unfinished(about: Mapping[str, Any], last: Checkpoint) -> list[str]:
     if about["status"] == "complete":
         return []
     where = f"t = {last.state.time:g} of {about['time_end']:g} s"
-    if not SCHEMES[about["scheme"]]:
+    if not SCHEMES[about["scheme"]].adaptive:
         where = f"step {int(last.progress.steps)} of {about['time_steps']}"
     if about["error"]:
         return [f"failed after {where}: {about['error']}"]
@@ -217,7 +220,7 @@ def _wearing(about: Mapping[str, Any]) -> list[str]:
 
 def _limits(about: Mapping[str, Any]) -> str:
     """Return the sentence about what the estimated error of time steps leaves out."""
-    if not SCHEMES[about["scheme"]]:
+    if not SCHEMES[about["scheme"]].adaptive:
         return "This is not the error of the result: compare with a run of half the step."
     if about["closing_contact"]:
         return "The errors of the mesh and of elements that come into contact are not included."
@@ -226,7 +229,7 @@ def _limits(about: Mapping[str, Any]) -> str:
 
 def _tolerance(result: Result) -> str:
     """Return the tolerance of adaptive steps in words, "" where the stored case has none."""
-    if not SCHEMES[result.attributes["scheme"]] or result.case.startswith(CHANGED):
+    if not SCHEMES[result.attributes["scheme"]].adaptive or result.case.startswith(CHANGED):
         return ""
     key = BY_PATH["time.tolerance"]
     tolerance = read_keys(result.case).get(key.path, key.default)

@@ -65,6 +65,11 @@ class Variable:
         return self.at_last_step() if last else self
 
 
+def axis(name: str, meaning: str) -> Variable:
+    """Return the whole numbers along an axis of this name."""
+    return Variable(name, (name,), "1", meaning, integer=True)
+
+
 def variable_table(*variables: Variable) -> dict[str, Variable]:
     """Return variables by their names."""
     return {variable.name: variable for variable in variables}
@@ -101,16 +106,14 @@ def to_dataset(
 
 
 #: coordinate of the stored states, where they are named by the steps made ...
-STEP = Variable("step", ("step",), "1", "number of time steps made", integer=True)
+STEP = axis("step", "number of time steps made")
 #: ... and where they are numbered, since states at times of output repeat a number of steps
 STATE_NUMBER = replace(STEP, meaning="number of the stored state")
 #: beside STATE_NUMBER only
 STEPS_MADE = replace(STEP, name="steps_made")
-ELEMENT = Variable(
-    "element", ("element",), "1", "contact element, from the inner edge outwards", integer=True
-)
+ELEMENT = axis("element", "contact element, from the inner edge outwards")
 #: ends of the contact elements, in the group "line"
-EDGE = Variable("edge", ("edge",), "1", "end of a contact element", integer=True)
+EDGE = axis("edge", "end of a contact element")
 EDGES = Variable("edges", ("edge",), "mm", "radius of the end of a contact element")
 
 #: the contact line
@@ -172,10 +175,7 @@ EDGE_ELEMENT = Variable(
 # -- layers ----------------------------------------------------------------------------------------
 
 #: coordinates of volumes by layer; the second where upper has other numbers of layers than lower
-LAYER = Variable(
-    "layer", ("layer",), "1", "layer from the contact face inwards; the last is the body itself",
-    integer=True,
-)  # fmt: skip
+LAYER = axis("layer", "layer from the contact face inwards; the last is the body itself")
 UPPER_LAYER = replace(LAYER, name="layer_upper", dimensions=("layer_upper",))
 
 
@@ -275,13 +275,11 @@ COORDINATES = ("time", *LINE, PARAMETER_UNIT.name)
 # -- stresses --------------------------------------------------------------------------------------
 
 _STEP, _TENSOR = ("stress_step",), "rr, tt, zz, rz, rt, tz; tension positive, z upwards"
-STRESS_STEP = Variable(
-    "stress_step", _STEP, "1", "number of the stored state of stress", integer=True
-)
+STRESS_STEP = axis("stress_step", "number of the stored state of stress")
 STRESS_TIME = replace(HISTORIES["time"], name="stress_time", dimensions=_STEP)
 STRESS_STEPS_MADE = replace(STEPS_MADE, name="stress_steps_made", dimensions=_STEP)
 COMPONENT = Variable("component", ("component",), "1", "component of stress")
-POINT = Variable("point", ("point",), "1", "point of stress.points", integer=True)
+POINT = axis("point", "point of stress.points")
 POINT_R = Variable("point_r", ("point",), "mm", "radius of the point")
 POINT_Z = Variable("point_z", ("point",), "mm", "height of the point")
 POINT_SIDE = Variable(
@@ -290,9 +288,7 @@ POINT_SIDE = Variable(
 )  # fmt: skip
 #: how the shards of a sweep number sides
 POINT_SIDES = ("", *SIDES)
-PRINCIPAL = Variable(
-    "principal_value", ("principal_value",), "1", "principal value, the largest first", integer=True
-)
+PRINCIPAL = axis("principal_value", "principal value, the largest first")
 GRID_R = Variable("grid_r", ("grid_r",), "mm", "radius of the grid")
 GRID_Z = Variable("grid_z", ("grid_z",), "mm", "height of the grid")
 _GRID = (*_STEP, "grid_r", "grid_z")
@@ -332,14 +328,8 @@ def _of_interfaces(body: str) -> InterfaceVariables:
     fields = *_STEP, number, SIDE.name, element
     on = f"on both sides of the interfaces of the {body} ring"
     return InterfaceVariables(
-        Variable(
-            number, (number,), "1",
-            f"interface of the {body} ring: the layer that it is under", integer=True,
-        ),
-        Variable(
-            element, (element,), "1",
-            "element of the interfaces, from the inner edge outwards", integer=True,
-        ),
+        axis(number, f"interface of the {body} ring: the layer that it is under"),
+        axis(element, "element of the interfaces, from the inner edge outwards"),
         Variable(f"interface_r_{body}", (element,), "mm", "radius of the element's mid-point"),
         Variable(f"interface_z_{body}", (number,), "mm", "height of the interface, unworn"),
         Variable(

@@ -1,12 +1,12 @@
 """Warnings about the validity of an answer: printed by ``run``, flagged by ``sweep``."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+from ringwear_par.arrays import BoolArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.unit_suspicions import (
     MOST_PRESSED,
@@ -21,7 +21,7 @@ from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState, mises
 from ringwear_par.errors import ValidityWarning
 from ringwear_par.history.observers.balances import WorstBalances
-from ringwear_par.history.observers.stresses import RISING, CaseStresses, StressObserver
+from ringwear_par.history.observers.stresses import RISING, StressObserver
 from ringwear_par.history.observers.worst_states import (
     ENTRIES,
     FEW_ELEMENTS,
@@ -127,15 +127,12 @@ class Warnings:
         case, places = self._cases[number], self._stresses.places(number)
         warnings = [self._long_steps[number]] if number in self._long_steps else []
         if calm and places is None:
-            return *warnings, *unit_suspicions(case, deep), *_of_loads(case)
+            return *warnings, *unit_suspicions(case, deep), *_of_cases(case)
         worst = self.worst(np.array([number]))
         warnings += validity_warnings(case, worst, deep)
         if places is not None:
-            history = self._stresses.history(number)
-            assert history is not None
-            warnings += _infinite_stress(history, worst)
-            warnings += _infinite_at_interfaces(case, history)
-            warnings += _worn_points(case, history, places, self._stresses.wear(number))
+            for check in OF_STRESSES:
+                warnings += check(case, self._stresses, number)
         return tuple(warnings)
 
 
@@ -150,24 +147,20 @@ def validity_warnings(
     deep : its ``deep_forecasts``, where they are known.
     """
     return (
-        *_deep_wear(case, worst, deep), *_of_loads(case),
-        *(warning for warnings in _of_states(case, worst) for warning in warnings),
+        *_deep_wear(case, worst, deep), *_of_cases(case), *_of_states(case, worst),
     )  # fmt: skip
 
 
-def _of_loads(case: Case) -> Iterator[ValidityWarning]:
-    """Yield what a case's gaps and loads alone make doubtful."""
-    yield from _apart(case)
-    yield from _missed_corner(case)
+def _of_cases(case: Case) -> Iterator[ValidityWarning]:
+    """Yield the warnings that follow from a case alone."""
+    for check in OF_CASES:
+        yield from check(case)
 
 
-def _of_states(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[list[ValidityWarning]]:
-    """Yield what the worst of a history's states make doubtful; nothing worse makes less so."""
-    for check in (
-        _contact_beyond_mesh, _high_pressure, _few_elements, _coarse_mesh, _other_stack,
-        _unlike_slopes, _asymmetric,
-    ):  # fmt: skip
-        yield list(check(case, worst))
+def _of_states(case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[ValidityWarning]:
+    """Yield the warnings about the worst of a history's states."""
+    for check in OF_STATES:
+        yield from check(case, worst)
 
 
 def _missed_corner(case: Case) -> Iterator[ValidityWarning]:
@@ -352,10 +345,10 @@ def _asymmetric(_case: Case, worst: Mapping[str, Sequence[float]]) -> Iterator[V
 
 
 def _infinite_stress(
-    history: StressHistory, worst: Mapping[str, Sequence[float]]
+    _case: Case, stresses: StressObserver, number: int
 ) -> Iterator[ValidityWarning]:
     """Yield whether the largest stress was where it would be infinite."""
-    stress, time, r, *_ = worst["infinite_stress"]
+    history, (stress, time, r) = _stress_history(stresses, number), stresses.infinite(number)
     if stress and time in [state.time for state in history.states]:
         yield ValidityWarning(
             "infinite_stress",
@@ -366,17 +359,18 @@ def _infinite_stress(
         )
 
 
-def _worn_points(
-    case: Case, history: StressHistory, places: CaseStresses, wear: FloatArray | None
-) -> Iterator[ValidityWarning]:
+def _worn_points(case: Case, stresses: StressObserver, number: int) -> Iterator[ValidityWarning]:
     """Yield whether points of stress lie where wear has been at the last of its states.
 
     Points on faces are of the faces as they are, and points in layers that are worn through have no
     stress: they are left out. The wear, (2, n) mm, is of that state; None where it is not known.
     """
+    history, places = _stress_history(stresses, number), stresses.places(number)
+    wear = stresses.wear(number)
     if wear is None or not wear.any() or case.follows_wear:
         return
     assert case.stress is not None
+    assert places is not None
     state, under = history.states[-1], case.line.element_at(history.points[:, 0])
     bodies, depths = places.of_points, places.depths
     worn = np.where(under >= 0, wear[bodies, under], 0.0)
@@ -397,22 +391,31 @@ def _worn_points(
     )
 
 
-def _infinite_at_interfaces(case: Case, history: StressHistory) -> Iterable[ValidityWarning]:
+def _infinite_at_interfaces(
+    case: Case, stresses: StressObserver, number: int
+) -> Iterable[ValidityWarning]:
     """Return a warning for each end of an interface that a largest stress was beside."""
+    history = _stress_history(stresses, number)
     warnings: dict[tuple[int, int, float], ValidityWarning] = {}
     for state in history.states:
         for i, (body, highest) in enumerate(zip(BODIES, state.largest, strict=True)):
-            for number, r, z, reach in _infinite_ends(case, history, state, i):
+            for layer, r, z, reach in _infinite_ends(case, history, state, i):
                 if np.hypot(highest.r - r, highest.z - z) <= reach:
-                    warnings[i, number, r] = ValidityWarning(
+                    warnings[i, layer, r] = ValidityWarning(
                         "infinite_stress_at_interface",
                         f"the largest von Mises stress of {body} at t = {state.time:g} s, "
                         f"{highest.mises:.5g} MPa, is beside the free edge of the interface "
-                        f"under {body}.layers[{number}], at r = {r:.6g}, z = {z:.6g} mm, where "
+                        f"under {body}.layers[{layer}], at r = {r:.6g}, z = {z:.6g} mm, where "
                         "stress between two materials is infinite: this number grows as "
                         f"stress.exclude, now {history.exclude:g} mm, is made smaller",
                     )
     return warnings.values()
+
+
+def _stress_history(stresses: StressObserver, number: int) -> StressHistory:
+    history = stresses.history(number)
+    assert history is not None
+    return history
 
 
 def _infinite_ends(
@@ -448,3 +451,21 @@ def _unstable(step: float, limit: float) -> ValidityWarning:
         f"limit; the largest stable step on this mesh is {limit:.6g} s (beyond it profiles "
         "oscillate, and with p0 > 0 the wear is too large)",
     )
+
+
+#: warnings that follow from a case alone
+OF_CASES: tuple[Callable[[Case], Iterable[ValidityWarning]], ...] = (_apart, _missed_corner)
+#: about the measures of ``WorstStates``. A larger measure must not warn less: histories are looked
+#: at one by one only where the largest measures of many warn
+OF_STATES: tuple[
+    Callable[[Case, Mapping[str, Sequence[float]]], Iterable[ValidityWarning]], ...
+] = (
+    _contact_beyond_mesh, _high_pressure, _few_elements, _coarse_mesh, _other_stack,
+    _unlike_slopes, _asymmetric,
+)  # fmt: skip
+#: about the stresses of a history, of which the observer has this number
+OF_STRESSES: tuple[Callable[[Case, StressObserver, int], Iterable[ValidityWarning]], ...] = (
+    _infinite_stress,
+    _infinite_at_interfaces,
+    _worn_points,
+)

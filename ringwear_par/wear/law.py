@@ -247,6 +247,15 @@ class Law:
         """Return the integral of the rate from 0 to p, MPa mm/s; None: by quadrature."""
         return None
 
+    def depth_in_step(
+        self, p: FloatArray, local: LocalState, step: float | FloatArray
+    ) -> FloatArray | None:
+        """Return the depth d = step rate(p, wear + d) of an implicit step, mm; None: by iteration.
+
+        Of laws that remember; the step is in s.
+        """
+        return None
+
     def describe(self) -> str:
         """Return the formula with its numbers and units."""
         values = {
@@ -363,6 +372,12 @@ class PacedLaw(Law):
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
         return self.pace * self.law.d_rate_dwear(p, local)
+
+    def depth_in_step(
+        self, p: FloatArray, local: LocalState, step: float | FloatArray
+    ) -> FloatArray | None:
+        """Return the depth of an implicit step, mm; None: by iteration."""
+        return self.law.depth_in_step(p, local, self.pace * step)
 
     def potential(self, p: FloatArray, local: LocalState) -> FloatArray | None:
         """Return the integral of the rate from 0 to p, MPa mm/s; None: by quadrature."""

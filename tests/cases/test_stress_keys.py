@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from paths import PAPER
 
+from ringwear_par.cases.case import Grid
 from ringwear_par.cases.files.reading import parse_case
-from ringwear_par.cases.stress import Grid
 from ringwear_par.cases.stress_points import grid_bodies, point_bodies
 from ringwear_par.errors import InputError
 

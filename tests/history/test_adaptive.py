@@ -9,7 +9,6 @@ import pytest
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Load, Output, Stepping
 from ringwear_par.errors import ComputationError
-from ringwear_par.history.loop import METHODS
 from ringwear_par.history.observers.balances import balances
 from ringwear_par.history.observers.trace import trace
 from ringwear_par.history.physics import Physics
@@ -231,7 +230,7 @@ def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
     def never(*_):
         raise ComputationError("contact: no")
 
-    monkeypatch.setitem(METHODS, "adaptive", METHODS["adaptive"]._replace(scheme=never))
+    monkeypatch.setattr(sdirk2, "step", never)
     with pytest.raises(
         ComputationError,
         match=r"^contact: no, and no step is short enough; in step 1, from time 0 s$",
@@ -241,12 +240,12 @@ def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
 
 @pytest.mark.ranks
 def test_errors_that_stay_too_large_are_told_with_their_tolerances(stepped, monkeypatch):
-    scheme = METHODS["adaptive"].scheme
+    step = sdirk2.step
 
     def wrong(*arguments):
-        return replace(scheme(*arguments), wear_error=1.0)
+        return replace(step(*arguments), wear_error=1.0)
 
-    monkeypatch.setitem(METHODS, "adaptive", METHODS["adaptive"]._replace(scheme=wrong))
+    monkeypatch.setattr(sdirk2, "step", wrong)
     with pytest.raises(
         ComputationError, match=r"^errors exceed time.tolerance = 2e-06 mm or .*0\.1"
     ):

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.figures import drawn_series
 from ringwear_par.identification.fit import expected_result
-from ringwear_par.pictures import fit_panels
+from ringwear_par.pictures import fit_panels, key_panels
 
 pytestmark = pytest.mark.serial
 
@@ -68,7 +68,7 @@ def test_bars_of_specimens_are_their_intervals():
               "alone": {"estimate": 2.0, "sd": 0.1}},
     }  # fmt: skip
     entry = {"estimate": 2.0, "interval": [1.5, 2.6], "next": [1.0, 4.0], "unit": "MPa"}
-    alone, by_all = fit_panels.specimens("wear.lower.p0", {**entry, "each": each}, 0.95).points
+    alone, by_all = key_panels.specimens("wear.lower.p0", {**entry, "each": each}, 0.95).points
     assert np.array(by_all.ends) == pytest.approx(np.array([[1.2, 1.2], [3.4, 3.4]]))
     assert [ends[1] for ends in alone.ends] == pytest.approx([2.0 - 0.196, 2.0 + 0.196], abs=1e-4)
 

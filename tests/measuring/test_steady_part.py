@@ -5,12 +5,12 @@ import pytest
 from rig_records import FORCE, RADIUS, RATE, RUNNING_IN, START, record
 from scipy.signal import lfilter
 
-from ringwear_par.measuring.analysis.autoregression import regress
 from ringwear_par.measuring.analysis.steady_part import (
     Blocks,
     block_means,
     change_from,
     count_blocks,
+    regress,
     steady_part,
     steady_start,
 )

@@ -9,10 +9,11 @@ from figure_texts import check_texts
 from paths import PAPER
 
 from ringwear_par.errors import InputError
-from ringwear_par.pictures.figures import plot, plot_files
+from ringwear_par.pictures.figures import plot
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.key_numbers import instants
 from ringwear_par.results.storage.result_files import open_result
+from ringwear_par.studies.pictures.plot import plot_stored
 
 pytestmark = pytest.mark.serial
 
@@ -38,7 +39,7 @@ def runs(tmp_path_factory, comm):
 )
 def test_every_panel_and_format(runs, tmp_path, panels, ending):
     output = tmp_path / f"figure{ending}"
-    plot_files(runs[:2], output, panels, "1,10,20")
+    plot_stored(runs[:2], output, panels, "1,10,20")
     assert output.stat().st_size > 3000
     assert list(tmp_path.iterdir()) == [output]
     if ending == ".svg":
@@ -52,7 +53,7 @@ def test_fonts_in_files_are_fonts(runs, tmp_path, by_command):
     pdf, svg = tmp_path / "figure.pdf", tmp_path / "figure.svg"
     for path in (pdf, svg):
         if by_command:
-            plot_files(runs[:1], path)
+            plot_stored(runs[:1], path)
         else:
             plot(runs[:1]).savefig(path)
     fonts = re.findall(rb"/Type\s*/Font\s*/Subtype\s*/(\w+)", pdf.read_bytes())
@@ -92,19 +93,19 @@ def test_what_is_drawn_is_what_is_stored(runs):
 )
 def test_wrong_requests(runs, tmp_path, arguments, match):
     with pytest.raises(InputError, match=match):
-        plot_files(runs[:1], tmp_path / "a.png", *arguments)
+        plot_stored(runs[:1], tmp_path / "a.png", *arguments)
     assert not list(tmp_path.iterdir())
 
 
 def test_wrong_files(runs, tmp_path):
     with pytest.raises(InputError, match="does not hold pressure"):
-        plot_files([runs[2]], tmp_path / "a.png", "pressure")
+        plot_stored([runs[2]], tmp_path / "a.png", "pressure")
     with pytest.raises(InputError, match="its ending must be one of"):
-        plot_files(runs, tmp_path / "a.docx")
+        plot_stored(runs, tmp_path / "a.docx")
     with pytest.raises(InputError, match="does not exist"):
-        plot_files([tmp_path / "none.h5"], tmp_path / "a.png")
+        plot_stored([tmp_path / "none.h5"], tmp_path / "a.png")
     with pytest.raises(InputError, match="not a result file"):
-        plot_files([PAPER], tmp_path / "a.png")
+        plot([PAPER])
     assert not list(tmp_path.iterdir())
 
 
@@ -117,7 +118,7 @@ def test_deformed_sections(tmp_path, comm, case):
         "crown": ["time.end=20"],
     }[case]  # fmt: skip
     run_case(PAPER.with_name(f"{case}.toml"), run, words, comm=comm)
-    plot_files([run], tmp_path / "a.png", "section,pressure")
+    plot_stored([run], tmp_path / "a.png", "section,pressure")
     assert (tmp_path / "a.png").stat().st_size > 3000
     axes = plot(run, ["section"]).axes[0]
     assert axes.get_aspect() == 1.0

@@ -179,7 +179,7 @@ def stored(tmp_path_factory, comm):
 
 
 def test_pictures_show_what_is_stored(stored, tmp_path):
-    from ringwear_par.pictures.figures import plot_files
+    from ringwear_par.studies.pictures.plot import plot_stored
 
     result = rw.open_result(stored)
     r, z = result.stress.grid
@@ -206,7 +206,7 @@ def test_pictures_show_what_is_stored(stored, tmp_path):
     figure.draw_without_rendering()
     widths = [figure.axes[i].get_position().width for i in (0, 2, 3)]
     assert min(widths) > 0.8 * max(widths)
-    plot_files([stored], tmp_path / "a.png", "stress,depth,mises,wear")
+    plot_stored([stored], tmp_path / "a.png", "stress,depth,mises,wear")
     assert (tmp_path / "a.png").stat().st_size > 3000
 
 

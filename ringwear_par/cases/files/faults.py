@@ -7,19 +7,8 @@ from typing import Any
 
 from ringwear_par.cases.case import SAME_TIME, Case, RingLayer
 from ringwear_par.cases.schema import BY_PATH, SCHEMES
+from ringwear_par.elasticity import sections
 from ringwear_par.elasticity.mesh import contact_pieces
-from ringwear_par.elasticity.sections import (
-    CLOSE,
-    Polyline,
-    Shape,
-    chamfer_face,
-    chamfer_faults,
-    corners,
-    profile_face,
-    profile_faults,
-    shape_face,
-    shape_faults,
-)
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import shortened, value_fault
 from ringwear_par.schedules import Quantity, largest, quantity_text
@@ -173,7 +162,7 @@ def _time_faults(origin: Origin, values: Mapping[str, Any]) -> list[str]:
     scheme, end = values["time.scheme"], values["time.end"]
     fixed = {key: values[key] for key in ("time.step", "time.steps")}
     missing = [key for key, value in fixed.items() if value is None]
-    if SCHEMES[scheme]:
+    if SCHEMES[scheme].adaptive:
         if end is None and missing:
             faults.append(f"{origin.name}: time.end is missing: {BY_PATH['time.end'].rule}")
     else:
@@ -202,9 +191,11 @@ def _grid_faults(name: str, keys: Mapping[str, Any]) -> list[str]:
     return [f"{name}: {key.path} is missing: {key.rule}" for key in needed if key.path not in keys]
 
 
-def contact_faces(name: str, values: Mapping[str, Any], faults: list[str]) -> dict[str, Polyline]:
+def contact_faces(
+    name: str, values: Mapping[str, Any], faults: list[str]
+) -> dict[str, sections.Polyline]:
     """Return the contact faces of lower and upper in their own frames; add to the faults."""
-    faces: dict[str, Polyline] = {"lower": (), "upper": ()}
+    faces: dict[str, sections.Polyline] = {"lower": (), "upper": ()}
     for ring in faces:
         profile, chamfer = values.get(f"{ring}.profile"), values.get(f"{ring}.chamfer")
         if profile is not None and chamfer is not None:
@@ -220,17 +211,17 @@ def contact_faces(name: str, values: Mapping[str, Any], faults: list[str]) -> di
             inner, outer = chamfer
             if inner is None:  # one number is for the corners that there are
                 inner = outer if r[0] > 0 else 0.0
-            face_faults = chamfer_faults((inner, outer), r, z)
+            face_faults = sections.chamfer_faults((inner, outer), r, z)
             if not face_faults:
-                faces[ring] = chamfer_face((inner, outer), r)
-        if isinstance(profile, Shape):
-            face_faults = shape_faults(profile, r, z)
+                faces[ring] = sections.chamfer_face((inner, outer), r)
+        if isinstance(profile, sections.Shape):
+            face_faults = sections.shape_faults(profile, r, z)
             if not face_faults:
-                faces[ring] = shape_face(profile, r)
+                faces[ring] = sections.shape_face(profile, r)
         elif profile is not None:
-            face_faults = profile_faults(ring, profile, r, z)
+            face_faults = sections.profile_faults(ring, profile, r, z)
             if not face_faults:
-                faces[ring] = profile_face(ring, profile, r, z)
+                faces[ring] = sections.profile_face(ring, profile, r, z)
         faults += [f"{name}: {ring}.{fault}" for fault in face_faults]
     return faces
 
@@ -238,7 +229,7 @@ def contact_faces(name: str, values: Mapping[str, Any], faults: list[str]) -> di
 def layer_faults(
     name: str,
     values: Mapping[str, Any],
-    faces: Mapping[str, Polyline],
+    faces: Mapping[str, sections.Polyline],
     layers: Mapping[str, tuple[RingLayer, ...]],
 ) -> list[str]:
     """Return the faults of layers that are right by themselves but not in their bodies.
@@ -293,7 +284,7 @@ def check_contact(name: str, case: Case, displacement: Quantity | None) -> None:
             for body, ring, section in zip(
                 ("lower", "upper"), case.rings, case.sections, strict=True
             )
-            if len(ring.face) > _MANY_CORNERS and len(corners(section)) > _MANY_CORNERS
+            if len(ring.face) > _MANY_CORNERS and len(sections.corners(section)) > _MANY_CORNERS
         ]
         hint = f"; {' and '.join(rough)}.profile is rough: smooth it, or give fewer points"
         faults += [f"{name}: {fault}{hint if rough else ''}" for fault in error.faults]
@@ -303,7 +294,7 @@ def check_contact(name: str, case: Case, displacement: Quantity | None) -> None:
             f"interpenetrate by {case.interpenetration:g}; must be at least that (mm)"
         )
     inside, outside = case.smallest_gaps if any(case.open_ends) else (0.0, math.inf)
-    if outside < inside - CLOSE * max(1.0, case.lower.z[1]):
+    if outside < inside - sections.CLOSE * max(1.0, case.lower.z[1]):
         faults.append(
             f"{name}: mesh.contact = {list(case.contact)}: the undeformed bodies are nearer to "
             f"each other outside, {outside:g} mm, than inside; must take in where they meet first"

@@ -198,65 +198,30 @@ def _owners(path: str) -> str:
     return f" ({name} is of law = {' or '.join(laws)})" if laws else ""
 
 
-#: what users call the last parts of keys, in small letters without "_" and "-"
-_ALIASES: dict[str, tuple[str, ...]] = {
-    "angularspeed": ("omega",),
-    "angularvelocity": ("omega",),
-    "axialforce": ("force",),
-    "coefficient": ("friction", "k"),
-    "coefficientoffriction": ("friction",),
-    "cof": ("friction",),
-    "contactpressure": ("pressure",),
-    "diameter": ("r",),
-    "dt": ("step",),
-    "duration": ("end",),
-    "e": ("young",),
-    "elasticmodulus": ("young",),
-    "elements": ("contact_elements",),
-    "endtime": ("end",),
-    "f": ("force", "friction"),
-    "fn": ("force",),
-    "height": ("z",),
-    "indentation": ("displacement",),
-    "load": ("force",),
-    "meanpressure": ("pressure",),
-    "method": ("scheme",),
-    "mode": ("control",),
-    "model": ("law",),
-    "modulus": ("young",),
-    "mu": ("friction",),
-    "n": ("force", "contact_elements"),
-    "name": ("title",),
-    "nelements": ("contact_elements",),
-    "normalforce": ("force",),
-    "nsteps": ("steps",),
-    "nu": ("poisson",),
-    "numberofsteps": ("steps",),
-    "p": ("pressure",),
-    "poissonratio": ("poisson",),
-    "poissonsratio": ("poisson",),
-    "radii": ("r",),
-    "radius": ("r",),
-    "rotation": ("omega",),
-    "rotationalspeed": ("omega",),
-    "rpm": ("omega",),
-    "slidingspeed": ("omega",),
-    "speed": ("omega",),
-    "stiffness": ("young",),
-    "tend": ("end",),
-    "thickness": ("z",),
-    "threshold": ("p0",),
-    "timestep": ("step",),
-    "tol": ("tolerance",),
-    "totaltime": ("end",),
-    "u": ("displacement",),
-    "until": ("end",),
-    "v": ("omega",),
-    "velocity": ("omega",),
-    "wearcoefficient": ("k",),
-    "wearrate": ("k",),
-    "youngmodulus": ("young",),
-    "youngsmodulus": ("young",),
+#: what users call the last parts of keys, in small letters without "_" and "-"; of two keys that
+#: one name may be of, the first that there is in a table counts
+_ALIASES = {
+    "omega": "angularspeed angularvelocity rotation rotationalspeed rpm slidingspeed speed v "
+    "velocity",
+    "force": "axialforce f fn load n normalforce",
+    "friction": "coefficient coefficientoffriction cof f mu",
+    "k": "coefficient wearcoefficient wearrate",
+    "pressure": "contactpressure meanpressure p",
+    "displacement": "indentation u",
+    "r": "diameter radii radius",
+    "z": "height thickness",
+    "young": "e elasticmodulus modulus stiffness youngmodulus youngsmodulus",
+    "poisson": "nu poissonratio poissonsratio",
+    "step": "dt timestep",
+    "steps": "nsteps numberofsteps",
+    "end": "duration endtime tend totaltime until",
+    "tolerance": "tol",
+    "contact_elements": "elements n nelements",
+    "scheme": "method",
+    "control": "mode",
+    "law": "model",
+    "title": "name",
+    "p0": "threshold",
 }
 #: least likeness of last parts in one table, of last parts of one or two letters, and elsewhere
 _NEAR, _NEAR_SHORT, _NEAR_ELSEWHERE = 0.6, 0.5, 0.75
@@ -331,9 +296,9 @@ def _near(last: str, paths: Iterable[str], least: float) -> list[str]:
         by_name.setdefault(_plain(_last(path)), []).append(path)
     if name in by_name:
         return by_name[name]
-    for alias in _ALIASES.get(name, ()):
-        if _plain(alias) in by_name:
-            return by_name[_plain(alias)]
+    for key, aliases in _ALIASES.items():
+        if name in aliases.split() and _plain(key) in by_name:
+            return by_name[_plain(key)]
     likest = difflib.get_close_matches(name, by_name, n=1, cutoff=least)
     return by_name[likest[0]] if likest else []
 

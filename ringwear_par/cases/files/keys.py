@@ -325,7 +325,12 @@ def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
     """
     changes = changed_layers(keys, _with_parameters(keys, changes))
     gone = {path for path, value in changes.items() if value is None}
-    keys = {path: v for path, v in keys.items() if gone.isdisjoint({path, *_tables_of(path)})}
+    # of "wear.lower.k" it and its tables, "wear" and "wear.lower"
+    keys = {
+        path: value
+        for path, value in keys.items()
+        if gone.isdisjoint(itertools.accumulate(path.split("."), "{}.{}".format))
+    }
     changes = {path: value for path, value in changes.items() if value is not None}
     for table in ("wear.lower", "wear.upper"):
         own_keys = law_keys(table, changes.get(f"{table}.law"))
@@ -341,11 +346,6 @@ def override(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
     if lost:  # keys that had no meaning in the file before stay, and are reported
         lost -= unread_keys(keys).keys()
     return {path: value for path, value in merged.items() if path not in lost}
-
-
-def _tables_of(path: str) -> Iterator[str]:
-    """Return the tables that a dotted key is in: of "wear.lower.k", "wear" and "wear.lower"."""
-    return itertools.accumulate(path.split(".")[:-1], "{}.{}".format)
 
 
 def _with_parameters(keys: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,88 +1,38 @@
 """Tables of a laboratory: a row a test, with its conditions and its masses."""
 
 import logging
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
-
-from ringwear_par.cases.files.columns import FileStore, missing_column, unit_by_name
-from ringwear_par.cases.files.weighings import (
-    KINDS,
-    MASSES,
-    Weighing,
-    last_digit,
-    roles_by_name,
+from ringwear_par.cases.files.columns import FileStore, missing_column
+from ringwear_par.cases.files.laboratory_columns import (
+    OF_WEIGHINGS,
+    PLACE,
+    TEXTS,
+    Column,
+    columns_of,
+    name_thousands,
+    name_unused,
+    values_of,
 )
+from ringwear_par.cases.files.weighings import KINDS, MASSES, Weighing, last_digit
 from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.cases.tables import Key, TableReader
-from ringwear_par.cases.units import (
-    bare_name,
-    factor,
-    has_unit,
-    number_and_unit,
-    unit_of_column,
-)
+from ringwear_par.cases.units import factor, has_unit, number_and_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.measurements import (
-    Measurements,
-    and_more,
-    read_measurements,
-    unused_columns,
-)
+from ringwear_par.files.measurements import Measurements, and_more, read_measurements
 from ringwear_par.files.table_text import EMPTY, NUMBER, has_hours
-from ringwear_par.files.text import parse_value, shortened
+from ringwear_par.files.text import shortened
 
 log = logging.getLogger(__name__)
 
-#: words in names of columns by their role; single letters count with their case
-_WORDS: dict[str, set[str]] = {
-    "name": {"name", "test", "versuch"},
-    "specimen": {"specimen", "probe"},
-    "batch": {"batch", "charge"},
-    "lab": {"lab", "labor", "laboratory"},
-    "at": {"at"},
-    "censored": {"censored"},
-    "load.force": {"force", "load", "F", "kraft", "last"},
-    "load.pressure": {"pressure", "load", "p", "pressung", "last"},
-    "load.omega": {"omega", "speed", "n", "drehzahl"},
-    "time.end": {"duration", "dauer"},
-    **MASSES,
-}
-_TEXTS, _MASSES = ("name", "specimen", "batch", "lab"), (*KINDS, "sd")
-#: of a row, not of its test
-_OF_WEIGHINGS = ("at", "censored", *_MASSES)
-#: a case has one of them
-_LOADS = {"load.force", "load.pressure"}
-#: units of roles that are no key of a case
-_UNITS = {"at": "s", **dict.fromkeys(_MASSES, "g")}
-#: of a case
-_TABLES = {path.partition(".")[0] for path in BY_PATH}
 #: rows of them are no tests
 _STATISTICS = {"mean", "average", "mittelwert", "mittel", "median", "sum", "summe", "sd", "std",
                "stdev", "stabw", "min", "max"}  # fmt: skip
-_SPEEDS = "; a speed v in m/s at a radius r is load.omega = v/r"
-_LIMITS = "; of a limit, the number, and below or above in a column named censored"
-#: in texts of ``[[tests.data]]``: the name of a column
-_PLACE = re.compile(r"\{([^{}]+)\}")
-
-
-@dataclass(frozen=True)
-class _Column:
-    """A column of a table."""
-
-    place: int
-    #: one of ``_WORDS``, or the key of a case
-    role: str
-    #: "" for cells that are as a case file has them
-    unit: str = ""
-    #: of masses, that they are of
-    body: str = ""
 
 
 def laboratory_tests(
@@ -124,17 +74,21 @@ def laboratory_tests(
             reader.fault(fault)
         return {}
     in_table: list[str] = []
-    columns = _columns(table, names, units, worn, in_table)
+    columns = columns_of(table, names, units, worn, in_table)
     if worn and not (in_table or templates["data"] or {c.role for c in columns} & {*KINDS}):
         in_table.append(
             f"{table.name}: has no column of masses; one must be named before, after or loss, or "
             "tests.columns must name it"
         )
     rows = _Rows(table, columns, sd, templates, (base or {}).get("time.end"), in_table)
-    tests = rows.check() if in_table else rows.tests()
+    if in_table:
+        tests = {}
+        values_of(table, columns, range(len(table.rows)), in_table)
+    else:
+        tests = rows.tests()
     if worn and not in_table:
-        _name_unused(table, columns, templates, in_table)
-        _name_thousands(table, columns)
+        name_unused(table, columns, templates, in_table)
+        name_thousands(table, columns)
     for fault in in_table:
         reader.fault(fault)
     return {} if in_table else tests  # the other faults of its tests may follow from those
@@ -146,9 +100,9 @@ def _texts(reader: TableReader, key: str) -> Mapping[str, str]:
     if not isinstance(table, Mapping) or not all(isinstance(v, str) for v in table.values()):
         reader.wrong(key, "must be a table of texts")
         return {}
-    roles = (*_TEXTS, *_OF_WEIGHINGS)
+    roles = (*TEXTS, *OF_WEIGHINGS)
     for role in table:
-        if role not in roles and role.partition(".")[0] not in _MASSES and key_of(role) is None:
+        if role not in roles and role.partition(".")[0] not in MASSES and key_of(role) is None:
             reader.fault(
                 f"{key}.{legible(role)}: must be {', '.join(roles)}, a mass with its body "
                 "(loss.lower) or a key of a case"
@@ -164,164 +118,6 @@ def _templates(reader: TableReader, key: str) -> list[Mapping[str, Any]]:
     return tables
 
 
-def _columns(
-    table: Measurements,
-    names: Mapping[str, str],
-    units: Mapping[str, str],
-    worn: Sequence[str],
-    faults: list[str],
-) -> list[_Column]:
-    """Return the columns of a table that are used; add what is wrong to the faults.
-
-    Parameters
-    ----------
-    names, units : of columns by role, as a user has them.
-    worn : bodies that wear.
-    """
-    faults += [
-        fault for role, name in names.items() if (fault := missing_column(table, name, role))
-    ]
-    chosen = {name: role for role, name in names.items()}
-    roles = [
-        chosen.get(name) or _role(table.column(place), names, worn)
-        for place, name in enumerate(table.columns)
-    ]
-    faults += [
-        f"units.{role}: no column is known to be of {role}; tests.columns must name it"
-        for role in units
-        if role not in roles
-    ]
-    columns = [
-        column
-        for place, role in enumerate(roles)
-        if role and (column := _column(table, place, role, units.get(role), worn, faults))
-    ]
-    if all(column.role != "name" for column in columns):
-        columns.append(_Column(0, "name"))
-    _refuse_twins(table, columns, faults)
-    return columns
-
-
-def _role(column: Measurements, names: Mapping[str, str], worn: Sequence[str]) -> str:
-    """Return the role that the name of a column tells, "" for none or that of a named column."""
-    (name,) = column.columns
-    bare = bare_name(name)
-    if key := next((text for text in (name, bare) if key_of(text) is not None), ""):
-        return "" if key in names else key
-    if bare.partition(".")[0] in _TABLES and "." in bare:
-        return bare  # the case does not know it, and tells the nearest key
-    taken = {*names} | (_LOADS if _LOADS & {*names} else set())
-    bodies = _bodies(name) or worn
-    roles = roles_by_name(column, _WORDS, _base)
-    return next((r for r in roles if not taken & {r, *(f"{r}.{body}" for body in bodies)}), "")
-
-
-def _bodies(name: str) -> list[str]:
-    """Return the bodies that the name of a column has."""
-    words = {word.lower() for word in re.findall(r"[^\W\d_]+", name)}
-    return [body for body in BODIES if body in words]
-
-
-def _base(role: str) -> str:
-    """Return the unit of a role, "" for none."""
-    key = key_of(role)
-    unit = _UNITS.get(role.partition(".")[0], "") if key is None else key.unit
-    return "" if unit in ("-", "1") else unit
-
-
-def _column(
-    table: Measurements,
-    place: int,
-    role: str,
-    unit: str | None,
-    worn: Sequence[str],
-    faults: list[str],
-) -> _Column | None:
-    """Return a column with its unit and body; None, and a fault, where they are wrong."""
-    name, base = table.columns[place], _base(role)
-    if not base:
-        return _Column(place, role)
-    try:
-        if unit is not None:
-            factor(unit, base)
-        else:
-            hint = f', or tests.units."{role}" must be given'
-            unit = unit_by_name(table.column(place), name, base, hint)
-    except RejectedError:
-        faults.append(f"units.{role} = {shortened(unit)}: must be a unit of {base}")
-        return None
-    except InputError as error:
-        faults += error.faults
-        return None
-    if unit is None and not (role == name and key_of(role)):
-        faults.append(
-            f"{table.name}: {legible(name)}: no unit; name it {legible(name)} / {base}, "
-            f"or tests.units must have {role}"
-        )
-        return None
-    kind, _, body = role.partition(".")
-    if kind not in _MASSES:
-        return _Column(place, role, unit or "")
-    bodies = [body] if body else _bodies(name) or worn
-    if len(bodies) == 1:
-        return _Column(place, kind, unit or "", bodies[0])
-    if worn:  # else the case has faults, or nothing wears, which is reported elsewhere
-        faults.append(
-            f"{table.name}: {legible(name)}: must tell whose mass it is: name it lower "
-            f'{legible(name)}, or tests.columns = {{ "{kind}.lower" = ... }}'
-        )
-    return None
-
-
-def _refuse_twins(table: Measurements, columns: Sequence[_Column], faults: list[str]) -> None:
-    """Refuse two columns of one role; of masses the mean counts."""
-    first_places: dict[tuple[str, str], int] = {}
-    for column in columns:
-        first = first_places.setdefault((column.role, column.body), column.place)
-        if first != column.place and column.role not in KINDS:
-            names = (legible(table.columns[i]) for i in (first, column.place))
-            faults.append(
-                f"{table.name}: the columns {' and '.join(names)} may both be of "
-                f"{column.role}; tests.columns must tell which one is"
-            )
-
-
-def _name_unused(
-    table: Measurements,
-    columns: Sequence[_Column],
-    templates: Mapping[str, list[Mapping[str, Any]]],
-    faults: list[str],
-) -> None:
-    """Warn of columns that have no role and stand in no template; refuse speeds that differ."""
-    used = {table.columns[column.place] for column in columns}
-    for template in (template for tables in templates.values() for template in tables):
-        used |= {name for text in template.values() for name in _PLACE.findall(str(text))}
-    if unused := [name for name in table.columns if name and name not in used]:
-        speeds = [name for name in unused if unit_of_column(table.label(name), "m/s")]
-        log.warning("%s: %s%s", table.name, unused_columns(unused), _SPEEDS * bool(speeds))
-        if all(column.role != "load.omega" for column in columns):
-            faults += [
-                f"{table.name}: {legible(name)}: is not read, and its tests differ in it; must be "
-                f"a column of load.omega{_SPEEDS}"
-                for name in speeds
-                if len({row[table.columns.index(name)] for row in table.rows} - EMPTY) > 1
-            ]
-
-
-def _name_thousands(table: Measurements, columns: Sequence[_Column]) -> None:
-    """Warn of numbers whose decimal mark may separate thousands."""
-    for column in columns:
-        cells = table.column(column.place)
-        row = None if column.role in (*_TEXTS, "censored") else cells.perhaps_thousands()
-        if row is not None:
-            cell = cells.rows[row][0]
-            log.warning(
-                "%s: line %d: %s = %s is read as %g; if thousands are meant, it must be %s",
-                table.name, table.lines[row], legible(cells.columns[0]), cell,
-                float(cell.replace(",", ".")), cell.replace(",", "").replace(".", ""),
-            )  # fmt: skip
-
-
 def _in(value: str, unit: str) -> float:
     """Return a number with a unit in another unit."""
     number, written = number_and_unit(value)
@@ -333,7 +129,7 @@ class _Rows:
     """The rows of a table as tests."""
 
     table: Measurements
-    columns: Sequence[_Column]
+    columns: Sequence[Column]
     #: of one weighing, a text with its unit; None: unknown
     sd: str | None
     #: of ``[[tests.data]]`` and ``[[tests.input]]``
@@ -378,48 +174,42 @@ class _Rows:
             f"must be within the test, which ends at {end:g} s{hint}",
         )
 
-    def check(self) -> dict[str, dict[str, Any]]:
-        """Check all cells of the columns that are right; return no tests."""
-        for column in self.columns:
-            for number in range(len(self.table.rows)):
-                self._value(column, number)
-        return {}
-
     def _fault(self, number: int, sentence: str) -> None:
         self.faults.append(f"{self.table.name}: line {self.table.lines[number]}: {sentence}")
 
     def _test(self, name: str, numbers: list[int], late: dict[int, float]) -> dict[str, Any]:
         """Return the keys of a test, of its rows; add those after its end to the late ones."""
-        before = len(self.faults)
+        before, first = len(self.faults), numbers[0]
+        values = values_of(self.table, self.columns, numbers, self.faults)
         test: dict[str, Any] = {"name": name, "set": {}}
         for column in self.columns:
-            if column.role in ("name", *_OF_WEIGHINGS):
+            if column.role in ("name", *OF_WEIGHINGS):
                 continue
-            value = self._value(column, numbers[0])
+            value = values[first][column]
             for number in numbers[1:]:
-                if (repeated := self._value(column, number)) not in (None, value):
+                if (repeated := values[number][column]) not in (None, value):
                     place = f"{legible(self.table.columns[column.place])} = {shortened(repeated)}"
                     self._fault(
                         number,
                         f"{place}: must be that of the first row of {legible(name)}, or empty",
                     )
             if value is not None:
-                (test if column.role in _TEXTS else test["set"])[column.role] = value
+                (test if column.role in TEXTS else test["set"])[column.role] = value
         for key, templates in self.templates.items():
-            tables = [self._completed(template, numbers[0]) for template in templates]
+            tables = [self._completed(template, first) for template in templates]
             test[key] = [table for table in tables if table is not None]
         for body in BODIES:
-            columns = [column for column in self.columns if column.body == body]
             weighed = {
                 n: reading
                 for n in numbers
-                if columns and (reading := self._weighed(columns, body, n, numbers[0], name))
+                if any(column.body == body for column in self.columns)
+                and (reading := self._weighed(values, body, n, first, name))
             }
             test["data"] += weighed.values()
             if len(self.faults) == before:
                 self._check_order(name, weighed, test["set"].get("time.end", self.end), late)
         if not test["data"]:
-            self._fault(numbers[0], f"{legible(name)}: has no reading; must have a mass at least")
+            self._fault(first, f"{legible(name)}: has no reading; must have a mass at least")
         return test
 
     def _check_order(
@@ -460,23 +250,21 @@ class _Rows:
                 )  # fmt: skip
 
     def _weighed(
-        self, columns: Sequence[_Column], body: str, number: int, first: int, name: str
-    ) -> dict[str, Any] | None:
+        self, values: Mapping[int, Mapping[Column, Any]], body: str, number: int, first: int,
+        name: str,
+    ) -> dict[str, Any] | None:  # fmt: skip
         """Return the mass lost by a body since the start as ``[[experiment.data]]`` has it."""
         masses: dict[str, list[float]] = {}
         unit, digit = "", 0.0
-        for column in (column for column in columns if column.role in KINDS):
+        for column in (c for c in self.columns if c.body == body and c.role in KINDS):
             row = first if column.role == "before" else number
-            if row != number and self._value(column, number) not in (
-                None, self._value(column, first),
-            ):  # fmt: skip
+            if row != number and values[number][column] not in (None, values[first][column]):
                 self._fault(
                     number,
                     f"{legible(self.table.columns[column.place])}: must be the mass before the "
                     "test, as in its first row, or empty",
                 )
-            value = self._value(column, row)
-            if value is not None:
+            if (value := values[row][column]) is not None:
                 mass, unit = number_and_unit(value)
                 grams = factor(unit, "g")
                 masses.setdefault(column.role, []).append(mass * grams)
@@ -488,7 +276,11 @@ class _Rows:
         except InputError as error:
             self._fault(number, str(error))
             return None
-        sd = next((self._value(c, number) for c in columns if c.role == "sd"), None)
+        cells = values[number].items()
+        sd, at, limit = (
+            next((v for c, v in cells if c.role == role and c.body in ("", body)), None)
+            for role in ("sd", "at", "censored")
+        )
         if sd is None and self.sd is not None:
             weighing_sd, unit_of_sd = number_and_unit(self.sd)
             sd = f"{weighing.u(weighing_sd):.12g} {unit_of_sd}"
@@ -499,28 +291,23 @@ class _Rows:
                 "tests.sd",
             )
             return None
-        reading = {
-            "quantity": f"mass.{body}",
-            "value": f"{weighing.loss / factor(unit, 'g'):.12g} {unit}", "sd": sd,
-        }  # fmt: skip
-        at, limit = (
-            next((self._value(c, number) for c in self.columns if c.role == role), None)
-            for role in ("at", "censored")
-        )
-        if limit is not None:
-            reading["censored"] = limit
         if at is None and number != first:
             self._fault(
                 number,
                 f"has no time; several weighings of {legible(name)} must have a column at",
             )
-        return reading if at is None else {**reading, "at": at}
+        reading = {
+            "quantity": f"mass.{body}",
+            "value": f"{weighing.loss / factor(unit, 'g'):.12g} {unit}", "sd": sd,
+            "censored": limit, "at": at,
+        }  # fmt: skip
+        return {key: value for key, value in reading.items() if value is not None}
 
     def _completed(self, template: Mapping[str, Any], number: int) -> dict[str, Any] | None:
         """Return keys with cells of a row in the place of columns; None where one is empty."""
         completed = dict(template)
         for key, text in template.items():
-            for name in _PLACE.findall(text) if isinstance(text, str) else ():
+            for name in PLACE.findall(text) if isinstance(text, str) else ():
                 if fault := missing_column(self.table, name, f"{key} = {shortened(text)}"):
                     self.faults.append(fault)
                     return None
@@ -538,36 +325,3 @@ class _Rows:
                 cell = number_cell if is_number else cell
                 completed[key] = completed[key].replace(f"{{{name}}}", cell)
         return completed
-
-    def _value(self, column: _Column, number: int) -> Any:
-        """Return the raw value of a cell, with its unit; None for none."""
-        cells = self.table.column(column.place)
-        cell = cells.rows[number][0]
-        if cell.lower() in EMPTY:
-            return None
-        if column.role in (*_TEXTS, "censored"):
-            return cell
-        if not column.unit and not NUMBER.fullmatch(cell.replace(",", ".")):
-            return parse_value(cell)
-        hour = factor("h", column.unit) if column.unit and _base(column.role) == "s" else None
-        try:
-            (read,) = cells.numbers(cells.columns[0], np.arange(len(cells.rows)) == number, hour)
-        except InputError as error:
-            hint = _LIMITS * (column.role in KINDS and cell[0] in "<>\u2264\u2265")
-            self._add([fault + hint for fault in error.faults])
-            return None
-        value = parse_value(cell) if cell.isdigit() else float(read)
-        if column.unit:
-            value = f"{float(read)!r} {column.unit}"
-        if key := key_of(column.role):
-            try:
-                key.value(value)
-            except RejectedError:
-                name, line = legible(cells.columns[0]), cells.lines[number]
-                self._add([f"{cells.name}: line {line}: {name} = {legible(cell)}: {key.rule}"])
-                return None
-        return value
-
-    def _add(self, faults: Sequence[str]) -> None:
-        """Add faults that are not there."""
-        self.faults.extend(fault for fault in faults if fault not in self.faults)

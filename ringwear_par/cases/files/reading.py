@@ -7,12 +7,14 @@ from typing import Any, TypeVar
 
 from ringwear_par.cases.case import (
     Case,
+    Grid,
     Load,
     Output,
     Overrides,
     Ring,
     RingLayer,
     Stepping,
+    Stress,
 )
 from ringwear_par.cases.files.faults import (
     Origin,
@@ -33,8 +35,7 @@ from ringwear_par.cases.files.keys import (
     refuse_study,
 )
 from ringwear_par.cases.layers import LAYERS, expanded, layer_tables
-from ringwear_par.cases.schema import SCHEMES
-from ringwear_par.cases.stress import Grid, Stress
+from ringwear_par.cases.schema import SCHEMES, STOP_CRITERIA
 from ringwear_par.cases.stress_points import check_stress
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.elasticity.sections import Polyline
@@ -206,6 +207,9 @@ def _build(
         time=_stepping(values),
         mesh=_of_keys(Mesh, "mesh", values),
         output=_of_keys(Output, "output", values, times=values["output.times"] or ()),
+        stop=tuple(
+            (name, limit) for name in STOP_CRITERIA if (limit := values[f"stop.{name}"]) is not None
+        ),
         title=values["title"],
     )
     if values["load.pressure"] is not None:
@@ -225,7 +229,7 @@ def _stress(values: Mapping[str, Any]) -> Stress:
 
 
 def _stepping(values: Mapping[str, Any]) -> Stepping:
-    if not SCHEMES[values["time.scheme"]]:
+    if not SCHEMES[values["time.scheme"]].adaptive:
         return _of_keys(Stepping, "time", values)
     end = values["time.end"]
     if end is None:

@@ -7,8 +7,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
-from ringwear_par.cases.case import Case
-from ringwear_par.cases.stress import Side
+from ringwear_par.cases.case import Case, Side
 from ringwear_par.cases.stress_points import grid_bodies, point_bodies, point_depths
 from ringwear_par.elasticity.stress.fields import StressHistory, StressState
 from ringwear_par.elasticity.stress.recovery import StressPoints, StressRecovery, interfaces

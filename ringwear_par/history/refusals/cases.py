@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringwear_par.cases.case import Case, Ring
+from ringwear_par.cases.case import Case, Ring, Stress
 from ringwear_par.cases.files.law_trials import refuse_bad_laws
 from ringwear_par.cases.numbers import number_faults
-from ringwear_par.cases.stress import Stress
 from ringwear_par.cases.stress_points import check_stress
 from ringwear_par.elasticity.bem.boundary import count_elements, face_elements, zone_meshes
 from ringwear_par.errors import InputError

@@ -2,7 +2,7 @@
 
 ``scheme(physics, contacts, state, end) -> Step``, for B histories with ends of their own. Schemes
 store nothing and decide nothing; a new one is a file with such a function, and a line in
-``loop.METHODS``.
+``SCHEMES`` of ``cases/schema.py``.
 """
 
 from collections.abc import Callable
@@ -82,8 +82,8 @@ def advanced(
     """
     after = State(
         end, wear, state.worn + volumes, state.energy + energy,
-        state.normal_work + normal_work, contact, rates, state.error, state.meshed_wear,
-        state.gap_offset, None if step_tangent is None else step_tangent.reached(contact),
-        state.through,
+        state.normal_work + normal_work, contact, state.first_approach, rates, state.error,
+        state.meshed_wear, state.gap_offset,
+        None if step_tangent is None else step_tangent.reached(contact), state.through,
     )  # fmt: skip
     return check_state(physics.case, after)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ringwear_par.cases.case import Case
+from ringwear_par.cases.case import Case, refuse_stop
 from ringwear_par.cases.files.columns import FileStore
 from ringwear_par.cases.files.faults import Origin
 from ringwear_par.cases.files.keys import changes_of, in_full, override
@@ -148,6 +148,7 @@ class ExperimentReader:
         changed = frozenset({*changes, *starts})
         try:
             case = make_case(override(keys, starts), Origin(place, changed, f"{place}: set"))
+            refuse_stop(case, place, "in a fit")
             check_case(case, 1, place)
         except InputError as error:
             tables = {parameter.key.rpartition(".")[0] for parameter in parameters}

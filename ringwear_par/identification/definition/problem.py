@@ -15,37 +15,10 @@ from ringwear_par import schedules
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.files.smoothing import Smoothing, curve
+from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 from ringwear_par.version import __version__
 from ringwear_par.wear.layered import LayeredLaw
 
-Quantity = Literal[
-    "penetration", "approach", "torque", "profile.lower", "profile.upper", "mass.lower",
-    "mass.upper", "volume.lower", "volume.upper", "through.lower", "through.upper",
-]  # fmt: skip
-
-
-class ReadingKind(NamedTuple):
-    """A kind of readings, as "penetration", or "profile" of the quantity "profile.lower"."""
-
-    #: of the readings within the program
-    unit: str
-    #: kinds that these readings may have
-    nuisances: tuple[str, ...]
-    #: whether they are of what is worn off: of the body that the quantity names, or of both
-    of_wear: bool = True
-
-
-_OF_RIGS = ("offset", "drift", "compliance", "thermal")
-#: each is read of histories in ``model/readings.py``
-READING_KINDS = {
-    "penetration": ReadingKind("mm", _OF_RIGS),
-    "approach": ReadingKind("mm", _OF_RIGS),
-    "torque": ReadingKind("N mm", ("offset", "drift"), of_wear=False),
-    "profile": ReadingKind("mm", ("level", "tilt")),
-    "mass": ReadingKind("g", ("offset",)),
-    "volume": ReadingKind("mm^3", ("offset",)),
-    "through": ReadingKind("s", ()),
-}
 #: units of readings and numbers within the program; forces of a compliance are in kN
 BASE = {
     "time": "s", "r": "mm", "density": "g/mm^3", "force": "N", "pressure": "MPa", "omega": "rad/s",
@@ -197,7 +170,7 @@ class Series:
     #: unique within the experiment
     name: str
     #: what was read
-    quantity: Quantity
+    quantity: str
     #: (n,) s, or mm of a profile
     x: FloatArray
     #: (n,) mm, N mm, g or mm^3

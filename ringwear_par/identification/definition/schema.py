@@ -24,17 +24,15 @@ from ringwear_par.cases.values import (
 )
 from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.problem import (
-    READING_KINDS,
     Criterion,
     DesignSpace,
     Loss,
     Method,
     Prior,
-    Quantity,
     Settings,
 )
+from ringwear_par.identification.definition.reading_kinds import QUANTITIES, READING_KINDS
 
-QUANTITIES = get_args(Quantity)
 #: case keys that a rig measures in time, and fewest readings of them
 INPUT_KEYS, FEWEST_READINGS = (
     ("contact.friction", "load.force", "load.pressure", "load.omega"), 10,

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -19,12 +19,11 @@ from ringwear_par.identification.definition.data_sources import (
 )
 from ringwear_par.identification.definition.problem import (
     GROWTH_TIME,
-    READING_KINDS,
     Nuisance,
-    Quantity,
     Series,
     friction_power,
 )
+from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 from ringwear_par.identification.definition.schema import (
     DATA,
     DENSITIES,
@@ -112,7 +111,7 @@ def read_series(
                 f"readings end at {last:.4g} s of a test of {end:g} s; look at the unit of time",
             )
     series = Series(
-        quantity, cast(Quantity, quantity), x[keep], value[keep], sd[keep], fitted, unit, scale,
+        quantity, quantity, x[keep], value[keep], sd[keep], fitted, unit, scale,
         (end if at is None else at) if kind == "profile" else None, density, nuisances,
         correlation, readings.where, None if lines is None else lines[keep],
         readings.assumptions, suspicions, readings.planned, tuple(excluded),

@@ -10,11 +10,11 @@ from ringwear_par.errors import InputError, ValidityWarning, legible
 from ringwear_par.files.smoothing import MOST_POINTS
 from ringwear_par.identification.definition.problem import (
     GROWTH_TIME,
-    READING_KINDS,
     Experiment,
     Nuisance,
     Series,
 )
+from ringwear_par.identification.definition.reading_kinds import READING_KINDS
 from ringwear_par.identification.estimation.misfit import Evaluation, Misfit
 from ringwear_par.identification.estimation.starts import case_points
 from ringwear_par.identification.model.histories import HistoryError

@@ -5,8 +5,7 @@ no contact solution. Where a schedule bends, one spline ends and another begins.
 """
 
 import itertools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -21,6 +20,7 @@ from ringwear_par.identification.definition.problem import (
     Series,
     friction_power,
 )
+from ringwear_par.identification.definition.reading_kinds import READING_KINDS, Trajectory
 from ringwear_par.results.result import Result
 from ringwear_par.schedules import in_time
 
@@ -32,44 +32,6 @@ _GRIDS = 4
 _CLOSE = 1e-9
 #: lengths of the test: a layer that lasts longer is not worn through
 _NEVER = 1e6
-
-
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """What is read of a history, at its s steps, the start included.
-
-    The last axis of all but ``time`` holds the value and, where there are any, its derivatives.
-    """
-
-    #: (s,) s.
-    time: FloatArray
-    #: (s, q) mm.
-    approach: FloatArray
-    #: (s, q) N mm.
-    torque: FloatArray
-    #: (2, s, q) mm^3, worn off lower and upper.
-    volume: FloatArray
-    #: (2, s, n, q) mm.
-    wear: FloatArray
-    #: (2, s, q) g, lost by lower and upper by the densities of their layers; NaN where these are
-    #: not known.
-    mass: FloatArray
-    #: (2, q) s, at which the first layers of lower and upper are worn through; NaN without layers
-    through: FloatArray
-
-
-def _mass(trajectory: Trajectory, body: int, density: float | None) -> FloatArray:
-    return trajectory.mass[body] if density is None else density * trajectory.volume[body]
-
-
-#: what instruments read at the ends of steps, (s, q), by the kind of their readings
-AT_STEPS: dict[str, Callable[[Trajectory, int, float | None], FloatArray]] = {
-    "penetration": lambda trajectory, *_: trajectory.approach - trajectory.approach[0],
-    "approach": lambda trajectory, *_: trajectory.approach,
-    "torque": lambda trajectory, *_: trajectory.torque,
-    "mass": _mass,
-    "volume": lambda trajectory, body, _: trajectory.volume[body],
-}
 
 
 class TimeInterpolation:
@@ -155,7 +117,9 @@ class Reader:
             return self._radial[series.name] @ in_steps(trajectory.wear[body])[0]
         if series.kind == "through":
             return trajectory.through[[body]]
-        return in_steps(AT_STEPS[series.kind](trajectory, body, series.density))
+        values = READING_KINDS[series.kind].values
+        assert values is not None
+        return in_steps(values(trajectory, body, series.density))
 
 
 def _radial(series: Series, case: Case) -> FloatArray:

@@ -15,7 +15,7 @@ from ringwear_par.identification.definition.scatter import known_sizes
 from ringwear_par.identification.test_design.candidates import Candidate
 from ringwear_par.identification.test_design.design import DesignResult
 from ringwear_par.identification.test_design.search import Design
-from ringwear_par.pictures.design_panels import design_panels
+from ringwear_par.pictures.key_panels import design_panels
 from ringwear_par.pictures.matplotlib import panel_figure
 from ringwear_par.results.key_numbers import time_unit, time_words
 

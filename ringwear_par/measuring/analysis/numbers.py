@@ -8,26 +8,16 @@ import numpy as np
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.units import SPECIFIC
 from ringwear_par.errors import ValidityWarning
+from ringwear_par.measuring.analysis import steady_part
 from ringwear_par.measuring.analysis.budget import (
     Estimate,
     Source,
+    WholeTest,
+    displaced_volume,
     load_sources,
     source_of,
+    whole_test,
 )
-from ringwear_par.measuring.analysis.steady_part import (
-    FEWEST_BLOCKS,
-    LAST_THIRD,
-    Blocks,
-    Change,
-    SteadyPart,
-    block_means,
-    change_from,
-    count_blocks,
-    has_blocks,
-    has_starts,
-    steady_part,
-)
-from ringwear_par.measuring.analysis.whole_test import WholeTest, displaced_volume, whole_test
 from ringwear_par.measuring.definition.problem import Conditions, Problem, Test, Uncertainty
 from ringwear_par.measuring.definition.records import Record
 from ringwear_par.schedules import in_time
@@ -52,12 +42,12 @@ class TestNumbers:
 
     test: Test
     #: that friction and rates are of
-    part: SteadyPart
+    part: steady_part.SteadyPart
     #: means over the part
     conditions: Conditions
     #: block means of the depth, mm, and of the friction coefficient
-    wear_blocks: Blocks | None
-    friction_blocks: Blocks | None
+    wear_blocks: steady_part.Blocks | None
+    friction_blocks: steady_part.Blocks | None
     #: the coefficient; None: not read, as of the rates
     friction: Estimate | None
     #: mm/s
@@ -89,22 +79,22 @@ class TestNumbers:
 def numbers_of(test: Test, problem: Problem) -> TestNumbers:
     """Return the numbers of a test, with their budgets and doubts."""
     record, limits, known = test.record, problem.limits, problem.uncertainty
-    wear = None if record.wear is None else block_means(record.time, record.wear)
+    wear = None if record.wear is None else steady_part.block_means(record.time, record.wear)
     coefficient = friction_readings(test)
-    friction = None if coefficient is None else block_means(record.time, coefficient)
-    part = steady_part(
+    friction = None if coefficient is None else steady_part.block_means(record.time, coefficient)
+    part = steady_part.steady_part(
         wear, friction, record.end, wear_limit=limits.wear, friction_limit=limits.friction,
         start=limits.start,
     )  # fmt: skip
     conditions = test.conditions(part.start, record.end)
     estimates: dict[str, Estimate] = {}
-    changes: list[Change] = []
+    changes: list[steady_part.Change] = []
     if wear is not None:
-        changes.append(change := change_from(wear, part.start, 2))
+        changes.append(change := steady_part.change_from(wear, part.start, 2))
         estimates["rate"] = _rate(change, known)
         estimates["specific"] = _specific(estimates["rate"], conditions, known)
     if friction is not None:
-        changes.append(change := change_from(friction, part.start, 1))
+        changes.append(change := steady_part.change_from(friction, part.start, 1))
         estimates["friction"] = _friction(change, conditions, known)
     volume = None if wear is None else displaced_volume(wear, changes[0], test, known)
     whole = whole_test(test, problem, volume)
@@ -124,15 +114,18 @@ def coverage_fault(test: Test, start: float | None) -> str:
     start : s, of the steady part where a user says it.
     """
     time = test.record.time
-    first = LAST_THIRD * test.record.end if start is None else start
+    first = steady_part.LAST_THIRD * test.record.end if start is None else start
     channels = {"wear": test.record.wear, "torque": friction_readings(test)}
     for name, readings in channels.items():
-        if readings is None or has_blocks(block_means(time, readings), first):
+        if readings is None or steady_part.has_blocks(
+            steady_part.block_means(time, readings), first
+        ):
             continue
         return (
             f'test "{test.name}": {test.record.file}: readings of {name} are too unevenly spread '
-            f"over {_hours(test.record.end)}; must be in at least {FEWEST_BLOCKS} equal parts of "
-            "the record, and at its end; exclude the readings before or after a long gap"
+            f"over {_hours(test.record.end)}; must be in at least "
+            f"{steady_part.FEWEST_BLOCKS} equal parts of the record, and at its end; exclude the "
+            "readings before or after a long gap"
         )
     return ""
 
@@ -147,7 +140,7 @@ def friction_readings(test: Test) -> FloatArray | None:
     return np.asarray(test.record.torque / pressed)
 
 
-def _rate(change: Change, known: Mapping[str, Uncertainty]) -> Estimate:
+def _rate(change: steady_part.Change, known: Mapping[str, Uncertainty]) -> Estimate:
     """Return the wear rate in mm/s."""
     rate = change.value
     sources = [
@@ -170,7 +163,9 @@ def _specific(rate: Estimate, conditions: Conditions, known: Mapping[str, Uncert
     return replace(scaled, sources=(*scaled.sources, *loads))
 
 
-def _friction(change: Change, conditions: Conditions, known: Mapping[str, Uncertainty]) -> Estimate:
+def _friction(
+    change: steady_part.Change, conditions: Conditions, known: Mapping[str, Uncertainty]
+) -> Estimate:
     """Return the friction coefficient."""
     mu = change.value
     torque = mu * conditions.force * conditions.radius
@@ -200,7 +195,7 @@ def _doubts(numbers: TestNumbers, problem: Problem) -> list[ValidityWarning]:
         never = [
             f"no late part of the record shows for certain that {subject} changes by at most "
             f"{100 * limit:g} %"
-            if has_starts(blocks)
+            if steady_part.has_starts(blocks)
             else f"the record has too few readings to show that {subject} is steady"
             for subject, limit, blocks, start in (
                 ("the wear rate", problem.limits.wear, numbers.wear_blocks, part.wear),
@@ -269,7 +264,7 @@ def _gaps(record: Record) -> list[ValidityWarning]:
         counted = record.without_excluded(times)
         steps = np.diff(counted)
         longest = int(np.argmax(steps))
-        if steps[longest] > _GAP * counted[-1] / count_blocks(len(read)):
+        if steps[longest] > _GAP * counted[-1] / steady_part.count_blocks(len(read)):
             gap = float(steps[longest]), float(times[longest])
             channels.setdefault(gap, []).append(channel)
     return [

@@ -13,7 +13,7 @@ from ringwear_par.cases.files.columns import UNITS, missing_column, unit_by_name
 from ringwear_par.cases.units import factor, named_unit
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.errors import InputError, legible
-from ringwear_par.files.measurements import Measurements, and_more, unused_columns
+from ringwear_par.files.measurements import Measurements, unused_columns
 from ringwear_par.files.table_text import is_value
 from ringwear_par.files.text import shortened
 
@@ -353,16 +353,7 @@ def _times(table: Measurements, column: str, unit: str | None) -> tuple[FloatArr
     seconds = factor(unit or named_unit(table.label(column), "s") or "s", "s")
     times = seconds * table.numbers(column, filled, factor("h", "s") / seconds)
     places = np.flatnonzero(filled)
-    back = np.flatnonzero(np.diff(times) < 0.0)
-    if len(back):
-        fallen, before = int(places[back[0] + 1]), int(places[back[0]])
-        cell = table.columns.index(column)
-        raise InputError(
-            f"{table.name}: line {table.lines[fallen]}: {legible(column)} = "
-            f"{legible(table.rows[fallen][cell])}{and_more(len(back), 'line')}: goes back, line "
-            f"{table.lines[before]} has {legible(table.rows[before][cell])}; must not fall, "
-            "also where a test that was stopped goes on"
-        )
+    table.refuse_fall(column, places, times, ", also where a test that was stopped goes on")
     first = np.concatenate([[True], np.diff(times) > 0.0])[: len(times)]
     rows = np.zeros(len(filled), dtype=bool)
     rows[places[first]] = True

@@ -50,13 +50,11 @@ def case_attributes(case: Case, time: float) -> dict[str, Any]:
             for body, law in zip(BODIES, case.laws, strict=True)
         },
         **_layer_attributes(case),
-        "energy_identity": int(_has_energy_identity(case)),
+        # whether worn volume is a constant times the friction energy, by layer, of a body
+        "energy_identity": int(
+            any(all(law.ratios(case.friction)) for law in case.laws if law is not None)
+        ),
     }
-
-
-def _has_energy_identity(case: Case) -> bool:
-    """Tell whether worn volume is a constant times the friction energy, by layer, of a body."""
-    return any(all(law.ratios(case.friction)) for law in case.laws if law is not None)
 
 
 def _layer_attributes(case: Case) -> dict[str, Any]:

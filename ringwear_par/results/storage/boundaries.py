@@ -12,22 +12,16 @@ import numpy as np
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.elasticity.stress.fields import FACES, BoundaryFields, BoundaryState
 from ringwear_par.results.storage.hdf5 import check_times, read_array, write_variable
-from ringwear_par.results.variables import HISTORIES, STEPS_MADE, Variable, variable_table
+from ringwear_par.results.variables import HISTORIES, STEPS_MADE, Variable, axis, variable_table
 
 _DIMENSIONS = variable_table(
-    Variable(
-        "boundary_step", ("boundary_step",), "1", "number of the stored boundary state",
-        integer=True,
-    ),
-    Variable("boundary_node", ("boundary_node",), "1", "node of the boundary", integer=True),
-    Variable(
-        "boundary_element", ("boundary_element",), "1",
+    axis("boundary_step", "number of the stored boundary state"),
+    axis("boundary_node", "node of the boundary"),
+    axis(
+        "boundary_element",
         "element of the boundary; its outward normal lies to the right of its direction",
-        integer=True,
     ),
-    Variable(
-        "corner", ("corner",), "1", "first, middle and last node of an element", integer=True
-    ),
+    axis("corner", "first, middle and last node of an element"),
 )  # fmt: skip
 _TIME = replace(HISTORIES["time"], dimensions=("boundary_step",))
 _STEPS_MADE = replace(STEPS_MADE, dimensions=("boundary_step",))

@@ -75,7 +75,28 @@ def export(
     ------
     InputError : a file or a choice that cannot be, fields that the run has not stored.
     """
-    check_export(output, segments, scale, fields, stress, interfaces, decimal)
+    ending, changed = output.suffix, segments is not None or scale is not None or fields
+    if ending not in _ENDINGS:
+        raise InputError(f"{output}: its ending must be one of {', '.join(_ENDINGS)}")
+    check_writable(output)
+    check_tables(output, decimal)
+    if ending == ".xlsx" and (changed or stress or interfaces):
+        raise InputError(f"{output}: holds all tables; must be without other options")
+    if interfaces and (changed or stress):
+        raise InputError(
+            f"--interfaces: {output}: must be without --revolve, --scale, --fields, --stress"
+        )
+    if stress and changed:
+        raise InputError(f"--stress: {output}: must be without --revolve, --scale, --fields")
+    if fields and ending != ".csv":
+        raise InputError(f"--fields: {output} is no table; must be absent but for .csv")
+    if segments is not None and (ending == ".csv" or not 3 <= segments <= _MOST_SEGMENTS):
+        raise InputError(
+            f"--revolve {shortened(segments)}: must be from 3 to {_MOST_SEGMENTS}, and for .vtkhdf "
+            "only"
+        )
+    if scale is not None and (ending == ".csv" or not np.isfinite(scale)):
+        raise InputError(f"--scale {scale:g}: must be a number, and for .vtkhdf only")
     result = result_of(run)
     if output.suffix == ".xlsx":
         return f"{output}: {write_xlsx(output, run_sheets(result))}"
@@ -102,47 +123,6 @@ def export(
 def _states_from(times: Sequence[float]) -> str:
     """Return how many states there are, and their times (s)."""
     return f"{len(times)} states from {times[0]:g} to {times[-1]:g} s"
-
-
-def check_export(
-    output: Path,
-    segments: int | None,
-    scale: float | None,
-    fields: bool,
-    stress: bool = False,
-    interfaces: bool = False,
-    decimal: str = "point",
-) -> None:
-    """Refuse what cannot be exported, before anything is read. Not collective.
-
-    Raises
-    ------
-    InputError : the reason, in one sentence.
-    """
-    table = output.suffix == ".csv"
-    if output.suffix not in _ENDINGS:
-        raise InputError(f"{output}: its ending must be one of {', '.join(_ENDINGS)}")
-    check_writable(output)
-    check_tables(output, decimal)
-    chosen = segments is not None or scale is not None or fields or stress or interfaces
-    if output.suffix == ".xlsx" and chosen:
-        raise InputError(f"{output}: holds all tables; must be without other options")
-    changed = segments is not None or scale is not None or fields
-    if interfaces and (changed or stress):
-        raise InputError(
-            f"--interfaces: {output}: must be without --revolve, --scale, --fields, --stress"
-        )
-    if stress and changed:
-        raise InputError(f"--stress: {output}: must be without --revolve, --scale, --fields")
-    if fields and not table:
-        raise InputError(f"--fields: {output} is no table; must be absent but for .csv")
-    if segments is not None and (table or not 3 <= segments <= _MOST_SEGMENTS):
-        raise InputError(
-            f"--revolve {shortened(segments)}: must be from 3 to {_MOST_SEGMENTS}, and for .vtkhdf "
-            "only"
-        )
-    if scale is not None and (table or not np.isfinite(scale)):
-        raise InputError(f"--scale {scale:g}: must be a number, and for .vtkhdf only")
 
 
 def check_tables(output: Path, decimal: str) -> None:

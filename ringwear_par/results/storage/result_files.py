@@ -23,18 +23,8 @@ from ringwear_par.history.observers.worst_states import ENTRIES
 from ringwear_par.history.state import Progress, Start, State
 from ringwear_par.results import variables as table
 from ringwear_par.results.result import Checkpoint, Result
+from ringwear_par.results.storage import hdf5
 from ringwear_par.results.storage.boundaries import read_boundaries, write_boundaries
-from ringwear_par.results.storage.hdf5 import (
-    atomic_hdf5,
-    check_times,
-    find_texts,
-    read_array,
-    read_number,
-    read_numbers,
-    read_text,
-    reading,
-    write_variable,
-)
 from ringwear_par.results.storage.result_variables import coordinates, read_stress, result_variables
 from ringwear_par.results.variables import Variable
 
@@ -70,13 +60,13 @@ def read_status(path: Path) -> tuple[str, int] | None:
     """
     if not path.exists():
         return None
-    with reading(
+    with hdf5.reading(
         path,
         table.SOFTWARE,
         _KIND,
         "; must be one (--restart), another name, or be replaced by --overwrite",
     ) as file:
-        status = read_text(file.attrs["status"])
+        status = hdf5.read_text(file.attrs["status"])
         if "checkpoint" in file:
             return status, int(file["checkpoint"].attrs["step"])
         return status, int(_steps_made(file, {})[-1])
@@ -89,8 +79,8 @@ def read_error(path: Path) -> str:
     ------
     InputError : it is no result file.
     """
-    with reading(path, table.SOFTWARE, _KIND) as file:
-        return read_text(file.attrs["error"])
+    with hdf5.reading(path, table.SOFTWARE, _KIND) as file:
+        return hdf5.read_text(file.attrs["error"])
 
 
 def open_result(path: str | Path) -> Result:
@@ -112,7 +102,7 @@ def open_result(path: str | Path) -> Result:
     <Result: mine (run.h5): 64 contact elements, 201 states of 200 steps until 200 s, complete>
     """
     path = Path(path)
-    with reading(path, table.SOFTWARE, _KIND) as file:
+    with hdf5.reading(path, table.SOFTWARE, _KIND) as file:
         return _read(file, path)
 
 
@@ -124,16 +114,16 @@ def result_of(source: Result | str | Path) -> Result:
 def _read(file: h5py.File, path: Path) -> Result:
     """Return the result in a file; any exception means that it is damaged."""
     attributes = _attributes(file)
-    edges = read_array(file["line"], table.EDGES, {})
+    edges = hdf5.read_array(file["line"], table.EDGES, {})
     if not (len(edges) > 1 and np.isfinite(edges).all() and (np.diff(edges) > 0.0).all()):
         raise ValueError("edges")
     sizes = {"element": len(edges) - 1}
     checkpoint: Checkpoint | None = None
     if "checkpoint" in file:
         checkpoint = read_checkpoint(file["checkpoint"], sizes)
-    step = read_array(file, table.STEP, sizes)
-    histories = {name: read_array(file, v, sizes) for name, v in table.HISTORIES.items()}
-    check_times(histories["time"])
+    step = hdf5.read_array(file, table.STEP, sizes)
+    histories = {name: hdf5.read_array(file, v, sizes) for name, v in table.HISTORIES.items()}
+    hdf5.check_times(histories["time"])
     layers = {
         **_read_stored(file, table.LAYER_HISTORIES, sizes),
         # volumes may have a dimension of their own
@@ -165,7 +155,7 @@ def _read_stored(
 ) -> dict[str, Any]:
     """Return the variables of a table that a file has, at all steps or at the last."""
     return {
-        name: read_array(file, variable.stored_as(file[name].ndim), sizes)
+        name: hdf5.read_array(file, variable.stored_as(file[name].ndim), sizes)
         for name, variable in variables.items()
         if name in file
     }
@@ -176,7 +166,10 @@ def _read_parameters(file: h5py.File, sizes: dict[str, int]) -> dict[str, str]:
     if table.PARAMETER.name not in file:
         return {}
     keys, units = (
-        [read_text(text) for text in find_texts(file, name, sizes, "parameter")[()].tolist()]
+        [
+            hdf5.read_text(text)
+            for text in hdf5.find_texts(file, name, sizes, "parameter")[()].tolist()
+        ]
         for name in (table.PARAMETER.name, table.PARAMETER_UNIT.name)
     )
     return dict(zip(keys, units, strict=True))
@@ -187,14 +180,14 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
     for name in ("software", "coordinates"):
         del attributes[name]
     for name in _TEXTS | (_OPTIONAL_TEXTS & attributes.keys()):
-        read_text(attributes[name])
+        hdf5.read_text(attributes[name])
     if missing := _NUMBERS - attributes.keys():
         raise ValueError(missing)
     for name in attributes:
         if name in _NUMBERS | _OPTIONAL_NUMBERS or name.startswith(_OPTIONAL_PREFIXES):
-            read_number(attributes[name])
+            hdf5.read_number(attributes[name])
         elif name in _OF_LAYERS:
-            attributes[name] = read_numbers(attributes[name])
+            attributes[name] = hdf5.read_numbers(attributes[name])
     if attributes["status"] not in ("complete", "incomplete"):
         raise ValueError("status")
     for name in _TABLES:
@@ -203,12 +196,12 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
     doubts, laws = json.loads(attributes["doubts"]), json.loads(attributes["user_laws"])
     texts = [ValidityWarning.of(doubt).text for doubt in doubts]
     for text in (*texts, *laws, *laws.values()):
-        read_text(text)
+        hdf5.read_text(text)
     return attributes
 
 
 def _steps_made(file: h5py.File, sizes: dict[str, int]) -> Any:
-    return read_array(
+    return hdf5.read_array(
         file, table.STEPS_MADE if table.STEPS_MADE.name in file else table.STEP, sizes
     )
 
@@ -242,13 +235,13 @@ def write_result(path: Path, result: Result) -> None:
     ------
     OSError : the disk or the folder.
     """
-    with atomic_hdf5(path) as (file, check_disk):
+    with hdf5.atomic_hdf5(path) as (file, check_disk):
         for variable, values in result_variables(result):
-            write_variable(file, variable, values)
+            hdf5.write_variable(file, variable, values)
         check_disk()
         line = file.create_group("line")
-        write_variable(line, table.EDGE, np.arange(result.line.n + 1))
-        write_variable(line, table.EDGES, result.line.edges)
+        hdf5.write_variable(line, table.EDGE, np.arange(result.line.n + 1))
+        hdf5.write_variable(line, table.EDGES, result.line.edges)
         if result.boundary:
             write_boundaries(file, result.boundary)
         if result.checkpoint is not None:
@@ -264,7 +257,7 @@ def write_result(path: Path, result: Result) -> None:
 
 # -- where a history continues: which part of a ``Checkpoint`` each variable is --------------------
 
-_BODY = Variable("body", ("body",), "1", "0 lower, 1 upper", integer=True)
+_BODY = table.axis("body", "0 lower, 1 upper")
 #: parts of a ``Start`` that are arrays
 _STATE_ARRAYS = {
     "state.wear": Variable("wear", ("body", "element"), "mm", "wear depth"),
@@ -298,6 +291,7 @@ _STATE_NUMBERS: dict[str, tuple[str, type]] = {
     "state.time": ("time", float),
     "state.energy": ("energy", float),
     "state.normal_work": ("normal_work", float),
+    "state.first_approach": ("first_approach", float),
     "progress.iterations": ("iterations", int),
     "progress.next_step": ("next_step", float),
     "progress.rejected": ("rejected", int),
@@ -331,11 +325,11 @@ def write_checkpoint(group: h5py.Group, checkpoint: Checkpoint) -> None:
     )
     group.attrs[_PENDING] = checkpoint.pending_iterations
     group.attrs.update({f"{_WORST}{name}": values for name, values in checkpoint.worst.items()})
-    write_variable(group, _BODY, np.arange(2))
+    hdf5.write_variable(group, _BODY, np.arange(2))
     for part, variable in _STATE_ARRAYS.items():
         values = attrgetter(part)(start)
         if values is not None:
-            write_variable(group, variable, values)
+            hdf5.write_variable(group, variable, values)
 
 
 def read_checkpoint(group: h5py.Group, sizes: Mapping[str, int]) -> Checkpoint:
@@ -351,7 +345,7 @@ def read_checkpoint(group: h5py.Group, sizes: Mapping[str, int]) -> Checkpoint:
     """
     known = {**sizes, "body": 2}
     parts: dict[str, Any] = {
-        part: np.array([read_number(group.attrs[name])], dtype=kind)
+        part: np.array([hdf5.read_number(group.attrs[name])], dtype=kind)
         for part, (name, kind) in _STATE_NUMBERS.items()
     }
     for part, variable in _STATE_ARRAYS.items():
@@ -359,15 +353,15 @@ def read_checkpoint(group: h5py.Group, sizes: Mapping[str, int]) -> Checkpoint:
             histories = (
                 variable.dimensions.index("body") + 1 if "body" in variable.dimensions else 0
             )
-            parts[part] = np.expand_dims(read_array(group, variable, known), histories)
+            parts[part] = np.expand_dims(hdf5.read_array(group, variable, known), histories)
     worst = {
-        name.removeprefix(_WORST): read_numbers(values)
+        name.removeprefix(_WORST): hdf5.read_numbers(values)
         for name, values in group.attrs.items()
         if name.startswith(_WORST)
     }
     if any(len(values) != ENTRIES for values in worst.values()):
         raise ValueError(_WORST)
-    return Checkpoint(_start(parts), 0, int(read_number(group.attrs[_PENDING])), worst)
+    return Checkpoint(_start(parts), 0, int(hdf5.read_number(group.attrs[_PENDING])), worst)
 
 
 def _start(parts: Mapping[str, Any]) -> Start:

@@ -4,7 +4,7 @@ ParaView 5.12 and later read it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -134,12 +134,7 @@ def interface_cells(interfaces: Sequence[Interface], state: StressState) -> Cell
                 )
             )  # fmt: skip
             at += m
-    return Cells(
-        np.concatenate([line.points for line in lines]),
-        np.concatenate([line.cells for line in lines]),
-        _joined([line.point_data for line in lines]),
-        _joined([line.cell_data for line in lines]),
-    )
+    return _joined(lines)
 
 
 def _contour(body: BoundaryFields, warp: float) -> Cells:
@@ -199,21 +194,23 @@ def _cartesian(vectors: FloatArray, angles: FloatArray) -> FloatArray:
     return np.stack(turned, axis=-1).reshape(-1, 3)
 
 
-def _joined(fields: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return fields of several parts, which all have them, one after another."""
-    return {name: np.concatenate([part[name] for part in fields]) for name in fields[0]}
+def _joined(parts: Sequence[Cells]) -> Cells:
+    """Return several parts, which all have the same fields, as one."""
+
+    def every(values: Sequence[Any]) -> Any:
+        if isinstance(values[0], dict):
+            return {name: np.concatenate([part[name] for part in values]) for name in values[0]}
+        return np.concatenate(values)
+
+    return Cells(*(every([getattr(part, f.name) for part in parts]) for f in fields(Cells)))
 
 
 def _both(bodies: Sequence[Cells]) -> Cells:
     """Return both bodies as one, with their numbers (0 lower, 1 upper) as a field."""
-    shift = np.cumsum([0, *(len(body.points) for body in bodies)])
-    counts = [len(body.cells) for body in bodies]
-    return Cells(
-        np.concatenate([body.points for body in bodies]),
-        np.concatenate([body.cells + s for body, s in zip(bodies, shift[:-1], strict=True)]),
-        _joined([body.point_data for body in bodies]),
-        {
-            **_joined([body.cell_data for body in bodies]),
-            "body": np.repeat(np.arange(len(bodies)), counts),
-        },
-    )
+    first = 0
+    parts = []
+    for number, body in enumerate(bodies):
+        of_body = {**body.cell_data, "body": np.full(len(body.cells), number)}
+        parts.append(replace(body, cells=body.cells + first, cell_data=of_body))
+        first += len(body.points)
+    return _joined(parts)

@@ -12,6 +12,7 @@ from ringwear_par.cases.units import in_signs
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.results.laboratory_numbers import LABORATORY, LaboratoryNumber
 from ringwear_par.results.variables import (
+    DISPLAY_UNITS,
     HISTORIES,
     LAYER_HISTORIES,
     LAYER_PROFILES,
@@ -166,7 +167,11 @@ _DISPLAYS = {
         )
         for name, number in LABORATORY.items()
     },
-    "penetration": Display(1e3, "penetration", _UM),
+    **{
+        name: Display(factor, name.replace("_", " "), in_signs(unit))
+        for name in MAIN_END_VALUES
+        for unit, factor in [DISPLAY_UNITS.get(name, (HISTORIES[name].unit, 1.0))]
+    },
     "max_mises": Display(1.0, "largest von Mises stress", "MPa"),
     "max_mises_r": Display(1.0, "its radius", "mm"),
     "max_mises_z": Display(1.0, "its height", "mm"),

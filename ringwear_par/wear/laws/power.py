@@ -39,13 +39,23 @@ class PowerLaw(Law):
     def _rise(self, local: LocalState) -> FloatArray:
         return value(self.k, local.time, local.r) * _power(local.speed, self.n)
 
+    def _slope(self, p: FloatArray, local: LocalState) -> FloatArray:
+        """Return the rate over the pressure; rates and slopes are of the same pressures."""
+        memo = local.memo
+        if not memo or memo[0] is not self:
+            memo[:] = self, self._rise(local), None, None
+        if memo[2] is not p:
+            memo[2:] = p, memo[1] * _power(p, self.m - 1.0)
+        slope: FloatArray = memo[3]
+        return slope
+
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s."""
-        return self._rise(local) * _power(p, self.m)
+        return p * self._slope(p, local)
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
-        return self._rise(local) * self.m * _power(p, self.m - 1.0)
+        return self.m * self._slope(p, local)
 
     def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to a numeric parameter's value there."""

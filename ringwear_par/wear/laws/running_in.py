@@ -105,6 +105,21 @@ class RunningInLaw(AboveThreshold):
         memory, over = self._over(local)
         return fall * np.exp(-(memory / over))
 
+    def depth_in_step(
+        self, p: FloatArray, local: LocalState, step: float | FloatArray
+    ) -> FloatArray | None:
+        """Return the depth d = step rate(p, wear + d) of an implicit step, mm.
+
+        With Lambert's W, d = depth (a + W(b exp(-a))), a and b being what k and the rest of the
+        coefficient wear in the step over ``depth``.
+        """
+        if self.depth is None:
+            return None
+        sliding = (step / self.depth) * local.power * self._excess(p, local)
+        settled = sliding * value(self.k, local.time, local.r)
+        fresh = sliding * self._fresh(local)
+        return self.depth * (settled + _lambert_w(fresh * np.exp(-settled)))
+
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
         if self.depth is None:
@@ -122,3 +137,17 @@ class RunningInLaw(AboveThreshold):
         if name in self.numeric and name in ("depth", "distance"):
             return self._fresh(local) * memory / over**2 * wearing
         return super().d_rate_dparameter(name, p, local)
+
+
+def _lambert_w(z: FloatArray) -> FloatArray:
+    """Return W where W exp(W) = z >= 0, to round-off, by two of Halley's iterations.
+
+    The start, by Winitzki (2003), is within 2 %.
+    """
+    log = np.log(1.0 + z)
+    w = log * (1.0 - np.log(1.0 + log) / (2.0 + log))
+    for _ in range(2):
+        rest = z * np.exp(-w)
+        rise = 1.0 + rest
+        w -= 2.0 * (w - rest) * rise / (2.0 * rise * rise + (w - rest) * rest)
+    return w
