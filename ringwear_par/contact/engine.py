@@ -63,8 +63,8 @@ class _Callbacks:
         unknowns = self._problem.unknowns
         if vector.size == unknowns.shape[1]:
             return vector[None]
-        found: FloatArray = vector[: unknowns.size].reshape(unknowns.shape)[rows]
-        return found
+        part_of: FloatArray = vector[: unknowns.size].reshape(unknowns.shape)[rows]
+        return part_of
 
     def gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> None:
         """Set g to the gradient at the present approaches."""

@@ -320,8 +320,8 @@ class Hessians:
             weights, per_scale, with_scales, *np.empty((2, 4, n)), steps, changes,
         )  # fmt: skip
         out = steps[:count].reshape(gradient.shape), changes
-        others = np.append(indirect, rows.factored) if len(direct) < size else direct[:0]
-        if with_scales and len(others):
+        not_direct = np.append(indirect, rows.factored) if len(direct) < size else direct[:0]
+        if with_scales and len(not_direct):
             gradient = gradient * weights[which]
         if len(indirect):
             sides = gradient, None if missing is None else lacking
@@ -330,8 +330,8 @@ class Hessians:
             changes *= root
         if len(rows.factored):
             self._set_factored(rows.histories, rows.factored, gradient, missing, out)
-        if with_scales and len(others):
-            out[0][..., others, :] *= per_scale[which[others]]
+        if with_scales and len(not_direct):
+            out[0][..., not_direct, :] *= per_scale[which[not_direct]]
         return out
 
     def _set_indirect(
