@@ -1,100 +1,132 @@
 """Loops over the rows of B contact problems, see ``contact.problem`` and ``contact.hessians``.
 
 Arrays are (B, n) or (B,), of which ``rows`` (count,) are at work, but for those that are called
-compact: (count, n) or (count,), of these rows one after another; and ``weights``, ``per_speed`` and
-``stiffness``, (m, n), of the compliances ``which`` (B,) of the histories.
+compact: (count, n) or (count,), of these rows one after another; and ``weights``, ``per_scale``,
+``slope_scale``, ``per_speed`` and ``stiffness``, (m, n), of the compliances ``which`` (B,) of the
+histories.
 """
 
 import math
 
-from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals
+from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals, in_order
 
 
 def multiply(
-    count: Count, n: Count, k: Count, times: Count, order: Integers, which: Integers, rows: Reals,
-    matrices: Reals, products: Reals,
+    count: Count, n: Count, k: Count, times: Count, size: Count, order: Integers, which: Integers,
+    rows: Reals, matrices: Reals, products: Reals,
 ) -> None:  # fmt: skip
-    """Set products (times, count, k) of rows (times, count, n) with their matrices (m, n, k).
+    """Set products (times, size, k) of rows (times, size, n) with their matrices (m, n, k).
 
-    Rows have the matrices ``which`` (count,), in whose ``order`` (count,) they are multiplied:
-    digits of a row do not depend on the others. After the products there is room for 3 more.
+    Rows have the matrices ``which`` (size,), by which the ``order`` (count,) of those that are
+    multiplied should be: digits of a row do not depend on the others. After the products there is
+    room for 3 more.
     """
-    _multiply(count * times, n, k, times, count, order, which, rows, matrices, products)
+    _multiply(count, n, k, times, size, order, which, rows, matrices, products)
 
 
 def _multiply(
-    size: Count, n: Count, k: Count, times: Count, count: Count, order: Integers, which: Integers,
+    count: Count, n: Count, k: Count, times: Count, size: Count, order: Integers, which: Integers,
     rows: Reals, matrices: Reals, products: Reals,
 ) -> None:  # fmt: skip
-    """Multiply four rows of a matrix at a time; where there are less, the first again."""
-    at = 0
-    while at < size:
-        number = which[order[at // times]]
-        row0 = at % times * count + order[at // times]
-        row1 = row2 = row3 = row0
-        out1, out2, out3 = size, size + 1, size + 2
-        at += 1
-        if at < size and which[order[at // times]] == number:
-            row1 = out1 = at % times * count + order[at // times]
-            at += 1
-            if at < size and which[order[at // times]] == number:
-                row2 = out2 = at % times * count + order[at // times]
-                at += 1
-                if at < size and which[order[at // times]] == number:
-                    row3 = out3 = at % times * count + order[at // times]
-                    at += 1
-        x0, x1, x2, x3 = row0 * n, row1 * n, row2 * n, row3 * n
-        y0, y1, y2, y3 = row0 * k, out1 * k, out2 * k, out3 * k
+    """Multiply four rows of a matrix at a time; where there are fewer, the first again."""
+    at, spare = 0, times * size
+    while at < count * times:
+        row0, row1, row2, row3, together = _four(at, count, times, size, order, which)
+        _multiply_four(
+            n, k, row0, row1, row2, row3, rows, which[order[at // times]], matrices, row0,
+            row1 if together > 1 else spare, row2 if together > 2 else spare + 1,
+            row3 if together > 3 else spare + 2, products,
+        )  # fmt: skip
+        at += together
+
+
+def _four(
+    at: Count, count: Count, times: Count, size: Count, order: Integers, which: Integers
+) -> tuple[int, int, int, int, int]:
+    """Return four rows of one matrix, the first again where there are fewer, and how many."""
+    number, end, together = which[order[at // times]], count * times, 1
+    row0 = at % times * size + order[at // times]
+    row1 = row2 = row3 = row0
+    if at + 1 < end and which[order[(at + 1) // times]] == number:
+        row1, together = (at + 1) % times * size + order[(at + 1) // times], 2
+        if at + 2 < end and which[order[(at + 2) // times]] == number:
+            row2, together = (at + 2) % times * size + order[(at + 2) // times], 3
+            if at + 3 < end and which[order[(at + 3) // times]] == number:
+                row3, together = (at + 3) % times * size + order[(at + 3) // times], 4
+    return row0, row1, row2, row3, together
+
+
+@in_order
+def _multiply_four(
+    n: Count, k: Count, row0: Count, row1: Count, row2: Count, row3: Count, rows: Reals,
+    number: Count, matrices: Reals, to0: Count, to1: Count, to2: Count, to3: Count, products: Reals,
+) -> None:  # fmt: skip
+    """Set four products, of four rows or the same."""
+    x0, x1, x2, x3 = row0 * n, row1 * n, row2 * n, row3 * n
+    y0, y1, y2, y3 = to0 * k, to1 * k, to2 * k, to3 * k
+    for j in range(k):
+        products[y0 + j] = products[y1 + j] = products[y2 + j] = products[y3 + j] = 0.0
+    matrix, whole = number * n * k, n // 4 * 4
+    for i in range(0, whole, 4):
+        a0, b0, c0, d0 = rows[x0 + i], rows[x0 + i + 1], rows[x0 + i + 2], rows[x0 + i + 3]
+        a1, b1, c1, d1 = rows[x1 + i], rows[x1 + i + 1], rows[x1 + i + 2], rows[x1 + i + 3]
+        a2, b2, c2, d2 = rows[x2 + i], rows[x2 + i + 1], rows[x2 + i + 2], rows[x2 + i + 3]
+        a3, b3, c3, d3 = rows[x3 + i], rows[x3 + i + 1], rows[x3 + i + 2], rows[x3 + i + 3]
+        m = matrix + i * k
         for j in range(k):
-            products[y0 + j] = products[y1 + j] = products[y2 + j] = products[y3 + j] = 0.0
-        matrix, whole = number * n * k, n // 4 * 4
-        for i in range(0, whole, 4):
-            a0, b0, c0, d0 = rows[x0 + i], rows[x0 + i + 1], rows[x0 + i + 2], rows[x0 + i + 3]
-            a1, b1, c1, d1 = rows[x1 + i], rows[x1 + i + 1], rows[x1 + i + 2], rows[x1 + i + 3]
-            a2, b2, c2, d2 = rows[x2 + i], rows[x2 + i + 1], rows[x2 + i + 2], rows[x2 + i + 3]
-            a3, b3, c3, d3 = rows[x3 + i], rows[x3 + i + 1], rows[x3 + i + 2], rows[x3 + i + 3]
-            m = matrix + i * k
-            for j in range(k):
-                a, b = matrices[m + j], matrices[m + k + j]
-                c, d = matrices[m + 2 * k + j], matrices[m + 3 * k + j]
-                products[y0 + j] = products[y0 + j] + a0 * a + b0 * b + c0 * c + d0 * d
-                products[y1 + j] = products[y1 + j] + a1 * a + b1 * b + c1 * c + d1 * d
-                products[y2 + j] = products[y2 + j] + a2 * a + b2 * b + c2 * c + d2 * d
-                products[y3 + j] = products[y3 + j] + a3 * a + b3 * b + c3 * c + d3 * d
-        for i in range(whole, n):
-            a0, a1, a2, a3 = rows[x0 + i], rows[x1 + i], rows[x2 + i], rows[x3 + i]
-            for j in range(k):
-                a = matrices[matrix + i * k + j]
-                products[y0 + j] += a0 * a
-                products[y1 + j] += a1 * a
-                products[y2 + j] += a2 * a
-                products[y3 + j] += a3 * a
+            a, b = matrices[m + j], matrices[m + k + j]
+            c, d = matrices[m + 2 * k + j], matrices[m + 3 * k + j]
+            products[y0 + j] = products[y0 + j] + a0 * a + b0 * b + c0 * c + d0 * d
+            products[y1 + j] = products[y1 + j] + a1 * a + b1 * b + c1 * c + d1 * d
+            products[y2 + j] = products[y2 + j] + a2 * a + b2 * b + c2 * c + d2 * d
+            products[y3 + j] = products[y3 + j] + a3 * a + b3 * b + c3 * c + d3 * d
+    for i in range(whole, n):
+        a0, a1, a2, a3 = rows[x0 + i], rows[x1 + i], rows[x2 + i], rows[x3 + i]
+        for j in range(k):
+            a = matrices[matrix + i * k + j]
+            products[y0 + j] += a0 * a
+            products[y1 + j] += a1 * a
+            products[y2 + j] += a2 * a
+            products[y3 + j] += a3 * a
+
+
+def pressures(
+    count: Count, n: Count, rows: Integers, which: Integers, unknowns: Reals, per_scale: Reals,
+    pressures: Reals,
+) -> None:  # fmt: skip
+    """Set pressures, compact, which are 0 where unknowns are negative."""
+    for place in range(count):
+        row, compliance, start = rows[place] * n, which[rows[place]] * n, place * n
+        for i in range(n):
+            x = unknowns[row + i]
+            pressures[start + i] = 0.0 if x <= 0.0 else x * per_scale[compliance + i]
 
 
 def gradient(
     count: Count, n: Count, rows: Integers, which: Integers, gaps: Reals, approaches: Reals,
     depths: Reals, weights: Reals, products: Reals, gradients: Reals,
 ) -> None:  # fmt: skip
-    """Set gradients, the weighted gaps; depths of wear, products A q and gradients are compact."""
+    """Set gradients, the weighted gaps; depths of wear are compact, products are A q."""
     for place in range(count):
         history, start = rows[place], place * n
         row, compliance, approach = history * n, which[history] * n, approaches[history]
         for i in range(n):
             gap = gaps[row + i] - approach + depths[start + i]
-            gradients[start + i] = gap * weights[compliance + i] + products[start + i]
+            gradients[row + i] = gap * weights[compliance + i] + products[row + i]
 
 
-def judge(
+def settle(
     count: Count, n: Count, rows: Integers, which: Integers, unknowns: Reals, gradients: Reals,
     diagonals: Reals, weights: Reals, gaps: Reals, approaches: Reals, forces: Reals,
-    with_forces: Count, free: Flags, residuals: Reals, are_fine: Flags, are_broken: Flags,
-    are_same: Flags, round_off: Real, gradient_tolerance: Real, force_tolerance: Real,
+    with_forces: Count, free: Flags, residuals: Reals, are_settled: Flags, are_broken: Flags,
+    are_cleared: Flags, round_off: Real, gradient_tolerance: Real, force_tolerance: Real,
 ) -> None:  # fmt: skip
-    """Set whether histories, compact, are optimal on their sets, not finite, and keep their sets.
+    """Set which histories, compact, have settled and are not finite; change the sets of others.
 
-    Optimal is where the natural residual min(g, diag(H) x) is small against the overlap of the
-    bodies, or at the round-off of x, and the force is met. ``residuals`` are relative to the
-    largest unknowns.
+    They have settled where they keep their sets and are optimal on these: the natural residual
+    min(g, diag(H) x) is small against the overlap of the bodies, or at the round-off of x, and the
+    force is met. ``residuals`` are relative to the largest unknowns. The sets of others become
+    those of the signs; unknowns that leave them become 0, cleared where any did.
     """
     for place in range(count):
         history = rows[place]
@@ -124,23 +156,35 @@ def judge(
             force = forces[history]
             fine = fine and abs(carried - force) <= force_tolerance * force
         residuals[history] = worst / most if most > 0.0 else math.inf
-        are_fine[place], are_broken[place], are_same[place] = fine, broken, same
-
-
-def change_sets(
-    count: Count, n: Count, rows: Integers, unknowns: Reals, gradients: Reals, free: Flags,
-    are_cleared: Flags,
-) -> None:  # fmt: skip
-    """Set the sets by the signs; unknowns that leave them become 0, cleared where any did."""
-    for place in range(count):
-        row, cleared = rows[place] * n, False
-        for k in range(row, row + n):
-            keep = unknowns[k] > 0.0 if free[k] else gradients[k] < 0.0
-            free[k] = keep
-            if not keep and unknowns[k] != 0.0:
-                unknowns[k] = 0.0
-                cleared = True
+        cleared = False
+        if not same and not broken:
+            for k in range(row, row + n):
+                keep = unknowns[k] > 0.0 if free[k] else gradients[k] < 0.0
+                free[k] = keep
+                if not keep and unknowns[k] != 0.0:
+                    unknowns[k] = 0.0
+                    cleared = True
+        are_settled[place], are_broken[place] = fine and same and not broken, broken
         are_cleared[place] = cleared
+
+
+def set_slopes(
+    count: Count, n: Count, rows: Integers, which: Integers, depth_slopes: Reals,
+    slope_scale: Reals, slopes: Reals, diagonals: Reals, are_valid: Flags,
+) -> None:  # fmt: skip
+    """Set slopes from those of depths, compact; inverses of others are no longer valid."""
+    for place in range(count):
+        history, start = rows[place], place * n
+        row, compliance, same = history * n, which[history] * n, True
+        for i in range(n):
+            slope = depth_slopes[start + i] * slope_scale[compliance + i]
+            same = same and slope == slopes[row + i]
+        if not same:
+            are_valid[history] = False
+            for i in range(n):
+                slope = depth_slopes[start + i] * slope_scale[compliance + i]
+                slopes[row + i] = slope
+                diagonals[row + i] = 1.0 + slope
 
 
 def compare_slopes(
@@ -198,32 +242,62 @@ def invert(
         stiffness[rows[place]] = carried
 
 
-def solve_in_bases(
-    count: Count, n: Count, n_histories: Count, rows: Integers, numbers: Integers, forces: Reals,
-    inverses: Reals, responses: Reals, stiffness: Reals, are_regular: Flags, deviations: Reals,
-    missing: Reals, with_forces: Count, sides: Reals, changes: Reals,
+def steps_in_bases(
+    count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
+    numbers: Integers, bases: Reals, transposed: Reals, forces: Reals, inverses: Reals,
+    responses: Reals, stiffness: Reals, missing: Reals, with_missing: Count, gradients: Reals,
+    which: Integers, weights: Reals, per_scale: Reals, with_scales: Count, scaled: Reals,
+    modal: Reals, steps: Reals, changes: Reals,
 ) -> None:  # fmt: skip
-    """Set steps against gradients (count, n) in bases, in their place, and changes of approaches.
+    """Set steps against gradients (times, size, n), and of approaches, by way of bases (m, n, n).
 
     Of Hessians that are diagonal there: slopes are regular, and compliances references.
 
-    There may be several gradients of each of the histories ``rows`` (n_histories,), one round of
-    them after another. Steps carry the forces that are missing (count,), where these are given.
+    Gradients are of the ``histories`` (size,), those of the ``order`` (count,) of places are solved
+    in the bases ``numbers`` (size,). Steps carry the forces that are missing (times, size), where
+    these are given. With scales these are gaps and pressures instead. After the steps there is room
+    for 3 rows; ``scaled`` and ``modal`` are room for 4.
     """
-    for place in range(count):
-        history = rows[place % n_histories]
-        if not are_regular[history] or deviations[history] != 0.0:
-            continue
-        row, basis, start = history * n, numbers[history] * n, place * n
-        change = 0.0
-        if with_forces and stiffness[history] > 0.0:
-            carried = 0.0
+    at, spare = 0, times * size
+    while at < count * times:
+        row0, row1, row2, row3, together = _four(at, count, times, size, order, numbers)
+        number = numbers[order[at // times]]
+        if with_scales:
+            for q in range(together):
+                place = order[(at + q) // times]
+                start, compliance = ((at + q) % times * size + place) * n, which[place] * n
+                for i in range(n):
+                    scaled[q * n + i] = gradients[start + i] * weights[compliance + i]
+            _multiply_four(n, n, 0, 1, 2, 3, scaled, number, bases, 0, 1, 2, 3, modal)
+        else:
+            _multiply_four(
+                n, n, row0, row1, row2, row3, gradients, number, bases, 0, 1, 2, 3, modal
+            )
+        for q in range(together):
+            place = order[(at + q) // times]
+            history, into = histories[place], (at + q) % times * size + place
+            row, basis, start, change = history * n, number * n, q * n, 0.0
+            if with_missing and stiffness[history] > 0.0:
+                carried = 0.0
+                for i in range(n):
+                    carried += responses[row + i] * modal[start + i]
+                change = (missing[into] + carried) / stiffness[history]
             for i in range(n):
-                carried += responses[row + i] * sides[start + i]
-            change = (missing[place] + carried) / stiffness[history]
-        for i in range(n):
-            sides[start + i] = (change * forces[basis + i] - sides[start + i]) * inverses[row + i]
-        changes[place] = change
+                modal[start + i] = (change * forces[basis + i] - modal[start + i]) * inverses[
+                    row + i
+                ]
+            changes[into] = change
+        _multiply_four(
+            n, n, 0, 1, 2, 3, modal, number, transposed, row0, row1 if together > 1 else spare,
+            row2 if together > 2 else spare + 1, row3 if together > 3 else spare + 2, steps,
+        )  # fmt: skip
+        if with_scales:
+            for q in range(together):
+                place = order[(at + q) // times]
+                start, compliance = ((at + q) % times * size + place) * n, which[place] * n
+                for i in range(n):
+                    steps[start + i] *= per_scale[compliance + i]
+        at += together
 
 
 def conjugate_gradients(
@@ -340,6 +414,31 @@ def conjugate_gradients(
                 sides[place * n + i] = solutions[q * n + i]
             changes[place] = -multipliers[q]
         begin += together
+
+
+def missing_forces(
+    count: Count, n: Count, rows: Integers, which: Integers, unknowns: Reals, weights: Reals,
+    forces: Reals, missing: Reals,
+) -> None:  # fmt: skip
+    """Set what unknowns lack of the forces."""
+    for place in range(count):
+        history, carried = rows[place], 0.0
+        row, compliance = history * n, which[history] * n
+        for i in range(n):
+            carried += weights[compliance + i] * unknowns[row + i]
+        missing[history] = forces[history] - carried
+
+
+def add_steps(
+    count: Count, n: Count, rows: Integers, steps: Reals, changes: Reals, unknowns: Reals,
+    approaches: Reals,
+) -> None:  # fmt: skip
+    """Take the steps."""
+    for place in range(count):
+        history = rows[place]
+        approaches[history] += changes[history]
+        for k in range(history * n, history * n + n):
+            unknowns[k] += steps[k]
 
 
 def correction_errors(

@@ -12,8 +12,7 @@ computes are the entries of the arrays that it sets. Sums are in inner loops tha
 others are compiled twice, for arrays that may overlap and for those that cannot, and sums of the
 two differ in their last digits.
 
-A function whose name begins with an underscore is a part of loops, which call it. It adds in the
-order in which it is written, and rounds a product and its addition once.
+A function whose name begins with an underscore is a part of loops, which call it.
 """
 
 import ctypes
@@ -46,7 +45,16 @@ _BESIDE = Path(__file__).parent / "__pycache__"
 #: what this process has loaded
 _LOADERS: list[Any] = []
 
+#: names of functions that add in the order in which they are written
+_IN_ORDER: set[str] = set()
+
 _first_byte, _reference = ctypes.c_char.from_buffer, ctypes.byref
+
+
+def in_order(function: Callable[..., None]) -> Callable[..., None]:
+    """Let a function add in the order in which it is written, and round multiply-adds once."""
+    _IN_ORDER.add(function.__name__)
+    return function
 
 
 @cache
@@ -210,30 +218,31 @@ def _compile(llvm: Any, functions: Sequence[FunctionType]) -> bytes:
         (Any, "l"): types.CPointer(types.int64),
         (Any, "?b"): types.CPointer(types.int8),
     }
-    parts: dict[str, Any] = {}
-    for function in filter(_is_part, functions):
-        compiled = numba.njit(error_model="numpy", fastmath={"contract"})
-        parts[function.__name__] = compiled(_with_parts(function, parts))
+    # sums may be of several entries at a time
+    options = {
+        f.__name__: {
+            "error_model": "numpy",
+            "fastmath": {"contract"} if f.__name__ in _IN_ORDER else {"reassoc"},
+        }
+        for f in functions
+    }
+    names: dict[str, Any] = dict(functions[0].__globals__)
     module: Any = None
-    for function in functions:
+    for function in sorted(functions, key=_is_part, reverse=True):
+        name = function.__name__
+        with_parts = FunctionType(function.__code__, names, name)  # which are compiled, too
         if _is_part(function):
+            names[name] = numba.njit(**options[name])(with_parts)
             continue
         signature = types.void(*[parameter[kind] for kind in _kinds(function)])
-        # sums may be of several entries at a time
-        compiled = numba.cfunc(signature, error_model="numpy", fastmath={"reassoc"})
-        loop = compiled(_with_parts(function, parts))
+        loop = numba.cfunc(signature, **options[name])(with_parts)
         # of the loop and what calls it for C the former; the latter needs all of numba
         code = re.sub(r'(?ms)^define [^\n]*@"?cfunc\..*?^}\n', "", loop.inspect_llvm())
-        name = loop.native_name.removeprefix("cfunc.")
-        part = llvm.parse_assembly(code.replace(name, _symbol(function)))
+        mangled = loop.native_name.removeprefix("cfunc.")
+        part = llvm.parse_assembly(code.replace(mangled, _symbol(function)))
         if module is None:
             module = part
         else:
             module.link_in(part)
     module.verify()
     return bytes(_target_machine(llvm).emit_object(module))
-
-
-def _with_parts(function: FunctionType, parts: dict[str, Any]) -> FunctionType:
-    """Return a function that calls the compiled parts."""
-    return FunctionType(function.__code__, {**function.__globals__, **parts}, function.__name__)

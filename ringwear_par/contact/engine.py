@@ -53,39 +53,48 @@ class _Callbacks:
         self._problem, self._hessians = problem, hessians
         self.guard = Guard()
 
-    def _at_work(self, x: PETSc.Vec) -> FloatArray:
-        """Return the unknowns of the histories at work, (h, n)."""
-        q = x.getArray(readonly=True)
-        if self._is_one(q):
-            return q[None].copy()  # loops take what may be written to
-        return self._problem.rows_in(q)[self._problem.rows]
+    def _let_be(self, x: PETSc.Vec) -> None:
+        """Let the unknowns of the histories at work be these."""
+        rows = self._problem.rows
+        self._problem.unknowns[rows] = self._rows_in(x.getArray(readonly=True), rows)
 
-    def _is_one(self, vector: FloatArray) -> bool:
-        """Tell whether a vector is of the only history at work."""
-        return vector.size == len(self._problem.area)
+    def _rows_in(self, vector: FloatArray, rows: IntArray | slice) -> FloatArray:
+        """Return rows of a vector, which may be of the only history at work, or have more room."""
+        unknowns = self._problem.unknowns
+        if vector.size == unknowns.shape[1]:
+            return vector[None]
+        part_of: FloatArray = vector[: unknowns.size].reshape(unknowns.shape)[rows]
+        return part_of
 
     def gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> None:
         """Set g to the gradient at the present approaches."""
+        problem = self._problem
+        self._let_be(x)
+        problem.evaluate()
         values = g.getArray()
-        gradient = self._problem.gradient(self._at_work(x))
-        if self._is_one(values):
-            values[:] = gradient[0]
+        if values.size == problem.unknowns.shape[1]:
+            values[:] = problem.gradients[problem.at_work[0]]
         else:
-            self._problem.rows_in(values)[self._problem.rows] = gradient
+            values[: problem.unknowns.size].reshape(problem.unknowns.shape)[problem.rows] = (
+                problem.gradients[problem.rows]
+            )
 
     def objective(self, tao: PETSc.TAO, x: PETSc.Vec) -> float:
         """Return the sum of the objectives at the present approaches."""
-        return self._problem.objective(self._at_work(x))
+        self._let_be(x)
+        return self._problem.objective()
 
     def objective_gradient(self, tao: PETSc.TAO, x: PETSc.Vec, g: PETSc.Vec) -> float:
         """Return the objective, set g to the gradient."""
         self.gradient(tao, x, g)
-        return self.objective(tao, x)
+        return self._problem.objective()
 
     def hessian(self, tao: PETSc.TAO, x: PETSc.Vec, h: PETSc.Mat, _: PETSc.Mat) -> None:
         """Set the Hessian of the only history at work."""
         problem, hessians = self._problem, self._hessians
-        hessians.set_slopes(problem.rows, *problem.slopes(self._at_work(x)))
+        self._let_be(x)
+        problem.evaluate()
+        hessians.set_slopes(problem.at_work, *problem.slopes())
         h.getDenseArray()[:] = hessians.matrix(int(problem.at_work[0]))
         h.assemble()
 
@@ -124,8 +133,7 @@ class ContactEngine:
         #: of the last solutions
         self.derivatives = SolutionDerivatives(self._problem, self._hessians)
         self._callbacks = _Callbacks(self._problem, self._hessians)
-        #: (B, n) unknowns and gradients, and (B,) iterations of the last solutions
-        self._q, self._g = (np.zeros((len(which), len(compliances.area))) for _ in "qg")
+        #: (B,) iterations of the last solutions
         self._iterations = np.zeros(len(which), dtype=np.int64)
         #: our own method; None: one of PETSc's is at work
         self._newton: ActiveSetNewton | None = None
@@ -150,12 +158,11 @@ class ContactEngine:
         tao.setOptionsPrefix(CONTACT_PREFIX)
         tao.setType(self._tao_type)
         if self._newton is not None:
-            size = self._q.size
-            x.createWithArray(self._q.reshape(size), comm=comm)
-            gradient.createWithArray(self._g.reshape(size), comm=comm)
+            x.createWithArray(self._problem.unknowns.reshape(-1), comm=comm)
+            gradient.createWithArray(self._problem.gradients.reshape(-1), comm=comm)
             tao.setPythonContext(self._newton)
         else:
-            size = self._q.shape[1]
+            size = len(self._problem.area)
             x.createSeq(size, comm=comm)
             gradient.createSeq(size, comm=comm)
             hessian = self._register(PETSc.Mat()).createDense([size, size], comm=comm)
@@ -232,10 +239,10 @@ class ContactEngine:
             if len(gap) == 1:
                 raise ComputationError(self._failure(0, float(residual[0])))
             raise HistoriesError(failed)
-        p = problem.last_pressures(self._q)
+        p, gap = problem.last_pressures(), problem.gaps_of(problem.gradients)
         return ContactState(
-            p, problem.gaps_of(self._g), problem.approaches.copy(), inner(problem.area, p),
-            self._iterations.copy(), residual,
+            p, gap, problem.approaches.copy(), inner(problem.area, p), self._iterations.copy(),
+            residual,
         )  # fmt: skip
 
     def _residuals(self, histories: IntArray) -> FloatArray:
@@ -243,7 +250,7 @@ class ContactEngine:
         seen = None if self._newton is None else self._newton.residuals[histories]
         if seen is not None and (seen <= KKT_TOLERANCE).all():
             return seen
-        return self._problem.residuals(histories, self._q, self._g, self._hessians.slope)
+        return self._problem.residuals(histories, self._hessians.slope)
 
     def _failure(self, history: int, residual: float) -> str:
         """Return why a contact was not solved."""
@@ -267,8 +274,8 @@ class ContactEngine:
     def _separate(self, histories: IntArray) -> None:
         """Take the pressures of histories that need none; the gradient is the weighted gap."""
         problem = self._problem
-        self._q[histories], problem.is_known[histories] = 0.0, False
-        self._g[histories] = part(problem.weights, histories) * (
+        problem.unknowns[histories], problem.is_known[histories] = 0.0, False
+        problem.gradients[histories] = part(problem.weights, histories) * (
             problem.gaps[histories] - problem.approaches[histories, None]
         )
         self._hessians.forget(histories)
@@ -281,7 +288,7 @@ class ContactEngine:
         problem = self._problem
         row = problem.at_work = np.array([history])
         gaps, forces = problem.gaps, problem.forces
-        self._q[history] = 0.0
+        problem.unknowns[history] = 0.0
         if self._newton is not None:
             self._newton.damped = True
         try:
@@ -304,7 +311,7 @@ class ContactEngine:
                 problem.approaches[history] = approach
                 self._solve_at_approach(history)
                 response = self._hessians.solve(row, weights[None])[0]
-                return float(weights @ self._q[history]), float(weights @ response)
+                return float(weights @ problem.unknowns[history]), float(weights @ response)
 
             find_approach(force, mean + force / stiffness, stiffness, contact_at)
             problem.approaches[history] += nearest
@@ -330,18 +337,18 @@ class ContactEngine:
             gatol=GRADIENT_TOLERANCE * float(np.linalg.norm(overlap)), grtol=0.0, gttol=0.0
         )
         if self._newton is None:
-            self._x.setArray(self._q[history])
+            self._x.setArray(problem.unknowns[history])
         self._callbacks.guard.solve(tao, self._tao_type)
         if self._newton is None:
-            self._q[history] = self._x.getArray(readonly=True)
+            problem.unknowns[history] = self._x.getArray(readonly=True)
         self._iterations[history] += tao.getIterationNumber()
-        self._g[history] = problem.gradient(self._q[row])[0]
-        self._hessians.set_slopes(problem.rows, *problem.slopes(self._q[row]))
-        (residual,) = problem.residuals(row, self._q, self._g, self._hessians.slope)
+        problem.evaluate()
+        self._hessians.set_slopes(row, *problem.slopes())
+        (residual,) = problem.residuals(row, self._hessians.slope)
         if tao.getConvergedReason() <= 0 or not residual <= KKT_TOLERANCE:
             raise ComputationError(self._failure(history, float(residual)))
         # what else is needed of the solution is answered on the inverse of its set
-        self._hessians.refresh(row, self._q > 0.0)
+        self._hessians.refresh(row, problem.unknowns > 0.0)
 
     # -- some of the histories, and the end --------------------------------------------------------
 
@@ -353,19 +360,17 @@ class ContactEngine:
     @property
     def warm(self) -> WarmStart:
         """Where the next solutions start."""
-        return WarmStart(self._q.copy(), self._problem.approaches.copy())
+        return WarmStart(self._problem.unknowns.copy(), self._problem.approaches.copy())
 
     @warm.setter
     def warm(self, warm: WarmStart) -> None:
-        self._q[:], self._problem.approaches[:] = warm.scaled_pressure, warm.approach
+        self._problem.unknowns[:], self._problem.approaches[:] = warm.scaled_pressure, warm.approach
         self._problem.is_known[:] = False
 
     def keep(self, histories: IntArray) -> None:
         """Go on with some of the histories, in ascending order, in the first rows of vectors."""
         count = len(histories)
-        for rows in (self._q, self._g):
-            rows[:count] = rows[histories]
-        self._q, self._g, self.which = self._q[:count], self._g[:count], self.which[histories]
+        self.which = self.which[histories]
         self._problem.keep(histories)
         self._hessians.keep(histories)
         self._iterations = np.zeros(count, dtype=np.int64)

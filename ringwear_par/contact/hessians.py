@@ -8,7 +8,7 @@ factors of their own.
 """
 
 from collections import defaultdict
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
@@ -18,8 +18,8 @@ from ringwear_par.batched import keep
 from ringwear_par.compiled import contact_rows
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.contact.basis_stack import BROKEN, BasisStack
-from ringwear_par.contact.problem import LARGEST_WITH_BASES
-from ringwear_par.contact.row_products import RowProducts
+from ringwear_par.contact.problem import LARGEST_WITH_BASES, ContactProblem
+from ringwear_par.contact.row_products import ROOM, RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.wear.increment import WearIncrement
 
@@ -51,9 +51,13 @@ class Hessians:
         self._compliances, self._which = compliances, which
         count, n = len(which), len(compliances.area)
         self._per_speed = (1.0 / compliances.speed)[compliances.reference]
+        self._slope_scale = compliances.weights / compliances.scale
+        self._per_scale = 1.0 / compliances.scale
         more, self._loops = compliances.deviations, load(contact_rows)
-        #: (B,) from the references, see ``Deviations``
+        #: (B,) from the references, see ``Deviations``, and whether any do
         self._deviation = np.zeros(count) if more is None else more.deviation[which]
+        self._root = None if more is None else more.root
+        self._deviates = bool(self._deviation.any())
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
         #: (B, n) the diagonal
@@ -69,15 +73,15 @@ class Hessians:
         #: (B, n) elements that bases take to wear
         self._wearing = np.zeros((count, n), dtype=bool)
         #: bases, and the number of that of each history
-        self._stack, self._number = BasisStack(compliances), np.full(count, BROKEN)
+        self._stack, self._basis = BasisStack(compliances), np.full(count, BROKEN)
         #: (B, n) inverses in the bases, exact where the slope has the shape, else preconditioners
         self._inverse, self._regular = np.ones((count, n)), np.ones(count, dtype=bool)
         #: (B, n) in the bases, what unknowns grow by with the approach, and (B,) the force with it,
         #: by the weights of the reference
         self._response, self._stiffness = np.zeros((count, n)), np.zeros(count)
         self._factors: dict[int, FloatArray] = {}
-        #: how all histories are solved (True), and how some of them are
-        self._rows: dict[bool, tuple[IntArray, _Rows]] = {}
+        #: how histories are solved whose rows are compact (True), or among those of all
+        self._rows: dict[bool, tuple[IntArray, _BasisRows]] = {}
 
     def keep(self, histories: IntArray) -> None:
         """Go on with some of the histories."""
@@ -85,7 +89,7 @@ class Hessians:
         self.coupling = self.coupling[histories] if len(self.coupling) else self.coupling
         keep(
             self,
-            ("_which", "_deviation", "_free", "_valid", "_wearing", "_number",
+            ("_which", "_deviation", "_free", "_valid", "_wearing", "_basis",
              "_inverse", "_regular", "_response", "_stiffness"),
             histories,
         )  # fmt: skip
@@ -98,26 +102,22 @@ class Hessians:
     def pose(self, wear: WearIncrement | None) -> None:
         """Make room for what the wear of an implicit step adds; none adds nothing."""
         if wear is None:
-            self.set_slopes(slice(None), np.zeros_like(self.slope), None)
+            self.set_slopes(np.arange(len(self.slope)), np.zeros_like(self.slope), None)
         self.through_layers = wear is not None and wear.layered
         coupled, (count, n) = wear is not None and not wear.local, self.slope.shape
         if coupled != bool(len(self.coupling)):
             self.coupling = np.zeros((count if coupled else 0, n, n))
 
     def set_slopes(
-        self, rows: IntArray | slice, slope: FloatArray, coupling: FloatArray | None
+        self, histories: IntArray, depth_slopes: FloatArray, coupling: FloatArray | None
     ) -> None:
-        """Set what wear adds in some rows, see ``ContactProblem.slopes``."""
-        if slope is not self.slope:
-            self._valid[rows] &= (slope == self.slope[rows]).all(axis=1)
-            if isinstance(rows, slice):
-                self.slope, self.diagonal = slope, 1.0 + slope
-            else:
-                self.slope = self.slope.copy()
-                self.slope[rows] = slope
-                self.diagonal[rows] = 1.0 + slope
+        """Set what wear adds in some histories, see ``ContactProblem.slopes``."""
+        self._loops.set_slopes(
+            *depth_slopes.shape, histories, self._which, depth_slopes, self._slope_scale,
+            self.slope, self.diagonal, self._valid,
+        )  # fmt: skip
         if coupling is not None:
-            self.coupling[rows] = coupling
+            self.coupling[histories] = coupling
 
     def matrix(self, history: int) -> FloatArray:
         """Return the Hessian of a history, (n, n)."""
@@ -130,7 +130,7 @@ class Hessians:
     def forget(self, histories: IntArray) -> None:
         """Let nothing touch in some histories."""
         self._free[histories], self._valid[histories] = False, False
-        self._number[histories] = _FACTOR
+        self._basis[histories] = _FACTOR
         self._rows.clear()
         for history in histories.tolist():
             self._factors[history] = _NO_FACTOR
@@ -172,13 +172,13 @@ class Hessians:
                     return
             else:
                 rates[irregular] = self._median_rates(histories[irregular])
-        new_sets |= self._number[histories] < 0
+        new_sets |= self._basis[histories] < 0
         if new_sets.any():
             self._choose_bases(histories[new_sets])
-            valid = self._number[histories] >= 0
+            valid = self._basis[histories] >= 0
             histories, rates = histories[valid], rates[valid]
         self._loops.invert(
-            len(histories), n, histories, self._number, rates, self._stack.mu, self._stack.force,
+            len(histories), n, histories, self._basis, rates, self._stack.mu, self._stack.force,
             self._inverse, self._response, self._stiffness,
         )  # fmt: skip
 
@@ -201,8 +201,8 @@ class Hessians:
             alike[compliance, packed[place * width : (place + 1) * width]].append(place)
         for (compliance, name), places in alike.items():
             if self._stack.is_full:
-                self._stack.make_room(self._number)
-            self._number[histories[places]] = self._stack.number_of(
+                self._stack.make_room(self._basis)
+            self._basis[histories[places]] = self._stack.number_of(
                 compliance, name, free[places[0]], wearing[places[0]]
             )
 
@@ -214,25 +214,43 @@ class Hessians:
             if not free.all():
                 block = block[np.ix_(free, free)]
             self._factors[history], info = dpotrf(block, lower=1, clean=0)
-            self._number[history] = _FACTOR if info == 0 else BROKEN
+            self._basis[history] = _FACTOR if info == 0 else BROKEN
 
-    def _rows_of(self, histories: IntArray) -> "_Rows":
-        """Return how some histories are solved, remembered for the same ones."""
-        whole = len(histories) == len(self._number)
-        known = self._rows.get(whole)
-        if known is None or (known[0] is not histories and not whole):
-            every = self._number[histories]
-            modal = np.flatnonzero(every >= 0)
-            places: IntArray | slice = modal
-            if len(modal) == len(every):
-                places = slice(None)
-            numbers = every[places]
-            more, root = self._compliances.deviations, None
-            if more is not None:
-                root = more.root[self._which[histories[places]]]
-            rows = _Rows(places, histories[places], numbers, RowProducts(numbers), root)
-            known = self._rows[whole] = histories, rows
+    def _rows_of(self, histories: IntArray, compact: bool) -> "_BasisRows":
+        """Return how some histories are solved, remembered for the same ones.
+
+        Parameters
+        ----------
+        compact : whether arrays are of these histories one after another, or of all.
+        """
+        known = self._rows.get(compact)
+        if known is None or known[0] is not histories:
+            bases = self._basis[histories]
+            order = np.argsort(bases, kind="stable")
+            factored, places = np.count_nonzero(bases < 0), order if compact else histories[order]
+            every = np.arange(len(self._basis))
+            rows = _BasisRows(
+                histories if compact else every, bases if compact else self._basis,
+                self._which[histories] if compact else self._which,
+                places[factored:], places[:factored],
+            )  # fmt: skip
+            known = self._rows[compact] = histories, rows
         return known[1]
+
+    def take_steps(self, problem: ContactProblem) -> None:
+        """Take the steps of the histories at work of a problem, and of their approaches."""
+        histories, n, missing = problem.at_work, self.slope.shape[1], None
+        if problem.forces is not None:
+            missing = np.empty(len(problem.every))
+            self._loops.missing_forces(
+                len(histories), n, histories, self._which, problem.unknowns,
+                self._compliances.weights, problem.forces, missing,
+            )  # fmt: skip
+        rows = self._rows_of(histories, compact=False)
+        steps, changes = self._steps(rows, problem.gradients, missing, NEAR)
+        self._loops.add_steps(
+            len(histories), n, histories, steps, changes, problem.unknowns, problem.approaches
+        )
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
         """Return H^-1 right, (..., h, n), of some histories; 0 off their sets."""
@@ -255,75 +273,107 @@ class Hessians:
         missing : (..., h) float, N; None: approaches stay.
         tolerance : ``ROUGH``, ``NEAR`` or ``SOLVED``.
         """
-        rows = self._rows_of(histories)
-        products = rows.groups.of
-        if len(rows.numbers) == len(histories):
-            modal = products(gradient, self._stack.psi)
-            solved, approach = self._modal_steps(rows, modal, missing, tolerance)
-            return products(solved, self._stack.psi_t), approach
-        steps, approach = np.zeros_like(gradient), np.zeros(gradient.shape[:-1])
-        if len(rows.numbers):
-            places = rows.places
-            modal = products(gradient[..., places, :], self._stack.psi)
-            left = None if missing is None else np.ascontiguousarray(missing[..., places])
-            solved, approach[..., places] = self._modal_steps(rows, modal, left, tolerance)
-            steps[..., places, :] = products(solved, self._stack.psi_t)
-        self._set_factored(histories, gradient, missing, (steps, approach))
-        return steps, approach
+        return self._steps(self._rows_of(histories, compact=True), gradient, missing, tolerance)
 
-    def _modal_steps(
-        self,
-        rows: "_Rows",
-        modal: FloatArray,
-        missing: FloatArray | None,
-        tolerance: tuple[float, float],
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return steps in the bases, (..., h, n), where ``modal`` was, and of approaches, (..., h).
+    def responses(self, histories: IntArray, gaps: FloatArray, with_forces: bool) -> FloatArray:
+        """Return about the changes of pressures, MPa, with gaps (..., h, n) mm, to some 1e-3.
 
         Parameters
         ----------
-        modal : (..., h, n) float, the gradients in the bases.
+        with_forces : whether forces stay, or approaches.
         """
-        change, stack, n = np.empty(modal.shape[:-1]), self._stack, modal.shape[-1]
-        with_forces, count, histories = missing is not None, len(rows.histories), rows.histories
-        if missing is None:
-            missing = change
-        elif rows.root is not None:
-            missing = missing * rows.root
-        diagonal = self._inverse, self._response, self._stiffness
-        kinds = self._regular, self._deviation
-        iterated = np.flatnonzero(~self._regular[histories] | (self._deviation[histories] != 0.0))
-        if len(iterated):
-            # those of a basis one after another
-            among = histories[iterated]
-            order = np.argsort(2 * self._number[among] + self._regular[among], kind="stable")
-            times = np.arange(0, change.size, count)
-            places = (iterated[order][:, None] + times).ravel()
-            deviates = stack.derivatives.size > 0
-            self._loops.conjugate_gradients(
-                len(places), n, places, count, histories, self._number, stack.psi, stack.psi_t,
-                stack.derivatives if deviates else stack.psi, deviates, stack.force, self.slope,
-                *kinds, *diagonal, missing, with_forces, *tolerance, _MOST_ITERATIONS, modal,
-                change, *np.empty((2, 4), dtype=np.int64), *np.empty((3, 4)), *np.empty((6, 7, n)),
-            )  # fmt: skip
-        if len(iterated) < count:
-            self._loops.solve_in_bases(
-                change.size, n, count, histories, self._number, stack.force, *diagonal, *kinds,
-                missing, with_forces, modal, change,
-            )  # fmt: skip
-        if rows.root is not None:
-            change *= rows.root
-        return modal, change
+        rows, missing = self._rows_of(histories, compact=True), None
+        if with_forces:
+            missing = np.zeros(gaps.shape[:-1])
+        return self._steps(rows, gaps, missing, ROUGH, with_scales=True)[0]
+
+    def _steps(
+        self,
+        rows: "_BasisRows",
+        gradient: FloatArray,
+        missing: FloatArray | None,
+        tolerance: tuple[float, float],
+        with_scales: bool = False,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return steps and those of approaches; what is not among the rows is anything.
+
+        Parameters
+        ----------
+        with_scales : whether gradients are gaps instead, mm, and steps are to be pressures, MPa.
+        """
+        size, n, stack, which = len(rows.histories), gradient.shape[-1], self._stack, rows.which
+        weights, per_scale = self._compliances.weights, self._per_scale
+        count = gradient.size // n
+        direct, indirect = rows.modal, rows.modal[:0]
+        if self._deviates or not self._regular.all():
+            among = rows.histories[direct]
+            diagonal = self._regular[among] & (self._deviation[among] == 0.0)
+            direct, indirect = direct[diagonal], direct[~diagonal]
+        steps, changes = np.empty((count + ROOM, n)), np.zeros(gradient.shape[:-1])
+        # forces and approaches are by the weights of references in bases
+        root: Any = 1.0 if self._root is None else self._root[which]
+        lacking = changes if missing is None else missing * root
+        self._loops.steps_in_bases(
+            len(direct), n, count // size, size, direct, rows.histories, rows.bases, stack.psi,
+            stack.psi_t, stack.force, self._inverse, self._response, self._stiffness,
+            lacking, missing is not None, gradient, which,
+            weights, per_scale, with_scales, *np.empty((2, 4, n)), steps, changes,
+        )  # fmt: skip
+        out = steps[:count].reshape(gradient.shape), changes
+        not_direct = np.append(indirect, rows.factored) if len(direct) < size else direct[:0]
+        if with_scales and len(not_direct):
+            gradient = gradient * weights[which]
+        if len(indirect):
+            sides = gradient, None if missing is None else lacking
+            self._set_indirect(rows, indirect, *sides, tolerance, out)
+        if self._root is not None:
+            changes *= root
+        if len(rows.factored):
+            self._set_factored(rows.histories, rows.factored, gradient, missing, out)
+        if with_scales and len(not_direct):
+            out[0][..., not_direct, :] *= per_scale[which[not_direct]]
+        return out
+
+    def _set_indirect(
+        self,
+        rows: "_BasisRows",
+        places: IntArray,
+        gradient: FloatArray,
+        missing: FloatArray | None,
+        tolerance: tuple[float, float],
+        out: tuple[FloatArray, FloatArray],
+    ) -> None:
+        """Set steps and changes of approaches that take conjugate gradients."""
+        order = np.argsort(
+            2 * rows.bases[places] + self._regular[rows.histories[places]], kind="stable"
+        )
+        places = places[order]
+        histories, stack, n = rows.histories[places], self._stack, gradient.shape[-1]
+        groups, count = RowProducts(rows.bases[places]), len(places)
+        modal = groups.of(gradient[..., places, :], stack.psi)
+        changes, deviates = np.empty(modal.shape[:-1]), stack.derivatives.size > 0
+        lacking = changes if missing is None else np.ascontiguousarray(missing[..., places])
+        # all that there are of a history one after another
+        every = np.arange(changes.size).reshape(-1, count).T.ravel()
+        self._loops.conjugate_gradients(
+            len(every), n, every, count, histories, self._basis, stack.psi, stack.psi_t,
+            stack.derivatives if deviates else stack.psi, deviates, stack.force, self.slope,
+            self._regular, self._deviation, self._inverse, self._response, self._stiffness,
+            lacking, missing is not None, *tolerance, _MOST_ITERATIONS, modal, changes,
+            *np.empty((2, 4), dtype=np.int64), *np.empty((3, 4)), *np.empty((6, 7, n)),
+        )  # fmt: skip
+        out[0][..., places, :] = groups.of(modal, stack.psi_t)
+        out[1][..., places] = changes
 
     def _set_factored(
         self,
         histories: IntArray,
+        places: IntArray,
         gradient: FloatArray,
         missing: FloatArray | None,
         out: tuple[FloatArray, FloatArray],
     ) -> None:
         """Set steps and changes of approaches of histories that have factors of their own."""
-        places = np.flatnonzero(self._number[histories] < 0)
         weights = self._compliances.weights[self._which[histories[places]]]
         sides = gradient[..., places, :]
         right = np.concatenate([sides.reshape(-1, *weights.shape), weights[None]])
@@ -331,7 +381,7 @@ class Hessians:
         whole = self._free[histories[places]].all(axis=1).tolist()
         for place, history in enumerate(histories[places].tolist()):
             factor = self._factors.get(history, _NO_FACTOR)
-            if self._number[history] == BROKEN:
+            if self._basis[history] == BROKEN:
                 solved[:, place] = np.nan
             elif len(factor):
                 free = slice(None) if whole[place] else self._free[history]
@@ -345,19 +395,16 @@ class Hessians:
         out[1][..., places] = change
 
 
-class _Rows(NamedTuple):
+class _BasisRows(NamedTuple):
     """Which rows are solved in bases, and in which."""
 
-    #: of these rows among those that are solved
-    places: IntArray | slice
-    #: (h,) int, of the rows
+    #: (h,) int, of the rows, of their bases, and of their compliances
     histories: IntArray
-    #: (h,) int, of their bases
-    numbers: IntArray
-    #: of the rows by basis
-    groups: RowProducts
-    #: (h,) float, see ``Deviations``; None: compliances are references
-    root: FloatArray | None
+    bases: IntArray
+    which: IntArray
+    #: which of the rows are solved in bases, one basis after the other, and which by factors
+    modal: IntArray
+    factored: IntArray
 
 
 def _divided(force: FloatArray, stiffness: FloatArray) -> FloatArray:

@@ -19,6 +19,7 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, inner,
 from ringwear_par.batched import keep
 from ringwear_par.compiled import contact_rows
 from ringwear_par.compiled.machine_code import load
+from ringwear_par.contact.row_products import ROOM
 from ringwear_par.wear.increment import WearIncrement
 
 if TYPE_CHECKING:
@@ -84,8 +85,6 @@ class WarmStart:
 class ContactProblem:
     """The contact problems of B histories on one contact line, each at an approach of its own.
 
-    Unknowns, gradients and Hessians are of the histories at work, (h, n).
-
     Parameters
     ----------
     compliances : of the contact line.
@@ -96,30 +95,32 @@ class ContactProblem:
         self.compliances, self.which = compliances, which
         self.area, self.loops = compliances.area, load(contact_rows)
         scale, weights = compliances.scale, compliances.weights
+        self._per_scale, self._slope_scale = 1.0 / scale, weights / scale
         #: (B, n) or (1, n), 1/MPa, pressure times this is the unknown; gap times the weights the
         #: gradient
-        self.scale, self.weights, self._per_scale, self._per_weight, self._slope_scale = (
-            part(values, which)
-            for values in (scale, weights, 1.0 / scale, 1.0 / weights, weights / scale)
+        self.scale, self.weights, self._per_weight = (
+            part(values, which) for values in (scale, weights, 1.0 / weights)
         )
         self.every = np.arange(len(which))
-        #: (B, n) A q of the last unknowns, and (B,) whether those are the ones that there are now
-        self._product, self.is_known = (
-            np.zeros((len(which), len(self.area))),
-            np.zeros(len(which), dtype=bool),
-        )
-        #: (B, n) MPa at the last gradient, where it was of all histories
+        self._reference = compliances.reference[which]
+        #: (B, n) unknowns, and gradients: weighted gaps of the deformed, worn profiles
+        self.unknowns, self.gradients = np.zeros((2, len(which), len(self.area)))
+        #: (B, n) A q, with room for what loops multiply too much
+        self._product = np.zeros((len(which) + ROOM, len(self.area)))
+        #: (B,) whether A q is that of the unknowns
+        self.is_known = np.zeros(len(which), dtype=bool)
+        #: (h, n) MPa and mm, pressures and depths of those at work, of the last gradients
         self._pressure: FloatArray | None = None
-        #: (B, n) slopes that depths have over pressures, and those of gradients over unknowns
-        self._slopes: tuple[FloatArray, FloatArray] | None = None
+        self._depth: FloatArray | None = None
         self.at_work = self.every
         #: (B, n) mm, and (B,) mm
-        self.gaps, self.approaches = np.zeros_like(self._product), np.zeros(len(which))
+        self.gaps, self.approaches = np.zeros_like(self.unknowns), np.zeros(len(which))
         #: (B,) N, where approaches are those that carry given forces
         self.forces: FloatArray | None = None
         self.wear: WearIncrement | None = None
         self._wear_at_work: tuple[IntArray, WearIncrement] | None = None
-        self._products: tuple[IntArray, ComplianceProducts] | None = None
+        #: histories, in the order of their references, and products with their compliances
+        self._products: tuple[IntArray, IntArray, ComplianceProducts] | None = None
 
     def pose(
         self,
@@ -152,23 +153,23 @@ class ContactProblem:
         return apart
 
     def keep(self, histories: IntArray) -> None:
-        """Go on with some of the histories, none of which is at work."""
-        keep(self, ("which", "_product", "is_known", "gaps", "approaches"), histories)
+        """Go on with some of the histories, in ascending order, none of which is at work."""
+        count = len(histories)
+        for name in ("unknowns", "gradients"):  # in their places: vectors of PETSc's are there
+            rows = getattr(self, name)
+            rows[:count] = rows[histories]
+            setattr(self, name, rows[:count])
+        keep(self, ("which", "_reference", "is_known", "gaps", "approaches"), histories)
+        self._product = self._product[np.append(histories, histories[-1:].repeat(ROOM))]
         if len(self.compliances.scale) > 1:
-            names = "scale", "weights", "_per_scale", "_per_weight", "_slope_scale"
-            keep(self, names, histories)
-        self.every = np.arange(len(histories))
+            keep(self, ("scale", "weights", "_per_weight"), histories)
+        self.every = np.arange(count)
         self.at_work = self.every
         self._pressure = self._products = self._wear_at_work = self.wear = self.forces = None
-        self._slopes = None
 
     def rows_of(self, histories: IntArray) -> IntArray | slice:
         """Return the rows of some histories; of all a slice, which is quicker."""
         return slice(None) if len(histories) == len(self.every) else histories
-
-    def rows_in(self, vector: FloatArray) -> FloatArray:
-        """Return the rows of all histories, (B, n), in a vector that may have room for more."""
-        return vector[: self._product.size].reshape(self._product.shape)
 
     @property
     def at_work(self) -> IntArray:
@@ -190,101 +191,112 @@ class ContactProblem:
             self._wear_at_work = histories, self.wear.take(histories)
         return self._wear_at_work[1]
 
-    def pressures(self, q: FloatArray, rows: IntArray | slice) -> FloatArray:
-        """Return the pressures of unknowns, MPa."""
-        return q * part(self._per_scale, rows)
+    def pressures(self, histories: IntArray) -> FloatArray:
+        """Return the pressures of the unknowns of some histories, (h, n) MPa, none negative."""
+        count, n = len(histories), len(self.area)
+        pressures = np.empty((count, n))
+        self.loops.pressures(
+            count, n, histories, self.which, self.unknowns, self._per_scale, pressures
+        )
+        return pressures
 
     def gaps_of(self, gradient: FloatArray) -> FloatArray:
         """Return the gaps between the deformed profiles of all histories, mm."""
         return gradient * self._per_weight
 
-    def _products_of(self, q: FloatArray) -> FloatArray:
-        """Return A q, (h, n)."""
-        rows = self.rows
-        if self._products is None or self._products[0] is not self.at_work:
-            self._products = self.at_work, self.compliances.products(self.which[rows])
-        product = self._products[1].symmetric(q)
-        self.is_known[rows] = True
-        if isinstance(rows, slice):
-            self._product = product
-        else:
-            self._product[rows] = product
-        return product
-
-    def gradient(
-        self, q: FloatArray, recall: bool = False, out: FloatArray | None = None
-    ) -> FloatArray:
-        """Return the gradient (h, n): the weighted gap of the deformed, worn profiles.
+    def evaluate(self, recall: bool = False) -> None:
+        """Set the gradients of the histories at work at their unknowns.
 
         Parameters
         ----------
-        q : (h, n) float, the unknowns.
-        recall : whether they are the last ones, as far as those ``is_known``.
-        out : (h, n) float, where it is to be; None: in an array of its own.
+        recall : whether unknowns are the last ones, as far as those ``is_known``.
         """
-        rows, wear, whole = self.rows, self._increment(), isinstance(self.rows, slice)
+        histories, rows, wear = self.at_work, self.rows, self._increment()
         recall = recall and bool(self.is_known[rows].all())
-        p = self._pressure if recall and whole else None
-        if p is None:
-            p = self.pressures(q, rows)
+        p = self._pressure if recall and len(histories) == len(self.every) else None
+        if p is None or len(p) != len(histories):
+            p = self.pressures(histories)
         self._pressure = None  # where a law raises, nothing is known of these unknowns
         self.is_known[rows] &= recall
-        depths = np.zeros_like(q) if wear is None else wear.depth(p)
-        products = self._product[rows] if recall else self._products_of(q)
-        gradient = np.empty_like(q) if out is None else out
-        self.loops.gradient(
-            *q.shape, self.at_work, self.which, self.gaps, self.approaches, depths,
-            self.compliances.weights, products, gradient,
-        )  # fmt: skip
-        self._pressure = p if whole else None
-        return gradient
+        self._depth = np.zeros_like(p) if wear is None else wear.depth(p)
+        if not recall:
+            self._multiply(histories)
+        self._set_gradients(histories, self._depth)
+        self._pressure = p
 
-    def last_pressures(self, q: FloatArray) -> FloatArray:
+    def evaluate_cleared(self, are_cleared: BoolArray) -> None:
+        """Set the gradients of some of the histories at work (h,), negative unknowns now being 0.
+
+        They wear as before.
+        """
+        assert self._depth is not None
+        histories = self.at_work[are_cleared]
+        self._multiply(histories)
+        self._set_gradients(histories, self._depth[are_cleared])
+
+    def _multiply(self, histories: IntArray) -> None:
+        """Set A q of some histories."""
+        compliances, n = self.compliances, len(self.area)
+        known = self._products
+        if known is None or known[0] is not histories:
+            which = self.which[histories]
+            order = histories[np.argsort(compliances.reference[which], kind="stable")]
+            known = self._products = histories, order, compliances.products(which)
+        if compliances.deviations is None:
+            self.loops.multiply(
+                len(histories), n, n, 1, len(self.every), known[1], self._reference,
+                self.unknowns, compliances.matrices, self._product,
+            )  # fmt: skip
+        else:
+            self._product[histories] = known[2].symmetric(self.unknowns[histories])
+        self.is_known[histories] = True
+
+    def _set_gradients(self, histories: IntArray, depths: FloatArray) -> None:
+        """Set gradients of some histories whose wear is (h, n) mm."""
+        self.loops.gradient(
+            *depths.shape, histories, self.which, self.gaps, self.approaches, depths,
+            self.compliances.weights, self._product, self.gradients,
+        )  # fmt: skip
+
+    def last_pressures(self) -> FloatArray:
         """Return the pressures of all histories, (B, n) MPa.
 
         Where they are those of the last gradient the same array, which laws know again.
         """
-        if self._pressure is None or not self.is_known.all():
-            self._pressure = self.pressures(q, slice(None))
-        return self._pressure
+        p = self._pressure
+        if p is None or len(p) != len(self.every) or not self.is_known.all():
+            p = self._pressure = self.pressures(self.every)
+        return p
 
-    def objective(self, q: FloatArray) -> float:
-        """Return the sum of the objectives, N mm."""
-        rows, wear = self.rows, self._increment()
-        self._pressure = None
+    def objective(self) -> float:
+        """Return the sum of the objectives of the histories at work, N mm."""
+        histories, wear, rows = self.at_work, self._increment(), self.rows
+        self._multiply(histories)
         linear = part(self.weights, rows) * (self.gaps[rows] - self.approaches[rows, None])
-        objectives = inner(q, 0.5 * self._products_of(q) + linear)
+        objectives = inner(self.unknowns[rows], 0.5 * self._product[histories] + linear)
         if wear is not None:
-            objectives = objectives + inner(self.area, wear.potential(self.pressures(q, rows)))
+            objectives = objectives + inner(self.area, wear.potential(self.pressures(histories)))
         return float(objectives.sum())
 
-    def slopes(self, q: FloatArray, recall: bool = False) -> tuple[FloatArray, FloatArray | None]:
-        """Return the slopes that wear adds to the Hessians: on diagonals, (h, n), and off them.
+    def slopes(self) -> tuple[FloatArray, FloatArray | None]:
+        """Return the slopes of depths over pressures where gradients are, (h, n) mm/MPa.
 
-        The second part is (h, n, n) of non-local wear, and does not have the first in it; of local
-        wear it is None.
-
-        Parameters
-        ----------
-        q : (h, n) float, the unknowns.
-        recall : whether they are those of the last gradient.
+        Of histories at work. The second part are those of gradients over unknowns off the diagonals
+        of Hessians, (h, n, n), of non-local wear, and does not have the first in it; of local wear
+        it is None.
         """
-        wear, rows = self._increment(), self.rows
+        wear, rows, p = self._increment(), self.rows, self._pressure
+        if p is None or len(p) != len(self.at_work):
+            p = self.pressures(self.at_work)
         if wear is None:
-            return np.zeros_like(q), None
-        p = self._pressure if recall and isinstance(rows, slice) else None
-        if p is None:
-            p = self.pressures(q, rows)
+            return np.zeros_like(p), None
         slope = np.ascontiguousarray(wear.d_depth_dp(p))
-        if self._slopes is None or self._slopes[0] is not slope:
-            self._slopes = slope, self.scaled_slopes(slope, rows)
-        diagonal = self._slopes[1]
         if wear.local:
-            return diagonal, None
+            return slope, None
         coupling = self.scaled_slopes(wear.jacobian(p), rows)
-        places = np.arange(q.shape[1])
-        coupling[:, places, places] -= diagonal
-        return diagonal, coupling
+        places = np.arange(slope.shape[1])
+        coupling[:, places, places] -= slope * self._slope_scale[self.which[rows]]
+        return slope, coupling
 
     def scaled_slopes(self, slopes: FloatArray, rows: IntArray | slice) -> FloatArray:
         """Return slopes of the gradient over the unknowns, from those of depths over pressures.
@@ -292,28 +304,25 @@ class ContactProblem:
         (h, n) mm/MPa, or of non-local wear (h, n, n).
         """
         if slopes.ndim == self.weights.ndim:
-            return slopes * part(self._slope_scale, rows)
+            return slopes * self._slope_scale[self.which[rows]]
         return part(self.weights, rows)[..., None] * slopes / part(self.scale, rows)[:, None, :]
 
-    def residuals(
-        self, histories: IntArray, q: FloatArray, gradient: FloatArray, slope: FloatArray
-    ) -> FloatArray:
+    def residuals(self, histories: IntArray, slope: FloatArray) -> FloatArray:
         """Return natural KKT residuals of some histories, (h,), relative to their largest unknowns.
 
         Infinite where they are no numbers, or nothing touches.
 
         Parameters
         ----------
-        q, gradient : (B, n) float.
         slope : (B, n) float, that wear adds to the diagonals of the Hessians.
         """
-        rows = self.rows_of(histories)
+        rows, q, gradient = self.rows_of(histories), self.unknowns, self.gradients
         most = np.maximum(largest(q[rows]), 0.0)
         worst = _natural(q[rows], gradient[rows], slope[rows])
         if self.wear is not None and not (worst <= KKT_TOLERANCE * most).all():
             # at a kink of the law either side's slope will do
             every = slice(None)
-            other = self.scaled_slopes(self.wear.d_depth_dp(self.pressures(q, every)), every)
+            other = self.scaled_slopes(self.wear.d_depth_dp(self.pressures(self.every)), every)
             worst = _natural(q[rows], gradient[rows], np.maximum(slope, other)[rows])
         return np.divide(worst, most, out=np.full(len(histories), np.inf), where=most > 0.0)
 

@@ -6,8 +6,8 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.compiled import contact_rows
 from ringwear_par.compiled.machine_code import load
 
-#: rows that the loop multiplies at a time, less one
-_ROOM = 3
+#: rows that the loop multiplies at a time, less one: room after its products
+ROOM = 3
 
 
 class RowProducts:
@@ -25,9 +25,9 @@ class RowProducts:
         """Return rows (..., h, n) times their matrices (m, n, k), digits of each row its own."""
         (*shape, n), (_, n, k), count = rows.shape, matrices.shape, len(self._which)
         size = rows.size // n
-        products = np.empty((size + _ROOM, k))
+        products = np.empty((size + ROOM, k))
         load(contact_rows).multiply(
-            count, n, k, size // max(count, 1), self._order, self._which,
+            count, n, k, size // max(count, 1), count, self._order, self._which,
             np.ascontiguousarray(rows), matrices, products,
         )  # fmt: skip
         return products[:size].reshape(*shape, k)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, inner
-from ringwear_par.contact.hessians import ROUGH, Hessians
+from ringwear_par.contact.hessians import Hessians
 from ringwear_par.contact.problem import ContactProblem, ContactState, part
 
 #: less than any stiffness
@@ -35,9 +35,7 @@ class SolutionDerivatives:
         included.
         """
         problem = self._problem
-        missing = None if problem.forces is None else np.zeros(gap.shape[:-1])
-        steps, _ = self._hessians.steps(problem.every, problem.weights * gap, missing, ROUGH)
-        return problem.pressures(steps, slice(None))
+        return self._hessians.responses(problem.every, gap, problem.forces is not None)
 
     def deflections(self, d_p: FloatArray) -> FloatArray:
         """Return the changes of gaps, mm, with those of pressures, (P, B, n) MPa."""

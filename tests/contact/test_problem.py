@@ -58,8 +58,19 @@ def test_gradient_and_hessian_are_derivatives(problem, wear, at_work):
     gap, q = rng.random((B, N)), rng.uniform(0.5, 1.5, (len(at_work), N))
     approach = np.array([0.7, 0.9, 1.1])
     problem.pose(gap, None, approach, wear_of(wear, problem), np.array(at_work))
-    gradient, h = problem.gradient(q), 1e-5
-    slope, coupling = problem.slopes(q)
+
+    def gradient_at(unknowns):
+        problem.unknowns[at_work] = unknowns
+        problem.evaluate()
+        return problem.gradients[at_work]
+
+    def objective_at(unknowns):
+        problem.unknowns[at_work] = unknowns
+        return problem.objective()
+
+    gradient, h = gradient_at(q), 1e-5
+    slope, coupling = problem.slopes()
+    slope = problem.scaled_slopes(slope, np.array(at_work))
     assert (coupling is None) == (wear != "non-local")
     hessians = problem.compliances.matrices[problem.which[at_work]] + slope[..., None] * np.eye(N)
     hessians = hessians if coupling is None else hessians + coupling
@@ -67,9 +78,9 @@ def test_gradient_and_hessian_are_derivatives(problem, wear, at_work):
         for e in range(N):
             step = np.zeros_like(q)
             step[place, e] = h
-            difference = (problem.objective(q + step) - problem.objective(q - step)) / (2 * h)
+            difference = (objective_at(q + step) - objective_at(q - step)) / (2 * h)
             assert difference == pytest.approx(gradient[place, e], abs=1e-7 * abs(gradient).max())
-            column = (problem.gradient(q + step) - problem.gradient(q - step)) / (2 * h)
+            column = (gradient_at(q + step) - gradient_at(q - step)) / (2 * h)
             assert column[place] == pytest.approx(
                 hessians[place, :, e], abs=1e-8 * abs(hessians).max()
             )
@@ -86,17 +97,22 @@ def test_residuals_of_solutions_and_of_none(problem):
         p = np.linalg.solve(compliance[np.ix_(touching, touching)], area[touching])
         assert (p > 0).all()
         q[i, touching] = problem.scale[i, touching] * p
-    gradient, no_slope = problem.gradient(q), np.zeros((B, N))
+    no_slope = np.zeros((B, N))
+    problem.unknowns[:] = q
+    problem.evaluate()
     p = q / problem.scale
     opening = np.einsum("bij,bj->bi", problem.symmetric[problem.which], p) / area + gap - 1.0
-    assert gradient / problem.weights == pytest.approx(opening, abs=1e-12)
-    assert problem.residuals(every, q, gradient, no_slope).max() <= 1e-14
-    assert problem.residuals(every, 1.01 * q, gradient + 0.01, no_slope).min() > 1e-3
-    gradient[1] *= np.nan
-    residuals = problem.residuals(np.array([1, 2]), q, gradient, no_slope)
+    assert problem.gaps_of(problem.gradients) == pytest.approx(opening, abs=1e-12)
+    assert problem.residuals(every, no_slope).max() <= 1e-14
+    problem.gradients[1] *= np.nan
+    residuals = problem.residuals(np.array([1, 2]), no_slope)
     assert residuals[0] == np.inf
     assert residuals[1] <= 1e-14
-    assert (problem.residuals(every, no_slope, no_slope, no_slope) == np.inf).all()
+    problem.unknowns *= 1.01
+    problem.gradients += 0.01
+    assert problem.residuals(every, no_slope).min() > 1e-3
+    problem.unknowns[:] = 0.0
+    assert (problem.residuals(every, no_slope) == np.inf).all()
 
 
 def test_histories_that_need_no_pressure_are_not_at_work(problem):

@@ -100,18 +100,18 @@ def test_what_is_raised_inside_tao_comes_out_as_it_is(kind, error, wrapped, monk
         before = solver.solve(gap, force=force)
         if wrapped:
             monkeypatch.setattr(solver, "_tao", _Wrapping(solver._tao))
-        places = [(solver._problem, "gradient"), (solver._problem, "slopes")]
+        places = [(solver._problem, "evaluate"), (solver._problem, "slopes")]
         if kind == "python":
-            places.append((solver._hessians, "steps"))
+            places.append((solver._hessians, "take_steps"))
         for place, name in places:
             works, left = getattr(place, name), 0
 
-            def fails(*args, works=works):
+            def fails(*args, works=works, **keywords):
                 nonlocal left
                 left -= 1
                 if left < 0:
                     raise error
-                return works(*args)
+                return works(*args, **keywords)
 
             for good in (0, 1, 2):  # calls before it
                 start_anew(solver)
@@ -134,7 +134,7 @@ def test_an_error_of_petsc_itself_is_told(monkeypatch):
 
     with solver_of("python") as solver:
         monkeypatch.setattr(solver, "_tao", _Wrapping(solver._tao))
-        monkeypatch.setattr(solver._hessians, "steps", fails)
+        monkeypatch.setattr(solver._hessians, "take_steps", fails)
         with pytest.raises(ComputationError, match=r"TAO python failed \(PETSc error 73\)"):
             solver.solve(FLAT, force=THREE)
 
