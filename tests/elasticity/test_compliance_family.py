@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ringwear_par.contact.hessians import Hessians
-from ringwear_par.elasticity.bem.compliance_family import family_number
+from ringwear_par.elasticity.bem.compliance_family import family_number, family_of
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic.bodies import has_family
 from ringwear_par.history.elastic.compliances import Compliances
@@ -68,7 +68,8 @@ def test_inverses_are_those_of_the_members(case, shape, comm):
     slope = 3.0 * scaled.speed[scaled.reference[found.which]]
     if shape == "any":
         slope *= rng.uniform(0.5, 1.5, (3, n))
-    hessians.set_slopes(slice(None), slope, None)
+    per_depth = (scaled.weights / scaled.scale)[found.which]
+    hessians.set_slopes(np.arange(3), slope / per_depth, None)
     hessians.refresh(np.arange(3), free)
     right = rng.normal(size=(2, 3, n))
     solved = hessians.solve(np.arange(3), right)
@@ -77,6 +78,25 @@ def test_inverses_are_those_of_the_members(case, shape, comm):
         exact = np.linalg.solve(block, right[:, i, on].T).T
         assert solved[:, i, on] == pytest.approx(exact, rel=1e-9, abs=1e-9 * np.abs(exact).max())
         assert not solved[:, i, ~on].any()
+
+
+def test_derivatives_by_moduli_are_those_of_the_members(case, comm):
+    """K is nearly linear in both compliances, so that differences are wide."""
+    young, pair = (10001.3, 99e3), assemble(case, comm)
+    family = family_of(pair, family_number(young))
+
+    def matrix(moduli):
+        member = family.members([moduli])
+        return member.share * (family.reference.matrix + member.deviation * family.derivative)
+
+    for body in range(2):
+        low, high = (
+            matrix(tuple(np.multiply(young, 1.0 + by * (np.arange(2) == body))))
+            for by in (-1e-4, 1e-4)
+        )
+        difference = (high - low) / (2e-4 * young[body])
+        found = family.derivative_by_modulus(young, body)
+        assert np.abs(found - difference).max() < 1e-7 * np.abs(found).max()
 
 
 def test_moduli_that_are_written_have_references_of_their_own(case, comm):

@@ -50,6 +50,8 @@ def case_of(tmp_path, law="threshold", scheme="adaptive", elements=12, **changes
         keys |= {f"wear.{body}.{name}": value for name, value in (own or {}).items()}
     if law == "user":
         keys |= {"wear.lower.file": str(tmp_path / "law.py")}
+    # of more than four digits, so that its neighbours' compliances are of the same reference
+    keys["lower.young"] = 10001.3
     return rw.read_case(PAPER, {**keys, **STEPPINGS[scheme], **changes})
 
 

@@ -15,9 +15,10 @@ from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import layer_entry
 from ringwear_par.contact.row_products import RowProducts
+from ringwear_par.elasticity.bem.compliance_family import family_number, family_of
 from ringwear_par.elasticity.bem.pair import ComplianceChange, ContactPair, Entry, layer_derivative
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.history.elastic.bodies import bodies, young
+from ringwear_par.history.elastic.bodies import bodies, moduli_have_families, young
 from ringwear_par.history.elastic.compliances import key_of
 
 _ENTRIES: tuple[Entry, ...] = ("thickness", "young", "poisson")
@@ -43,10 +44,7 @@ class ElasticDerivatives:
         operators = [key_of(pair, case) for pair, case in zip(pairs, cases, strict=True)]
         firsts = dict(zip(operators, zip(pairs, cases, strict=True), strict=True))
         places = {operator: place for place, operator in enumerate(firsts)}
-        every = [
-            pair.d_compliance(young(case), compliance_change(case, pair, key))
-            for pair, case in firsts.values()
-        ]
+        every = [_derivatives(case, pair, key) for pair, case in firsts.values()]
         area = pairs[0].line.area
         return cls(
             np.array([(matrix / area[:, None]).T for matrix, _, _ in every]),
@@ -64,6 +62,18 @@ class ElasticDerivatives:
         products = RowProducts(self.which)
         gap += products.of(p - at, self.symmetric)
         gap += products.of(at, self.collocated)
+
+
+def _derivatives(
+    case: Case, pair: ContactPair, key: str
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the derivatives of ``ContactPair.d_compliance`` by a key."""
+    change, moduli = compliance_change(case, pair, key), young(case)
+    if layer_entry(key) is not None or not moduli_have_families(case):
+        return pair.d_compliance(moduli, change)
+    family, body = family_of(pair, family_number(moduli)), BODIES.index(key.partition(".")[0])
+    matrix = family.derivative_by_modulus(moduli, body)
+    return matrix, change.normal, change.twist / pair.line.area.sum()
 
 
 def compliance_change(case: Case, pair: ContactPair, key: str) -> ComplianceChange:

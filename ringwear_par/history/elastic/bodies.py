@@ -30,13 +30,20 @@ def has_family(case: Case) -> bool:
 
     It is where a modulus has more than four digits: moduli that a user writes have a reference
     each, which serves all cases of a sweep; those that a design draws or a fit tries share one. The
-    answer depends on the case alone, so that its digits do. Not in a family are bodies with layers
-    and elements that follow the wear, whose compliances are their own anyway, and large systems,
-    which have no bases to share.
+    answer depends on the case alone, so that its digits do.
     """
     plain = all(float(f"{modulus:.3e}") == modulus for modulus in young(case))
+    return not plain and moduli_have_families(case)
+
+
+def moduli_have_families(case: Case) -> bool:
+    """Tell whether compliances of about the moduli of a case are in families.
+
+    Not in a family are bodies with layers and elements that follow the wear, whose compliances are
+    their own anyway, and large systems, which have no bases to share.
+    """
     alone = case.follows_wear or any(ring.layers for ring in case.rings)
-    return not plain and not alone and case.mesh.contact_elements <= LARGEST_WITH_BASES
+    return not alone and case.mesh.contact_elements <= LARGEST_WITH_BASES
 
 
 def operator_key(case: Case) -> Hashable:
