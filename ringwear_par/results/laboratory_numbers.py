@@ -139,7 +139,7 @@ def laboratory_numbers(inputs: LaboratoryInputs) -> dict[str, FloatArray]:
 
 
 def laboratory_inputs(result: Result) -> LaboratoryInputs:
-    """Return what the numbers of a result follow from, (stored states,) each."""
+    """Return the inputs of the numbers of a result, (stored states,) each."""
     about, histories = result.attributes, result.histories
     time, omega = histories["time"], schedule_of(about, "omega")
     volumes, densities = [], []

@@ -130,8 +130,8 @@ class Warnings:
         # the load of one would excuse what others are to be warned of
         first = self._cases[0]
         case = replace(first, load=replace(first.load, force=0.0, displacement=None))
-        others = np.flatnonzero(alike & ~_is_deep(case, self._states.moved))
-        for numbers in np.array_split(others, -(-len(alike) // _TOGETHER)):
+        shallow = np.flatnonzero(alike & ~_is_deep(case, self._states.moved))
+        for numbers in np.array_split(shallow, -(-len(alike) // _TOGETHER)):
             if len(numbers) > 1:
                 worst = self.worst(numbers)
                 known = not math.isnan(worst["reactions"][0])
