@@ -38,7 +38,7 @@ from ringwear_par.wear.laws import LAWS
 
 
 @cache
-def load(name: str) -> Any:
+def import_named(name: str) -> Any:
     """Return the function or class of a name in these tables: its module is loaded when needed."""
     module, _, attribute = name.partition(":")
     return getattr(import_module(f"ringwear_par.{module}"), attribute)
@@ -47,6 +47,7 @@ def load(name: str) -> Any:
 class Scheme(NamedTuple):
     """A value of ``time.scheme``."""
 
+    meaning: str
     #: module and function that makes a step, see ``history/schemes/step.py``
     step: str
     #: module and class that controls the lengths of steps, see ``history/step_control.py``
@@ -56,31 +57,42 @@ class Scheme(NamedTuple):
     #: module and function that makes a step to a time of output within one, without estimates of
     #: errors; "": the same
     within: str = ""
+    #: whether its steps are stable only up to ``stable_steps``, of ``history/refusals``
+    explicit: bool = False
 
 
 SCHEMES = {
     "implicit": Scheme(
-        "history.schemes.euler:backward", "history.step_control:FixedSteps", adaptive=False
+        "backward Euler inside the contact problem",
+        "history.schemes.euler:backward",
+        "history.step_control:FixedSteps",
+        adaptive=False,
     ),
     "explicit": Scheme(
-        "history.schemes.euler:forward", "history.step_control:FixedSteps", adaptive=False
+        "forward Euler, equation (6) of the paper",
+        "history.schemes.euler:forward",
+        "history.step_control:FixedSteps",
+        adaptive=False,
+        explicit=True,
     ),
     "adaptive": Scheme(
+        "second order, steps chosen by time.tolerance",
         "history.schemes.sdirk2:step",
         "history.step_control:ErrorControl",
         adaptive=True,
         within="history.schemes.sdirk2:step_within",
     ),
 }
+_FIXED = ", ".join(name for name, scheme in SCHEMES.items() if not scheme.adaptive)
 
 
 class StopCriterion(NamedTuple):
-    """A key of [stop]: a quantity whose limit ends a history."""
+    """A key of [stop]: a quantity that grows to a limit, at which a history ends."""
 
     unit: str
     meaning: str
     #: module and function that returns the quantity of a state, see ``history/stop_criteria.py``
-    quantity: str
+    function: str
 
 
 STOP_CRITERIA = {
@@ -229,11 +241,10 @@ KEYS: tuple[Key, ...] = (
     ),
     Key(
         "time.scheme", *choice(*SCHEMES), "-",
-        "implicit: backward Euler inside the contact problem; explicit: forward Euler, equation "
-        "(6) of the paper; adaptive: second order, steps chosen by time.tolerance", "implicit",
+        "; ".join(f"{name}: {scheme.meaning}" for name, scheme in SCHEMES.items()), "implicit",
     ),
-    Key("time.step", *number(0.0), "s", "time step (implicit, explicit)", None),
-    Key("time.steps", *whole(1), "-", "number of time steps (implicit, explicit)", None),
+    Key("time.step", *number(0.0), "s", f"time step ({_FIXED})", None),
+    Key("time.steps", *whole(1), "-", f"number of time steps ({_FIXED})", None),
     Key(
         "time.end", *number(0.0), "s",
         "end of an adaptive history; default: time.step x time.steps", None,

@@ -301,37 +301,38 @@ def steps_in_bases(
 
 
 def conjugate_gradients(
-    count: Count, n: Count, places: Integers, n_histories: Count, rows: Integers, numbers: Integers,
-    psi: Reals, psi_t: Reals, derivatives: Reals, with_derivatives: Count, forces: Reals,
-    slopes: Reals, are_regular: Flags, deviations: Reals, inverses: Reals, responses: Reals,
-    stiffness: Reals, missing: Reals, with_forces: Count, tolerance: Real, regular_tolerance: Real,
-    most: Count, sides: Reals, changes: Reals, which: Integers, order: Integers, sizes: Reals,
-    limits: Reals, multipliers: Reals, solutions: Reals, residuals: Reals, directions: Reals,
-    bent: Reals, products: Reals, deviating: Reals,
+    count: Count, n: Count, order: Integers, n_histories: Count, histories: Integers,
+    numbers: Integers, psi: Reals, psi_t: Reals, derivatives: Reals, with_derivatives: Count,
+    forces: Reals, slopes: Reals, are_regular: Flags, deviations: Reals, inverses: Reals,
+    responses: Reals, stiffness: Reals, missing: Reals, with_forces: Count, tolerance: Real,
+    regular_tolerance: Real, most: Count, sides: Reals, changes: Reals, which: Integers,
+    positions: Integers, sizes: Reals, limits: Reals, multipliers: Reals, solutions: Reals,
+    residuals: Reals, directions: Reals, bent: Reals, products: Reals, deviating: Reals,
 ) -> None:  # fmt: skip
-    """Set steps against gradients in bases at ``places`` (count,), as ``solve_in_bases`` does.
+    """Set steps against gradients in bases, of an ``order`` of places, as ``steps_in_bases`` does.
 
     Of Hessians that are not diagonal there, 1 + Psi' slope Psi + deviation K', by projected
     conjugate gradients, which these inverses precondition: four histories of a basis at a time, up
     to ``most`` iterations, until residuals are below a tolerance relative to the first. Each
-    iterate carries the force; the change of approach is the multiplier of that condition. From
-    ``which`` on there is room, for four numbers, or for seven rows.
+    iterate carries the force; the change of approach is the multiplier of that condition.
+    ``sides`` (places, n) are gradients before and steps after. ``which``, ``positions``, ``sizes``,
+    ``limits`` and ``multipliers`` are work arrays of 4; from ``solutions`` on of (7, n).
     """
     begin = 0
     while begin < count:
-        first = rows[places[begin] % n_histories]
+        first = histories[order[begin] % n_histories]
         regular, together = are_regular[first], 0
         share = regular_tolerance if regular else tolerance
         while together < 4 and begin + together < count:
-            history = rows[places[begin + together] % n_histories]
+            history = histories[order[begin + together] % n_histories]
             if numbers[history] != numbers[first] or are_regular[history] != regular:
                 break
-            which[together], order[together] = numbers[first], together
+            which[together], positions[together] = numbers[first], together
             together += 1
         shifted = False
         for q in range(together):
-            place, local = places[begin + q], q * n
-            history = rows[place % n_histories]
+            place, local = order[begin + q], q * n
+            history = histories[place % n_histories]
             row, start, size, shift = history * n, place * n, 0.0, 0.0
             for i in range(n):
                 size += inverses[row + i] * sides[start + i] * sides[start + i]
@@ -350,22 +351,24 @@ def conjugate_gradients(
         for iteration in range(most + 1):
             if iteration > 0 or shifted:
                 if not regular:
-                    _multiply(together, n, n, 1, together, order, which, directions, psi_t, bent)
+                    _multiply(
+                        together, n, n, 1, together, positions, which, directions, psi_t, bent
+                    )
                     for q in range(together):
-                        row = rows[places[begin + q] % n_histories] * n
+                        row = histories[order[begin + q] % n_histories] * n
                         for i in range(n):
                             bent[q * n + i] *= slopes[row + i]
-                    _multiply(together, n, n, 1, together, order, which, bent, psi, products)
+                    _multiply(together, n, n, 1, together, positions, which, bent, psi, products)
                 if with_derivatives:
                     _multiply(
-                        together, n, n, 1, together, order, which, directions, derivatives,
+                        together, n, n, 1, together, positions, which, directions, derivatives,
                         deviating,
                     )  # fmt: skip
             going = False
             for q in range(together):
                 if not sizes[q] > limits[q]:
                     continue
-                local, history = q * n, rows[places[begin + q] % n_histories]
+                local, history = q * n, histories[order[begin + q] % n_histories]
                 row, basis, deviation = history * n, numbers[history] * n, deviations[history]
                 size, curvature = sizes[q], 0.0
                 if iteration > 0 or shifted:
@@ -409,7 +412,7 @@ def conjugate_gradients(
             if not going:
                 break
         for q in range(together):
-            place = places[begin + q]
+            place = order[begin + q]
             for i in range(n):
                 sides[place * n + i] = solutions[q * n + i]
             changes[place] = -multipliers[q]

@@ -62,7 +62,7 @@ class Hessians:
         self.slope = np.zeros((count, n))
         #: (B, n) the diagonal
         self.diagonal = np.ones((count, n))
-        #: (B, n, n) what non-local wear adds, its diagonal included in it; (0, n, n): wear is local
+        #: (B, n, n) what non-local wear adds off the diagonal; (0, n, n): wear is local
         self.coupling = np.zeros((0, n, n))
         #: whether wear gets through layers: slopes then are of several laws, far apart, and a
         #: factor takes less time than conjugate gradients
@@ -295,7 +295,7 @@ class Hessians:
         tolerance: tuple[float, float],
         with_scales: bool = False,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return steps and those of approaches; what is not among the rows is anything.
+        """Return steps and those of approaches; rows that are not solved are left unset.
 
         Parameters
         ----------
@@ -305,7 +305,7 @@ class Hessians:
         size, n, stack, which = len(rows.histories), gradient.shape[-1], self._stack, rows.which
         weights, per_scale = self._compliances.weights, self._per_scale
         count = gradient.size // n
-        direct, indirect = rows.modal, rows.modal[:0]
+        direct, indirect = rows.in_bases, rows.in_bases[:0]
         if self._deviates or not self._regular.all():
             among = rows.histories[direct]
             diagonal = self._regular[among] & (self._deviation[among] == 0.0)
@@ -404,7 +404,7 @@ class _BasisRows(NamedTuple):
     bases: IntArray
     which: IntArray
     #: which of the rows are solved in bases, one basis after the other, and which by factors
-    modal: IntArray
+    in_bases: IntArray
     factored: IntArray
 
 

@@ -109,7 +109,8 @@ class ContactProblem:
         self._product = np.zeros((len(which) + ROOM, len(self.area)))
         #: (B,) whether A q is that of the unknowns
         self.is_known = np.zeros(len(which), dtype=bool)
-        #: (h, n) MPa and mm, pressures and depths of those at work, of the last gradients
+        #: (h, n) MPa and mm, pressures and depths of the histories at work when gradients were
+        #: last set
         self._pressure: FloatArray | None = None
         self._depth: FloatArray | None = None
         self.at_work = self.every

@@ -19,7 +19,7 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray, keep_freed_memory
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.schema import SCHEMES, load
+from ringwear_par.cases.schema import SCHEMES, import_named
 from ringwear_par.elasticity.bem.pair import ContactPair
 from ringwear_par.history.batch import Batch
 from ringwear_par.history.ensemble import Ensemble, Method
@@ -39,9 +39,13 @@ class Outcome(NamedTuple):
 
 
 def method_of(scheme: str) -> Method:
-    """Return how histories of a ``time.scheme`` step: its line in ``SCHEMES``."""
-    line = SCHEMES[scheme]
-    return Method(load(line.step), load(line.control), load(line.within or line.step))
+    """Return how histories of a ``time.scheme`` step: what its line in ``SCHEMES`` names, loaded.
+
+    All ask here for it, so that tests can have histories step in another way.
+    """
+    names = SCHEMES[scheme]
+    functions = names.step, names.control, names.within or names.step
+    return Method(*map(import_named, functions))
 
 
 def simulate(
@@ -101,6 +105,7 @@ def simulate(
                 begun += count
             if len(batches) > 1 and all(batch.may_join for batch in batches[-2:]):
                 batches[-2:] = [batches[-2].joined(batches[-1])]
+            # the last batch makes a round, alone: what goes on of it, in one or more parts, is last
             batches += batches.pop().advance()
     finally:
         for batch in batches:

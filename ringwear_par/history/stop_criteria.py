@@ -2,7 +2,8 @@
 
 A history ends after the step in which a quantity reaches its limit, so it goes beyond the limit by
 up to the change in this step. A new quantity is a function like these, in any file of ``history``,
-and a line in ``STOP_CRITERIA`` of ``cases/schema.py``.
+and a line in ``STOP_CRITERIA`` of ``cases/schema.py``. It has to grow towards its limit, and states
+are those of B histories: it returns (B,).
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,7 +12,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, largest
 from ringwear_par.cases.case import Case
-from ringwear_par.cases.schema import STOP_CRITERIA, load
+from ringwear_par.cases.schema import STOP_CRITERIA, import_named
 from ringwear_par.history.state import State
 
 
@@ -46,5 +47,5 @@ def have_reached(limits: Mapping[str, FloatArray], state: State) -> BoolArray:
     """Return which histories have reached a limit, (B,)."""
     reached = np.zeros(len(state.time), dtype=bool)
     for name, limit in limits.items():
-        reached |= load(STOP_CRITERIA[name].quantity)(state) >= limit
+        reached |= import_named(STOP_CRITERIA[name].function)(state) >= limit
     return reached

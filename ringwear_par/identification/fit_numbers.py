@@ -20,7 +20,11 @@ from ringwear_par.identification.estimation.intervals import ParameterEstimate
 from ringwear_par.identification.estimation.starts import StartOutcome
 from ringwear_par.identification.fit_result import FitResult
 from ringwear_par.identification.scatter.posterior import Mixture
-from ringwear_par.results.laboratory_numbers import LABORATORY, course_of, laboratory_numbers
+from ringwear_par.results.laboratory_numbers import (
+    LABORATORY_NUMBERS,
+    laboratory_inputs,
+    laboratory_numbers,
+)
 from ringwear_par.results.result import Result
 from ringwear_par.studies.execution.many import simulate_all
 from ringwear_par.wear.laws.threshold import AboveThreshold
@@ -212,8 +216,8 @@ def _tests(fit: FitResult) -> dict[str, dict[str, Any]]:
     results = simulate_all(cases, MPI.COMM_SELF)
     return {
         experiment.name: {
-            name: {"value": float(values[-1]), "unit": LABORATORY[name].variable.unit}
-            for name, values in laboratory_numbers(course_of(result)).items()
+            name: {"value": float(values[-1]), "unit": LABORATORY_NUMBERS[name].variable.unit}
+            for name, values in laboratory_numbers(laboratory_inputs(result)).items()
             if np.isfinite(values[-1])
         }
         for experiment, result in zip(problem.experiments, results, strict=True)

@@ -20,7 +20,7 @@ from ringwear_par.results.key_numbers import (
     time_unit,
 )
 from ringwear_par.results.laboratory_numbers import (
-    course_of,
+    laboratory_inputs,
     laboratory_numbers,
     schedule_of,
 )
@@ -100,7 +100,7 @@ HISTORY_PANELS = {
     "through": HistoryPanel("worn through (% of area)", _through, whole=100.0),
     "pv": HistoryPanel(
         "p V at the mean radius (MPa m/s)",
-        lambda result: {"": laboratory_numbers(course_of(result))["pressure_velocity"]},
+        lambda result: {"": laboratory_numbers(laboratory_inputs(result))["pressure_velocity"]},
     ),
 }
 

@@ -14,10 +14,10 @@ from ringwear_par.elasticity.sections import BODIES, BodyName
 from ringwear_par.errors import InputError
 from ringwear_par.history.state import State
 from ringwear_par.results.laboratory_numbers import (
-    LABORATORY,
+    LABORATORY_NUMBERS,
     SLIDING,
-    course_of,
     densities_of,
+    laboratory_inputs,
     laboratory_numbers,
 )
 from ringwear_par.results.result import Result
@@ -214,8 +214,8 @@ def key_numbers(result: Result) -> list[KeyNumber]:
 
 def _laboratory(result: Result) -> dict[str, KeyNumber]:
     """Return the numbers of laboratories at the last state, by their names as key numbers."""
-    numbers = laboratory_numbers(course_of(result))
-    entries = [(LABORATORY[name], float(values[-1])) for name, values in numbers.items()]
+    numbers = laboratory_numbers(laboratory_inputs(result))
+    entries = [(LABORATORY_NUMBERS[name], float(values[-1])) for name, values in numbers.items()]
     return {
         n.key: KeyNumber(n.key, n.group, n.label, value, n.variable.unit, ".4g")
         for n, value in entries

@@ -22,8 +22,8 @@ _HOUR = 3600.0
 
 
 @dataclass(frozen=True)
-class Course:
-    """What laboratory numbers are computed from: states of one history, or the ends of several."""
+class LaboratoryInputs:
+    """What laboratory numbers follow from: states of one history, or the ends of several."""
 
     #: (s,) s
     time: FloatArray
@@ -43,22 +43,25 @@ class Course:
     densities: tuple[FloatArray, FloatArray]
 
 
-def _worn(body: int, course: Course) -> FloatArray | None:
-    volumes = course.volumes[body]
+def _worn(body: int, inputs: LaboratoryInputs) -> FloatArray | None:
+    volumes = inputs.volumes[body]
     return None if volumes is None else volumes.sum(axis=1)
 
 
-def _mass(body: int, course: Course) -> FloatArray | None:
-    volumes, densities = course.volumes[body], course.densities[body]
+def _mass(body: int, inputs: LaboratoryInputs) -> FloatArray | None:
+    volumes, densities = inputs.volumes[body], inputs.densities[body]
     if volumes is None or np.isnan(densities).all():
         return None
     lost = np.where(volumes > 0.0, volumes * densities, 0.0)  # nothing lost needs no density
     return 1e3 * lost.sum(axis=1)
 
 
-def _rate(body: int, course: Course, divisor: FloatArray) -> FloatArray | None:
-    """Return the worn volume of a body over a divisor, NaN where that is not positive."""
-    volume = _worn(body, course)
+def _volume_over(body: int, inputs: LaboratoryInputs, divisor: FloatArray) -> FloatArray | None:
+    """Return the worn volume of a body over a divisor, times 1e3; NaN where that is not positive.
+
+    By 1e3, mm/h are um/h, and mm3/(N mm) are mm3/(N m).
+    """
+    volume = _worn(body, inputs)
     if volume is None:
         return None
     rates = np.full(volume.shape, np.nan)
@@ -75,7 +78,7 @@ class LaboratoryNumber:
     group: str
     label: str
     #: computes it; None where there is none
-    values: Callable[[Course], FloatArray | None]
+    values: Callable[[LaboratoryInputs], FloatArray | None]
 
     def at_end(self) -> Variable:
         """Return the variable of the end of a history."""
@@ -84,7 +87,7 @@ class LaboratoryNumber:
 
 def _of_bodies(
     name: str, key: str, label: str, unit: str, meaning: str,
-    values: Callable[[int, Course], FloatArray | None],
+    values: Callable[[int, LaboratoryInputs], FloatArray | None],
 ) -> list[LaboratoryNumber]:  # fmt: skip
     return [
         LaboratoryNumber(
@@ -97,7 +100,7 @@ def _of_bodies(
 
 SLIDING = "sliding at the mean radius"
 #: by name
-LABORATORY = {
+LABORATORY_NUMBERS = {
     number.variable.name: number
     for number in (
         *_of_bodies(
@@ -107,12 +110,12 @@ LABORATORY = {
         *_of_bodies(
             "mean_wear_rate", "mean_rate", "mean rate", "um/h",
             "mean rate of wear of the {} ring since the start: volume over contact area and time",
-            lambda body, course: _rate(body, course, course.area * course.time / _HOUR),
+            lambda body, inputs: _volume_over(body, inputs, inputs.area * inputs.time / _HOUR),
         ),
         *_of_bodies(
             "specific_wear_rate", "specific_rate", "specific wear rate", "mm3/(N m)",
             "specific wear rate of the {} ring since the start: volume over force and distance",
-            lambda body, course: _rate(body, course, course.normal_work),
+            lambda body, inputs: _volume_over(body, inputs, inputs.normal_work),
         ),
         LaboratoryNumber(
             Variable("sliding_distance", ("step",), "m", "sliding distance at the mean radius"),
@@ -129,14 +132,14 @@ LABORATORY = {
 }  # fmt: skip
 
 
-def laboratory_numbers(course: Course) -> dict[str, FloatArray]:
+def laboratory_numbers(inputs: LaboratoryInputs) -> dict[str, FloatArray]:
     """Return the numbers of states (s,) by name; those that there are."""
-    numbers = {name: number.values(course) for name, number in LABORATORY.items()}
+    numbers = {name: number.values(inputs) for name, number in LABORATORY_NUMBERS.items()}
     return {name: values for name, values in numbers.items() if values is not None}
 
 
-def course_of(result: Result) -> Course:
-    """Return the course of a result, (stored states,) each."""
+def laboratory_inputs(result: Result) -> LaboratoryInputs:
+    """Return the inputs of the numbers of a result, (stored states,) each."""
     about, histories = result.attributes, result.histories
     time, omega = histories["time"], schedule_of(about, "omega")
     volumes, densities = [], []
@@ -145,7 +148,7 @@ def course_of(result: Result) -> Course:
         volume = histories[f"worn_volume_{body}"][:, None] if layers is None else layers
         volumes.append(volume if about[f"law_{body}"] else None)
         densities.append(densities_of(result, body))
-    return Course(
+    return LaboratoryInputs(
         time, histories["force"], _normal_work(result), integral(omega, 0.0, time),
         in_time(omega, time), float(about["nominal_area"]), float(about["mean_radius"]),
         (volumes[0], volumes[1]), (densities[0], densities[1]),
@@ -195,7 +198,7 @@ def end_numbers(
     ----------
     cases : theirs.
     columns : theirs, as stored.
-    normal_work : (B,) N mm, see ``Course``.
+    normal_work : (B,) N mm, see ``LaboratoryInputs``.
     """
     stored = np.diff(columns.offsets) > 0
     last = columns.offsets[1:][stored] - 1
@@ -210,13 +213,13 @@ def end_numbers(
         volumes.append(volume[last] if any(case.laws[i] is not None for case in known) else None)
         case_densities = [[np.nan if d is None else d for d in c.rings[i].densities] for c in known]
         densities.append(np.array(case_densities))
-    course = Course(
+    inputs = LaboratoryInputs(
         time, columns.histories["force"][last], normal_work[stored], integral(omega, 0.0, time),
         in_time(omega, time), known[0].area, known[0].mean_radius, (volumes[0], volumes[1]),
         (densities[0], densities[1]),
     )  # fmt: skip
     numbers = {}
-    for name, values in laboratory_numbers(course).items():
+    for name, values in laboratory_numbers(inputs).items():
         numbers[name] = np.full(len(cases), np.nan)
         numbers[name][stored] = values
     return numbers

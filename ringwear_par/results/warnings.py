@@ -9,6 +9,7 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, IntArray
 from ringwear_par.cases.case import Case
+from ringwear_par.cases.schema import SCHEMES
 from ringwear_par.cases.unit_suspicions import (
     MOST_PRESSED,
     Forecast,
@@ -29,7 +30,7 @@ from ringwear_par.history.observers.worst_states import (
     FEW_ELEMENTS,
     MOST_ANGLE,
     WorstStates,
-    force_on,
+    force_measure,
     worn_share,
 )
 from ringwear_par.history.refusals.stable_steps import missed_corner, stable_steps
@@ -39,7 +40,7 @@ from ringwear_par.schedules import largest
 #: histories whose worst states are checked together
 _TOGETHER = 64
 #: the measures of few elements in contact
-_ON_FEW = tuple(map(force_on, range(1, FEW_ELEMENTS)))
+_ON_FEW = tuple(map(force_measure, range(1, FEW_ELEMENTS)))
 #: share of the largest force of a history under which contact need not be resolved
 _SLIGHT_LOAD = 0.1
 #: largest approach or wear, in heights of a body, that small displacements describe
@@ -106,41 +107,42 @@ class Warnings:
         warnings: list[tuple[ValidityWarning, ...]] = [()] * len(failed)
         first = self._cases[0]
         alike = np.array([case.rings == first.rings for case in self._cases])
-        calm, deep = self._calm(alike), deep_forecasts([self._cases[number] for number in good])
+        unsuspicious = self._unsuspicious(alike)
+        forecasts = deep_forecasts([self._cases[number] for number in good])
         plausible = alike & are_plausible([self._cases[i] for i in np.flatnonzero(alike).tolist()])
-        for number, forecasts in zip(good, deep, strict=True):
-            if calm[number] and plausible[number] and not forecasts:
+        for number, of_case in zip(good, forecasts, strict=True):
+            if unsuspicious[number] and plausible[number] and not of_case:
                 long_steps = self._long_steps.get(number)
                 few = () if long_steps is None else (long_steps,)
                 warnings[number] = (*few, *_of_cases(self._cases[number]))
             else:
-                warnings[number] = self._of(number, forecasts)
+                warnings[number] = self._of(number, of_case)
         return warnings
 
-    def _calm(self, alike: BoolArray) -> BoolArray:
+    def _unsuspicious(self, alike: BoolArray) -> BoolArray:
         """Return which histories need not be looked at one by one: the worst of many is well.
 
         Of some, which have the rings of the first.
         """
-        calm = np.zeros(len(alike), dtype=bool)
+        unsuspicious = np.zeros(len(alike), dtype=bool)
         if self._stresses.places(0) is not None:
-            return calm
+            return unsuspicious
         # the load of one would excuse what others are to be warned of
         first = self._cases[0]
         case = replace(first, load=replace(first.load, force=0.0, displacement=None))
-        deep = _is_deep(case, self._states.moved)
-        for numbers in np.array_split(np.flatnonzero(alike & ~deep), -(-len(calm) // _TOGETHER)):
+        shallow = np.flatnonzero(alike & ~_is_deep(case, self._states.moved))
+        for numbers in np.array_split(shallow, -(-len(alike) // _TOGETHER)):
             if len(numbers) > 1:
                 worst = self.worst(numbers)
                 known = not math.isnan(worst["reactions"][0])
-                calm[numbers] = known and not any(_of_states(case, worst))
-        return calm
+                unsuspicious[numbers] = known and not any(_of_states(case, worst))
+        return unsuspicious
 
-    def _of(self, number: int, deep: Sequence[Forecast]) -> tuple[ValidityWarning, ...]:
+    def _of(self, number: int, forecasts: Sequence[Forecast]) -> tuple[ValidityWarning, ...]:
         case, places = self._cases[number], self._stresses.places(number)
         warnings = [self._long_steps[number]] if number in self._long_steps else []
         worst = self.worst(np.array([number]))
-        warnings += validity_warnings(case, worst, deep)
+        warnings += validity_warnings(case, worst, forecasts)
         if places is not None:
             for check in OF_STRESSES:
                 warnings += check(case, self._stresses, number)
@@ -148,17 +150,17 @@ class Warnings:
 
 
 def validity_warnings(
-    case: Case, worst: Mapping[str, Sequence[float]], deep: Sequence[Forecast] | None = None
+    case: Case, worst: Mapping[str, Sequence[float]], forecasts: Sequence[Forecast] | None = None
 ) -> tuple[ValidityWarning, ...]:
     """Return warnings about states of a case that the method is not made for. Not collective.
 
     Parameters
     ----------
     worst : the worst of its history, see ``Warnings.worst``.
-    deep : its ``deep_forecasts``, where they are known.
+    forecasts : its ``deep_forecasts``, where they are known.
     """
     return (
-        *_deep_wear(case, worst, deep), *_of_cases(case), *_of_states(case, worst),
+        *_deep_wear(case, worst, forecasts), *_of_cases(case), *_of_states(case, worst),
     )  # fmt: skip
 
 
@@ -191,18 +193,18 @@ def _missed_corner(case: Case) -> Iterator[ValidityWarning]:
 
 
 def _deep_wear(
-    case: Case, worst: Mapping[str, Sequence[float]], deep: Sequence[Forecast] | None
+    case: Case, worst: Mapping[str, Sequence[float]], forecasts: Sequence[Forecast] | None
 ) -> Iterator[ValidityWarning]:
     """Yield suspicious units, and whether wear or approach were too large for small displacements.
 
     One warning for one thing: wear that much was forecast for is there.
     """
     if not _is_deep(case, worst["moved"][0]):
-        yield from unit_suspicions(case, deep)
+        yield from unit_suspicions(case, forecasts)
         return
     moved, time, *_ = worst["moved"]
-    forecast = deep_wear(case, deep)
-    yield from (warning for warning in unit_suspicions(case, deep) if warning not in forecast)
+    forecast = deep_wear(case, forecasts)
+    yield from (warning for warning in unit_suspicions(case, forecasts) if warning not in forecast)
     yield ValidityWarning(
         "large_displacement",
         f"approach or wear of {moved:.3g} mm at t = {time:g} s is more than 5 % of a body's "
@@ -448,7 +450,7 @@ def _infinite_ends(
 def unstable(snapshot: Snapshot) -> dict[int, ValidityWarning]:
     """Return which of B histories have explicit steps that are too long."""
     physics = snapshot.physics
-    if physics.case.time.scheme != "explicit":
+    if not SCHEMES[physics.case.time.scheme].explicit:
         return {}
     steps = [case.time.step for case in physics.inputs.cases]
     both = enumerate(zip(steps, stable_steps(physics, snapshot.contacts), strict=True))

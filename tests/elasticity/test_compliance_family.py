@@ -8,7 +8,7 @@ import pytest
 from ringwear_par.contact.hessians import Hessians
 from ringwear_par.elasticity.bem.compliance_family import family_number, family_of
 from ringwear_par.elasticity.mesh import Mesh
-from ringwear_par.history.elastic.bodies import has_family
+from ringwear_par.history.elastic.bodies import shares_reference
 from ringwear_par.history.elastic.compliances import Compliances
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.verification.histories import paper_case
@@ -106,5 +106,5 @@ def test_moduli_that_are_written_have_references_of_their_own(case, comm):
     """So that the many histories of one pair of moduli need no iterations; and so have layers."""
     own = [(210e3, 70e3), (206.8e3, 3.0), (1e-3, 9.99e11)]
     shared = [(210000.1, 70e3), (1e4, 1e5 / 3.0)]
-    assert not any(has_family(with_moduli(case, *young)) for young in own)
-    assert all(has_family(with_moduli(case, *young)) for young in shared)
+    assert not any(shares_reference(with_moduli(case, *young)) for young in own)
+    assert all(shares_reference(with_moduli(case, *young)) for young in shared)

@@ -10,7 +10,7 @@ from paths import PAPER
 import ringwear_par as rw
 from ringwear_par.cli import main
 from ringwear_par.results.key_numbers import key_numbers
-from ringwear_par.results.laboratory_numbers import LABORATORY
+from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS
 
 pytestmark = pytest.mark.serial
 K, RADIUS = 1e-8, 30.0
@@ -70,7 +70,7 @@ def test_sweeps_have_those_of_runs(case, tmp_path):
     for i in range(4):
         one = case.replace({"load.omega": omega[i], "lower.density": density[i]})
         ends = {n.name: n.value for n in key_numbers(rw.simulate(one, MPI.COMM_SELF))}
-        for name, number in LABORATORY.items():
+        for name, number in LABORATORY_NUMBERS.items():
             if number.group == "upper":
                 continue
             assert float(data[name][i]) == pytest.approx(ends[number.key], rel=1e-12)

@@ -19,7 +19,7 @@ from ringwear_par.pictures.run_panels import HISTORY_PANELS
 from ringwear_par.results.execution import run as driver
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.results.key_numbers import check_numbers, key_numbers
-from ringwear_par.results.laboratory_numbers import LABORATORY, schedule_of
+from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS, schedule_of
 from ringwear_par.results.storage.boundaries import BOUNDARY_FIELDS
 from ringwear_par.results.storage.result_files import open_result
 from ringwear_par.results.variables import (
@@ -85,7 +85,7 @@ def test_the_dataset_is_that_of_the_file(computed, comm, case, words):
         assert {n: v.dtype for n, v in stored.variables.items()} == {
             n: v.dtype for n, v in dataset.variables.items()
         }
-    numbers = {name: number.variable for name, number in LABORATORY.items()}
+    numbers = {name: number.variable for name, number in LABORATORY_NUMBERS.items()}
     table = {**HISTORIES, **LINE, **PROFILES, **numbers, "step": STEP, "element": ELEMENT}
     fields = {**PROFILES, EDGE_ELEMENT.name: EDGE_ELEMENT}
     for name, values in stored.variables.items():

@@ -1,7 +1,8 @@
-"""Derivatives of the compliance of a pair by the numbers of layers.
+"""Derivatives of the compliance of a pair by Young's moduli and by the numbers of layers.
 
-They are differences of compliances (``elasticity.bem.pair``). Another value of such a number needs
-another pair.
+By moduli of bodies without layers, those of the collocated compliance are exact. By numbers of
+layers they are differences of compliances (``elasticity.bem.pair``); another value of such a number
+needs another pair.
 """
 
 from collections.abc import Sequence
@@ -18,7 +19,7 @@ from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.elasticity.bem.compliance_family import family_number, family_of
 from ringwear_par.elasticity.bem.pair import ComplianceChange, ContactPair, Entry, layer_derivative
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.history.elastic.bodies import bodies, moduli_have_families, young
+from ringwear_par.history.elastic.bodies import bodies, may_share_reference, young
 from ringwear_par.history.elastic.compliances import key_of
 
 _ENTRIES: tuple[Entry, ...] = ("thickness", "young", "poisson")
@@ -69,7 +70,7 @@ def _derivatives(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the derivatives of ``ContactPair.d_compliance`` by a key."""
     change, moduli = compliance_change(case, pair, key), young(case)
-    if layer_entry(key) is not None or not moduli_have_families(case):
+    if layer_entry(key) is not None or not may_share_reference(case):
         return pair.d_compliance(moduli, change)
     family, body = family_of(pair, family_number(moduli)), BODIES.index(key.partition(".")[0])
     matrix = family.derivative_by_modulus(moduli, body)

@@ -25,7 +25,7 @@ def young(case: Case) -> tuple[float, float]:
     return case.lower.young, case.upper.young
 
 
-def has_family(case: Case) -> bool:
+def shares_reference(case: Case) -> bool:
     """Tell whether the compliance of a case is one of a family, and not a reference itself.
 
     It is where a modulus has more than four digits: moduli that a user writes have a reference
@@ -33,11 +33,11 @@ def has_family(case: Case) -> bool:
     answer depends on the case alone, so that its digits do.
     """
     plain = all(float(f"{modulus:.3e}") == modulus for modulus in young(case))
-    return not plain and moduli_have_families(case)
+    return not plain and may_share_reference(case)
 
 
-def moduli_have_families(case: Case) -> bool:
-    """Tell whether compliances of about the moduli of a case are in families.
+def may_share_reference(case: Case) -> bool:
+    """Tell whether compliances of about the moduli of a case share a reference: are in families.
 
     Not in a family are bodies with layers and elements that follow the wear, whose compliances are
     their own anyway, and large systems, which have no bases to share.

@@ -20,7 +20,7 @@ from ringwear_par.elasticity.bem.compliance_family import (
     family_of,
 )
 from ringwear_par.elasticity.bem.pair import ContactCompliance, ContactPair
-from ringwear_par.history.elastic.bodies import has_family, young
+from ringwear_par.history.elastic.bodies import shares_reference, young
 
 #: identity of a contact pair, and Young's moduli of lower and upper
 OperatorKey = tuple[int, tuple[float, float]]
@@ -60,7 +60,7 @@ class Compliances:
         families: dict[tuple[int, int], list[OperatorKey]] = defaultdict(list)
         single: dict[OperatorKey, ContactCompliance] = {}
         for key, (pair, case) in firsts.items():
-            if has_family(case):
+            if shares_reference(case):
                 families[key[0], family_number(key[1])].append(key)
             else:
                 single[key] = known.get(key) or pair.compliance(key[1])

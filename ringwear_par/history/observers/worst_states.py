@@ -31,13 +31,13 @@ _MEAN_PRESSURE, _ASYMMETRY = "mean_pressure", "asymmetry"
 _SYMMETRY_DEFECT, _UNLIKE_SLOPES = "symmetry_defect", "unlike_slopes"
 
 
-def force_on(count: int) -> str:
-    """Return the measure of so few elements in contact: the largest force on them, N."""
+def force_measure(count: int) -> str:
+    """Return the name of a measure: the largest force (N) on so few elements in contact."""
     return f"force_on_{count}"
 
 
 def worn_share(body: int, layer: int) -> str:
-    """Return the measure of a layer: the share of it that is worn off, meant by load."""
+    """Return the name of a measure: the share of a layer that is worn off, meant by load."""
     return f"worn_share_{BODIES[body]}.layers[{layer}]"
 
 
@@ -46,10 +46,10 @@ class WorstStates:
 
     Measures are the approach (mm), the larger of approach and depths of wear (mm), the force (N),
     the mean pressure on the elements in contact (MPa), where they are enough to tell it; the force
-    on few elements, see ``force_on``; the error that a symmetric compliance leaves, with its radius
-    (mm); the compliance's symmetry defect; the share of the load between faces of unlike slopes,
-    with the radius (mm) where it is largest and the angles there of lower, of upper and of the
-    pressure (degrees); and shares of worn layers, see ``worn_share``.
+    on few elements, see ``force_measure``; the error that a symmetric compliance leaves, with its
+    radius (mm); the compliance's symmetry defect; the share of the load between faces of unlike
+    slopes, with the radius (mm) where it is largest and the angles there of lower, of upper and of
+    the pressure (degrees); and shares of worn layers, see ``worn_share``.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class WorstStates:
         self._layered = [] if case.follows_wear else [i for i in (0, 1) if case.rings[i].layers]
         names = [
             _MOVED, _APPROACH, _FORCE, _MEAN_PRESSURE, _ASYMMETRY, _SYMMETRY_DEFECT,
-            _UNLIKE_SLOPES, *map(force_on, range(1, FEW_ELEMENTS)),
+            _UNLIKE_SLOPES, *map(force_measure, range(1, FEW_ELEMENTS)),
         ]  # fmt: skip
         for i in self._layered:
             names += [worn_share(i, layer) for layer in range(len(case.rings[i].layers))]
@@ -99,7 +99,7 @@ class WorstStates:
         area = inner(physics.area, bearing.astype(float))
         take(_MEAN_PRESSURE, np.divide(force, area, out=np.zeros_like(force), where=enough))
         for few in np.unique(count[~enough & (count > 0)]).tolist():
-            take(force_on(few), np.where(count == few, force, 0.0))
+            take(force_measure(few), np.where(count == few, force, 0.0))
         errors, elements = snapshot.contacts.largest_errors
         take(_ASYMMETRY, errors, physics.line.r[elements])
         take(_SYMMETRY_DEFECT, physics.compliances.symmetry_defect)

@@ -20,7 +20,11 @@ from ringwear_par.files.spreadsheets import Sheet, check_xlsx, write_csv, write_
 from ringwear_par.files.text import shortened
 from ringwear_par.files.writing import check_writable
 from ringwear_par.results.key_numbers import check_numbers, key_numbers
-from ringwear_par.results.laboratory_numbers import LABORATORY, course_of, laboratory_numbers
+from ringwear_par.results.laboratory_numbers import (
+    LABORATORY_NUMBERS,
+    laboratory_inputs,
+    laboratory_numbers,
+)
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.result_files import result_of
 from ringwear_par.results.storage.vtkhdf import (
@@ -251,8 +255,8 @@ def _history_table(result: Result) -> Sheet:
             volume = LAYER_VOLUMES[name]
             header += [titled(volume.named(f"{name}[{i}]")) for i in range(values.shape[1])]
             columns += list(values.T)
-    for name, values in laboratory_numbers(course_of(result)).items():
-        header.append(titled(LABORATORY[name].variable))
+    for name, values in laboratory_numbers(laboratory_inputs(result)).items():
+        header.append(titled(LABORATORY_NUMBERS[name].variable))
         columns.append(values)
     rows = zip(*(column.tolist() for column in columns), strict=True)
     return Sheet("histories", header, rows, len(result.step))

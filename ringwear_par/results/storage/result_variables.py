@@ -20,7 +20,11 @@ from ringwear_par.elasticity.stress.fields import (
     principal,
 )
 from ringwear_par.results import variables as table
-from ringwear_par.results.laboratory_numbers import LABORATORY, course_of, laboratory_numbers
+from ringwear_par.results.laboratory_numbers import (
+    LABORATORY_NUMBERS,
+    laboratory_inputs,
+    laboratory_numbers,
+)
 from ringwear_par.results.result import Result
 from ringwear_par.results.storage.hdf5 import check_times, find_texts, read_array
 from ringwear_par.results.variables import Variable, edge_elements, layer_axis
@@ -51,8 +55,8 @@ def result_variables(result: Result) -> list[tuple[Variable, Any]]:
         edge = edge_elements(result.profiles["pressure"])
         pairs.append((table.EDGE_ELEMENT, edge.astype(table.EDGE_ELEMENT.dtype)))
     pairs += _layer_variables(result)
-    numbers = laboratory_numbers(course_of(result))
-    pairs += [(LABORATORY[name].variable, values) for name, values in numbers.items()]
+    numbers = laboratory_numbers(laboratory_inputs(result))
+    pairs += [(LABORATORY_NUMBERS[name].variable, values) for name, values in numbers.items()]
     if result.parameters:
         pairs.append((table.PARAMETER, list(result.parameters)))
         pairs.append((table.PARAMETER_UNIT, list(result.parameters.values())))

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.bem.pair import ContactPair
-from ringwear_par.history.elastic.bodies import has_family, young
+from ringwear_par.history.elastic.bodies import shares_reference, young
 from ringwear_par.history.lockstep import batch_key, can_share
 from ringwear_par.history.loop import simulate
 from ringwear_par.history.observers.stresses import CaseStresses, stress_key
@@ -60,7 +60,7 @@ def default_batch(cases: Sequence[Case]) -> int:
     that are written differ each has matrices of its own, which are to stay in the cache.
     """
     n = cases[0].mesh.contact_elements
-    matrices = len({young(case) for case in cases if not has_family(case)}) > 1
+    matrices = len({young(case) for case in cases if not shares_reference(case)}) > 1
     fields = max(_FIELDS, n) if matrices else _FIELDS
     return min(max(_NUMBERS // (fields * n), 16), _MOST)
 

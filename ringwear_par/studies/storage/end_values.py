@@ -10,7 +10,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.units import in_signs
 from ringwear_par.elasticity.sections import BODIES
-from ringwear_par.results.laboratory_numbers import LABORATORY, LaboratoryNumber
+from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS, LaboratoryNumber
 from ringwear_par.results.variables import (
     DISPLAY_UNITS,
     HISTORIES,
@@ -107,7 +107,7 @@ END_VALUES = {
     end_value.name: end_value
     for end_value in (
         *(_end_value(name, HISTORIES[name]) for name in MAIN_END_VALUES),
-        *map(_of_laboratory, LABORATORY.values()),
+        *map(_of_laboratory, LABORATORY_NUMBERS.values()),
         *_of_layers(),
         *map(_stress, STRESS.values()),
     )
@@ -165,7 +165,7 @@ _DISPLAYS = {
             f"{number.label}, {number.group}" if number.group in BODIES else number.label,
             in_signs(number.variable.unit),
         )
-        for name, number in LABORATORY.items()
+        for name, number in LABORATORY_NUMBERS.items()
     },
     **{
         name: Display(factor, name.replace("_", " "), in_signs(unit))

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from ringwear_par.results.laboratory_numbers import LABORATORY
+from ringwear_par.results.laboratory_numbers import LABORATORY_NUMBERS
 from ringwear_par.results.variables import (
     HISTORIES,
     LARGEST_STRESS,
@@ -31,7 +31,8 @@ AT_STATES = {**HISTORIES, **LAYER_HISTORIES, **LAYER_VOLUMES, **STRESS}
 FIELDS = {**PROFILES, **LAYER_PROFILES}
 #: a number of each case, or one a point
 OF_A_CASE = {
-    **TIMES_THROUGH, **POINTS, **{name: number.at_end() for name, number in LABORATORY.items()},
+    **TIMES_THROUGH, **POINTS,
+    **{name: number.at_end() for name, number in LABORATORY_NUMBERS.items()},
 }  # fmt: skip
 #: the stored variables of a case's history; all but ``HISTORIES`` are of some cases only
 STORED = {**AT_STATES, **LINE, **FIELDS, **OF_A_CASE}
