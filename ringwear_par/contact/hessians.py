@@ -301,6 +301,7 @@ class Hessians:
         ----------
         with_scales : whether gradients are gaps instead, mm, and steps are to be pressures, MPa.
         """
+        gradient = np.ascontiguousarray(gradient)
         size, n, stack, which = len(rows.histories), gradient.shape[-1], self._stack, rows.which
         weights, per_scale = self._compliances.weights, self._per_scale
         count = gradient.size // n
@@ -312,7 +313,7 @@ class Hessians:
         steps, changes = np.empty((count + ROOM, n)), np.zeros(gradient.shape[:-1])
         # forces and approaches are by the weights of references in bases
         root: Any = 1.0 if self._root is None else self._root[which]
-        lacking = changes if missing is None else missing * root
+        lacking = changes if missing is None else np.ascontiguousarray(missing * root)
         self._loops.steps_in_bases(
             len(direct), n, count // size, size, direct, rows.histories, rows.bases, stack.psi,
             stack.psi_t, stack.force, self._inverse, self._response, self._stiffness,

@@ -73,6 +73,9 @@ def test_inverses_are_those_of_the_members(case, shape, comm):
     hessians.refresh(np.arange(3), free)
     right = rng.normal(size=(2, 3, n))
     solved = hessians.solve(np.arange(3), right)
+    # of derivatives of some histories, rows do not follow each other in memory
+    scattered = right.transpose(1, 0, 2).copy().transpose(1, 0, 2)
+    assert np.array_equal(solved, hessians.solve(np.arange(3), scattered))
     for i, on in enumerate(free):
         block = (scaled.matrix(int(found.which[i])) + np.diag(slope[i]))[np.ix_(on, on)]
         exact = np.linalg.solve(block, right[:, i, on].T).T

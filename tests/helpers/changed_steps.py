@@ -11,6 +11,8 @@ def change_steps(patch, change):
 
     def changed(name):
         method = method_of(name)
-        return method._replace(scheme=partial(change, method.scheme))
+        return method._replace(
+            scheme=partial(change, method.scheme), within=partial(change, method.within)
+        )
 
     patch.setattr(loop, "method_of", changed)
