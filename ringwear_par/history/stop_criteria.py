@@ -43,9 +43,22 @@ def stop_limits(cases: Sequence[Case]) -> Mapping[str, FloatArray]:
     return {name: np.array([of_case.get(name, np.inf) for of_case in limits]) for name in names}
 
 
+def limits_reached(limits: Mapping[str, FloatArray], state: State) -> dict[str, BoolArray]:
+    """Return which histories have reached each limit, (B,), by criterion."""
+    return {
+        name: import_named(STOP_CRITERIA[name].function)(state) >= limit
+        for name, limit in limits.items()
+    }
+
+
 def have_reached(limits: Mapping[str, FloatArray], state: State) -> BoolArray:
     """Return which histories have reached a limit, (B,)."""
     reached = np.zeros(len(state.time), dtype=bool)
-    for name, limit in limits.items():
-        reached |= import_named(STOP_CRITERIA[name].function)(state) >= limit
+    for which in limits_reached(limits, state).values():
+        reached |= which
     return reached
+
+
+def limit_words(case: Case, name: str) -> str:
+    """Return a limit of a case in words: "stop.penetration = 0.05 mm"."""
+    return f"stop.{name} = {dict(case.stop)[name]:g} {STOP_CRITERIA[name].unit}"

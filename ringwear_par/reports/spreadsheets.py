@@ -90,7 +90,7 @@ def sweep_sheets(ensemble: Ensemble) -> list[Sheet]:
         columns[name] = final.stored.unit, f"{final.stored.meaning}{at_entry}", values
     columns["seconds"] = "s", "wall time of the case", ensemble.seconds
     flags = [join_flags(flags) for flags in ensemble.flags]
-    columns["flags"] = "", "what makes the answer doubtful", flags
+    columns["flags"] = "", "what makes the answer doubtful or ended the case early", flags
     header = [f"{name} ({unit})" if unit not in ("", "1") else name
               for name, (unit, _, _) in columns.items()]  # fmt: skip
     rows = zip(

@@ -292,7 +292,7 @@ class HistoryColumns:
     profiles: Mapping[str, FloatArray]
     #: (B,) float, the worst balance of each, see ``Balances.worst``
     imbalance: FloatArray
-    #: what makes each doubtful, see ``ValidityWarning.code``
+    #: what makes each doubtful, see ``ValidityWarning.code``, and limits that ended it early
     flags: tuple[tuple[str, ...], ...]
     #: (B,) float, s, that each took: of those that are stepped together, its share
     seconds: FloatArray

@@ -72,9 +72,8 @@ def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple
             return f"{number.label} unknown ({number.note})"
         return f"{number_words(number.value)} {number.unit}"
 
-    ended, end = float(result.histories["time"][-1]), float(result.attributes["time_end"])
-    if result.attributes["status"] == "complete" and ended < end * (1.0 - SAME_TIME):
-        yield "ended", f"at t = {ended:g} of {end:g} s, where it reached a limit of [stop]"
+    if early := _early_end(result):
+        yield "ended", early
     parts = ""
     if "worn_off" in numbers:
         parts = f" (worn off {text('worn_off')}, elastic {text('elastic')})"
@@ -105,6 +104,15 @@ def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple
     )
 
 
+def _early_end(result: Result) -> str:
+    """Return where a limit ended a history before its time, "" if none did."""
+    about, ended = result.attributes, float(result.histories["time"][-1])
+    if about["status"] != "complete" or ended >= about["time_end"] * (1.0 - SAME_TIME):
+        return ""
+    limit = about.get("stopped_by", "a limit of [stop]")
+    return f"at t = {ended:g} of {about['time_end']:g} s, where it reached {limit}"
+
+
 def checks(result: Result) -> tuple[list[KeyNumber], str]:
     """Return balances that are not what the equations say, and the largest errors in words."""
     groups = in_groups(check_numbers(result))
@@ -132,6 +140,7 @@ def _in_full(result: Result, numbers: list[KeyNumber], last: Checkpoint) -> str:
         *([title] if title else []),
         *warning_lines(_warnings(result, last)),
         *(f"{group}: {', '.join(map(str, them))}" for group, them in in_groups(numbers).items()),
+        *([f"ended {early}"] if (early := _early_end(result)) else []),
         *_wearing(about),
         *(
             f"{noun} of {body}: {about[key]}"

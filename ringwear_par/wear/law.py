@@ -135,6 +135,12 @@ class Law:
     #: class says so itself, as one that overrides a rate may read the time
     steady: ClassVar[bool] = False
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Leave ``depth_in_step`` to the class that defines it: others may override the rate."""
+        super().__init_subclass__(**options)
+        if "depth_in_step" not in vars(cls):
+            cls.depth_in_step = Law.depth_in_step  # type: ignore[method-assign]
+
     @property
     def remembers(self) -> bool:
         """Whether the rate depends on ``local.wear``."""
@@ -252,7 +258,7 @@ class Law:
     ) -> FloatArray | None:
         """Return the depth d = step rate(p, wear + d) of an implicit step, mm; None: by iteration.
 
-        Of laws that remember; the step is in s.
+        Of laws that remember; the step is in s. A subclass does not inherit it.
         """
         return None
 

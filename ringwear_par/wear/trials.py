@@ -13,7 +13,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.wear.checked_law import CheckedLaw, CompletedLaw
 from ringwear_par.wear.increment import WearIncrement
-from ringwear_par.wear.law import Law, WearLaw
+from ringwear_par.wear.law import Law, WearLaw, parameters_of
 from ringwear_par.wear.laws.non_local import averaging
 from ringwear_par.wear.local_state import LocalState
 
@@ -102,24 +102,46 @@ def taylor_test_parameter(law: Law, at: LocalState, p: FloatArray, name: str) ->
 
     Not collective.
     """
-    number = law.parameter(name, at)
+    number, sign = law.parameter(name, at), _free_side(law, name)
 
     def changed(h: float) -> Law:
-        return law.with_parameter(name, number + h)
+        return law.with_parameter(name, number + sign * h)
 
     return _remainders(
         lambda h: changed(h).rate(p, at),
-        lambda h: changed(h).d_rate_dparameter(name, p, at),
+        lambda h: sign * changed(h).d_rate_dparameter(name, p, at),
         float(np.abs(number).max()) or 1.0,
         _NOISE,
     )
 
 
+def step_error(law: Law, at: LocalState, p: FloatArray, step: float) -> float | None:
+    """Return the error of a law's own depth d of an implicit step, relative to the largest d.
+
+    It must be step rate(p, wear + d). None: the law leaves it to iteration. Not collective.
+
+    Parameters
+    ----------
+    step : s.
+    """
+    depth = law.depth_in_step(p, at, step) if law.remembers else None
+    if depth is None:
+        return None
+    error = np.abs(depth - step * law.rate(p, at.worn_by(depth))).max()
+    return float(error / (np.abs(depth).max() or 1.0))
+
+
 def depends(law: Law, at: LocalState, p: FloatArray, name: str) -> bool:
     """Tell whether a law's rate changes at all with a numeric parameter. Not collective."""
     number = law.parameter(name, at)
-    close = number + 2.0**-8 * (float(np.abs(number).max()) or 1.0)
+    close = number + _free_side(law, name) * 2.0**-8 * (float(np.abs(number).max()) or 1.0)
     return not np.array_equal(law.with_parameter(name, close).rate(p, at), law.rate(p, at))
+
+
+def _free_side(law: Law, name: str) -> float:
+    """Return the sign of changes of a parameter that never make it larger than one above it."""
+    above = any(other.at_least == name for other in parameters_of(type(law)).values())
+    return -1.0 if above else 1.0
 
 
 def _remainders(

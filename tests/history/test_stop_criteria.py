@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 from paths import PAPER
+from stored import assert_same
 
 import ringwear_par as rw
+from ringwear_par.history.elastic.pairs import assemble
+from ringwear_par.results.execution.run import run_case
+from ringwear_par.studies.execution.batches import computed
 
 SMALL = {"mesh.contact_elements": 12}
 FIXED = {"time.steps": 40}
@@ -27,9 +31,11 @@ def test_each_history_of_a_batch_ends_at_its_own_limit(comm, scheme):
         assert end < len(whole["time"])
         for variable, column in result.histories.items():
             assert np.array_equal(column, whole[variable][:end]), variable
-    assert f"ended        at t = {results[0].histories['time'][-1]:g} of 40 s" in rw.summary(
-        results[0]
-    )
+    ended = f"at t = {results[0].histories['time'][-1]:g} of 40 s, where it reached "
+    for verbose in (False, True):
+        text = results[0].summary(verbose=verbose)
+        assert ended + "stop.penetration = 0.001 mm\n" in text
+        assert "stop." not in results[1].summary(verbose=verbose)
 
 
 @pytest.mark.serial
@@ -40,3 +46,38 @@ def test_what_needs_all_of_a_history_refuses_limits(comm):
         match=r"^function: stop\.wear_lower = 0\.003: must be absent in a function of a case$",
     ):
         rw.function(case, ["wear.lower.k"], ["penetration"])
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("time", [["time.steps=20"], ["time.scheme=adaptive", "time.end=20"]])
+def test_a_larger_limit_goes_on_to_the_same_bits(shared_path, comm, caplog, time):
+    whole, parts = shared_path / "whole.h5", shared_path / "parts.h5"
+    keys = ["mesh.contact_elements=12", "output.every=3", *time]
+
+    def run(path, limit, restart=False):
+        limits = [f"stop.penetration={limit}"] if limit else []
+        run_case(PAPER, path, [*keys, *limits], comm=comm, restart=restart)
+
+    run(whole, "1 um")
+    run(parts, "0.3 um")
+    with pytest.raises(rw.InputError, match=r"limits in \[stop\] may grow"):
+        run(parts, "0.2 um", restart=True)
+    with caplog.at_level("INFO"):
+        run(parts, "0.3 um", restart=True)
+    assert "complete since it reached stop.penetration = 0.0003 mm, which may" in caplog.text
+    run(parts, "1 um", restart=True)
+    assert_same(whole, parts)
+    assert 0.0 < rw.open_result(parts).histories["time"][-1] < 20.0
+    run(whole, "")
+    run(parts, "", restart=True)
+    assert_same(whole, parts)
+    assert "stopped_by" not in rw.open_result(parts).attributes
+
+
+@pytest.mark.serial
+def test_a_sweep_flags_cases_that_a_limit_ended(comm):
+    case = rw.read_case(PAPER, {**SMALL, **FIXED})
+    cases = [case.replace({"stop.energy": limit}) for limit in (9e6, 1e12)]
+    pair = assemble(case, comm)
+    flags = [block.columns.flags for block in computed(cases, pair)]
+    assert flags == [(("stopped_by_energy",), ())]

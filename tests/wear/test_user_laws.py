@@ -15,6 +15,7 @@ from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.text import read_text
 from ringwear_par.results.execution.run import run_case
 from ringwear_par.wear.laws.archard import ArchardLaw
+from ringwear_par.wear.laws.running_in import RunningInLaw
 
 pytestmark = pytest.mark.serial
 
@@ -199,6 +200,30 @@ def test_laws_finds_a_wrong_slope_but_not_kinks(law, shared_path, comm, capsys):
     assert "as its kinks explain" in capsys.readouterr().out
     check_laws(PAPER, ["load.omega=[[0, 0], [1, 0]]", "wear.lower.p0=1000"])
     assert "not tested" in capsys.readouterr().out
+
+
+def test_a_law_that_overrides_the_rate_of_another_wears_at_its_own(comm):
+    """Its derivatives too, but not the closed form of the depth of a step."""
+
+    class ThreeTimes(RunningInLaw):
+        def rate(self, p, local):
+            return 3.0 * super().rate(p, local)
+
+        def d_rate_dp(self, p, local):
+            return 3.0 * super().d_rate_dp(p, local)
+
+        def d_rate_dwear(self, p, local):
+            return 3.0 * super().d_rate_dwear(p, local)
+
+        def potential(self, p, local):
+            return 3.0 * super().potential(p, local)
+
+    case = read_case(PAPER, {"mesh.contact_elements": 12, "time.steps": 6})
+    known, derived = (
+        simulate(replace(case, wear_lower=law), comm=comm).histories["worn_volume_lower"]
+        for law in (RunningInLaw(3e-7, 9e-7, depth=1e-4), ThreeTimes(1e-7, 3e-7, depth=1e-4))
+    )
+    assert derived == pytest.approx(known, rel=1e-9)
 
 
 def test_energy_of_schedules(shared_path, comm):

@@ -22,6 +22,7 @@ from ringwear_par.wear.trials import (
     check_user_law,
     check_user_slope,
     depends,
+    step_error,
     taylor_test,
     taylor_test_parameter,
     taylor_test_wear,
@@ -36,6 +37,8 @@ _STEP = 1.0  # s
 _WORN = 1e-3  # mm
 #: mm, shorter than the depths over which rates change in practice
 _DEPTH = 1e-5
+#: relative error of depths of implicit steps that is round-off
+_ROUND_OFF = 1e-12
 _PRESSURES = (0.0, 10.0, 50.0, 100.0, 200.0)
 _MOST_TIMES = 5
 
@@ -99,7 +102,7 @@ def check_laws(path: Path, overrides: Sequence[str]) -> None:
     Raises
     ------
     InputError : the case, or a user's law that is none.
-    ComputationError : a user's function failed, or a derivative is not that of its rate.
+    ComputationError : a user's function failed, or a derivative or depth is not that of its rate.
     """
     case = read_case(path, overrides)
     refuse_bad_laws(case, str(path), slopes=False)
@@ -110,8 +113,8 @@ def check_laws(path: Path, overrides: Sequence[str]) -> None:
             print(f"{body}: does not wear")
     if failed:
         raise ComputationError(
-            f"{path}: {failed} derivative(s) of its wear laws are not those of its rates; the "
-            "order must be 2"
+            f"{path}: {failed} derivative(s) or depths of steps of its wear laws are not those of "
+            f"its rates; the order must be 2, the error of depths at most {_ROUND_OFF:g}"
         )
 
 
@@ -144,6 +147,10 @@ def _tested(case: Case, body: str, law: Law) -> int:
                 test = taylor_test_wear(law, at, p, _DEPTH) if law.rate(p, at).any() else None
                 subject = "derivative of the rate with respect to worn depth"
                 failed += _print_test(test, f"{subject}, t = {time:g} s, {worn:g} mm worn")
+                failed += _print_error(
+                    step_error(law, at, p, _STEP),
+                    f"depth of an implicit step of {_STEP:g} s, t = {time:g} s, {worn:g} mm worn",
+                )
         for name in law.numeric:
             # a law's memory has an effect only where something is worn
             wears, where = law.rate(p, at).any(), f"t = {time:g} s, {_WORN:g} mm worn"
@@ -152,6 +159,15 @@ def _tested(case: Case, body: str, law: Law) -> int:
                 continue
             test = taylor_test_parameter(law, at, p, name) if wears else None
             failed += _print_test(test, f"derivative of the rate with respect to {name}, {where}")
+    return failed
+
+
+def _print_error(error: float | None, subject: str) -> bool:
+    """Print the error of depths that a law gives itself, if any; return whether it is too large."""
+    if error is None:
+        return False
+    failed = not error <= _ROUND_OFF
+    print(f"  {'FAIL' if failed else 'ok':4} {subject}: relative error {error:.1g}")
     return failed
 
 

@@ -1,5 +1,6 @@
 """Preparation of ``ringwear run``: a case, an output to write, and the run that it continues."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -118,14 +119,19 @@ def _difference(before: Result, case: Case) -> str:
             "another name"
         )
     growing = "time.end" if case.time.adaptive else "time.steps"
-    refusal = f"holds another case; --restart needs the same case, only {growing} may grow"
+    refusal = (
+        f"holds another case; --restart needs the same case, only {growing} and limits in [stop] "
+        "may grow"
+    )
     # to read a case is to run the laws that it names: of a stored one only what this one runs too
     if named_files(read_keys(before.case, str(before.path))) != law_files(case):
         return refusal
     stored = parse_case(before.case, str(before.path))
-    same = replace(stored, time=case.time, title=case.title, text=case.text)
+    same = replace(stored, time=case.time, title=case.title, text=case.text, stop=case.stop)
     longer = replace(stored.time, steps=case.time.steps, until=case.time.until)
-    if same != case or longer != case.time:
+    limits = dict(stored.stop)  # those that are gone now are infinite
+    grown = all(limits.get(name, math.inf) <= limit for name, limit in case.stop)
+    if same != case or longer != case.time or not grown:
         return refusal
     reached = restored(before)
     time, steps = float(reached.state.time[0]), int(reached.progress.steps[0])

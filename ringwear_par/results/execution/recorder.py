@@ -149,12 +149,16 @@ class Recorder:
         """Return all histories as they are stored, and the warnings of each."""
         failures, count = {**self._stresses.failures, **failures}, len(self._cases)
         failed = [number in failures for number in range(count)]
+        stops = [() if bad else self._last.stops.get(i, ()) for i, bad in enumerate(failed)]
         warnings = self.warnings.histories(failed)
         rows = self._rows.columns()
         columns = HistoryColumns(
             **rows,
             imbalance=np.where(failed, 0.0, self._balances.imbalance),
-            flags=tuple(tuple(warning.code for warning in texts) for texts in warnings),
+            flags=tuple(
+                (*(warning.code for warning in texts), *(f"stopped_by_{name}" for name in limits))
+                for texts, limits in zip(warnings, stops, strict=True)
+            ),
             seconds=np.full(count, self._stepping / count),
             status=tuple("failed" if bad else "done" for bad in failed),
             reason=tuple(reason_of(failures[i]) if bad else "" for i, bad in enumerate(failed)),
@@ -215,6 +219,8 @@ class Recorder:
         through = times_through(case, self._last.through[:, number])
         worst = self.warnings.worst(np.array([number]))
         about = case_attributes(case, time_reached)
+        if number in self._last.stops:
+            about["stopped_by"] = " and ".join(self._last.stops[number].values())
 
         def part(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
             return {n: self._rows.part(n, column, rows, number) for n, column in values.items()}

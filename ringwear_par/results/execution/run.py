@@ -120,7 +120,9 @@ def run_case(
     )
     if before is not None and is_at_end(case, restored(before)):
         if comm.rank == 0:
-            log.info("%s is complete: nothing to compute", output)
+            limit = before.attributes.get("stopped_by")
+            early = f" since it reached {limit}, which may grow" if limit else ""
+            log.info("%s is complete%s: nothing to compute", output, early)
         return _draw(output, figure, comm)
     if comm.rank == 0:
         warn_of_threads(comm.size)

@@ -15,6 +15,7 @@ from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.tangent import variables as derivatives_of
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import Start, State
+from ringwear_par.history.stop_criteria import limit_words, limits_reached
 from ringwear_par.results.result import Result
 from ringwear_par.results.variables import HISTORIES, VARIABLES, derivative_names, layer_names
 
@@ -230,6 +231,8 @@ class LastStates:
         self.through = np.full((2, count), np.inf)
         #: (B,) N mm, see ``State``, by the end of a history; NaN before
         self.normal_work = np.full(count, np.nan)
+        #: limits that ended histories before their times, in words by criterion, by number
+        self.stops: dict[int, dict[str, str]] = {}
         self._ended: dict[int, tuple[LastState, int]] = {}
 
     def __call__(self, snapshot: Snapshot) -> bool:
@@ -242,12 +245,25 @@ class LastStates:
             return False
         numbers = snapshot.numbers[places]
         self.normal_work[numbers] = snapshot.state.normal_work[places]
+        self._note_stops(snapshot, places)
         if snapshot.state.through is not None:
             self.through[:, numbers] = snapshot.state.through[:, places]
         if self._results:
             states = LastState.of(snapshot, places)
             self._ended |= {number: (states, i) for i, number in enumerate(numbers.tolist())}
         return False
+
+    def _note_stops(self, snapshot: Snapshot, places: IntArray) -> None:
+        """Note which limits have ended those histories that are not at the ends of their times."""
+        inputs, state, steps = snapshot.physics.inputs, snapshot.state, snapshot.progress.steps
+        if not inputs.stop_limits:
+            return
+        reached = limits_reached(inputs.stop_limits, state)
+        for i in places.tolist():
+            case = inputs.cases[i]
+            if not case.time.finished(int(steps[i]), float(state.time[i])):
+                limits = {n: limit_words(case, n) for n, which in reached.items() if which[i]}
+                self.stops[int(snapshot.numbers[i])] = limits
 
     def state(self, number: int) -> tuple[LastState, int]:
         """Return the state of a history at its end, or its present one, and which it is of some."""

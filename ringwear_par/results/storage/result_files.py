@@ -42,7 +42,9 @@ _NUMBERS = {
     "balance_residual",
 }  # fmt: skip
 _TABLES = ("friction_table", "omega_table")
-_OPTIONAL_TEXTS = {"face_lower", "face_upper", "layers_lower", "layers_upper", *_TABLES}
+_OPTIONAL_TEXTS = {
+    "face_lower", "face_upper", "layers_lower", "layers_upper", "stopped_by", *_TABLES,
+}  # fmt: skip
 _OPTIONAL_NUMBERS = {"density_lower", "density_upper", "time_through_lower", "time_through_upper"}
 _OPTIONAL_PREFIXES = ("balance_", "seconds_")
 #: densities of the layers of lower and upper

@@ -46,7 +46,10 @@ OF_CASES = {
         Variable("error", ("case",), "1", "why the case failed"),
         Variable("in_study", ("case",), "1", "whether the study still has the case"),
         Variable("version", ("case",), "1", "version of ringwear-par that computed the case"),
-        Variable("flags", ("case",), "1", "what makes the answer doubtful, separated by commas"),
+        Variable(
+            "flags", ("case",), "1",
+            "what makes the answer doubtful or ended the case early, separated by commas",
+        ),
         Variable("seconds", ("case",), "s", "wall time of the case"),
         Variable(
             "imbalance", ("case",), "1",

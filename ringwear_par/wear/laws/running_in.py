@@ -33,7 +33,7 @@ class RunningInLaw(AboveThreshold):
 
     Raises
     ------
-    InputError : neither or both of them are given.
+    InputError : neither or both of them are given, or k_start is less than k, both numbers.
     """
 
     name = "running-in"
@@ -61,8 +61,11 @@ class RunningInLaw(AboveThreshold):
     ] = None
 
     def __post_init__(self) -> None:
-        if (self.depth is None) == (self.distance is None):
-            raise InputError("depth, distance: one of them must be given (mm)")
+        values = {name: getattr(self, name) for name in ("k", "k_start", "depth", "distance")}
+        # tables, and arrays of many histories, were checked where they came from
+        numbers = {n: v for n, v in values.items() if v is None or isinstance(v, float | int)}
+        if faults := self.faults("", numbers):
+            raise InputError(*faults)
 
     @classmethod
     def faults(cls, table: str, values: Mapping[str, Any]) -> list[str]:
