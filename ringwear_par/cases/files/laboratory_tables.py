@@ -92,7 +92,7 @@ def laboratory_tests(
     if worn and not in_table:
         name_unused(table, columns, templates, in_table)
         name_thousands(table, columns)
-    for fault in in_table:
+    for fault in dict.fromkeys(in_table):  # of a column it is that of each row
         reader.fault(fault)
     # the other faults of its tests may follow from those
     return {} if in_table or wrong_keys else tests
