@@ -289,11 +289,14 @@ class _Rows:
             weighing_sd, unit_of_sd = number_and_unit(self.sd)
             sd = f"{weighing.u(weighing_sd):.12g} {unit_of_sd}"
         if sd is None:
-            self._fault(
-                number,
-                "the sd of its mass is unknown; must be in a column sd, or that of one weighing in "
-                "tests.sd",
-            )
+            filled = (self.table.rows[number][c.place].lower() not in EMPTY
+                      for c, _ in cells if c.role == "sd" and c.body in ("", body))  # fmt: skip
+            if not any(filled):  # else it cannot be read, which is a fault already
+                self._fault(
+                    number,
+                    "the sd of its mass is unknown; must be in a column sd, or that of one "
+                    "weighing in tests.sd",
+                )
             return None
         if at is None and number != first:
             self._fault(
