@@ -418,7 +418,8 @@ def refuse_stop(case: Case, name: str, purpose: str) -> None:
     if case.stop:
         raise InputError(
             *(
-                f"{name}: stop.{key} = {limit:g}: must be absent {purpose}"
+                f"{name}: stop.{key} = {limit:g}: must be absent {purpose}, which needs whole "
+                "histories"
                 for key, limit in case.stop
             )
         )

@@ -3,7 +3,7 @@
 import itertools
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from importlib import import_module
@@ -443,3 +443,23 @@ def unit_of(name: str) -> str:
     if key.path.endswith(".profile"):  # of which each shape has its own
         return SHAPE_UNITS.get(entry, "")
     return key.unit
+
+
+def unit_under(name: str, laws: Callable[[str], Iterable[Any]]) -> str:
+    """Return the unit of a key as ``unit_of``, of a law's parameter the one that laws give it.
+
+    Parameters
+    ----------
+    laws : returns those that a key of a law, such as ``wear.lower.law``, has; where their units
+        differ there is none.
+    """
+    table, _, parameter = name.rpartition(".")
+    key = f"{table}.law"
+    if key_of(key) is None:
+        return unit_of(name)
+    declared = [
+        parameters_of(LAWS[law]) for law in laws(key) if isinstance(law, str) and law in LAWS
+    ]
+    units = {of_law[parameter].unit for of_law in declared if parameter in of_law}
+    unit = units.pop() if len(units) == 1 else "" if units else unit_of(name)
+    return "" if unit in ("-", "1") else unit

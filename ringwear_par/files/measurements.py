@@ -157,7 +157,9 @@ class Measurements:
         if any(pattern.fullmatch(cell) for pattern in patterns):
             hint = "; thousands must not be separated"
         elif table_text.is_limit(cell):
-            hint = "; of a limit, the number, and below or above in a column censored of a fit"
+            hint = (
+                "; of a limit, the number, and below or above in a column censored, which fits read"
+            )
         raise InputError(
             f"{self.cell_place(name, wrong[0], len(wrong))}: must be a "
             f"number{' or a clock time (h:mm:ss)' if in_time else ''}, or empty{hint}"

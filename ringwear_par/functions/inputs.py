@@ -11,7 +11,7 @@ from ringwear_par.cases.files.key_values import unknown_key
 from ringwear_par.cases.files.keys import override, read_keys
 from ringwear_par.cases.files.reading import make_case
 from ringwear_par.cases.layers import LAYERS
-from ringwear_par.cases.schema import unit_of
+from ringwear_par.cases.schema import unit_of, unit_under
 from ringwear_par.cases.tables import name_unknown_keys
 from ringwear_par.cases.values import RejectedError, is_number
 from ringwear_par.errors import InputError, legible
@@ -37,9 +37,12 @@ class CaseInputs:
             key = variations.own_key(name)
             ends = (None, None) if key.numbers is None else (key.numbers.low, key.numbers.high)
             bounds = [None if end is None or np.isinf(end) else end for end in ends]
-            unit = unit_of(name) or "1"
+            unit = unit_under(name, self._laws) or "1"
             schema[name] = {"unit": unit, "bounds": bounds, "meaning": key.meaning, "value": value}
         return schema
+
+    def _laws(self, key: str) -> list[Any]:
+        return [variations.value_of(self.keys, key)]
 
     def case(self, row: Sequence[float]) -> Case:
         """Return the case with other numbers.

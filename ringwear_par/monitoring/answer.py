@@ -137,7 +137,7 @@ class Answer:
             lines.append(f"  {depth_words(depth)}: {when.words(self.end)}")
         if self.laws:
             shares = [
-                f"{law} {100 * now:.2g} % (before the test {100 * before:.2g} %)"
+                f"{law} {probability_words(now)} (before the test {probability_words(before)})"
                 for law, (before, now) in self.laws.items()
             ]
             lines.append(f"  probability of laws: {', '.join(shares)}")
@@ -162,9 +162,9 @@ class Answer:
 
     def _of_laws(self, unit: str, seconds: float) -> Panel:
         """Return the panel of the probabilities of laws over time."""
-        time, *shares = self.law_trace.T
+        time, shares = self.law_trace[:, 0], (100.0 * self.law_trace[:, 1:].T).round(1)
         return Panel(
-            Axis(f"time ({unit})"), Axis("probability of the law", (-0.03, 1.03)),
+            Axis(f"time ({unit})"), Axis("probability of the law (%)", (-3.0, 103.0)),
             "laws, by the readings until then",
             curves=[
                 Curve(time / seconds, share, law, COLOURS[i % len(COLOURS)], i // len(COLOURS),
@@ -212,3 +212,8 @@ class Answer:
             Section("How to reproduce", [Source("Command", command), software(dict(versions))]),
         ]  # fmt: skip
         return Page("Running test", self.test, sections, refresh=0 if self.ended else _REFRESH)
+
+
+def probability_words(probability: float) -> str:
+    """Return a probability in percent, without digits that tell nothing."""
+    return "< 0.1 %" if probability < 1e-3 else f"{100.0 * probability:.3g} %"

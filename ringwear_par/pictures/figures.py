@@ -3,7 +3,7 @@
 import logging
 import re
 import textwrap
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from ringwear_par.cases.case import Output
 from ringwear_par.cases.files.keys import read_keys
 from ringwear_par.cases.layers import expanded
-from ringwear_par.cases.schema import quantity_name, unit_of
+from ringwear_par.cases.schema import quantity_name, unit_under
 from ringwear_par.cases.units import seconds
 from ringwear_par.cases.values import RejectedError
 from ringwear_par.elasticity.sections import BODIES
@@ -284,11 +284,16 @@ def _labels(results: Sequence[Result]) -> list[str]:
     names = [_short(path, keys) for path in paths]
     return [
         ", ".join(
-            plain(f"{name} = {in_words(case[path], unit_of(path))}")
+            plain(f"{name} = {_value_words(case, path)}")
             for name, path in zip(names, paths, strict=True)
         )
         for case in cases
     ]
+
+
+def _value_words(case: Mapping[str, Any], path: str) -> str:
+    """Return the value of a key of a case, with its unit."""
+    return in_words(case[path], unit_under(path, lambda key: [case.get(key)]))
 
 
 def _short(path: str, keys: Container[str]) -> str:

@@ -4,7 +4,7 @@ import base64
 import re
 from html import escape
 
-from ringwear_par.cases.schema import BY_PATH, key_of, unit_of
+from ringwear_par.cases.schema import BY_PATH, key_of
 from ringwear_par.cases.units import with_signs
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import RingwearError
@@ -45,13 +45,13 @@ def _picture(outcome: Outcome) -> str:
 
 def study_html(study: Study) -> str:
     """Return the varied keys of a study, and the rig of its first case. Not collective."""
-    rows = []
+    rows, units = [], study.cases.units()
     for name, column in zip(study.names, study.cases.columns, strict=True):
         values, numbers = column.distinct, column.numbers
         words = ", ".join(f"{v:.4g}" if is_number(v) else str(v) for v in values)
         if numbers is not None and len(values) > _LISTED:
             words = f"{len(values)} from {numbers.min():.4g} to {numbers.max():.4g}"
-        cells = (_with_meanings(name), escape(words), unit_of(name))
+        cells = (_with_meanings(name), escape(words), units[name])
         rows.append(f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>")
     table = "<table><tr><th>key</th><th>values</th><th>unit</th></tr>" + "".join(rows) + "</table>"
     return f"<div>{_PRE}{escape(repr(study))}</pre>{table}{rig_svg(study.case(0))}</div>"

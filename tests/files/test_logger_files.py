@@ -136,7 +136,7 @@ def test_weighings_have_names_first_and_columns_of_one_name():
         ("t;z\n0.5;1 130,5\n1.5;1\n", "thousands must not be separated"),
         ("t;z\n0.5;1'130.5\n1.5;1\n", "thousands must not be separated"),
         ("t;z\n0.5;<15\n1.5;1\n", "line 2: z = <15: must be a number, or empty; of a limit, the "
-         "number, and below or above in a column censored of a fit"),
+         "number, and below or above in a column censored, which fits read"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_read_is_told_by_its_line(text, said):

@@ -7,6 +7,7 @@ from mpi4py import MPI
 from scipy.stats import qmc
 from stored_cases import StoredCase, block_of
 
+from ringwear_par.cases.schema import unit_of
 from ringwear_par.results.variables import HISTORIES
 from ringwear_par.studies.definition.variations import Column
 from ringwear_par.studies.storage.case_index import CaseIndex
@@ -54,6 +55,7 @@ def write(
         index,
         entry,
         lambda missing: [""] * len(missing),
+        {name: unit_of(name) for name in names},
     )
     attributes = {"method": method, "study": "", "status": "complete", "ranks": 1}
     write_results(folder, cases, attributes, MPI.COMM_SELF)

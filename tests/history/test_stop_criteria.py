@@ -43,7 +43,8 @@ def test_what_needs_all_of_a_history_refuses_limits(comm):
     case = rw.read_case(PAPER, {**SMALL, **FIXED, "stop.wear_lower": "3 um"})
     with pytest.raises(
         rw.InputError,
-        match=r"^function: stop\.wear_lower = 0\.003: must be absent in a function of a case$",
+        match=r"^function: stop\.wear_lower = 0\.003: must be absent in a function of a case, "
+        r"which needs whole histories$",
     ):
         rw.function(case, ["wear.lower.k"], ["penetration"])
 

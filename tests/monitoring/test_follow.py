@@ -19,6 +19,7 @@ from ringwear_par.identification.definition.problem import ProcessNoise, Series
 from ringwear_par.identification.model.rounds import Rounds
 from ringwear_par.identification.summary import probabilities
 from ringwear_par.monitoring import bank
+from ringwear_par.monitoring.answer import probability_words
 from ringwear_par.monitoring.bank import Bank, quantiles
 from ringwear_par.monitoring.follow import run_follow
 from ringwear_par.monitoring.histories import planned
@@ -146,6 +147,9 @@ def test_laws_are_as_probable_as_by_a_fit_of_all_tests(laboratory, tmp_path):
     assert 0.6 < shares["this law"] < 0.99
     assert now == pytest.approx(shares, abs=0.02)
     assert "\n  probability of laws: this law" in "\n".join(stored["summary"])
+    assert [*map(probability_words, (1.0, 0.9987, 0.3, 3.3e-154))] == [
+        "100 %", "99.9 %", "30 %", "< 0.1 %"
+    ]  # fmt: skip
     trace = np.array(stored["law_trace"])  # from what is known before the test to the answer
     before, after = np.array([*stored["laws"].values()]).T
     assert trace[0, 1:] == pytest.approx(before)

@@ -19,7 +19,8 @@ from ringwear_par.studies.definition import checking
 from ringwear_par.studies.definition.designs import SAMPLED
 from ringwear_par.studies.definition.identities import case_id
 from ringwear_par.studies.definition.study import read_study, read_study_together
-from ringwear_par.studies.definition.variations import read_variations
+from ringwear_par.studies.definition.variations import Column, read_variations
+from ringwear_par.studies.definition.varied_columns import CaseColumns
 from ringwear_par.studies.execution import plan
 
 pytestmark = pytest.mark.serial
@@ -52,6 +53,22 @@ def write(shared_path, comm):
 def sampled(write, method, count, seed=1):
     text = f'{DRAWN}[design]\nmethod = "{method}"\ncount = {count}\nseed = {seed}\n'
     return read_study(write(text))
+
+
+@pytest.mark.parametrize(
+    ("laws", "unit"),
+    [(["power"], "mm/s"), (["archard"], "1/MPa"), (["archard", "power"], ""),
+     (["archard", "threshold"], "1/MPa")],
+)  # fmt: skip
+def test_the_unit_of_a_wear_coefficient_is_that_of_the_laws_of_the_cases(laws, unit):
+    columns = [Column.of([1e-9] * len(laws)), Column.of([10.0] * len(laws)), Column.of(laws)]
+    names = ("wear.lower.k", "load.pressure", "wear.lower.law")
+    varied = CaseColumns.of({"wear.lower.law": "table"}, names, tuple(columns))
+    assert varied.units() == dict(zip(names, (unit, "MPa", ""), strict=True))
+    base = {"wear.lower.law": laws[0], "lower.layers": [{"wear": {"law": laws[0]}}]}
+    names = ("wear.lower.k", "lower.layers[0].wear.k")
+    fixed = CaseColumns.of(base, names, (columns[0], columns[0]))
+    assert set(fixed.units().values()) == {unit or "1/MPa"}
 
 
 def test_the_unit_of_a_varied_key_is_that_of_its_values():

@@ -92,7 +92,7 @@ def laboratory_tests(
     if worn and not in_table:
         name_unused(table, columns, templates, in_table)
         name_thousands(table, columns)
-    for fault in in_table:
+    for fault in dict.fromkeys(in_table):  # of a column it is that of each row
         reader.fault(fault)
     # the other faults of its tests may follow from those
     return {} if in_table or wrong_keys else tests
@@ -289,11 +289,14 @@ class _Rows:
             weighing_sd, unit_of_sd = number_and_unit(self.sd)
             sd = f"{weighing.u(weighing_sd):.12g} {unit_of_sd}"
         if sd is None:
-            self._fault(
-                number,
-                "the sd of its mass is unknown; must be in a column sd, or that of one weighing in "
-                "tests.sd",
-            )
+            filled = (self.table.rows[number][c.place].lower() not in EMPTY
+                      for c, _ in cells if c.role == "sd" and c.body in ("", body))  # fmt: skip
+            if not any(filled):  # else it cannot be read, which is a fault already
+                self._fault(
+                    number,
+                    "the sd of its mass is unknown; must be in a column sd, or that of one "
+                    "weighing in tests.sd",
+                )
             return None
         if at is None and number != first:
             self._fault(

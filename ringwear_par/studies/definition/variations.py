@@ -303,7 +303,8 @@ def _variation(
     count_words = "is missing" if count is None else f"= {shortened(count)}"
     if spacing == "values":
         if not isinstance(values, list) or not values:
-            faults.append(f"{place}: values = {shortened(values)}: must be a list of values")
+            rule = "must not be empty" if values == [] else "must be a list of values"
+            faults.append(f"{place}: values = {shortened(values)}: {rule}")
             return None
         if count is not None:
             faults.append(f"{place}: count {count_words}: must be absent beside values")

@@ -10,8 +10,15 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.numbers import Number, interval_of
+from ringwear_par.cases.schema import unit_under
 from ringwear_par.files.text import toml_text
-from ringwear_par.studies.definition.variations import Column, path_of, split_key, varied_keys
+from ringwear_par.studies.definition.variations import (
+    Column,
+    path_of,
+    split_key,
+    value_of,
+    varied_keys,
+)
 
 _PLACE = re.compile("\0([0-9]+)\0")  # no text of a case has a zero byte
 
@@ -95,6 +102,18 @@ class CaseColumns:
         hollow = set(self.numbers.values()) if places else set()
         row = [Place(i) if i in hollow else c[case] for i, c in enumerate(self.columns)]
         return varied_keys(self.base, self._parts, row)
+
+    def units(self) -> dict[str, str]:
+        """Return the units of the varied keys under the laws of the cases, "" for none."""
+        return {name: unit_under(name, self._laws) for name in self.names}
+
+    def _laws(self, key: str) -> list[Any]:
+        """Return the laws that the key of a law has in the cases."""
+        base = value_of(self.base, key)
+        if key not in self.names:
+            return [base]
+        laws = self.columns[self.names.index(key)].distinct
+        return [base if law is None else law for law in laws]
 
     @cached_property
     def _parts(self) -> list[tuple[str, int | str | None]]:

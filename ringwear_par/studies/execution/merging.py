@@ -80,6 +80,7 @@ def _merge(plan: Plan, summary: Summary, index: CaseIndex, comm: MPI.Comm) -> No
         index,
         np.concatenate([entry, gone]),
         study.texts,
+        study.cases.units(),
     )
     ended = sum(plan.count(index))
     complete = ended == summary.total and summary.computed == plan.cases_left

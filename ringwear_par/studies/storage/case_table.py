@@ -18,7 +18,6 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.files.keys import read_keys
-from ringwear_par.cases.schema import unit_of
 from ringwear_par.cases.values import is_number
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import toml_value
@@ -58,6 +57,8 @@ class CaseTable:
     numbers: Mapping[str, Any]
     #: by name, see ``END_VALUES``: (cases,) or (cases, layers or points)
     end_values: Mapping[str, FloatArray]
+    #: of the varied keys, "" for none
+    units: Mapping[str, str]
 
     def store(self, file: h5py.File) -> None:
         """Write the variables into a results file that does not have them yet."""
@@ -75,7 +76,7 @@ class CaseTable:
 
     def _store_varied(self, file: h5py.File, name: str, column: Column) -> None:
         """Write a varied key, as texts where its values are not all numbers."""
-        variable = Variable(name, ("case",), unit_of(name) or "1", own_key(name).meaning)
+        variable = Variable(name, ("case",), self.units[name] or "1", own_key(name).meaning)
         if column.numbers is not None:
             _store(file, variable, column.numbers)
         elif all(value is None or is_number(value) for value in column.distinct):
@@ -92,6 +93,7 @@ class CaseTable:
             {name: column.part(cases) for name, column in self.words.items()},
             {name: values[cases] for name, values in self.numbers.items()},
             {name: values[cases] for name, values in self.end_values.items()},
+            self.units,
         )
 
     def write_csv(self, path: Path, comm: MPI.Comm, window: int) -> None:
@@ -142,7 +144,7 @@ class CaseTable:
         """Return units and meanings of the columns of a file (W3C, Metadata for Tabular Data)."""
         columns = [{"titles": "case", "dc:description": "id of the case, of its content"}]
         for name in self.varied:
-            columns.append(_column(name, own_key(name).meaning, unit_of(name)))
+            columns.append(_column(name, own_key(name).meaning, self.units[name]))
         columns += [_column(name, OF_CASES[name].meaning, OF_CASES[name].unit) for name in _BEFORE]
         places = _places(file)
         for name in self._columns():

@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.cases.schema import BY_PATH, base_unit, unit_of
+from ringwear_par.cases.schema import BY_PATH, base_unit
 from ringwear_par.cases.units import factor
 from ringwear_par.errors import InputError
 from ringwear_par.files.text import parse_toml
@@ -54,6 +54,8 @@ class Ensemble:
     steps_stored: IntArray
     #: values by varied key, (cases,) float, or str where they are not numbers
     varied: dict[str, Any]
+    #: their units, "1" for none
+    units: dict[str, str]
     #: last stored values by name, (cases,) float, see ``finals``; NaN where nothing is stored
     final: dict[str, FloatArray]
     #: of the file: ``method`` of the design, ``study``, ``status``, versions
@@ -76,7 +78,9 @@ class Ensemble:
         That is the case's where it writes none.
         """
         written = next((v.unit for v in self._variations if v.name == name), "")
-        return (written, factor(written, base_unit(name))) if written else (unit_of(name), 1.0)
+        if written:
+            return written, factor(written, base_unit(name))
+        return {"1": ""}.get(self.units[name], self.units[name]), 1.0
 
     @cached_property
     def _variations(self) -> list[Variation]:
@@ -134,6 +138,7 @@ def read_ensemble(folder: Path) -> Ensemble:
         for name in ("method", "study", "status", "coordinates"):
             read_text(attributes[name])
         read_number(attributes["ranks"])
+        varied = attributes["coordinates"].split()
         steps = find_array(file, over_cases(HISTORIES["time"]), sizes).shape[1]
         stored = read_array(file, OF_CASES["steps_stored"], sizes)
         if not ((stored >= 0) & (stored <= steps)).all():
@@ -141,7 +146,8 @@ def read_ensemble(folder: Path) -> Ensemble:
         return Ensemble(
             path, ids, status, error, np.array([word == "yes" for word in in_study]),
             read_array(file, OF_CASES["seconds"], sizes), stored,
-            {name: _varied(file, name, sizes) for name in attributes["coordinates"].split()},
+            {name: _varied(file, name, sizes) for name in varied},
+            {name: read_text(file[name].attrs["units"]) for name in varied},
             _final(file, sizes), attributes, _flags(file, sizes),
         )  # fmt: skip
 

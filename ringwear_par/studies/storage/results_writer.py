@@ -81,6 +81,8 @@ class CaseList:
     entry: IntArray
     #: returns the texts of cases by their numbers, where they are not stored
     texts: Callable[[IntArray], list[str]]
+    #: of the varied keys, "" for none
+    units: Mapping[str, str]
 
 
 def write_results(
@@ -219,6 +221,7 @@ class _Writer:
                 for name in ("seconds", "imbalance", "steps_stored", "elements")
             },
             end_values,
+            self._list.units,
         )
 
 

@@ -176,6 +176,12 @@ def test_rows_that_are_refused(old, new, said, folder):
     assert said in "\n".join(refused(in_table(folder, text, **keys)))
 
 
+@pytest.mark.parametrize(("old", "new"), [("10992,1;0,2", "10992,1;?"), ("Schrieb", "Datei")])
+def test_one_fault_is_one_sentence(old, new, folder):
+    """Neither an unreadable sd is unknown, too, nor is a missing column missing in each row."""
+    assert len(refused(in_table(folder, TABLE.replace(old, new)))) == 1
+
+
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
