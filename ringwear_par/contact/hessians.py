@@ -51,8 +51,6 @@ class Hessians:
         self._compliances, self._which = compliances, which
         count, n = len(which), len(compliances.area)
         self._per_speed = (1.0 / compliances.speed)[compliances.reference]
-        self._slope_scale = compliances.weights / compliances.scale
-        self._per_scale = 1.0 / compliances.scale
         more, self._loops = compliances.deviations, load(contact_rows)
         #: (B,) from the references, see ``Deviations``, and whether any do
         self._deviation = np.zeros(count) if more is None else more.deviation[which]
@@ -113,8 +111,8 @@ class Hessians:
     ) -> None:
         """Set what wear adds in some histories, see ``ContactProblem.slopes``."""
         self._loops.set_slopes(
-            *depth_slopes.shape, histories, self._which, depth_slopes, self._slope_scale,
-            self.slope, self.diagonal, self._valid,
+            *depth_slopes.shape, histories, self._which, depth_slopes,
+            self._compliances.slope_scale, self.slope, self.diagonal, self._valid,
         )  # fmt: skip
         if coupling is not None:
             self.coupling[histories] = coupling
@@ -303,7 +301,7 @@ class Hessians:
         """
         gradient = np.ascontiguousarray(gradient)
         size, n, stack, which = len(rows.histories), gradient.shape[-1], self._stack, rows.which
-        weights, per_scale = self._compliances.weights, self._per_scale
+        weights, per_scale = self._compliances.weights, self._compliances.per_scale
         count = gradient.size // n
         direct, indirect = rows.in_bases, rows.in_bases[:0]
         if self._deviates or not self._regular.all():

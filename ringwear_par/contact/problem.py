@@ -95,7 +95,6 @@ class ContactProblem:
         self.compliances, self.which = compliances, which
         self.area, self.loops = compliances.area, load(contact_rows)
         scale, weights = compliances.scale, compliances.weights
-        self._per_scale, self._slope_scale = 1.0 / scale, weights / scale
         #: (B, n) or (1, n), 1/MPa, pressure times this is the unknown; gap times the weights the
         #: gradient
         self.scale, self.weights, self._per_weight = (
@@ -120,8 +119,9 @@ class ContactProblem:
         self.forces: FloatArray | None = None
         self.wear: WearIncrement | None = None
         self._wear_at_work: tuple[IntArray, WearIncrement] | None = None
-        #: histories, in the order of their references, and products with their compliances
-        self._products: tuple[IntArray, IntArray, ComplianceProducts] | None = None
+        #: histories, those in the order of their references, and products with compliances that
+        #: deviate from these; None: none does
+        self._products: tuple[IntArray, IntArray, ComplianceProducts | None] | None = None
 
     def pose(
         self,
@@ -197,7 +197,7 @@ class ContactProblem:
         count, n = len(histories), len(self.area)
         pressures = np.empty((count, n))
         self.loops.pressures(
-            count, n, histories, self.which, self.unknowns, self._per_scale, pressures
+            count, n, histories, self.which, self.unknowns, self.compliances.per_scale, pressures
         )
         return pressures
 
@@ -242,14 +242,18 @@ class ContactProblem:
         if known is None or known[0] is not histories:
             which = self.which[histories]
             order = histories[np.argsort(compliances.reference[which], kind="stable")]
-            known = self._products = histories, order, compliances.products(which)
-        if compliances.deviations is None:
+            deviate = compliances.deviations is not None
+            known = self._products = (
+                histories, order, compliances.products(which) if deviate else None
+            )  # fmt: skip
+        _, order, products = known
+        if products is None:
             self.loops.multiply(
-                len(histories), n, n, 1, len(self.every), known[1], self._reference,
+                len(histories), n, n, 1, len(self.every), order, self._reference,
                 self.unknowns, compliances.matrices, self._product,
             )  # fmt: skip
         else:
-            self._product[histories] = known[2].symmetric(self.unknowns[histories])
+            self._product[histories] = products.symmetric(self.unknowns[histories])
         self.is_known[histories] = True
 
     def _set_gradients(self, histories: IntArray, depths: FloatArray) -> None:
@@ -296,7 +300,7 @@ class ContactProblem:
             return slope, None
         coupling = self.scaled_slopes(wear.jacobian(p), rows)
         places = np.arange(slope.shape[1])
-        coupling[:, places, places] -= slope * self._slope_scale[self.which[rows]]
+        coupling[:, places, places] -= slope * self.compliances.slope_scale[self.which[rows]]
         return slope, coupling
 
     def scaled_slopes(self, slopes: FloatArray, rows: IntArray | slice) -> FloatArray:
@@ -305,7 +309,7 @@ class ContactProblem:
         (h, n) mm/MPa, or of non-local wear (h, n, n).
         """
         if slopes.ndim == self.weights.ndim:
-            return slopes * self._slope_scale[self.which[rows]]
+            return slopes * self.compliances.slope_scale[self.which[rows]]
         return part(self.weights, rows)[..., None] * slopes / part(self.scale, rows)[:, None, :]
 
     def residuals(self, histories: IntArray, slope: FloatArray) -> FloatArray:

@@ -133,6 +133,16 @@ class ScaledCompliances:
             np.array(names, dtype=object), scaled,
         )  # fmt: skip
 
+    @cached_property
+    def per_scale(self) -> FloatArray:
+        """(m, n) MPa, pressures over the unknowns."""
+        return 1.0 / self.scale
+
+    @cached_property
+    def slope_scale(self) -> FloatArray:
+        """(m, n) MPa/mm, slopes of gradients over unknowns, over those of gaps over pressures."""
+        return self.weights / self.scale
+
     def take(self, numbers: IntArray) -> "ScaledCompliances":
         """Return some of the compliances, in ascending order."""
         return self if len(numbers) == len(self.reference) else take(self, numbers)
