@@ -105,8 +105,8 @@ class WearIncrement:
     )
     #: at the last pressures: it is asked for several times
     _known: _Worn | None = field(default=None, init=False, repr=False)
-    #: (2, bodies, ..., n) rises and onsets of the rates of those that wear, see ``Law.line``; empty:
-    #: some are no lines; None: laws were not asked yet
+    #: (2, bodies, ..., n) rises and onsets of the rates of those that wear, see ``Law.line``;
+    #: empty: some are no lines; None: laws were not asked yet
     _lines: FloatArray | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:

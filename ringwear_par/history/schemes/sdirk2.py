@@ -194,7 +194,7 @@ def _errors_of(
     respond, ones = contacts.engine.derivatives.response, None if last.local else np.ones(shape)
 
     def relieved(growth: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the pressures that depths too many take away, and what changes depths by slopes."""
+        """Return the pressures that depths too many take away, and theirs times slopes."""
         reliefs = respond(growth)
         if ones is not None:
             return reliefs, last.depth_change(slope, reliefs), ones
