@@ -114,7 +114,7 @@ class WearIncrement:
         self.bodies = [
             WearingBody(i, law, at, average) for i, (law, at, average) in parts if law is not None
         ]
-        self._sides = np.array([body.side for body in self.bodies])
+        self._sides = np.array([body.side for body in self.bodies], dtype=np.int64)
         self.local = all(average is None for average in self.averages)
         self.layered = any(isinstance(body.law, LayeredLaw) for body in self.bodies)
         if self.pace is not None:
