@@ -160,7 +160,7 @@ class WearIncrement:
         return np.ascontiguousarray(averaged_rate(law, at, average, p))
 
     def _worn(self, p: FloatArray) -> _Worn:
-        """Return what pressures wear off in contact all along."""
+        """Return rates, depths and slopes at pressures in contact all along."""
         known = self._known
         if known is not None and known.pressure is p:
             return known
@@ -315,6 +315,8 @@ class WearIncrement:
         weights : (B, n) factors on duration and rates of elements; None: 1.
         """
         after, volumes = np.empty_like(wear), np.zeros(wear.shape[:-1])
+        if not self.bodies:
+            return wear, volumes
         rates = self._worn(p).rates
         load(step_rows).wear_off(
             *p.shape, len(self.bodies), self._sides, wear, rates, self._end_rates(p), duration,

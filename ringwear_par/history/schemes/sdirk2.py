@@ -123,7 +123,7 @@ def step(
     in_first = first.total_if_always_in_contact(stage.pressure)
     in_last = last.total_if_always_in_contact(contact.pressure)
     came = None if is_closed else entry_error(physics, closing, state, after, in_last)
-    if closing is not None:
+    if closing is not None and weights_last is not None:
         in_last = in_last / np.where(closing.mask, 1.0, weights_last)
     errors = _errors_of(
         contacts, state, length, in_first, in_last, last, contact.pressure,
