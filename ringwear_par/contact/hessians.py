@@ -166,7 +166,7 @@ class Hessians:
     def _invert(self, histories: IntArray, rates: FloatArray) -> None:
         """Set the inverses of slopes of these rates, (h,), in bases."""
         self._loops.invert(
-            *self._inverse[histories].shape, histories, self._basis, rates, self._stack.mu,
+            len(histories), self._inverse.shape[1], histories, self._basis, rates, self._stack.mu,
             self._stack.force, self._inverse, self._response, self._stiffness,
         )  # fmt: skip
 
@@ -197,8 +197,8 @@ class Hessians:
 
     def _factorise(self, histories: IntArray) -> None:
         """Make bases of their own in which Hessians are 1."""
-        self._rows.clear()
         for history in histories[~self._has_own[histories]].tolist():
+            self._rows.clear()
             if self._stack.is_full:
                 self._stack.make_room(self._basis)
             self._basis[history], self._has_own[history] = self._stack.own_number(), True
