@@ -212,7 +212,7 @@ class LayeredLaw(Law):
         lines = [law.line(at) for law, at in zip(self.laws, self.states(local), strict=True)]
         if self.present is None or any(line is None for line in lines):
             return None
-        rise, onset = (np.zeros(self.present.shape) for _ in "ro")
+        rise, onset = np.zeros((2, *self.present.shape))
         for number, line in enumerate(lines):
             if line is not None:
                 in_layer = self.present == number
