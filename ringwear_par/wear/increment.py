@@ -293,8 +293,7 @@ class WearIncrement:
     def rates(self, p: FloatArray) -> FloatArray:
         """Return the rates of wear at the end of the step, (2, ..., n) mm/s, see above."""
         rates = np.zeros((2, *p.shape))
-        if self.bodies:
-            rates[self._sides] = self._end_rates(p)
+        rates[self._sides] = self._end_rates(p)
         return rates
 
     def wear_off(
