@@ -265,7 +265,7 @@ class Physics:
         if stays and self._last:
             last = self._last[0]
             if closing is None:
-                if not np.array_equal(last.step, columns(step)):
+                if last.duration is not step and not np.array_equal(last.duration, step):
                     self._last[:] = [last.over(step)]
                 return self._last[0]
             at = last.at
