@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, columns, largest
+from ringwear_par.batched import variant
 from ringwear_par.compiled import step_rows
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.errors import ComputationError
@@ -126,9 +127,7 @@ class WearIncrement:
 
     def over(self, step: float | FloatArray) -> "WearIncrement":
         """Return the increment over another step of laws that are steady, of which it knows all."""
-        other = object.__new__(WearIncrement)
-        other.__dict__.update(self.__dict__, duration=step, step=columns(step), _known=None)
-        return other
+        return variant(self, duration=step, step=columns(step), _known=None)
 
     def take(self, histories: IntArray) -> "WearIncrement":
         """Return the increment of some of B histories."""
