@@ -147,15 +147,8 @@ class Physics:
         first = self.compliances.every[0]
         return first.obliquity if first.slope.any() else None
 
-    @cached_property
-    def _whole_area(self) -> FloatArray:
-        """(1,) mm^2, as ``inner`` rounds it."""
-        return np.asarray(inner(self.area, np.ones((1, self.line.n))))
-
     def area_in_contact(self, p: FloatArray) -> FloatArray:
         """Return the area of elements with pressure, mm^2, (B,), at (B, n)."""
-        if p.min() > 0.0:  # so in most batches, and this look is quick
-            return np.repeat(self._whole_area, len(p))
         return np.asarray(inner(self.area, (p > 0.0).astype(float)))
 
     @cached_property
