@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -72,7 +72,7 @@ class Physics:
     #: the last increment, where rates stay: it is that of all steps or stages of the same length
     _last: list[WearIncrement] = field(default_factory=list, init=False, repr=False, compare=False)
     #: the last layers that elements stayed in, (2, B, n), with the physics there
-    _staying: list[tuple[IntArray, "Physics"]] = field(
+    _staying: list[tuple[IntArray, Any]] = field(
         default_factory=list, init=False, repr=False, compare=False
     )
 
