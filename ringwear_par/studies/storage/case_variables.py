@@ -18,8 +18,8 @@ from ringwear_par.studies.storage.stored_variables import AXES
 _CHUNK_BYTES = 256e3
 #: most cases of which texts, or rows of a table, are made together
 WINDOW = 2**13
-#: share of bytes equal to the one before above which bytes of one weight are compressed: to look for
-#: runs takes more time than all the rest of writing
+#: share of bytes equal to the one before above which bytes of one weight are compressed: a search
+#: for runs takes more time than all the rest of writing
 _REPEATED = 0.15
 #: of zlib's streams
 _HEADER = b"\x78\x01"
