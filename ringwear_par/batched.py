@@ -60,11 +60,11 @@ def where(accepted: BoolArray, new: T, old: T) -> T:
     return _apply(choose, new, old)
 
 
-def _apply(function: Callable[..., Any], first: Any, *others: Any) -> Any:
+def _apply(function: Callable[..., Any], first: Any, *further: Any) -> Any:
     changed: dict[str, Any] = {}
     for name, axis in _fields(type(first)):
-        value, more = getattr(first, name), [getattr(other, name) for other in others]
-        if axis is None or value is None or (more and any(other is None for other in more)):
+        value, more = getattr(first, name), [getattr(batch, name) for batch in further]
+        if axis is None or value is None or (more and any(entry is None for entry in more)):
             changed[name] = value
         elif isinstance(value, np.ndarray) or not is_dataclass(value):
             changed[name] = function(axis, value, *more)
