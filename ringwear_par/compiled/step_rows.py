@@ -249,8 +249,10 @@ def judge_tries(
         pressing = over > 1.0
         if pressing:
             ratio = max(ratio, over)
-        if not math.isfinite(error + energy_errors[history] + whole):
+        if not math.isfinite(error + energy_errors[history] + whole + carried):
             ratio = ahead = math.inf
+        if not math.isfinite(history_errors[history]):
+            ahead = math.inf
         within = ratio <= 1.0
         accepted[history] = within and not too_far[history]
         pressed[history] = was_pressed[history] or pressing
