@@ -346,11 +346,15 @@ class Physics:
 
         At pressure (B, n); N mm and N.
         """
+        return np.array([inner(weights, p) for weights in self._carried])
+
+    @cached_property
+    def _carried(self) -> tuple[FloatArray, ...]:
+        """What ``reactions`` are the integrals of, (n,) or (B, n), per pressure."""
         force = self.compliances.force_reaction
         # boundary elements turn with tractions that are constant on each
         torque = self.compliances.torque_reaction * (self.line.arm / self.line.uniform_arm)
-        carried = self.torque_arm, force[:, 0], force[:, 1], torque[:, 0], torque[:, 1]
-        return np.array([inner(weights, p) for weights in carried])
+        return self.torque_arm, force[:, 0], force[:, 1], torque[:, 0], torque[:, 1]
 
     # -- layers ------------------------------------------------------------------------------------
 
