@@ -636,18 +636,18 @@ def conjugate_gradients(
 
 def correction_errors(
     count: Count, n: Count, which: Integers, before: Reals, after: Reals, stiffness: Reals,
-    pressures: Reals, means: Reals, errors: Reals, elements: Integers,
+    pressures: Reals, forces: Reals, area: Real, errors: Reals, elements: Integers,
 ) -> None:  # fmt: skip
     """Set the largest errors of pressures for changes of gaps, each element alone, and where.
 
-    Relative to the pressure or to the mean, whichever is larger.
+    Relative to the pressure or to the mean on the whole area, whichever is larger.
     """
     for history in range(count):
-        largest, element, mean = 0.0, 0, means[history]
+        largest, element, mean = 0.0, 0, max(forces[history] / area, 1e-300)
         for i in range(n):
             k, stiff = history * n + i, stiffness[which[history] * n + i]
             error = abs(after[k] - before[k]) * stiff / max(pressures[k], mean)
             if error > largest or (math.isnan(error) and not math.isnan(largest)):
                 largest, element = error, i
-        errors[history] = math.nan if math.isnan(mean) else largest
+        errors[history] = math.nan if math.isnan(forces[history]) else largest
         elements[history] = element

@@ -128,7 +128,7 @@ def _call(function: FunctionType, address: int) -> Callable[..., None]:
 
 
 def _conversion(function: FunctionType, kind: Any, dtypes: str) -> Callable[[Any], Any]:
-    """Return what makes an argument one of machine code."""
+    """Return the conversion of an argument to one of machine code."""
     if not dtypes:
         return ctypes.c_int64 if kind is int else ctypes.c_double
 

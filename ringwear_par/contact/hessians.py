@@ -277,14 +277,14 @@ class Hessians:
         if left.any():
             if coupling is not None:
                 self.coupling[histories] = coupling
-            others = histories if left.all() else histories[left]
-            self._invert(others, new[left], new_sets[left], rates[left])
+            remaining = histories if left.all() else histories[left]
+            self._invert(remaining, new[left], new_sets[left], rates[left])
             missing = self._missing if with_forces else None
-            rows = self._rows_of(others, compact=False)
+            rows = self._rows_of(remaining, compact=False)
             steps, changes = self._steps(rows, problem.gradients, missing, NEAR)
-            problem.unknowns[others] += steps[others]
-            problem.approaches[others] += changes[others]
-            pressures[left] = problem.pressures(others)
+            problem.unknowns[remaining] += steps[remaining]
+            problem.approaches[remaining] += changes[remaining]
+            pressures[left] = problem.pressures(remaining)
         problem.pressures_at_work = pressures
 
     def _order_of(self, histories: IntArray) -> IntArray:

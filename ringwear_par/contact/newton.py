@@ -20,6 +20,8 @@ from ringwear_par.contact.tao import Guard
 from ringwear_par.petsc import PETSc
 
 PLAIN_ITERATIONS = 25
+_ENDED = PETSc.TAO.Reason.CONVERGED_GATOL
+_NOT_ENDED = PETSc.TAO.Reason.DIVERGED_MAXITS
 #: share of the slope at the start of a damped step that is left at its end, and the shortest step
 _SLOPE_LEFT, _SHORTEST = 1e-8, 1e-10
 
@@ -60,11 +62,10 @@ class ActiveSetNewton:
     def _solve(self, tao: PETSc.TAO) -> None:
         iterate = self._iterate_damped if self.damped else self._iterate
         unsolved, iterations = iterate(tao)
-        self.unsolved = np.sort(unsolved)
+        self.unsolved = np.sort(unsolved) if len(unsolved) else unsolved
         tao.setIterationNumber(iterations)
-        reasons = PETSc.TAO.Reason
         ended = not self.damped or not len(unsolved)  # plain steps have damped ones to follow them
-        tao.setConvergedReason(reasons.CONVERGED_GATOL if ended else reasons.DIVERGED_MAXITS)
+        tao.setConvergedReason(_ENDED if ended else _NOT_ENDED)
 
     def _iterate(self, tao: PETSc.TAO) -> tuple[IntArray, int]:
         """Take plain steps; return the histories that did not end, and the number of steps."""

@@ -149,11 +149,14 @@ class ContactProblem:
             apart = gap.min(axis=1) >= approach
         elif force is not None:
             apart = force == 0.0  # the bodies just touch
-            touching = histories[apart[histories]]
-            self.approaches[touching] = gap[touching].min(axis=1)
         else:
             raise ValueError("force or approach must be given")
-        self.at_work = histories[~apart[histories]] if apart.any() else histories
+        self.at_work = histories
+        if apart.any():
+            self.at_work = histories[~apart[histories]]
+            if approach is None:
+                touching = histories[apart[histories]]
+                self.approaches[touching] = gap[touching].min(axis=1)
         return apart
 
     def keep(self, histories: IntArray) -> None:
@@ -267,7 +270,7 @@ class ContactProblem:
         return settled, broken
 
     def _depths(self, p: FloatArray) -> FloatArray:
-        """Return what histories at work wear at their pressures, (h, n) mm."""
+        """Return the wear of the histories at work, (h, n) mm."""
         wear = self._increment()
         return np.zeros_like(p) if wear is None else np.ascontiguousarray(wear.depth(p))
 
