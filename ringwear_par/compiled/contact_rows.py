@@ -379,17 +379,18 @@ def take_steps(
     count: Count, n: Count, rows: Integers, order: Integers, which: Integers, depth_slopes: Reals,
     slope_scale: Reals, slopes: Reals, diagonals: Reals, per_speed: Reals, free: Flags,
     are_valid: Flags, free_before: Flags, wearing_before: Flags, rates: Reals, are_new: Flags,
-    have_new_sets: Flags, are_regular: Flags, round_off: Real, in_bases: Count, deviations: Reals,
-    numbers: Integers, values: Reals, bases: Reals, transposed: Reals, basis_forces: Reals,
-    inverses: Reals, responses: Reals, stiffness: Reals, unknowns: Reals, gradients: Reals,
-    approaches: Reals, are_known: Flags, weights: Reals, roots: Reals, forces: Reals,
-    with_forces: Count, missing: Reals, per_scale: Reals, pressures: Reals, are_left: Flags,
-    group: Integers, modal: Reals, steps: Reals,
+    have_new_sets: Flags, are_regular: Flags, round_off: Real, in_bases: Count, are_inverted: Count,
+    deviations: Reals, numbers: Integers, have_own: Flags, values: Reals, bases: Reals,
+    transposed: Reals, basis_forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
+    unknowns: Reals, gradients: Reals, approaches: Reals, are_known: Flags, weights: Reals,
+    roots: Reals, forces: Reals, with_forces: Count, missing: Reals, per_scale: Reals,
+    pressures: Reals, are_left: Flags, group: Integers, modal: Reals, steps: Reals,
 ) -> None:  # fmt: skip
     """Set slopes, and take the steps of histories whose Hessians are diagonal in bases they have.
 
     Others, compact, are left, with what ``compare_slopes`` says of them and the force that they are
-    ``missing`` (B,). The ``order`` (count,) of rows is by ``numbers`` (B,) of bases. Forces and
+    ``missing`` (B,): those that need another basis, unless inverses are what they have to be, and
+    those that deviate. The ``order`` (count,) of rows is by ``numbers`` (B,) of bases. Forces and
     approaches in bases are by weights of references: ``roots`` (B,) times those. ``group``,
     ``modal`` and ``steps`` are room for 4.
     """
@@ -412,12 +413,11 @@ def take_steps(
             for i in range(n):
                 carried += weights[compliance * n + i] * unknowns[history * n + i]
             missing[history], are_known[history] = forces[history] - carried, False
-            is_left = (
-                not in_bases or has_new_sets or number < 0 or not are_regular[history]
-                or deviations[history] != 0.0
-            )  # fmt: skip
+            is_diagonal = have_own[history] or (are_regular[history] and deviations[history] == 0.0)
+            must_wait = not in_bases or number < 0 or has_new_sets or (is_new and have_own[history])
+            is_left = not is_diagonal or (must_wait and not are_inverted)
             if not is_left:
-                if is_new:
+                if is_new and not are_inverted:
                     are_valid[history] = True
                     _invert(
                         n, history, number, rate, values, basis_forces, inverses, responses,
@@ -462,6 +462,74 @@ def _step_in_basis(
     for i in range(n):
         modal[start + i] = (change * forces[basis + i] - modal[start + i]) * inverses[row + i]
     return change
+
+
+def factorise(
+    count: Count, n: Count, rows: Integers, which: Integers, references: Integers, matrices: Reals,
+    deviations: Reals, derivatives: Reals, with_derivatives: Count, slopes: Reals, coupling: Reals,
+    with_coupling: Count, free: Flags, weights: Reals, numbers: Integers, bases: Reals,
+    transposed: Reals, values: Reals, forces: Reals, work: Reals,
+) -> None:  # fmt: skip
+    """Set bases in which Hessians are 1, from their Cholesky factors: Psi = L^-T.
+
+    ``weights`` (f, n) are those of the ``references`` (m,) of the compliances, ``work`` is room for
+    (n, 2 n). What is not positive definite has NaN as its basis.
+    """
+    for place in range(count):
+        history = rows[place]
+        row, reference, start = history * n, references[which[history]], numbers[history] * n * n
+        matrix, deviation = reference * n * n, deviations[history]
+        for i in range(n):
+            at, line = 2 * i * n, matrix + i * n
+            for j in range(n):
+                work[at + j] = matrices[line + j]
+                work[at + n + j] = 0.0
+            if with_derivatives:
+                for j in range(n):
+                    work[at + j] += deviation * derivatives[line + j]
+            if with_coupling:
+                for j in range(n):
+                    work[at + j] += coupling[(row + j) * n + i]
+            work[at + i] += slopes[row + i]
+            for j in range(n):
+                if j != i and not (free[row + i] and free[row + j]):
+                    work[at + j] = 0.0
+        _eliminate(n, work)
+        for i in range(n):
+            carried, at = 0.0, 2 * i * n + n
+            for j in range(n):
+                value = work[at + j] if free[row + i] and free[row + j] else 0.0
+                transposed[start + i * n + j] = value
+                bases[start + j * n + i] = value
+            for j in range(n):
+                carried += transposed[start + i * n + j] * weights[reference * n + j]
+            values[numbers[history] * n + i], forces[numbers[history] * n + i] = 0.0, carried
+
+
+@in_order
+def _eliminate(n: Count, work: Reals) -> None:
+    """Make (L', L^-1) of a matrix L L' and zeros, (n, 2 n), row by row, four earlier at a time."""
+    width = 2 * n
+    for j in range(n):
+        row, i = j * width, 0
+        while i < j:
+            p = i * width
+            if i + 4 <= j:
+                q, r, s = p + width, p + 2 * width, p + 3 * width
+                a, b, c, d = work[p + j], work[q + j], work[r + j], work[s + j]
+                for k in range(j, n + i + 4):
+                    less = a * work[p + k] + b * work[q + k] + c * work[r + k] + d * work[s + k]
+                    work[row + k] -= less
+                i += 4
+            else:
+                a = work[p + j]
+                for k in range(j, n + i + 1):
+                    work[row + k] -= a * work[p + k]
+                i += 1
+        work[row + n + j] = 1.0
+        root = 1.0 / math.sqrt(work[row + j])
+        for k in range(row + j, row + n + j + 1):
+            work[k] *= root
 
 
 def steps_in_bases(
