@@ -380,11 +380,12 @@ def take_steps(
     slope_scale: Reals, slopes: Reals, diagonals: Reals, per_speed: Reals, free: Flags,
     are_valid: Flags, free_before: Flags, wearing_before: Flags, rates: Reals, are_new: Flags,
     have_new_sets: Flags, are_regular: Flags, round_off: Real, in_bases: Count, are_inverted: Count,
-    deviations: Reals, numbers: Integers, have_own: Flags, values: Reals, bases: Reals,
-    transposed: Reals, basis_forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
-    unknowns: Reals, gradients: Reals, approaches: Reals, are_known: Flags, weights: Reals,
-    roots: Reals, forces: Reals, with_forces: Count, missing: Reals, per_scale: Reals,
-    pressures: Reals, are_left: Flags, group: Integers, modal: Reals, steps: Reals,
+    deviations: Reals, numbers: Integers, values: Reals, bases: Reals, transposed: Reals,
+    basis_forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals, factors: Reals,
+    references: Integers, reference_weights: Reals, unknowns: Reals, gradients: Reals,
+    approaches: Reals, are_known: Flags, weights: Reals, roots: Reals, forces: Reals,
+    with_forces: Count, missing: Reals, per_scale: Reals, pressures: Reals, are_left: Flags,
+    group: Integers, modal: Reals, steps: Reals,
 ) -> None:  # fmt: skip
     """Set slopes, and take the steps of histories whose Hessians are diagonal in bases they have.
 
@@ -397,7 +398,8 @@ def take_steps(
     at = 0
     while at < count:
         number, together = numbers[rows[order[at]]], 0
-        while at < count and together < 4 and numbers[rows[order[at]]] == number:
+        most = 1 if number < 0 else 4
+        while at < count and together < most and numbers[rows[order[at]]] == number:
             place = order[at]
             history, compliance = rows[place], which[rows[place]]
             _set_slopes(
@@ -413,8 +415,8 @@ def take_steps(
             for i in range(n):
                 carried += weights[compliance * n + i] * unknowns[history * n + i]
             missing[history], are_known[history] = forces[history] - carried, False
-            is_diagonal = have_own[history] or (are_regular[history] and deviations[history] == 0.0)
-            must_wait = not in_bases or number < 0 or has_new_sets or (is_new and have_own[history])
+            is_diagonal = number < 0 or (are_regular[history] and deviations[history] == 0.0)
+            must_wait = not in_bases or has_new_sets or (is_new and number < 0)
             is_left = not is_diagonal or (must_wait and not are_inverted)
             if not is_left:
                 if is_new and not are_inverted:
@@ -430,17 +432,26 @@ def take_steps(
         if together == 0:
             continue
         row0 = rows[group[0]]
-        row1 = rows[group[1]] if together > 1 else row0
-        row2 = rows[group[2]] if together > 2 else row0
-        row3 = rows[group[3]] if together > 3 else row0
-        _multiply_four(n, n, row0, row1, row2, row3, gradients, number, bases, 0, 1, 2, 3, modal)
-        for q in range(together):
-            history = rows[group[q]]
-            approaches[history] += roots[history] * _step_in_basis(
-                n, history, number, q, missing[history] * roots[history], with_forces,
-                basis_forces, inverses, responses, stiffness, modal,
+        if number < 0:
+            approaches[row0] += roots[row0] * _step_by_factor(
+                n, row0, references[which[row0]], gradients, row0 * n,
+                missing[row0] * roots[row0], with_forces, factors, responses, stiffness,
+                reference_weights, 0, steps,
             )  # fmt: skip
-        _multiply_four(n, n, 0, 1, 2, 3, modal, number, transposed, 0, 1, 2, 3, steps)
+        else:
+            row1 = rows[group[1]] if together > 1 else row0
+            row2 = rows[group[2]] if together > 2 else row0
+            row3 = rows[group[3]] if together > 3 else row0
+            _multiply_four(
+                n, n, row0, row1, row2, row3, gradients, number, bases, 0, 1, 2, 3, modal
+            )
+            for q in range(together):
+                history = rows[group[q]]
+                approaches[history] += roots[history] * _step_in_basis(
+                    n, history, number, q, missing[history] * roots[history], with_forces,
+                    basis_forces, inverses, responses, stiffness, modal,
+                )  # fmt: skip
+            _multiply_four(n, n, 0, 1, 2, 3, modal, number, transposed, 0, 1, 2, 3, steps)
         for q in range(together):
             history, compliance, start = rows[group[q]], which[rows[group[q]]], group[q] * n
             for i in range(n):
@@ -467,20 +478,20 @@ def _step_in_basis(
 def factorise(
     count: Count, n: Count, rows: Integers, which: Integers, references: Integers, matrices: Reals,
     deviations: Reals, derivatives: Reals, with_derivatives: Count, slopes: Reals, coupling: Reals,
-    with_coupling: Count, free: Flags, weights: Reals, numbers: Integers, bases: Reals,
-    transposed: Reals, values: Reals, forces: Reals, work: Reals,
+    with_coupling: Count, free: Flags, weights: Reals, factors: Reals, responses: Reals,
+    stiffness: Reals, work: Reals,
 ) -> None:  # fmt: skip
-    """Set bases in which Hessians are 1, from their Cholesky factors: Psi = L^-T.
+    """Set inverses of the lower Cholesky factors of Hessians, and how they respond to an approach.
 
+    ``factors`` are (B, n, n), without their upper triangles; NaN of what is not positive definite.
     ``weights`` (f, n) are those of the ``references`` (m,) of the compliances, ``work`` is room for
-    (n, 2 n). What is not positive definite has NaN as its basis.
+    (n, 2 n).
     """
     for place in range(count):
         history = rows[place]
-        row, reference, start = history * n, references[which[history]], numbers[history] * n * n
-        matrix, deviation = reference * n * n, deviations[history]
+        row, reference, deviation = history * n, references[which[history]], deviations[history]
         for i in range(n):
-            at, line = 2 * i * n, matrix + i * n
+            at, line = 2 * i * n, (reference * n + i) * n
             for j in range(n):
                 work[at + j] = matrices[line + j]
                 work[at + n + j] = 0.0
@@ -496,14 +507,14 @@ def factorise(
                     work[at + j] = 0.0
         _eliminate(n, work)
         for i in range(n):
-            carried, at = 0.0, 2 * i * n + n
-            for j in range(n):
-                value = work[at + j] if free[row + i] and free[row + j] else 0.0
-                transposed[start + i * n + j] = value
-                bases[start + j * n + i] = value
-            for j in range(n):
-                carried += transposed[start + i * n + j] * weights[reference * n + j]
-            values[numbers[history] * n + i], forces[numbers[history] * n + i] = 0.0, carried
+            line, at = (row + i) * n, 2 * i * n + n
+            for j in range(i + 1):
+                factors[line + j] = work[at + j] if free[row + i] else 0.0
+        _solve(n, row * n, factors, reference * n, weights, row, responses)
+        carried = 0.0
+        for i in range(n):
+            carried += weights[reference * n + i] * responses[row + i]
+        stiffness[history] = carried
 
 
 @in_order
@@ -530,6 +541,65 @@ def _eliminate(n: Count, work: Reals) -> None:
         root = 1.0 / math.sqrt(work[row + j])
         for k in range(row + j, row + n + j + 1):
             work[k] *= root
+
+
+def _solve(
+    n: Count, start: Count, factors: Reals, at: Count, sides: Reals, to: Count, solutions: Reals
+) -> None:
+    """Set the solution of one system from the inverse of its factor."""
+    for i in range(n):
+        solutions[to + i] = 0.0
+    for i in range(n):
+        line, product = start + i * n, 0.0
+        for j in range(i + 1):
+            product += factors[line + j] * sides[at + j]
+        for j in range(i + 1):
+            solutions[to + j] += product * factors[line + j]
+
+
+def steps_by_factors(
+    count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
+    factors: Reals, responses: Reals, stiffness: Reals, missing: Reals, with_missing: Count,
+    gradients: Reals, which: Integers, references: Integers, reference_weights: Reals,
+    weights: Reals, per_scale: Reals, with_scales: Count, scaled: Reals, steps: Reals,
+    changes: Reals,
+) -> None:  # fmt: skip
+    """Set steps against gradients (times, size, n), and of approaches, as ``steps_in_bases`` does.
+
+    ``scaled`` is room for a row.
+    """
+    for at in range(count * times):
+        place = order[at // times]
+        into, compliance = at % times * size + place, which[place] * n
+        start = into * n
+        for i in range(n):
+            side = gradients[start + i]
+            scaled[i] = side * weights[compliance + i] if with_scales else side
+        changes[into] = _step_by_factor(
+            n, histories[place], references[which[place]], scaled, 0, missing[into], with_missing,
+            factors, responses, stiffness, reference_weights, start, steps,
+        )  # fmt: skip
+        if with_scales:
+            for i in range(n):
+                steps[start + i] *= per_scale[compliance + i]
+
+
+def _step_by_factor(
+    n: Count, history: Count, reference: Count, gradients: Reals, at: Count, missing: Real,
+    with_missing: Count, factors: Reals, responses: Reals, stiffness: Reals,
+    reference_weights: Reals, to: Count, steps: Reals,
+) -> float:  # fmt: skip
+    """Set a step against a gradient; return the change of the approach."""
+    row, change = history * n, 0.0
+    _solve(n, row * n, factors, at, gradients, to, steps)
+    if with_missing and stiffness[history] > 0.0:
+        carried = 0.0
+        for i in range(n):
+            carried += reference_weights[reference * n + i] * steps[to + i]
+        change = (missing + carried) / stiffness[history]
+    for i in range(n):
+        steps[to + i] = change * responses[row + i] - steps[to + i]
+    return change
 
 
 def steps_in_bases(
