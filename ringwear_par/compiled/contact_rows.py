@@ -242,6 +242,74 @@ def invert(
         stiffness[rows[place]] = carried
 
 
+def factorise(
+    count: Count, n: Count, rows: Integers, which: Integers, references: Integers, matrices: Reals,
+    deviations: Reals, derivatives: Reals, with_derivatives: Count, slopes: Reals, coupling: Reals,
+    with_coupling: Count, free: Flags, weights: Reals, numbers: Integers, bases: Reals,
+    transposed: Reals, values: Reals, forces: Reals, work: Reals,
+) -> None:  # fmt: skip
+    """Set bases in which Hessians are 1, from their Cholesky factors: Psi = L^-T.
+
+    ``weights`` (f, n) are those of the ``references`` (m,) of the compliances, ``work`` is room for
+    (n, 2 n). What is not positive definite has NaN as its basis.
+    """
+    for place in range(count):
+        history = rows[place]
+        row, reference, start = history * n, references[which[history]], numbers[history] * n * n
+        matrix, deviation = reference * n * n, deviations[history]
+        for i in range(n):
+            at, line = 2 * i * n, matrix + i * n
+            for j in range(n):
+                work[at + j] = matrices[line + j]
+                work[at + n + j] = 0.0
+            if with_derivatives:
+                for j in range(n):
+                    work[at + j] += deviation * derivatives[line + j]
+            if with_coupling:
+                for j in range(n):
+                    work[at + j] += coupling[(row + j) * n + i]
+            work[at + i] += slopes[row + i]
+            for j in range(n):
+                if j != i and not (free[row + i] and free[row + j]):
+                    work[at + j] = 0.0
+        _eliminate(n, work)
+        for i in range(n):
+            carried, at = 0.0, 2 * i * n + n
+            for j in range(n):
+                value = work[at + j] if free[row + i] and free[row + j] else 0.0
+                transposed[start + i * n + j] = value
+                bases[start + j * n + i] = value
+            for j in range(n):
+                carried += transposed[start + i * n + j] * weights[reference * n + j]
+            values[numbers[history] * n + i], forces[numbers[history] * n + i] = 0.0, carried
+
+
+@in_order
+def _eliminate(n: Count, work: Reals) -> None:
+    """Make (L', L^-1) of a matrix L L' and zeros, (n, 2 n), row by row, four earlier at a time."""
+    width = 2 * n
+    for j in range(n):
+        row, i = j * width, 0
+        while i < j:
+            p = i * width
+            if i + 4 <= j:
+                q, r, s = p + width, p + 2 * width, p + 3 * width
+                a, b, c, d = work[p + j], work[q + j], work[r + j], work[s + j]
+                for k in range(j, n + i + 4):
+                    less = a * work[p + k] + b * work[q + k] + c * work[r + k] + d * work[s + k]
+                    work[row + k] -= less
+                i += 4
+            else:
+                a = work[p + j]
+                for k in range(j, n + i + 1):
+                    work[row + k] -= a * work[p + k]
+                i += 1
+        work[row + n + j] = 1.0
+        root = 1.0 / math.sqrt(work[row + j])
+        for k in range(row + j, row + n + j + 1):
+            work[k] *= root
+
+
 def steps_in_bases(
     count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
     numbers: Integers, bases: Reals, transposed: Reals, forces: Reals, inverses: Reals,

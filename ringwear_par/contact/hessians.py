@@ -3,21 +3,20 @@
 They are diagonal in bases that histories share (see ``scaled_compliances``). Of compliances that
 deviate from their references, or where the slope of wear over pressure has another shape, such a
 basis preconditions projected conjugate gradients (Gould, Hribar and Nocedal, SIAM J. Sci. Comput.
-23 (2001) 1376-1395). Wear that gets through layers, non-local wear and large systems have Cholesky
-factors of their own.
+23 (2001) 1376-1395). Wear that gets through layers, non-local wear and large systems have bases of
+their own, the inverses of Cholesky factors.
 """
 
 from collections import defaultdict
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotrs
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.batched import keep
 from ringwear_par.compiled import contact_rows
 from ringwear_par.compiled.machine_code import load
-from ringwear_par.contact.basis_stack import BROKEN, BasisStack
+from ringwear_par.contact.basis_stack import BasisStack
 from ringwear_par.contact.problem import LARGEST_WITH_BASES, ContactProblem
 from ringwear_par.contact.row_products import ROOM, RowProducts
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
@@ -25,8 +24,6 @@ from ringwear_par.wear.increment import WearIncrement
 
 #: what slopes may differ by from their shape, relative: round-off
 _ROUND_OFF = 1e-12
-#: instead of the number of a basis: a factor of its own
-_FACTOR = -1
 #: residuals, relative to the first, at which conjugate gradients end: where slopes have another
 #: shape than the bases, and where they have that. Of estimates, of solutions, and within Newton's
 #: method, whose next step corrects what this one left; slopes of that shape are linear, so that
@@ -34,8 +31,6 @@ _FACTOR = -1
 ROUGH, SOLVED = (1e-3, 1e-3), (1e-13, 1e-13)
 NEAR = 1e-6, 1e-13
 _MOST_ITERATIONS = 200
-#: where nothing touches
-_NO_FACTOR = np.zeros((0, 0))
 
 
 class Hessians:
@@ -70,14 +65,14 @@ class Hessians:
         self._valid = np.zeros(count, dtype=bool)
         #: (B, n) elements that bases take to wear
         self._wearing = np.zeros((count, n), dtype=bool)
-        #: bases, and the number of that of each history
-        self._stack, self._basis = BasisStack(compliances), np.full(count, BROKEN)
+        #: bases, the number of that of each history, -1 of none, and whether it is of its own
+        self._stack, self._basis = BasisStack(compliances), np.full(count, -1)
+        self._has_own = np.zeros(count, dtype=bool)
         #: (B, n) inverses in the bases, exact where the slope has the shape, else preconditioners
         self._inverse, self._regular = np.ones((count, n)), np.ones(count, dtype=bool)
         #: (B, n) in the bases, what unknowns grow by with the approach, and (B,) the force with it,
         #: by the weights of the reference
         self._response, self._stiffness = np.zeros((count, n)), np.zeros(count)
-        self._factors: dict[int, FloatArray] = {}
         #: how histories are solved whose rows are compact (True), or among those of all
         self._rows: dict[bool, tuple[IntArray, _BasisRows]] = {}
 
@@ -88,13 +83,9 @@ class Hessians:
         keep(
             self,
             ("_which", "_deviation", "_free", "_valid", "_wearing", "_basis",
-             "_inverse", "_regular", "_response", "_stiffness"),
+             "_has_own", "_inverse", "_regular", "_response", "_stiffness"),
             histories,
         )  # fmt: skip
-        if self._factors:
-            places = {history: place for place, history in enumerate(histories.tolist())}
-            factors = self._factors.items()
-            self._factors = {places[h]: factor for h, factor in factors if h in places}
         self._rows.clear()
 
     def pose(self, wear: WearIncrement | None) -> None:
@@ -128,10 +119,7 @@ class Hessians:
     def forget(self, histories: IntArray) -> None:
         """Let nothing touch in some histories."""
         self._free[histories], self._valid[histories] = False, False
-        self._basis[histories] = _FACTOR
-        self._rows.clear()
-        for history in histories.tolist():
-            self._factors[history] = _NO_FACTOR
+        self._factorise(histories)
 
     def refresh(self, histories: IntArray, free: BoolArray, in_bases: bool = True) -> None:
         """Invert the blocks of those histories that have changed, on their free elements, (B, n).
@@ -170,14 +158,16 @@ class Hessians:
                     return
             else:
                 rates[irregular] = self._median_rates(histories[irregular])
-        new_sets |= self._basis[histories] < 0
+        new_sets |= self._has_own[histories] | (self._basis[histories] < 0)
         if new_sets.any():
             self._choose_bases(histories[new_sets])
-            valid = self._basis[histories] >= 0
-            histories, rates = histories[valid], rates[valid]
+        self._invert(histories, rates)
+
+    def _invert(self, histories: IntArray, rates: FloatArray) -> None:
+        """Set the inverses of slopes of these rates, (h,), in bases."""
         self._loops.invert(
-            len(histories), n, histories, self._basis, rates, self._stack.mu, self._stack.force,
-            self._inverse, self._response, self._stiffness,
+            len(histories), self._inverse.shape[1], histories, self._basis, rates, self._stack.mu,
+            self._stack.force, self._inverse, self._response, self._stiffness,
         )  # fmt: skip
 
     def _median_rates(self, histories: IntArray) -> FloatArray:
@@ -190,6 +180,7 @@ class Hessians:
     def _choose_bases(self, histories: IntArray) -> None:
         """Take the bases of the sets of histories."""
         self._rows.clear()
+        self._has_own[histories] = False
         free, wearing = self._free[histories], self._wearing[histories]
         sets = np.packbits(np.concatenate([free, wearing], axis=1), axis=1)
         alike: dict[tuple[int, bytes], list[int]] = defaultdict(list)
@@ -205,14 +196,22 @@ class Hessians:
             )
 
     def _factorise(self, histories: IntArray) -> None:
-        """Factor blocks one by one."""
-        self._rows.clear()
-        for history in histories.tolist():
-            block, free = self.matrix(history), self._free[history]
-            if not free.all():
-                block = block[np.ix_(free, free)]
-            self._factors[history], info = dpotrf(block, lower=1, clean=0)
-            self._basis[history] = _FACTOR if info == 0 else BROKEN
+        """Make bases of their own in which Hessians are 1."""
+        for history in histories[~self._has_own[histories]].tolist():
+            self._rows.clear()
+            if self._stack.is_full:
+                self._stack.make_room(self._basis)
+            self._basis[history], self._has_own[history] = self._stack.own_number(), True
+        compliances, stack, n = self._compliances, self._stack, self.slope.shape[1]
+        more, coupled = compliances.deviations, len(self.coupling) > 0
+        self._loops.factorise(
+            len(histories), n, histories, self._which, compliances.reference, compliances.matrices,
+            self._deviation, compliances.matrices if more is None else more.derivatives,
+            more is not None, self.slope, self.coupling if coupled else self.slope, coupled,
+            self._free, compliances.reference_weights, self._basis, stack.psi, stack.psi_t,
+            stack.mu, stack.force, np.empty((n, 2 * n)),
+        )  # fmt: skip
+        self._invert(histories, np.zeros(len(histories)))
 
     def _rows_of(self, histories: IntArray, compact: bool) -> "_BasisRows":
         """Return how some histories are solved, remembered for the same ones.
@@ -224,13 +223,11 @@ class Hessians:
         known = self._rows.get(compact)
         if known is None or known[0] is not histories:
             bases = self._basis[histories]
-            order = np.argsort(bases, kind="stable")
-            factored, places = np.count_nonzero(bases < 0), order if compact else histories[order]
-            every = np.arange(len(self._basis))
+            order, every = np.argsort(bases, kind="stable"), np.arange(len(self._basis))
             rows = _BasisRows(
                 histories if compact else every, bases if compact else self._basis,
                 self._which[histories] if compact else self._which,
-                places[factored:], places[:factored],
+                order if compact else histories[order],
             )  # fmt: skip
             known = self._rows[compact] = histories, rows
         return known[1]
@@ -303,10 +300,10 @@ class Hessians:
         size, n, stack, which = len(rows.histories), gradient.shape[-1], self._stack, rows.which
         weights, per_scale = self._compliances.weights, self._compliances.per_scale
         count = gradient.size // n
-        direct, indirect = rows.in_bases, rows.in_bases[:0]
+        direct, indirect = rows.places, rows.places[:0]
         if self._deviates or not self._regular.all():
             among = rows.histories[direct]
-            diagonal = self._regular[among] & (self._deviation[among] == 0.0)
+            diagonal = self._regular[among] & (self._deviation[among] == 0.0) | self._has_own[among]
             direct, indirect = direct[diagonal], direct[~diagonal]
         steps, changes = np.empty((count + ROOM, n)), np.zeros(gradient.shape[:-1])
         # forces and approaches are by the weights of references in bases
@@ -319,18 +316,15 @@ class Hessians:
             weights, per_scale, with_scales, *np.empty((2, 4, n)), steps, changes,
         )  # fmt: skip
         out = steps[:count].reshape(gradient.shape), changes
-        not_direct = np.append(indirect, rows.factored) if len(direct) < size else direct[:0]
-        if with_scales and len(not_direct):
-            gradient = gradient * weights[which]
         if len(indirect):
+            if with_scales:
+                gradient = gradient * weights[which]
             sides = gradient, None if missing is None else lacking
             self._set_indirect(rows, indirect, *sides, tolerance, out)
+            if with_scales:
+                out[0][..., indirect, :] *= per_scale[which[indirect]]
         if self._root is not None:
             changes *= root
-        if len(rows.factored):
-            self._set_factored(rows.histories, rows.factored, gradient, missing, out)
-        if with_scales and len(not_direct):
-            out[0][..., not_direct, :] *= per_scale[which[not_direct]]
         return out
 
     def _set_indirect(
@@ -364,35 +358,6 @@ class Hessians:
         out[0][..., places, :] = groups.of(modal, stack.psi_t)
         out[1][..., places] = changes
 
-    def _set_factored(
-        self,
-        histories: IntArray,
-        places: IntArray,
-        gradient: FloatArray,
-        missing: FloatArray | None,
-        out: tuple[FloatArray, FloatArray],
-    ) -> None:
-        """Set steps and changes of approaches of histories that have factors of their own."""
-        weights = self._compliances.weights[self._which[histories[places]]]
-        sides = gradient[..., places, :]
-        right = np.concatenate([sides.reshape(-1, *weights.shape), weights[None]])
-        solved = np.zeros_like(right)
-        whole = self._free[histories[places]].all(axis=1).tolist()
-        for place, history in enumerate(histories[places].tolist()):
-            factor = self._factors.get(history, _NO_FACTOR)
-            if self._basis[history] == BROKEN:
-                solved[:, place] = np.nan
-            elif len(factor):
-                free = slice(None) if whole[place] else self._free[history]
-                solved[:, place, free] = dpotrs(factor, right[:, place, free].T, lower=1)[0].T
-        by_gradient, response = solved[:-1].reshape(sides.shape), solved[-1]
-        change = np.zeros(sides.shape[:-1])
-        if missing is not None:
-            carried, stiffness = inner(weights, by_gradient), inner(weights, response)
-            change = _divided(missing[..., places] + carried, stiffness)
-        out[0][..., places, :] = change[..., None] * response - by_gradient
-        out[1][..., places] = change
-
 
 class _BasisRows(NamedTuple):
     """Which rows are solved in bases, and in which."""
@@ -401,11 +366,5 @@ class _BasisRows(NamedTuple):
     histories: IntArray
     bases: IntArray
     which: IntArray
-    #: which of the rows are solved in bases, one basis after the other, and which by factors
-    in_bases: IntArray
-    factored: IntArray
-
-
-def _divided(force: FloatArray, stiffness: FloatArray) -> FloatArray:
-    """Return forces over stiffnesses, (h,); 0 where nothing touches."""
-    return np.divide(force, stiffness, out=np.zeros_like(force), where=stiffness > 0.0)
+    #: (s,) which of the rows are solved, one basis after the other
+    places: IntArray

@@ -136,10 +136,10 @@ class Physics:
         """The contact elements before any wear."""
         return self.pairs[0].line
 
-    @property
+    @cached_property
     def area(self) -> FloatArray:
         """(n,) mm^2, of the contact elements, normal to the axis."""
-        return self.line.area
+        return self.line.area.copy()  # loops refuse what cannot be written to
 
     @cached_property
     def obliquity(self) -> FloatArray | None:
@@ -159,7 +159,12 @@ class Physics:
         return np.asarray(inner(self.area, (p > 0.0).astype(float)))
 
     @cached_property
-    def _moment(self) -> FloatArray:
+    def least_area(self) -> float:
+        """mm^2, of the smallest contact element, normal to the axis."""
+        return float(self.area.min())
+
+    @cached_property
+    def torque_arm(self) -> FloatArray:
         """(n,) mm^3, torque per unit shear."""
         return self.area * self.compliances.every[0].obliquity * self.line.arm
 
@@ -264,10 +269,12 @@ class Physics:
         """
         # with derivatives it is not shared: a linearisation needs the state of its own stage
         stays = self.inputs.rates_stay and self.sensitivity is None
-        last, duration = self._last[0] if stays and self._last else None, columns(step)
-        if last is not None and closing is None and np.array_equal(last.step, duration):
-            return last
-        if last is not None:
+        if stays and self._last:
+            last = self._last[0]
+            if closing is None:
+                if not np.array_equal(last.step, columns(step)):
+                    self._last[:] = [last.over(step)]
+                return self._last[0]
             at = last.at
         else:
             lower = self.local_state(time, sliding, wear[0])
@@ -307,7 +314,7 @@ class Physics:
 
     def moment(self, p: FloatArray) -> FloatArray:
         """Return the friction torque over mu in full slip, N mm, (B,), at (B, n)."""
-        return inner(self._moment, p)
+        return inner(self.torque_arm, p)
 
     def torque(self, p: FloatArray, sliding: Sliding | None = None) -> FloatArray:
         """Return the friction torque in full slip, N mm, (B,), at pressure (B, n).
@@ -336,7 +343,7 @@ class Physics:
         force = self.compliances.force_reaction
         # boundary elements turn with tractions that are constant on each
         torque = self.compliances.torque_reaction * (self.line.arm / self.line.uniform_arm)
-        return self._moment, force[:, 0], force[:, 1], torque[:, 0], torque[:, 1]
+        return self.torque_arm, force[:, 0], force[:, 1], torque[:, 0], torque[:, 1]
 
     # -- layers ------------------------------------------------------------------------------------
 
