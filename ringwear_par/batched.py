@@ -34,7 +34,7 @@ def keep(holder: object, names: Sequence[str], histories: IntArray) -> None:
 
 
 def variant(data: T, **values: Any) -> T:
-    """Return frozen data with other values, and with what it has computed of the others."""
+    """Return data with other values, and with what it has computed of the others."""
     same = object.__new__(type(data))
     same.__dict__.update(data.__dict__, **values)
     return same

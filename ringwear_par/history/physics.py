@@ -253,6 +253,14 @@ class Physics:
         speed = columns(sliding.omega) * self.line.arm
         return speed, columns(sliding.friction) * speed
 
+    @property
+    def _rates_stay(self) -> bool:
+        """Whether an increment serves all steps.
+
+        Not with derivatives: a linearisation needs the state of its own stage.
+        """
+        return self.inputs.rates_stay and self.sensitivity is None
+
     def increment(
         self,
         time: FloatArray,
@@ -265,17 +273,13 @@ class Physics:
 
         ``closing`` is of elements that come into contact in it.
         """
-        # with derivatives it is not shared: a linearisation needs the state of its own stage
-        stays = self.inputs.rates_stay and self.sensitivity is None
-        if stays and self._last:
-            last = self._last[0]
-            if closing is None:
-                if not np.array_equal(last.step, columns(step)):
-                    self._last[:] = [last.over(step)]
-                return self._last[0]
-            at = last.at
-        else:
-            at = self._local_states(time, sliding, wear)
+        stays = self._rates_stay
+        last = self._last[0] if stays and self._last else None
+        if last is not None and closing is None:
+            if last.duration is not step and not np.array_equal(last.duration, step):
+                last = self._last[0] = last.over(step)
+            return last
+        at = self._local_states(time, sliding, wear) if last is None else last.at
         increment = WearIncrement(
             self.inputs.laws, at, step, self.averages, self.obliquity, closing, self.inputs.pace
         )
@@ -294,8 +298,10 @@ class Physics:
         self, time: FloatArray, sliding: Sliding, wear: FloatArray, p: FloatArray
     ) -> FloatArray:
         """Return the rates of wear of lower and upper, (2, B, n) mm/s, at pressure and wear."""
-        rates = np.zeros((2, *p.shape))
-        at = self._last[0].at if self._last else self._local_states(time, sliding, wear)
+        if self._rates_stay:
+            known = self._last or [self.increment(time, sliding, wear, np.ones(len(p)))]
+            return known[0].rates(p)
+        rates, at = np.zeros((2, *p.shape)), self._local_states(time, sliding, wear)
         for rate, law, local, average in zip(
             rates, self.inputs.laws, at, self.averages, strict=True
         ):

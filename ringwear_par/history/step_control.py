@@ -96,7 +96,7 @@ def step_times_of(times: Sequence[float], case: Case) -> list[float]:
 def _padded(rows: Sequence[Sequence[float]]) -> FloatArray:
     """Return rows of unlike lengths as one array, each row's last number repeated."""
     most = max(map(len, rows))
-    return np.array([[*row, *[row[-1]] * (most - len(row))] for row in rows])
+    return np.array([[*row, *[row[-1]] * (most - len(row))] for row in rows], dtype=float)
 
 
 @dataclass(frozen=True)
@@ -193,11 +193,12 @@ class ErrorControl:
         times = [case.time for case in cases]
         return cls(
             np.array([time.end for time in times], dtype=float),
-            np.array([time.tolerance for time in times]),
-            np.array([time.pressure_tolerance for time in times]),
+            np.array([time.tolerance for time in times], dtype=float),
+            np.array([time.pressure_tolerance for time in times], dtype=float),
             _padded([[*case.breakpoints, case.time.end] for case in cases]),
             np.array(
-                [case.mesh.geometry_tolerance if case.follows_wear else np.inf for case in cases]
+                [case.mesh.geometry_tolerance if case.follows_wear else np.inf for case in cases],
+                dtype=float,
             ),
         )
 

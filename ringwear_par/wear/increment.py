@@ -5,13 +5,13 @@ all of a step, see ``LayeredLaw.in_layers``.
 """
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, columns, largest
+from ringwear_par.batched import variant
 from ringwear_par.compiled import step_rows
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.errors import ComputationError
@@ -115,19 +115,19 @@ class WearIncrement:
             WearingBody(i, law, at, average) for i, (law, at, average) in parts if law is not None
         ]
         self._sides = np.array([body.side for body in self.bodies], dtype=np.int64)
+        self._remembers = any(body.law.remembers for body in self.bodies)
         self.local = all(average is None for average in self.averages)
         self.layered = any(isinstance(body.law, LayeredLaw) for body in self.bodies)
         if self.pace is not None:
             self.bodies = [
                 b._replace(law=PacedLaw(b.law, columns(self.pace[b.side]))) for b in self.bodies
             ]
+        self.duration = self.step
         self.step = columns(self.step) if self.closing is None else self.closing.step
 
     def over(self, step: float | FloatArray) -> "WearIncrement":
         """Return the increment over another step of laws that are steady, of which it knows all."""
-        other = copy(self)
-        other.step, other._known = columns(step), None
-        return other
+        return variant(self, duration=step, step=columns(step), _known=None)
 
     def take(self, histories: IntArray) -> "WearIncrement":
         """Return the increment of some of B histories."""
@@ -279,7 +279,7 @@ class WearIncrement:
         Of laws that depend on depths they are evaluated at these, apart from these.
         """
         rates = self._worn(p).rates
-        if not any(body.law.remembers for body in self.bodies):
+        if not self._remembers:
             return rates
         ends = []
         for (_, law, at, average), rate in zip(self.bodies, rates, strict=True):
@@ -412,7 +412,7 @@ class WearIncrement:
         None, for 1, of laws that do not remember depth. A change is shared between lower and upper
         by what they lose.
         """
-        if not any(body.law.remembers for body in self.bodies):
+        if not self._remembers:
             return None
         worn, q = self.depth_if_always_in_contact(p), np.maximum(p, 0.0)
         total = worn.sum(axis=0)

@@ -82,6 +82,18 @@ def test_steady_laws_know_neither_time_nor_wear():
     assert not type("Fading", (ArchardLaw,), {})(1e-8).is_steady
 
 
+def test_lines_are_rates():
+    at = sliding(POWER, time=3.0)
+    lines = {name: line for name, law in LAWS.items() if (line := law.line(at)) is not None}
+    threshold = {"threshold", "threshold, table in time", "threshold, profile", "non-local"}
+    assert lines.keys() == {*threshold, "archard", "running-in, distance"}
+    for name, (rise, onset) in lines.items():
+        rate = LAWS[name].rate(P, at)
+        assert rise * np.maximum(P - onset, 0.0) == pytest.approx(rate, rel=1e-14), name
+    other = type("Other", (ThresholdLaw,), {"rate": lambda law, p, local: p})
+    assert other(1e-7, 40.0).line(at) is None
+
+
 def test_threshold_law_is_equation_4():
     rate = ThresholdLaw(1e-7, 40.0).rate(P, sliding(POWER))
     assert rate == pytest.approx([0, 0, 0, 4e-7, 3e-5])

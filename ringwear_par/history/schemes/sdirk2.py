@@ -83,6 +83,7 @@ def step(
     carried, first_volumes = first.wear_off(
         stage.pressure, state.wear, _FIRST_STAGE_FACTOR * stage_length, physics.area, weights
     )
+    in_first = first.total_if_always_in_contact(stage.pressure)  # the last stage may be the same
     if step_tangent is not None:
         step_tangent.first_stage(
             stage.pressure, 1.0 if weights is None else weights, _FIRST_STAGE_FACTOR
@@ -96,8 +97,8 @@ def step(
     )
     sums, with_weights = np.empty((5, len(length))), weights is not None
     load(step_rows).add_power(
-        *p_before.shape, length, np.array(sliding), p_before, stage.pressure, contact.pressure,
-        weights if with_weights else p_before, weights_last if with_weights else p_before,
+        *p_before.shape, length, np.array(sliding, dtype=float), p_before, stage.pressure,
+        contact.pressure, weights if with_weights else p_before, weights_last if with_weights else p_before,
         with_weights, physics.torque_arm, physics.area, _WEIGHTS, _DEFECT, sums,
     )  # fmt: skip
     energy, work, energy_error, power, touching = sums
@@ -120,7 +121,6 @@ def step(
     after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, step_tangent)
     if not with_errors:
         return Step(after, np.zeros_like(length), np.zeros_like(length))
-    in_first = first.total_if_always_in_contact(stage.pressure)
     in_last = last.total_if_always_in_contact(contact.pressure)
     came = None if is_closed else entry_error(physics, closing, state, after, in_last)
     if closing is not None and weights_last is not None:
