@@ -64,7 +64,7 @@ def closure_error() -> float:
             for ti, wi in zip(t, w, strict=True):
                 a, b = r0 + ti * (r1 - r0) - r, z0 + ti * (z1 - z0) - z
                 values = ring_kernels(r, a, b, *normal, NU)
-                axial += wi * length * values[7]
+                axial += wi * length * values[8]
                 turning += wi * length * values[9] * (r + a)
         worst = max(worst, abs(axial - expected), abs(turning / r - expected))
     return worst

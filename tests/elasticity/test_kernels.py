@@ -16,7 +16,7 @@ from ringwear_par.elasticity.bem.kernels import (
 
 NU = 0.3
 #: the kernels U and T; those of theta are differences of larger ones near the axis
-GROUPS = ([0, 1, 2, 3, 8], [4, 5, 6, 7, 9])
+GROUPS = ([0, 1, 2, 3, 4], [5, 6, 7, 8, 9])
 POWERS = [(1, 0), (1, 1), (3, 0), (3, 1), (3, 2), (5, 0), (5, 1), (5, 2), (5, 3)]
 
 
@@ -104,11 +104,11 @@ def test_ring_kernels_are_the_integrated_kelvin_solution(r, a, b, nr, nz):
         u["rz"],
         u["zr"],
         u["zz"],
+        u["tt"],
         t["rr"],
         t["rz"],
         t["zr"],
         t["zz"],
-        u["tt"],
         t["tt"],
     ]
     got = ring_kernels(r, a, b, nr, nz, NU)
@@ -127,13 +127,13 @@ def test_a_tile_holds_the_kernels_of_each_of_its_points(r, count):
     distance, angle = 10 ** rng.uniform(-6, 1.5, TILE), rng.uniform(0.0, 2 * np.pi, TILE)
     a, b = distance * np.cos(angle), distance * np.sin(angle)
     a = np.maximum(a, -0.999 * r)
-    turn = rng.uniform(0.0, 2 * np.pi, TILE)
+    turn = rng.uniform(0.0, 2 * np.pi)
     tile = np.zeros(TILE_ROWS * TILE)
-    tile[: 4 * TILE] = np.concatenate([a, b, np.cos(turn), np.sin(turn)])
-    fill_tile(tile, count, r, NU)
-    kernels = tile.reshape(TILE_ROWS, TILE)[4:]
+    tile[: 3 * TILE] = np.concatenate([np.full(TILE, r), a, b])
+    fill_tile(tile, count, np.cos(turn), np.sin(turn), NU)
+    kernels = tile.reshape(TILE_ROWS, TILE)[3:]
     for i in range(count):
-        alone = np.array(ring_kernels(r, a[i], b[i], np.cos(turn[i]), np.sin(turn[i]), NU))
+        alone = np.array(ring_kernels(r, a[i], b[i], np.cos(turn), np.sin(turn), NU))
         for group in GROUPS:
             scale = np.abs(alone[group]).max()
             assert np.abs(kernels[group, i] - alone[group]).max() <= 2e-13 * scale
@@ -166,9 +166,9 @@ def test_kernels_near_the_axis(parameter):
         r1, b = 0.03, mpmath.sqrt(max(0, 4 * r * 0.03 / parameter - (r + 0.03) ** 2))
     a, b = r1 - r, float(b)
     tile = np.zeros(TILE_ROWS * TILE)
-    tile[[0, TILE, 2 * TILE, 3 * TILE]] = a, b, nr, nz
-    fill_tile(tile, 1, r, NU)
-    got = tile.reshape(TILE_ROWS, TILE)[4:, 0]
+    tile[[0, TILE, 2 * TILE]] = r, a, b
+    fill_tile(tile, 1, nr, nz, NU)
+    got = tile.reshape(TILE_ROWS, TILE)[3:, 0]
     with mpmath.workdps(30):
         exact = np.array(exact_kernels(r, a, b, nr, nz))
     for group in GROUPS:

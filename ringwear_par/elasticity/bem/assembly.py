@@ -31,8 +31,6 @@ TOO_CLOSE = (
     "boundary elements lie too close to each other, or are too long for it, to be integrated over: "
     "thicker layers or bodies, or a milder mesh.grading, are needed"
 )
-#: nodes whose rows are written row by row, before they are copied to column-major matrices
-_NODES_AT_ONCE = 64
 
 
 def load_kernels(comm: MPI.Comm) -> None:
@@ -89,44 +87,36 @@ def assemble(
     equations = np.concatenate([zone.equation for zone in dofs])
     counts = np.stack([(equations[:, block] >= 0).sum(axis=1) for block in SYSTEMS])
     row = np.concatenate([np.zeros((2, 1), dtype=np.int64), np.cumsum(counts, axis=1)], axis=1)
-    widths = row[0, -1], row[1, -1], zones[0].conditions.n_loads
-
-    def shapes(first: int, last: int) -> list[tuple[int, int]]:
-        heights = row[:, last] - row[:, first]
-        return [(heights[i % 2], widths[min(i, 2)]) for i in range(4)]
-
-    if base is None:
-        arrays = tuple(np.empty(shape, order="F") for shape in shapes(begin, end))
-    else:
-        stored = base.normal.matrix, base.torsion.matrix, base.normal.loads, base.torsion.loads
-        arrays = tuple(array.copy(order="F") for array in stored)
-    evaluations = 0
-    for zone, numbers, parts, start, stop in zip(
-        zones, dofs, moving, first[:-1].tolist(), first[1:].tolist(), strict=True
-    ):
-        with together(comm):
-            for node in range(max(begin, start), min(end, stop), _NODES_AT_ONCE):
-                nodes = node, min(node + _NODES_AT_ONCE, end, stop)
-                added = tuple(np.zeros(shape) for shape in shapes(*nodes))
-                done = assemble_rows(
-                    nodes[0] - start, nodes[1] - start, zone.boundary, zone.conditions, numbers,
-                    parts, moved, zone.material.young, zone.material.poisson, rules, row[:, node],
-                    added[:2], added[2:], MAX_PARTS,
-                )  # fmt: skip
-                if done < 0:
-                    raise ComputationError(TOO_CLOSE)
-                evaluations += done
-                for i, (array, block) in enumerate(zip(arrays, added, strict=True)):
-                    from_row = row[i % 2, node] - row[i % 2, begin]
-                    rows = array[from_row : from_row + len(block)]
-                    if base is None:
-                        rows[:] = block
-                    else:
-                        rows += block
+    heights, widths, n_loads = row[:, end] - row[:, begin], row[:, -1], zones[0].conditions.n_loads
+    # column-major, the loads behind the last unknown
+    arrays = [
+        np.zeros((height, width + n_loads), order="F")
+        for height, width in zip(heights, widths, strict=True)
+    ]
     normal, torsion = (
-        Rows(arrays[i], arrays[i + 2], int(row[i, begin]), tuple(row[i, first[:-1]].tolist()))
-        for i in range(2)
+        Rows(array[:, :width], array[:, width:], int(start), tuple(zone_starts.tolist()))
+        for array, width, start, zone_starts in zip(
+            arrays, widths, row[:, begin], row[:, first[:-1]], strict=True
+        )
     )
+    if base is not None:
+        for system, still in ((normal, base.normal), (torsion, base.torsion)):
+            system.matrix[:], system.loads[:] = still.matrix, still.loads
+    evaluations = 0
+    with together(comm):
+        for zone, numbers, parts, start, stop in zip(
+            zones, dofs, moving, first[:-1].tolist(), first[1:].tolist(), strict=True
+        ):
+            if max(begin, start) >= min(end, stop):
+                continue
+            done = assemble_rows(
+                max(begin, start) - start, min(end, stop) - start, zone.boundary, zone.conditions,
+                numbers, parts, moved, zone.material.young, zone.material.poisson, rules,
+                row[:, begin], widths, (arrays[0].T, arrays[1].T), MAX_PARTS,
+            )  # fmt: skip
+            if done < 0:
+                raise ComputationError(TOO_CLOSE)
+            evaluations += done
     return Assembly(normal, torsion, evaluations)
 
 

@@ -15,7 +15,7 @@ differences of rounded coordinates: the caller forms them from the element's loc
 
 Lengths are in mm, Young's modulus is 1 (displacements scale by 1/E).
 
-Field points of one source are evaluated together, in a tile, by the processor's vector
+Field points of one element are evaluated together, in a tile, by the processor's vector
 instructions; that is why what follows has no branches, and few divisions and roots.
 """
 
@@ -33,10 +33,10 @@ _N_THETA = 8
 _SIN2 = np.sin((np.arange(_N_THETA) + 0.5) * (0.5 * math.pi / _N_THETA)) ** 2
 
 #: most field points that are evaluated at once
-TILE = 64
-#: rows of a tile: a, b, nr, nz and the ten kernels
-TILE_ROWS = 14
-_KERNELS = 4 * TILE
+TILE = 136
+#: rows of a tile: r, a, b and the ten kernels
+TILE_ROWS = 13
+_KERNELS = 3 * TILE
 
 Moments = tuple[float, float, float, float, float, float, float, float, float]
 RingKernels = tuple[float, float, float, float, float, float, float, float, float, float]
@@ -227,7 +227,7 @@ def _from_moments(
 
     u_tt = r1 * (1.0 / (4.0 * math.pi * shear)) * cosine
     t_tt = (r1 * along + nr * cosine) * (-0.25 / math.pi)
-    return u_rr, u_rz, u_zr, u_zz, t_rr, t_rz, t_zr, t_zz, u_tt, t_tt
+    return u_rr, u_rz, u_zr, u_zz, u_tt, t_rr, t_rz, t_zr, t_zz, t_tt
 
 
 @compiled
@@ -237,7 +237,7 @@ def _near_axis(r: float, a: float, b: float, nr: float, nz: float, nu: float) ->
 
 @compiled
 def ring_kernels(r: float, a: float, b: float, nr: float, nz: float, nu: float) -> RingKernels:
-    """Return U_rr, U_rz, U_zr, U_zz, T_rr, T_rz, T_zr, T_zz, U_tt, T_tt.
+    """Return U_rr, U_rz, U_zr, U_zz, U_tt, T_rr, T_rz, T_zr, T_zz, T_tt.
 
     The first letter is the direction of the force at the source, the second the component at the
     field point; ``t`` stands for theta, which uncouples. U in 1/MPa at E = 1, T in 1; both carry
@@ -250,22 +250,20 @@ def ring_kernels(r: float, a: float, b: float, nr: float, nz: float, nu: float) 
 
 # contraction: products and sums in one instruction; nothing else may be reordered
 @compiled(fastmath={"contract"}, error_model="numpy")
-def fill_tile(tile: FloatArray, count: int, r: float, nu: float) -> None:
-    """Set the kernels of the first field points of a tile, those of one source.
+def fill_tile(tile: FloatArray, count: int, nr: float, nz: float, nu: float) -> None:
+    """Set the kernels of the first field points of a tile, those of one normal.
 
     Parameters
     ----------
-    tile : (TILE_ROWS * TILE,) float, one row behind the other: a, b, nr, nz, and the kernels as
+    tile : (TILE_ROWS * TILE,) float, one row behind the other: r, a, b, and the kernels as
         ``ring_kernels`` returns them.
     count : number of field points, at most TILE.
-    r, nu : radius of the source, Poisson's ratio.
+    nr, nz, nu : normal, Poisson's ratio.
     """
     small = 0
     for i in range(count):
-        a, b = tile[i], tile[TILE + i]
-        values = _from_moments(
-            moments_by_recursion(r, a, b), r, a, b, tile[2 * TILE + i], tile[3 * TILE + i], nu
-        )
+        r, a, b = tile[i], tile[TILE + i], tile[2 * TILE + i]
+        values = _from_moments(moments_by_recursion(r, a, b), r, a, b, nr, nz, nu)
         tile[_KERNELS + i] = values[0]
         tile[_KERNELS + TILE + i] = values[1]
         tile[_KERNELS + 2 * TILE + i] = values[2]
@@ -280,9 +278,8 @@ def fill_tile(tile: FloatArray, count: int, r: float, nu: float) -> None:
     if small == 0:
         return
     for i in range(count):
-        if is_small(r, tile[i], tile[TILE + i]):
-            values = _near_axis(
-                r, tile[i], tile[TILE + i], tile[2 * TILE + i], tile[3 * TILE + i], nu
-            )
+        r, a, b = tile[i], tile[TILE + i], tile[2 * TILE + i]
+        if is_small(r, a, b):
+            values = _near_axis(r, a, b, nr, nz, nu)
             for k in range(10):
                 tile[_KERNELS + k * TILE + i] = values[k]

@@ -1,8 +1,9 @@
 """Compiled: the rows of the boundary equation that are collocated at some nodes.
 
-All elements that take the same rule from a source are integrated side by side, point by point, so
-that the processor's vector instructions serve them; those that hold the source, or are so close to
-it that they are cut in parts, one after another with their points side by side.
+Element by element: sources one after another that take the same rule of it are integrated side by
+side, point by point, so that the processor's vector instructions serve them, and points of several
+rules share a tile; sources on the element, or so close to it that it is cut in parts, are
+integrated one by one with the points of the parts side by side.
 
 The source's own column needs no integrals: shape functions sum to one, and to radius or height when
 they are weighted with that of their nodes, so that the rigid or constant-strain field that is
@@ -10,9 +11,9 @@ subtracted (see ``assembly``) is a sum over the columns of the other nodes.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.elasticity.bem.boundary import BoundaryMesh
@@ -22,167 +23,202 @@ from ringwear_par.elasticity.bem.quadrature import MAX_POINTS, Quadrature
 from ringwear_par.elasticity.bem.systems import BoundaryConditions, DofMap, Moving
 
 Pair = tuple[FloatArray, FloatArray]
-#: no index of it counts from the end, which need not be looked at
-UnsignedArray = NDArray[np.uint64]
+Shapes = tuple[float, float, float]
+#: an index that does not count from the end, which need not be looked at: so loops are vectorised
+unsigned = np.uint64
 #: most parts of an element that wait to be integrated
 MAX_PARTS = 128
 #: doubles that the widest vectors of common processors hold
-_VECTOR = 4
+_VECTOR = 8
+#: points of a tile: loops over sources run on to whole vectors, over what comes next
+_ROOM = TILE - _VECTOR
 
-# Work space, rows of TILE numbers: the tile of the kernels; an element's first node from the
-# source, its vector, length and normal, or a point's parameter and weight; the integrals of T (rr,
-# rz, zr, zz, theta theta) times shape function 0, 1, 2, and of U
-_U_RR, _U_RZ, _U_ZR, _U_ZZ = 4 * TILE, 5 * TILE, 6 * TILE, 7 * TILE
-_T_RR, _T_RZ, _T_ZR, _T_ZZ = 8 * TILE, 9 * TILE, 10 * TILE, 11 * TILE
-_U_TT, _T_TT = 12 * TILE, 13 * TILE
-_AR, _AZ, _DR, _DZ, _LENGTH, _NR, _NZ = (row * TILE for row in range(TILE_ROWS, TILE_ROWS + 7))
-_H = (TILE_ROWS + 7) * TILE
-_G = _H + 15 * TILE
-_WORK = _G + 5 * TILE
-_T, _WEIGHT = _AR, _AZ
+# rows of TILE numbers: offsets and kernels in a tile; behind it points of parts, their parameters
+# and weights; in the sums the integrals of T (rr, rz, zr, zz, theta theta) times shape function 0,
+# 1, 2, and of U
+_A, _B, _U, _T = unsigned(TILE), unsigned(2 * TILE), unsigned(3 * TILE), unsigned(8 * TILE)
+_PARAMETER, _WEIGHT = TILE_ROWS * TILE, (TILE_ROWS + 1) * TILE
 # pairs rr, rz, zr, zz, theta theta: force at the source and component on the element
 _FORCE = np.array([0, 0, 1, 1, 2])
 _COMPONENT = np.array([0, 1, 0, 1, 2])
+_ROW, _TWO_ROWS, _G = unsigned(TILE), unsigned(2 * TILE), unsigned(15 * TILE)
+
+
+class Work(NamedTuple):
+    """Work space."""
+
+    #: ((TILE_ROWS + 2) * TILE,) float, see ``fill_tile``
+    tile: FloatArray
+    #: (20 * TILE,) float, integrals over an element for sources one after another
+    sums: FloatArray
+    #: (2, ...) float, ends of the parts that wait, as many as there may be
+    parts: FloatArray
+
+
+class Sources(NamedTuple):
+    """Nodes at which the equation is collocated, with room for a whole vector behind the last."""
+
+    r: FloatArray
+    z: FloatArray
+    #: (3, ...) int, rows of the matrices for forces along r, z and theta, -1 for none
+    rows: IntArray
+    #: (5, ...) float, entries of sources' own columns, of the subtracted fields: r for forces along
+    #: r and z, z for both, theta
+    rigid: FloatArray
+
+
+@compiled
+def whole_vectors(count: int) -> int:
+    """Return the next number of points that fills vectors."""
+    return count + -count % _VECTOR
 
 
 @compiled(fastmath={"contract"}, error_model="numpy")
-def _distances(xr: float, xz: float, lines: FloatArray, ratio: FloatArray) -> None:
-    """Set the distances of the source from both ends of elements, over their lengths."""
-    for e in range(len(ratio)):
-        ar, az = lines[0, e] - xr, lines[1, e] - xz
-        br, bz = ar + lines[2, e], az + lines[3, e]
-        ratio[e] = (math.sqrt(ar * ar + az * az) + math.sqrt(br * br + bz * bz)) / lines[4, e]
+def _count_points(sources: Sources, line: FloatArray, reach: FloatArray, points: IntArray) -> None:
+    """Set how many points each source takes; more than MAX_POINTS: the element is to be cut."""
+    start_r, start_z, dr, dz = line[0], line[1], line[2], line[3]
+    inverse = 1.0 / line[4]
+    n = 1
+    for s in range(len(points)):
+        ar, az = start_r - sources.r[s], start_z - sources.z[s]
+        br, bz = ar + dr, az + dz
+        ratio = (math.sqrt(ar * ar + az * az) + math.sqrt(br * br + bz * bz)) * inverse
+        while n > 1 and reach[n - 1] <= ratio:
+            n -= 1
+        while n <= MAX_POINTS and reach[n] > ratio:
+            n += 1
+        points[s] = n
 
 
 @compiled(fastmath={"contract"}, error_model="numpy")
-def _place(work: FloatArray, start: int, count: int, t: float) -> None:
-    """Set the same point of elements side by side, from a place in the tile on."""
-    for i in range(count):
-        work[start + i] = work[_AR + i] + t * work[_DR + i]
-        work[TILE + start + i] = work[_AZ + i] + t * work[_DZ + i]
-        work[2 * TILE + start + i] = work[_NR + i]
-        work[3 * TILE + start + i] = work[_NZ + i]
+def _place_points(
+    tile: FloatArray,
+    start: int,
+    sources: Sources,
+    first: int,
+    count: int,
+    line: FloatArray,
+    t: FloatArray,
+) -> None:
+    """Put the points of a rule, as some sources see them, in a tile."""
+    whole, source = unsigned(whole_vectors(count)), unsigned(first)
+    for q in range(len(t)):
+        at, tr, tz = unsigned(start + q * count), t[q] * line[2], t[q] * line[3]
+        for i in range(whole):
+            r = sources.r[source + i]
+            tile[at + i] = r
+            tile[_A + at + i] = line[0] - r + tr
+            tile[_B + at + i] = line[1] - sources.z[source + i] + tz
+
+
+@compiled
+def _fill_runs(
+    work: Work,
+    runs: IntArray,
+    sources: Sources,
+    first: int,
+    points: IntArray,
+    line: FloatArray,
+    rules: Quadrature,
+) -> tuple[int, int]:
+    """Put the points of as many sources in the tile as it has room for; return points and runs.
+
+    Parameters
+    ----------
+    runs : (TILE, 2) int, set: number of sources one after another, points of their rule.
+    """
+    last, filled, n_runs = first, 0, 0
+    while last < len(points) and points[last] <= MAX_POINTS:
+        n, begin = points[last], last
+        most = min(begin + (_ROOM - filled) // n, len(points))
+        while last < most and points[last] == n:
+            last += 1
+        count = last - begin
+        if count == 0:
+            break
+        _place_points(work.tile, filled, sources, begin, count, line, rules.points[n, :n])
+        runs[n_runs, 0], runs[n_runs, 1] = count, n
+        n_runs += 1
+        filled += n * count
+    return filled, n_runs
+
+
+@compiled(inline="always")
+def _weighted_shapes(t: float, weight: float) -> Shapes:
+    s1 = 4.0 * t * (1.0 - t)
+    return weight * (1.0 - t) * (1.0 - 2.0 * t), weight * s1, weight * t * (2.0 * t - 1.0)
 
 
 @compiled(fastmath={"contract"}, error_model="numpy")
 def _add_points(
-    work: FloatArray, start: int, count: int, weight: float, s0: float, s1: float, s2: float
+    tile: FloatArray,
+    start: int,
+    sums: FloatArray,
+    count: int,
+    length: float,
+    t: FloatArray,
+    weights: FloatArray,
 ) -> None:
-    """Add the same point of elements side by side to their integrals."""
-    for i in range(count):
-        w = weight * work[_LENGTH + i]
-        w0, w1, w2 = w * s0, w * s1, w * s2
-        t = work[_T_RR + start + i]
-        work[_H + i] += w0 * t
-        work[_H + TILE + i] += w1 * t
-        work[_H + 2 * TILE + i] += w2 * t
-        t = work[_T_RZ + start + i]
-        work[_H + 3 * TILE + i] += w0 * t
-        work[_H + 4 * TILE + i] += w1 * t
-        work[_H + 5 * TILE + i] += w2 * t
-        t = work[_T_ZR + start + i]
-        work[_H + 6 * TILE + i] += w0 * t
-        work[_H + 7 * TILE + i] += w1 * t
-        work[_H + 8 * TILE + i] += w2 * t
-        t = work[_T_ZZ + start + i]
-        work[_H + 9 * TILE + i] += w0 * t
-        work[_H + 10 * TILE + i] += w1 * t
-        work[_H + 11 * TILE + i] += w2 * t
-        t = work[_T_TT + start + i]
-        work[_H + 12 * TILE + i] += w0 * t
-        work[_H + 13 * TILE + i] += w1 * t
-        work[_H + 14 * TILE + i] += w2 * t
-        work[_G + i] += w * work[_U_RR + start + i]
-        work[_G + TILE + i] += w * work[_U_RZ + start + i]
-        work[_G + 2 * TILE + i] += w * work[_U_ZR + start + i]
-        work[_G + 3 * TILE + i] += w * work[_U_ZZ + start + i]
-        work[_G + 4 * TILE + i] += w * work[_U_TT + start + i]
-
-
-@compiled
-def padded(work: FloatArray, first: int, last: int, count: int) -> int:
-    """Repeat the last number of rows of a tile up to whole vectors; return how many there are.
-
-    Parameters
-    ----------
-    first, last : numbers of the rows from, and up to which.
-    count : numbers that each has.
-    """
-    whole = count + -count % _VECTOR
-    for row in range(first, last):
-        for i in range(row * TILE + count, row * TILE + whole):
-            work[i] = work[row * TILE + count - 1]
-    return whole
-
-
-@compiled(error_model="numpy")
-def _integrate_together(
-    work: FloatArray,
-    xr: float,
-    xz: float,
-    lines: FloatArray,
-    chosen: IntArray,
-    n: int,
-    rules: Quadrature,
-    poisson: float,
-) -> None:
-    """Integrate over elements that take the same n-point rule, at most TILE."""
-    for i in range(len(chosen)):
-        e = chosen[i]
-        work[_AR + i], work[_AZ + i] = lines[0, e] - xr, lines[1, e] - xz
-        work[_DR + i], work[_DZ + i] = lines[2, e], lines[3, e]
-        work[_LENGTH + i], work[_NR + i], work[_NZ + i] = lines[4, e], lines[5, e], lines[6, e]
-    count = padded(work, TILE_ROWS, TILE_ROWS + 7, len(chosen))
-    for row in range(20):
-        work[_H + row * TILE : _H + row * TILE + count] = 0.0
-    at_once = TILE // count
-    for first in range(0, n, at_once):
-        last = min(first + at_once, n)
-        for q in range(first, last):
-            _place(work, (q - first) * count, count, rules.points[n, q])
-        fill_tile(work, (last - first) * count, xr, poisson)
-        for q in range(first, last):
-            t = rules.points[n, q]
-            _add_points(
-                work, (q - first) * count, count, rules.weights[n, q],
-                (1.0 - t) * (1.0 - 2.0 * t), 4.0 * t * (1.0 - t), t * (2.0 * t - 1.0),
-            )  # fmt: skip
+    """Set the integrals over an element for some sources, three points of their rule at a time."""
+    whole, end = unsigned(whole_vectors(count)), len(t) - 1
+    for q in range(0, end + 1, 3):
+        p0, p1, p2 = (
+            unsigned(start + q * count), unsigned(start + min(q + 1, end) * count),
+            unsigned(start + min(q + 2, end) * count),
+        )  # fmt: skip
+        w0 = length * weights[q]
+        w1 = length * weights[q + 1] if q + 1 <= end else 0.0
+        w2 = length * weights[q + 2] if q + 2 <= end else 0.0
+        x0, y0, z0 = _weighted_shapes(t[q], w0)
+        x1, y1, z1 = _weighted_shapes(t[min(q + 1, end)], w1)
+        x2, y2, z2 = _weighted_shapes(t[min(q + 2, end)], w2)
+        new = q == 0
+        for pair in range(5):
+            u, kernel = _U + unsigned(pair * TILE), _T + unsigned(pair * TILE)
+            g, h = _G + unsigned(pair * TILE), unsigned(3 * pair * TILE)
+            for i in range(whole):
+                k0, k1, k2 = tile[kernel + p0 + i], tile[kernel + p1 + i], tile[kernel + p2 + i]
+                x, y = x0 * k0 + x1 * k1 + x2 * k2, y0 * k0 + y1 * k1 + y2 * k2
+                z = z0 * k0 + z1 * k1 + z2 * k2
+                sums[h + i] = x if new else sums[h + i] + x
+                sums[_ROW + h + i] = y if new else sums[_ROW + h + i] + y
+                sums[_TWO_ROWS + h + i] = z if new else sums[_TWO_ROWS + h + i] + z
+            for i in range(whole):
+                x = w0 * tile[u + p0 + i] + w1 * tile[u + p1 + i] + w2 * tile[u + p2 + i]
+                sums[g + i] = x if new else sums[g + i] + x
 
 
 @compiled(fastmath={"contract"}, error_model="numpy")
-def _add_tile(work: FloatArray, count: int, at: int, xr: float, poisson: float) -> None:
-    """Add points of one element to its integrals, the first of the rows of H and G."""
-    filled = padded(work, 0, 4, count)
-    fill_tile(work, filled, xr, poisson)
+def _add_tile(work: Work, count: int, at: int, line: FloatArray, poisson: float) -> None:
+    """Add points of one element and source to its integrals, the first of the rows."""
+    tile, sums = work.tile, work.sums
+    fill_tile(tile, whole_vectors(count), line[5], line[6], poisson)
     for i in range(count):
-        t, w = work[_T + i], work[_WEIGHT + i]
-        s0 = 0.0 if at == 0 else w * (1.0 - t) * (1.0 - 2.0 * t)
-        s1 = 0.0 if at == 1 else w * 4.0 * t * (1.0 - t)
-        s2 = 0.0 if at == 2 else w * t * (2.0 * t - 1.0)
+        w = tile[_WEIGHT + i]
+        s0, s1, s2 = _weighted_shapes(tile[_PARAMETER + i], w)
+        s0, s1, s2 = 0.0 if at == 0 else s0, 0.0 if at == 1 else s1, 0.0 if at == 2 else s2
         for pair in range(5):
-            kernel = work[(_T_RR + pair * TILE if pair < 4 else _T_TT) + i]
-            work[_H + 3 * pair * TILE] += s0 * kernel
-            work[_H + (3 * pair + 1) * TILE] += s1 * kernel
-            work[_H + (3 * pair + 2) * TILE] += s2 * kernel
-            work[_G + pair * TILE] += w * work[(_U_RR + pair * TILE if pair < 4 else _U_TT) + i]
+            kernel = tile[(8 + pair) * TILE + i]
+            sums[3 * pair * TILE] += s0 * kernel
+            sums[(3 * pair + 1) * TILE] += s1 * kernel
+            sums[(3 * pair + 2) * TILE] += s2 * kernel
+            sums[(15 + pair) * TILE] += w * tile[(3 + pair) * TILE + i]
 
 
 @compiled(error_model="numpy")
 def _integrate_alone(
-    work: FloatArray,
-    parts_of: FloatArray,
-    xr: float,
-    xz: float,
+    work: Work,
+    sources: Sources,
+    source: int,
     line: FloatArray,
     at: int,
     rules: Quadrature,
     poisson: float,
 ) -> int:
-    """Integrate over one element in parts, it being close to the source or holding it.
+    """Integrate over an element in parts, as it is close to one source or holds it.
 
     Parameters
     ----------
-    parts_of : (2, ...), work space: ends of the parts that wait, as many as there may be.
     line : (7,), the element's column of ``lines``.
     at : local node 0, 1, 2 where the source lies on the element, -1 elsewhere; the integrals with
         the shape function of that node are left out.
@@ -191,10 +227,10 @@ def _integrate_alone(
     -------
     Number of kernel evaluations; -1: the work space has no room for all parts.
     """
-    ar, az, dr, dz = line[0] - xr, line[1] - xz, line[2], line[3]
-    length, nr, nz = line[4], line[5], line[6]
-    work[_H:_WORK:TILE] = 0.0
-    part_from, part_to = parts_of[0], parts_of[1]
+    xr, xz = sources.r[source], sources.z[source]
+    ar, az, dr, dz, length = line[0] - xr, line[1] - xz, line[2], line[3], line[4]
+    work.sums[::TILE] = 0.0
+    part_from, part_to = work.parts[0], work.parts[1]
     parts = 0
     if at < 0:
         part_from[0], part_to[0] = 0.0, 1.0
@@ -233,69 +269,121 @@ def _integrate_alone(
             part_from[parts + 1], part_to[parts + 1] = middle, t1
             parts += 2
             continue
-        if count + n > TILE:
-            _add_tile(work, count, at, xr, poisson)
+        if count + n > _ROOM:
+            _add_tile(work, count, at, line, poisson)
             count = 0
         for q in range(n):
             # offsets from the source, without cancellation on its own element
             if singular:
-                dt = span * rules.singular_points[q]
-                weight = rules.singular_weights[q]
+                dt, weight = span * rules.singular_points[q], rules.singular_weights[q]
             else:
                 dt = t0 + span * rules.points[n, q] - 0.5 * max(at, 0)
                 weight = rules.weights[n, q]
-            if at >= 0:
-                t = 0.5 * at + dt
-                a, b = dt * dr, dt * dz
-            else:
-                t = dt
-                a, b = ar + t * dr, az + t * dz
-            i = count + q
-            work[i], work[TILE + i], work[2 * TILE + i], work[3 * TILE + i] = a, b, nr, nz
-            work[_T + i], work[_WEIGHT + i] = t, weight * abs(span) * length
+            i, a, b = count + q, dt * dr, dt * dz
+            work.tile[i], work.tile[TILE + i], work.tile[2 * TILE + i] = xr, a, b
+            if at < 0:
+                work.tile[TILE + i], work.tile[2 * TILE + i] = ar + a, az + b
+            work.tile[_PARAMETER + i] = dt + 0.5 * max(at, 0)
+            work.tile[_WEIGHT + i] = weight * abs(span) * length
         count += n
         evaluations += n
-    _add_tile(work, count, at, xr, poisson)
+    _add_tile(work, count, at, line, poisson)
     return evaluations
 
 
-@compiled
-def _scatter(
-    work: FloatArray,
-    chosen: IntArray,
-    columns: UnsignedArray,
-    gathered: FloatArray,
-    tractions: FloatArray,
+@compiled(fastmath={"contract"}, error_model="numpy")
+def _add_rigid(
+    sums: FloatArray,
+    sources: Sources,
+    first: int,
+    count: int,
+    ends: FloatArray,
+    thinner: float,
+    star_r: float,
 ) -> None:
-    """Add the integrals over elements to the columns of their nodes.
+    """Add what integrals over an element say of the sources' own columns.
 
     Parameters
     ----------
-    gathered : (3, ...) float, added to: rows of a force along r, z and theta.
-    tractions : (5, k) float, set to the integrals of U.
+    ends : (3, 2) float, the element's nodes.
     """
-    radial, axial, angular = gathered[0], gathered[1], gathered[2]
-    for i in range(len(chosen)):
-        e = chosen[i]
-        for c in range(3):
-            column = columns[e, c]
-            radial[column] += work[_H + c * TILE + i]
-            axial[column] += work[_H + (6 + c) * TILE + i]
-            column = columns[e, 3 + c]
-            radial[column] += work[_H + (3 + c) * TILE + i]
-            axial[column] += work[_H + (9 + c) * TILE + i]
-            angular[columns[e, 6 + c]] += work[_H + (12 + c) * TILE + i]
-        for pair in range(5):
-            tractions[pair, e] = work[_G + pair * TILE + i]
+    r0, r1, r2 = ends[0, 0], ends[1, 0], ends[2, 0]
+    z0, z1, z2 = ends[0, 1], ends[1, 1], ends[2, 1]
+    for i in range(unsigned(count)):
+        s = unsigned(first) + i
+        z = sources.z[s]
+        for force in range(2):
+            h, g = unsigned(6 * force * TILE) + i, _G + unsigned(2 * force * TILE) + i
+            axial = h + _ROW + _TWO_ROWS
+            a0, a1, a2 = sums[axial], sums[axial + _ROW], sums[axial + _TWO_ROWS]
+            sources.rigid[unsigned(force), s] += (
+                star_r * sums[g]
+                - (r0 * sums[h] + r1 * sums[h + _ROW] + r2 * sums[h + _TWO_ROWS])
+                + thinner * ((z0 - z) * a0 + (z1 - z) * a1 + (z2 - z) * a2)
+            )
+            sources.rigid[unsigned(2 + force), s] -= a0 + a1 + a2
+        h = unsigned(12 * TILE) + i
+        sources.rigid[unsigned(4), s] -= (
+            r0 * sums[h] + r1 * sums[h + _ROW] + r2 * sums[h + _TWO_ROWS]
+        )
 
 
-# sums of the same numbers in the same order, several at a time
-@compiled(fastmath={"contract", "reassoc"}, error_model="numpy")
-def _dot(x: FloatArray, y: FloatArray) -> float:
-    total = 0.0
-    for i in range(len(x)):
-        total += x[i] * y[i]
-    return total
+@compiled
+def _list_entries(
+    e: int,
+    elements: IntArray,
+    conditions: BoundaryConditions,
+    dofs: DofMap,
+    soft: float,
+    widths: IntArray,
+    entries: IntArray,
+    factors: FloatArray,
+) -> tuple[int, int]:
+    """List which sums of an element are added to which columns; return the ends of both systems.
+
+    Parameters
+    ----------
+    entries : (3, 25) int, set: force, column and first number of the sums.
+    factors : (25,) float, set.
+    """
+    n = middle = int(np.int64(0))
+    for pair in range(5):
+        i, force = _COMPONENT[pair], _FORCE[pair]
+        for k in range(5):
+            if k < 3:
+                column, factor = dofs.displacement[elements[e, k], i], 1.0
+            elif k == 3:
+                column, factor = dofs.traction[e, i], -dofs.sign[e] * soft
+            else:
+                column, factor = conditions.load[e, i], soft * conditions.traction[e, i]
+                column += widths[force // 2] if column >= 0 else 0
+            if column >= 0:
+                entries[0, n], entries[1, n], factors[n] = force, column, factor
+                entries[2, n] = TILE * (3 * pair + k if k < 3 else 15 + pair)
+                n += 1
+        if force < 2:
+            middle = n
+    return middle, n
+
+
+@compiled(fastmath={"contract"}, error_model="numpy")
+def _scatter(
+    sums: FloatArray,
+    rows: IntArray,
+    first: int,
+    count: int,
+    entries: IntArray,
+    factors: FloatArray,
+    matrix: FloatArray,
+) -> None:
+    """Add sums of an element for some sources to the columns of a system."""
+    for k in range(entries.shape[1]):
+        force, column, at = entries[0, k], unsigned(entries[1, k]), unsigned(entries[2, k])
+        line, factor, source = unsigned(force), factors[k], unsigned(first)
+        for i in range(unsigned(count)):
+            row = rows[line, source + i]
+            if row >= 0:
+                matrix[column, unsigned(row)] += factor * sums[at + i]
 
 
 @compiled
@@ -316,38 +404,32 @@ def element_lines(boundary: BoundaryMesh) -> FloatArray:
 
 
 @compiled
-def _number_columns(
-    boundary: BoundaryMesh, displacement: IntArray, unknowns: tuple[int, int]
-) -> tuple[UnsignedArray, FloatArray]:
-    """Return the columns of elements' nodes, and what they weigh in the source's own column.
+def _write_rigid(sources: Sources, s: int, columns: IntArray, matrices: Pair) -> None:
+    """Add a source's own entries to the columns of its displacements."""
+    inv_r = 1.0 / sources.r[s] if sources.r[s] > 0.0 else 0.0  # on the axis u_r = u_theta = 0
+    for force in range(2):
+        row = sources.rows[force, s]
+        if row >= 0 and columns[0] >= 0:
+            matrices[0][columns[0], row] += inv_r * sources.rigid[force, s]
+        if row >= 0 and columns[1] >= 0:
+            matrices[0][columns[1], row] += sources.rigid[2 + force, s]
+    if sources.rows[2, s] >= 0 and columns[2] >= 0:
+        matrices[1][columns[2], sources.rows[2, s]] += inv_r * sources.rigid[4, s]
 
-    Known displacements have columns too, behind the unknown ones.
 
-    Returns
-    -------
-    columns : (k, 9) unsigned int, of the three nodes' r, z and theta.
-    weights : (4, ...) float, radii of r columns, ones of z columns, radii of theta columns, heights
-        of z columns.
-    """
-    by_node = displacement.copy()
-    ends = [unknowns[0], unknowns[1]]
-    for i in range(3):
-        system = 0 if i < 2 else 1
-        for v in range(len(by_node)):
-            if by_node[v, i] < 0:
-                by_node[v, i] = ends[system]
-                ends[system] += 1
-    weights = np.zeros((4, max(ends[0], ends[1])))
-    for v in range(len(by_node)):
-        weights[0, by_node[v, 0]] = weights[2, by_node[v, 2]] = boundary.nodes[v, 0]
-        weights[1, by_node[v, 1]] = 1.0
-        weights[3, by_node[v, 1]] = boundary.nodes[v, 1]
-    columns = np.empty((len(boundary.elements), 9), dtype=np.uint64)
-    for e in range(len(columns)):
-        for c in range(3):
-            for i in range(3):
-                columns[e, 3 * i + c] = by_node[boundary.elements[e, c], i]
-    return columns, weights
+@compiled
+def _sources(nodes: IntArray, boundary: BoundaryMesh, dofs: DofMap, starts: IntArray) -> Sources:
+    """Return some nodes as sources; behind the last it is repeated."""
+    room = len(nodes) + _VECTOR
+    r, z = np.empty(room), np.empty(room)
+    rows = np.full((3, room), -1)
+    for s in range(room):
+        p = nodes[min(s, len(nodes) - 1)]
+        r[s], z[s] = boundary.nodes[p]
+        for force in range(3):
+            if s < len(nodes) and dofs.equation[p, force] >= 0:
+                rows[force, s] = dofs.equation[p, force] - starts[0 if force < 2 else 1]
+    return Sources(r, z, rows, np.zeros((5, room)))
 
 
 @compiled
@@ -363,8 +445,8 @@ def assemble_rows(
     poisson: float,
     rules: Quadrature,
     starts: IntArray,
+    widths: IntArray,
     matrices: Pair,
-    loads: Pair,
     most_parts: int,
 ) -> int:
     """Add to the rows collocated at nodes first_node <= p < last_node; return kernel evaluations.
@@ -379,97 +461,64 @@ def assemble_rows(
     young : modulus over the one that tractions are scaled with.
     rules : Quadrature.
     starts : (2,) int, number of the first row of each matrix.
-    matrices, loads : those of the (r, z) and of the theta system, row-major.
+    widths : (2,) int, number of unknowns of the (r, z) and of the theta system.
+    matrices : theirs, transposed, row-major, and behind the last unknown the loads.
     most_parts : most parts of an element that may wait to be integrated.
     """
-    elements, load, traction = boundary.elements, conditions.load, dofs.traction
-    k = len(elements)
-    soft, lines = 1.0 / young, element_lines(boundary)
+    elements, lines = boundary.elements, element_lines(boundary)
     # u* = (r1 e_r - thinner (z1 - z) e_z) / r has no axial stress, and stresses that stay finite as
     # Poisson's ratio goes to 1/2; its traction, along r, is this over r
     thinner, star_r = 2.0 * poisson / (1.0 - poisson), lines[5] / (1.0 - poisson)
-    columns, weights = _number_columns(
-        boundary, dofs.displacement, (matrices[0].shape[1], matrices[1].shape[1])
-    )
-    laden = np.array([e for e in range(k) if max(traction[e].max(), load[e].max()) >= 0])
-    work, parts_of = np.zeros(_WORK), np.empty((2, most_parts))
-    ratio, tractions = np.empty(k), np.empty((5, k))
-    order, chosen = np.empty(k, dtype=np.int64), np.empty(k, dtype=np.int64)
-    ends = np.empty(MAX_POINTS + 3, dtype=np.int64)
-    # rows of forces along r, z and theta
-    gathered, rights = np.empty((3, weights.shape[1])), np.empty((3, loads[0].shape[1]))
+    runs = np.empty((TILE, 2), dtype=np.int64)
+    work = Work(np.ones((TILE_ROWS + 2) * TILE), np.empty(20 * TILE), np.empty((2, most_parts)))
+    sums, entries, factors = work.sums, np.empty((3, 25), dtype=np.int64), np.empty(25)
+    normal, torsion = matrices
     evaluations = 0
-    for p in range(first_node, last_node):
-        source_moves = moving.nodes[p]
-        if (source_moves and not moved) or dofs.equation[p].max() < 0:
+    for element_moves in (False, True):
+        nodes = np.array([
+            p for p in range(first_node, last_node)
+            if (moving.nodes[p] or element_moves) == moved and dofs.equation[p].max() >= 0
+        ])  # fmt: skip
+        if len(nodes) == 0:
             continue
-        gathered[:] = 0.0
-        rights[:] = 0.0
-        tractions[:] = 0.0
-        xr, xz = boundary.nodes[p, 0], boundary.nodes[p, 1]
-        _distances(xr, xz, lines, ratio)
-        # elements sorted by the points that they take; those to be cut come last
-        ends[:] = 0
-        for e in range(k):
-            n = 0
-            if (source_moves or moving.elements[e]) == moved:
-                n = 1
-                while n <= MAX_POINTS and rules.reach[n] > ratio[e]:
-                    n += 1
-            order[e] = n
-            ends[n + 1] += 1
-        for n in range(1, MAX_POINTS + 3):
-            ends[n] += ends[n - 1]
-        for e in range(k):
-            chosen[ends[order[e]]] = e
-            ends[order[e]] += 1
-        for n in range(1, MAX_POINTS + 1):
-            for first in range(ends[n - 1], ends[n], TILE):
-                together = chosen[first : min(first + TILE, ends[n])]
-                _integrate_together(work, xr, xz, lines, together, n, rules, poisson)
-                evaluations += n * len(together)
-                _scatter(work, together, columns, gathered, tractions)
-        for i in range(ends[MAX_POINTS], ends[MAX_POINTS + 1]):
-            e = chosen[i]
-            local = int(np.int64(-1))
-            for c in range(3):
-                if elements[e, c] == p:
-                    local = c
-            added = _integrate_alone(work, parts_of, xr, xz, lines[:, e], local, rules, poisson)
-            if added < 0:
-                return -1
-            evaluations += added
-            _scatter(work, chosen[i : i + 1], columns, gathered, tractions)
-        # the source's own columns
-        inv_r = 1.0 / xr if xr > 0.0 else 0.0  # on the axis u_r = u_theta = 0: nothing to subtract
-        source_columns = dofs.displacement[p]
-        if source_columns[0] >= 0:
-            for force in range(2):
-                gathered[force, source_columns[0]] += inv_r * (
-                    _dot(star_r, tractions[2 * force])
-                    - _dot(weights[0], gathered[force])
-                    + thinner * _dot(weights[3], gathered[force])
-                    - thinner * xz * _dot(weights[1], gathered[force])
-                )
-        if source_columns[1] >= 0:
-            for force in range(2):
-                gathered[force, source_columns[1]] -= _dot(weights[1], gathered[force])
-        if source_columns[2] >= 0:
-            gathered[2, source_columns[2]] -= inv_r * _dot(weights[2], gathered[2])
-        for e in laden:
-            for pair in range(5):
-                i, force = _COMPONENT[pair], _FORCE[pair]
-                if traction[e, i] >= 0:
-                    gathered[force, traction[e, i]] -= dofs.sign[e] * soft * tractions[pair, e]
-                if load[e, i] >= 0:
-                    prescribed = conditions.traction[e, i]
-                    rights[force, load[e, i]] += soft * tractions[pair, e] * prescribed
-        for force in range(3):
-            if dofs.equation[p, force] >= 0:
-                system = 0 if force < 2 else 1
-                row = dofs.equation[p, force] - starts[system]
-                matrix = matrices[system]
-                for column in range(matrix.shape[1]):
-                    matrix[row, column] += gathered[force, column]
-                loads[system][row] += rights[force]
+        sources, points = _sources(nodes, boundary, dofs, starts), np.empty_like(nodes)
+        for e in range(len(elements)):
+            if moving.elements[e] != element_moves:
+                continue
+            line, ends = lines[:, e].copy(), boundary.nodes[elements[e]]
+            middle, last = _list_entries(
+                e, elements, conditions, dofs, 1.0 / young, widths, entries, factors
+            )
+            _count_points(sources, line, rules.reach, points)
+            first = 0
+            while first < len(nodes):
+                if points[first] > MAX_POINTS:
+                    local = int(np.int64(-1))
+                    for c in range(3):
+                        if elements[e, c] == nodes[first]:
+                            local = c
+                    added = _integrate_alone(work, sources, first, line, local, rules, poisson)
+                    if added < 0:
+                        return -1
+                    runs[0, 0], runs[0, 1], n_runs = 1, 0, 1
+                else:
+                    added, n_runs = _fill_runs(work, runs, sources, first, points, line, rules)
+                    fill_tile(work.tile, whole_vectors(added), line[5], line[6], poisson)
+                evaluations += added
+                start = 0
+                for run in range(n_runs):
+                    count, n = runs[run, 0], runs[run, 1]
+                    if n > 0:
+                        t, weights = rules.points[n, :n], rules.weights[n, :n]
+                        _add_points(work.tile, start, sums, count, line[4], t, weights)
+                    _add_rigid(sums, sources, first, count, ends, thinner, star_r[e])
+                    _scatter(sums, sources.rows, first, count, entries[:, :middle], factors, normal)
+                    _scatter(
+                        sums, sources.rows, first, count, entries[:, middle:last],
+                        factors[middle:], torsion,
+                    )  # fmt: skip
+                    first += count
+                    start += n * count
+        for s in range(len(nodes)):
+            _write_rigid(sources, s, dofs.displacement[nodes[s]], matrices)
     return evaluations

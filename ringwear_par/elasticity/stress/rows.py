@@ -17,7 +17,7 @@ from ringwear_par.elasticity.bem.compiling import compiled
 from ringwear_par.elasticity.bem.kernels import TILE
 from ringwear_par.elasticity.bem.quadrature import MAX_POINTS, Quadrature
 from ringwear_par.elasticity.bem.rows import MAX_PARTS as MAX_PARTS
-from ringwear_par.elasticity.bem.rows import element_lines, padded
+from ringwear_par.elasticity.bem.rows import element_lines, whole_vectors
 from ringwear_par.elasticity.stress.kernels import N_KERNELS, STRESS_TILE_ROWS, fill_stress_tile
 
 # rows of the work space behind the tile: a point's parameter on its element, and its weight
@@ -38,7 +38,7 @@ def _add_tile(
     torsion: FloatArray,
 ) -> None:
     """Add quadrature points to the columns of their elements."""
-    fill_stress_tile(work, padded(work, 0, 4, count), r, poisson)
+    fill_stress_tile(work, whole_vectors(count), r, poisson)
     for i in range(count):
         e, t, w = owner[i], work[_T + i], work[_WEIGHT + i]
         traction = 2 * (n_nodes + e)
