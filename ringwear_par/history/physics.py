@@ -11,6 +11,7 @@ and gaps are ``inputs``, moduli ``compliances``; elements that follow the wear a
 
 import itertools
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -18,7 +19,6 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from ringwear_par import batched
 from ringwear_par.arrays import FloatArray, IntArray, columns, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.correction import CorrectedContacts
@@ -141,10 +141,10 @@ class Physics:
         """The contact elements before any wear."""
         return self.pairs[0].line
 
-    @property
+    @cached_property
     def area(self) -> FloatArray:
         """(n,) mm^2, of the contact elements, normal to the axis."""
-        return self.line.area
+        return self.line.area.copy()  # loops refuse what cannot be written to
 
     @cached_property
     def obliquity(self) -> FloatArray | None:
@@ -164,7 +164,12 @@ class Physics:
         return np.asarray(inner(self.area, (p > 0.0).astype(float)))
 
     @cached_property
-    def _moment(self) -> FloatArray:
+    def least_area(self) -> float:
+        """mm^2, of the smallest contact element, normal to the axis."""
+        return float(self.area.min())
+
+    @cached_property
+    def torque_arm(self) -> FloatArray:
         """(n,) mm^3, torque per unit shear."""
         return self.area * self.compliances.every[0].obliquity * self.line.arm
 
@@ -269,10 +274,15 @@ class Physics:
         """
         # with derivatives it is not shared: a linearisation needs the state of its own stage
         stays = self.inputs.rates_stay and self.sensitivity is None
-        last, duration = self._last[0] if stays and self._last else None, columns(step)
-        if last is not None and closing is None and np.array_equal(last.step, duration):
-            return last
-        at = self._local_states(time, sliding, wear) if last is None else last.at
+        if stays and self._last:
+            last = self._last[0]
+            if closing is None:
+                if not np.array_equal(last.step, columns(step)):
+                    self._last[:] = [last.over(step)]
+                return self._last[0]
+            at = last.at
+        else:
+            at = self._local_states(time, sliding, wear)
         increment = WearIncrement(
             self.inputs.laws, at, step, self.averages, self.obliquity, closing, self.inputs.pace
         )
@@ -316,7 +326,7 @@ class Physics:
 
     def moment(self, p: FloatArray) -> FloatArray:
         """Return the friction torque over mu in full slip, N mm, (B,), at (B, n)."""
-        return inner(self._moment, p)
+        return inner(self.torque_arm, p)
 
     def torque(self, p: FloatArray, sliding: Sliding | None = None) -> FloatArray:
         """Return the friction torque in full slip, N mm, (B,), at pressure (B, n).
@@ -340,7 +350,7 @@ class Physics:
         force = self.compliances.force_reaction
         # boundary elements turn with tractions that are constant on each
         torque = self.compliances.torque_reaction * (self.line.arm / self.line.uniform_arm)
-        carried = self._moment, force[:, 0], force[:, 1], torque[:, 0], torque[:, 1]
+        carried = self.torque_arm, force[:, 0], force[:, 1], torque[:, 0], torque[:, 1]
         return np.array([inner(weights, p) for weights in carried])
 
     # -- layers ------------------------------------------------------------------------------------
@@ -370,7 +380,8 @@ class Physics:
             if np.array_equal(known, layers):
                 return physics
         inputs = self.inputs.with_laws(lambda i, law: law.in_layers(layers[i]))
-        physics = batched.variant(self, inputs=inputs, _last=[])
+        physics = copy(self)  # with all that it has computed, as none of it depends on layers
+        physics.__dict__.update(inputs=inputs, _last=[])
         self._staying[:] = [(layers, physics), *self._staying[:1]]
         return physics
 

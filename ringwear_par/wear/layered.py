@@ -42,6 +42,10 @@ class NoWear(Law):
         """Return the rate of wear, 0 mm/s."""
         return np.zeros_like(p)
 
+    def line(self, local: LocalState) -> tuple[FloatArray, float | FloatArray] | None:
+        """Return rise and onset, 0."""
+        return np.zeros_like(local.speed), 0.0
+
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return its derivative with respect to pressure, 0."""
         return np.zeros_like(p)
@@ -206,6 +210,22 @@ class LayeredLaw(Law):
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s."""
         return self._at_face("rate", p, local)
+
+    def line(self, local: LocalState) -> tuple[FloatArray, float | FloatArray] | None:
+        """Return rise, mm/s/MPa, and onset, MPa, of rates that are lines in all layers."""
+        if self._joined is not None:
+            return self._joined.line(local)
+        lines = [law.line(at) for law, at in zip(self.laws, self.states(local), strict=True)]
+        if self.present is None or any(line is None for line in lines):
+            return None
+        rise, onset = np.zeros((2, *self.present.shape))
+        for number, line in enumerate(lines):
+            if line is not None:
+                in_layer = self.present == number
+                rise, onset = (
+                    np.where(in_layer, *pair) for pair in zip(line, (rise, onset), strict=True)
+                )
+        return rise, onset
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
