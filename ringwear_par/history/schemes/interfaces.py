@@ -293,19 +293,22 @@ def _in_next_layers(
         contact = batched.where(still, contact, solved)
     in_body = crossing & np.isinf(passage.next_ends)
     time_beyond = np.where(in_body, passage.time_beyond, -np.inf).max(axis=-1)
-    present = physics.in_present_layers(wear)
+    present, tangent = physics.in_present_layers(wear), after.tangent
+    if step_tangent is not None:
+        tangent = batched.where(crosses, step_tangent.reached(contact), tangent)
+    rates = present.rates_at(time, wear, contact.pressure)
     assert after.through is not None
-    new = replace(
+    # what follows leaves histories as they are that do not cross
+    return replace(
         after,
         wear=wear,
         worn=after.worn + physics.integrals(wear - after.wear),
         contact=contact,
-        rates=present.rates_at(time, wear, contact.pressure),
+        rates=np.where(crosses[:, None], rates, after.rates),
         error=after.error * np.where(crossing.any(axis=0), passage.error_ratio, 1.0),
-        tangent=None if step_tangent is None else step_tangent.reached(contact),
+        tangent=tangent,
         through=np.minimum(after.through, np.maximum(time - time_beyond, before.time)),
     )
-    return batched.where(crosses, new, after)
 
 
 def _shares(need: FloatArray, slope: FloatArray, change: FloatArray) -> FloatArray:
