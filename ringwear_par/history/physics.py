@@ -152,15 +152,8 @@ class Physics:
         first = self.compliances.every[0]
         return first.obliquity if first.slope.any() else None
 
-    @cached_property
-    def _whole_area(self) -> FloatArray:
-        """(1,) mm^2, as ``inner`` rounds it."""
-        return np.asarray(inner(self.area, np.ones((1, self.line.n))))
-
     def area_in_contact(self, p: FloatArray) -> FloatArray:
         """Return the area of elements with pressure, mm^2, (B,), at (B, n)."""
-        if p.min() > 0.0:  # so in most batches, and this look is quick
-            return np.repeat(self._whole_area, len(p))
         return np.asarray(inner(self.area, (p > 0.0).astype(float)))
 
     @cached_property
@@ -347,11 +340,15 @@ class Physics:
 
         At pressure (B, n); N mm and N.
         """
+        return np.array([inner(weights, p) for weights in self._carried])
+
+    @cached_property
+    def _carried(self) -> tuple[FloatArray, ...]:
+        """What ``reactions`` are the integrals of, (n,) or (B, n), per pressure."""
         force = self.compliances.force_reaction
         # boundary elements turn with tractions that are constant on each
         torque = self.compliances.torque_reaction * (self.line.arm / self.line.uniform_arm)
-        carried = self.torque_arm, force[:, 0], force[:, 1], torque[:, 0], torque[:, 1]
-        return np.array([inner(weights, p) for weights in carried])
+        return self.torque_arm, force[:, 0], force[:, 1], torque[:, 0], torque[:, 1]
 
     # -- layers ------------------------------------------------------------------------------------
 
