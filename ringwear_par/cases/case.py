@@ -328,6 +328,15 @@ class Case:
         """Whether elements follow the worn profile."""
         return self.mesh.geometry == "updated" and any(law is not None for law in self.laws)
 
+    @property
+    def wear_tolerance(self) -> float:
+        """Largest estimated error of wear to which adaptive steps are held, mm.
+
+        Half of ``time.tolerance`` with layers: estimates do not have all errors of crossings.
+        """
+        layered = any(ring.layers for ring in self.rings)
+        return 0.5 * self.time.tolerance if layered else self.time.tolerance
+
     @cached_property
     def breakpoints(self) -> tuple[float, ...]:
         """Times at which a schedule or a parameter bends, s: adaptive steps end there."""

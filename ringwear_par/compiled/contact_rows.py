@@ -492,19 +492,20 @@ def factorise(
         row, reference, deviation = history * n, references[which[history]], deviations[history]
         for i in range(n):
             at, line = 2 * i * n, (reference * n + i) * n
-            for j in range(n):
+            for j in range(i, n):
                 work[at + j] = matrices[line + j]
-                work[at + n + j] = 0.0
             if with_derivatives:
-                for j in range(n):
+                for j in range(i, n):
                     work[at + j] += deviation * derivatives[line + j]
             if with_coupling:
-                for j in range(n):
+                for j in range(i, n):
                     work[at + j] += coupling[(row + j) * n + i]
             work[at + i] += slopes[row + i]
-            for j in range(n):
-                if j != i and not (free[row + i] and free[row + j]):
+            for j in range(i + 1, n):
+                if not (free[row + i] and free[row + j]):
                     work[at + j] = 0.0
+            for j in range(n):
+                work[at + n + j] = 0.0
         _eliminate(n, work)
         for i in range(n):
             line, at = (row + i) * n, 2 * i * n + n
@@ -519,7 +520,10 @@ def factorise(
 
 @in_order
 def _eliminate(n: Count, work: Reals) -> None:
-    """Make (L', L^-1) of a matrix L L' and zeros, (n, 2 n), row by row, four earlier at a time."""
+    """Make (L', L^-1) of (L L', 0), (n, 2 n), row by row, four earlier ones at a time.
+
+    Of L L' and L' the upper triangles.
+    """
     width = 2 * n
     for j in range(n):
         row, i = j * width, 0

@@ -59,7 +59,7 @@ class HistoryInputs:
     initial_gap: FloatArray
     #: coefficient
     friction: Quantity
-    #: (B,) float, mm of wear, ``time.tolerance``
+    #: (B,) float, mm of wear, to which steps are held
     tolerance: FloatArray
     #: rad/s
     omega: Quantity
@@ -96,7 +96,7 @@ class HistoryInputs:
             tuple(cases),
             np.array(of_faces(cases, lambda case: case.initial_gap)),
             stack(frictions),
-            np.array([case.time.tolerance for case in cases]),
+            np.array([case.wear_tolerance for case in cases]),
             stack([load.omega for load in loads]),
             _stacked([load.force for load in loads]),
             _stacked([load.displacement for load in loads]),

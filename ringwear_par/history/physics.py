@@ -11,6 +11,7 @@ and gaps are ``inputs``, moduli ``compliances``; elements that follow the wear a
 
 import itertools
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -18,7 +19,6 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from ringwear_par import batched
 from ringwear_par.arrays import FloatArray, IntArray, columns, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.correction import CorrectedContacts
@@ -383,7 +383,8 @@ class Physics:
             if np.array_equal(known, layers):
                 return physics
         inputs = self.inputs.with_laws(lambda i, law: law.in_layers(layers[i]))
-        physics = batched.variant(self, inputs=inputs, _last=[])
+        physics = copy(self)  # with all that it has computed, as none of it depends on layers
+        physics.__dict__.update(inputs=inputs, _last=[])
         self._staying[:] = [(layers, physics), *self._staying[:1]]
         return physics
 

@@ -193,7 +193,7 @@ class ErrorControl:
         times = [case.time for case in cases]
         return cls(
             np.array([time.end for time in times], dtype=float),
-            np.array([time.tolerance for time in times], dtype=float),
+            np.array([case.wear_tolerance for case in cases], dtype=float),
             np.array([time.pressure_tolerance for time in times], dtype=float),
             _padded([[*case.breakpoints, case.time.end] for case in cases]),
             np.array(
@@ -218,8 +218,9 @@ class ErrorControl:
             reason = (
                 "the estimated error of the step is not a number"
                 if progress.undefined[0]
-                else f"errors exceed time.tolerance = {self.wear_tolerance[0]:g} mm or "
-                f"time.pressure_tolerance = {self.pressure_tolerance[0]:g} (try larger tolerances)"
+                else f"errors exceed {self.wear_tolerance[0]:g} mm (time.tolerance; with layers "
+                f"half of it) or time.pressure_tolerance = {self.pressure_tolerance[0]:g} (try "
+                "larger tolerances)"
             )
             raise ComputationError(f"{reason}, {NO_STEP}")
         return end, replace(

@@ -319,7 +319,8 @@ def _joined(laws: Sequence[Law], present: IntArray) -> Law | None:
         numbers = [value.numbers if isinstance(value, Stacked) else value for value in values]
         if not parameter.numeric or any(n is None or isinstance(n, Table) for n in numbers):
             return None
-        in_layers = [present == layer for layer in range(len(laws))]
-        changed[name] = np.select(in_layers, [columns(n) for n in numbers])
+        changed[name] = columns(numbers[-1])
+        for layer in range(len(laws) - 1):
+            changed[name] = np.where(present == layer, columns(numbers[layer]), changed[name])
     joined: Law = replace(first, **changed)
     return joined

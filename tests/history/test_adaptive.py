@@ -214,6 +214,6 @@ def test_errors_that_stay_too_large_are_told_with_their_tolerances(stepped, monk
 
     change_steps(monkeypatch, wrong)
     with pytest.raises(
-        ComputationError, match=r"^errors exceed time.tolerance = 2e-06 mm or .*0\.1"
+        ComputationError, match=r"^errors exceed 2e-06 mm .*time.pressure_tolerance = 0\.1"
     ):
         stepped(time=until(10.0))

@@ -38,7 +38,7 @@ def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: Fl
     after = advanced(
         physics, state, end, wear, volumes, energy, work, contact, end_rates, step_tangent
     )
-    passage = Passage.of(physics, state, after, state.time, sliding, p)
+    passage = Passage.of(physics, state, after, state.time, sliding, p, rates)
     return end_at_interfaces(contacts, state, _estimate_error(state, after), passage, step_tangent)
 
 
@@ -56,7 +56,8 @@ def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: F
     )
     p = contact.pressure
     wear, volume_rates = increment.wear_off(p, state.wear, length, physics.area)
-    end_rates = increment.rates(p) if physics.inputs.rates_last else physics.rates_at(end, wear, p)
+    rates = increment.rates(p)
+    end_rates = rates if physics.inputs.rates_last else physics.rates_at(end, wear, p)
     turn, moment = length * sliding.omega, physics.moment(p)
     energy, work = turn * (sliding.friction * moment), turn * moment
     if step_tangent is not None:
@@ -74,7 +75,7 @@ def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: F
         end_rates,
         step_tangent,
     )
-    passage = Passage.of(physics, state, after, end, sliding, p)
+    passage = Passage.of(physics, state, after, end, sliding, p, rates)
     return end_at_interfaces(contacts, state, _estimate_error(state, after), passage, step_tangent)
 
 

@@ -129,10 +129,11 @@ class Passage:
         time: FloatArray,
         sliding: Sliding,
         pressure: FloatArray,
+        rates: FloatArray,
     ) -> Self | None:
         """Return the passage of elements in a step, whose physics is that of its layers.
 
-        None where bodies have none.
+        None where bodies have none. The time, pressure and rates are of the last part of the step.
         """
         if not physics.inputs.layered:
             return None
@@ -142,7 +143,6 @@ class Passage:
         physics_below = physics.in_layers(layers + inside)
         crossing = inside & worn_through(ends, wear)
         mean_rates = (wear - before.wear) / columns(after.time - before.time)
-        rates = physics.rates(time, sliding, wear, pressure)
         reached = np.where(crossing, ends, wear)
         rates_below = physics_below.rates(time, sliding, reached, pressure)
         return cls(
@@ -155,7 +155,7 @@ class Passage:
         """Depths of elements when they came to the ends of their layers, mm; else at the end."""
         return np.where(self.crossing, self.ends, self.wear)
 
-    @property
+    @cached_property
     def next_ends(self) -> FloatArray:
         """Depths at which the next layers of those that cross end, mm."""
         return self.physics.ends_of(self.layers + self.crossing)
@@ -206,6 +206,8 @@ class Passage:
     @property
     def too_far(self) -> BoolArray:
         """Whether an element of a history, (B,), has gone too far beyond its layer."""
+        if not self.crossing.any():
+            return np.zeros(len(self.time), dtype=bool)
         wrong = (np.abs(self.depth_below - self.beyond) > self.allowed) | np.isinf(self.time_beyond)
         return (self.crossing & wrong).any(axis=(0, 2))
 
@@ -291,19 +293,22 @@ def _in_next_layers(
         contact = batched.where(still, contact, solved)
     in_body = crossing & np.isinf(passage.next_ends)
     time_beyond = np.where(in_body, passage.time_beyond, -np.inf).max(axis=-1)
-    present = physics.in_present_layers(wear)
+    present, tangent = physics.in_present_layers(wear), after.tangent
+    if step_tangent is not None:
+        tangent = batched.where(crosses, step_tangent.reached(contact), tangent)
+    rates = present.rates_at(time, wear, contact.pressure)
     assert after.through is not None
-    new = replace(
+    # what follows leaves histories as they are that do not cross
+    return replace(
         after,
         wear=wear,
         worn=after.worn + physics.integrals(wear - after.wear),
         contact=contact,
-        rates=present.rates_at(time, wear, contact.pressure),
+        rates=np.where(crosses[:, None], rates, after.rates),
         error=after.error * np.where(crossing.any(axis=0), passage.error_ratio, 1.0),
-        tangent=None if step_tangent is None else step_tangent.reached(contact),
+        tangent=tangent,
         through=np.minimum(after.through, np.maximum(time - time_beyond, before.time)),
     )
-    return batched.where(crosses, new, after)
 
 
 def _shares(need: FloatArray, slope: FloatArray, change: FloatArray) -> FloatArray:

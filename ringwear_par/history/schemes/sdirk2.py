@@ -130,7 +130,7 @@ def step(
         None if closing is None else closing.mask,
     )  # fmt: skip
     after = replace(after, error=errors.at_end)
-    passage = Passage.of(physics, state, after, end, sliding[2], contact.pressure)
+    passage = Passage.of(physics, state, after, end, sliding[2], contact.pressure, then)
     wear_error = errors.of_step
     mean_pressure = contact.force / np.maximum(touching, physics.least_area)
     if passage is not None:
