@@ -53,10 +53,10 @@ def where(accepted: BoolArray, new: T, old: T) -> T:
     return _apply(choose, new, old)
 
 
-def _apply(function: Callable[..., Any], first: Any, *others: Any) -> Any:
+def _apply(function: Callable[..., Any], first: Any, *remaining: Any) -> Any:
     changed: dict[str, Any] = {}
     for name, axis in _fields(type(first)):
-        value, more = getattr(first, name), [getattr(other, name) for other in others]
+        value, more = getattr(first, name), [getattr(other, name) for other in remaining]
         if axis is None or value is None or (more and any(other is None for other in more)):
             changed[name] = value
         elif isinstance(value, np.ndarray) or not is_dataclass(value):
