@@ -245,20 +245,20 @@ def invert(
 def factorise(
     count: Count, n: Count, rows: Integers, which: Integers, references: Integers, matrices: Reals,
     deviations: Reals, derivatives: Reals, with_derivatives: Count, slopes: Reals, coupling: Reals,
-    with_coupling: Count, free: Flags, weights: Reals, numbers: Integers, bases: Reals,
-    transposed: Reals, values: Reals, forces: Reals, work: Reals,
+    with_coupling: Count, free: Flags, weights: Reals, factors: Reals, responses: Reals,
+    stiffness: Reals, work: Reals,
 ) -> None:  # fmt: skip
-    """Set bases in which Hessians are 1, from their Cholesky factors: Psi = L^-T.
+    """Set inverses of the lower Cholesky factors of Hessians, and how they respond to an approach.
 
+    ``factors`` are (B, n, n), without their upper triangles; NaN of what is not positive definite.
     ``weights`` (f, n) are those of the ``references`` (m,) of the compliances, ``work`` is room for
-    (n, 2 n). What is not positive definite has NaN as its basis.
+    (n, 2 n).
     """
     for place in range(count):
         history = rows[place]
-        row, reference, start = history * n, references[which[history]], numbers[history] * n * n
-        matrix, deviation = reference * n * n, deviations[history]
+        row, reference, deviation = history * n, references[which[history]], deviations[history]
         for i in range(n):
-            at, line = 2 * i * n, matrix + i * n
+            at, line = 2 * i * n, (reference * n + i) * n
             for j in range(n):
                 work[at + j] = matrices[line + j]
                 work[at + n + j] = 0.0
@@ -274,14 +274,14 @@ def factorise(
                     work[at + j] = 0.0
         _eliminate(n, work)
         for i in range(n):
-            carried, at = 0.0, 2 * i * n + n
-            for j in range(n):
-                value = work[at + j] if free[row + i] and free[row + j] else 0.0
-                transposed[start + i * n + j] = value
-                bases[start + j * n + i] = value
-            for j in range(n):
-                carried += transposed[start + i * n + j] * weights[reference * n + j]
-            values[numbers[history] * n + i], forces[numbers[history] * n + i] = 0.0, carried
+            line, at = (row + i) * n, 2 * i * n + n
+            for j in range(i + 1):
+                factors[line + j] = work[at + j] if free[row + i] else 0.0
+        _solve(n, row * n, factors, reference * n, weights, row, responses)
+        carried = 0.0
+        for i in range(n):
+            carried += weights[reference * n + i] * responses[row + i]
+        stiffness[history] = carried
 
 
 @in_order
@@ -308,6 +308,50 @@ def _eliminate(n: Count, work: Reals) -> None:
         root = 1.0 / math.sqrt(work[row + j])
         for k in range(row + j, row + n + j + 1):
             work[k] *= root
+
+
+def _solve(
+    n: Count, start: Count, factors: Reals, at: Count, sides: Reals, to: Count, solutions: Reals
+) -> None:
+    """Set the solution of one system from the inverse of its factor."""
+    for i in range(n):
+        solutions[to + i] = 0.0
+    for i in range(n):
+        line, product = start + i * n, 0.0
+        for j in range(i + 1):
+            product += factors[line + j] * sides[at + j]
+        for j in range(i + 1):
+            solutions[to + j] += product * factors[line + j]
+
+
+def steps_by_factors(
+    count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
+    factors: Reals, responses: Reals, stiffness: Reals, missing: Reals, with_missing: Count,
+    gradients: Reals, which: Integers, references: Integers, reference_weights: Reals,
+    weights: Reals, per_scale: Reals, with_scales: Count, scaled: Reals, steps: Reals,
+    changes: Reals,
+) -> None:  # fmt: skip
+    """Set steps against gradients (times, size, n), and of approaches, as ``steps_in_bases`` does.
+
+    ``scaled`` is room for a row.
+    """
+    for at in range(count * times):
+        place = order[at // times]
+        into, history, compliance = at % times * size + place, histories[place], which[place] * n
+        start, row, change = into * n, history * n, 0.0
+        for i in range(n):
+            side = gradients[start + i]
+            scaled[i] = side * weights[compliance + i] if with_scales else side
+        _solve(n, row * n, factors, 0, scaled, start, steps)
+        if with_missing and stiffness[history] > 0.0:
+            carried, reference = 0.0, references[which[place]] * n
+            for i in range(n):
+                carried += reference_weights[reference + i] * steps[start + i]
+            change = (missing[into] + carried) / stiffness[history]
+        for i in range(n):
+            step = change * responses[row + i] - steps[start + i]
+            steps[start + i] = step * per_scale[compliance + i] if with_scales else step
+        changes[into] = change
 
 
 def steps_in_bases(

@@ -1,11 +1,11 @@
-"""Loops over the rows of B steps of SDIRK2, see ``history.schemes.sdirk2``.
+"""Loops over the rows of B steps: of SDIRK2, see ``history.schemes.sdirk2``, and their control.
 
 Arrays are (B, n) or (B,), one after another where there are several.
 """
 
 import math
 
-from ringwear_par.compiled.machine_code import Count, Integers, Real, Reals
+from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals
 
 
 def wear_by_lines(
@@ -62,22 +62,23 @@ def wear_off(
 def add_power(
     count: Count, n: Count, lengths: Reals, sliding: Reals, before: Reals, at_stage: Reals,
     at_end: Reals, of_stage: Reals, of_end: Reals, with_weights: Count, moment: Reals,
-    weights: Reals, defects: Reals, sums: Reals,
+    area: Reals, weights: Reals, defects: Reals, sums: Reals,
 ) -> None:  # fmt: skip
-    """Set what sliding does at the pressures at the start and in both stages, (4, count).
+    """Set what sliding does at the pressures at the start and in both stages, (5, count).
 
-    They are energy and normal work of steps, the error of the energy, and the largest power.
-    Weights are those of these three, (3,), and of the two stages.
+    They are energy and normal work of steps, the error of the energy, and the largest power; and
+    the area in contact at the end. Weights are those of these three, (3,), and of the two stages.
 
     ``sliding`` (3, 2, count) are speeds and coefficients of friction.
     """
     for history in range(count):
-        row, start, stage, end = history * n, 0.0, 0.0, 0.0
+        row, start, stage, end, touching = history * n, 0.0, 0.0, 0.0, 0.0
         for i in range(n):
             k = row + i
             start += moment[i] * before[k]
             stage += moment[i] * (of_stage[k] * at_stage[k] if with_weights else at_stage[k])
             end += moment[i] * (of_end[k] * at_end[k] if with_weights else at_end[k])
+            touching += area[i] if at_end[k] > 0.0 else 0.0
         work, power, length = 2 * count + history, 3 * count + history, lengths[history]
         start *= sliding[history]
         stage *= sliding[2 * count + history]
@@ -90,7 +91,7 @@ def add_power(
         end *= sliding[5 * count + history]
         sums[history] = length * (weights[0] * start + weights[1] * stage + weights[2] * end)
         sums[work] = abs(length * (defects[0] * start + defects[1] * stage + defects[2] * end))
-        sums[power] = max(start, stage, end)
+        sums[power], sums[4 * count + history] = max(start, stage, end), touching
 
 
 def rate_errors(
@@ -179,3 +180,92 @@ def largest_ratios(
             largest = max(largest, ratio)
             total += ratio + pressures[k] + least[history]
         ratios[history] = largest if math.isfinite(total) else math.nan
+
+
+def choose_ends(
+    count: Count, n: Count, times: Reals, limits: Reals, begun: Flags, lengths: Reals,
+    next_lengths: Reals, rates: Reals, most_time: Reals, first_wear: Reals, most_wear: Reals,
+    new_lengths: Reals, ends: Reals, cut: Flags,
+) -> None:  # fmt: skip
+    """Set lengths and ends of tries, s, and which of them are cut by their limits.
+
+    Steps that have begun have the present lengths, others the next ones, 0 before the first step;
+    these wear off ``first_wear``, and none more than ``most_wear``, mm.
+    """
+    for history in range(count):
+        length = lengths[history]
+        if not begun[history]:
+            length, fastest = next_lengths[history], 0.0
+            is_first = length == 0.0
+            if is_first or most_wear[history] < math.inf:
+                for side in range(2):
+                    row = (side * count + history) * n
+                    for k in range(row, row + n):
+                        fastest = max(fastest, rates[k])
+            if is_first:
+                length = most_time[history]
+                if fastest > 0.0:
+                    length = min(length, first_wear[history] / fastest)
+            if fastest > 0.0:
+                length = min(length, most_wear[history] / fastest)
+        left = limits[history] - times[history]
+        cut[history] = length >= left * (1.0 - 1e-9)
+        new_lengths[history] = length
+        if cut[history]:
+            ends[history] = limits[history]
+        elif length < 0.5 * left or length > 0.9 * left:
+            ends[history] = times[history] + length
+        else:  # the last step would be tiny
+            ends[history] = times[history] + 0.5 * left
+
+
+def judge_tries(
+    count: Count, n: Count, errors_before: Reals, times_before: Reals, times: Reals,
+    most_time: Reals, energies: Reals, powers: Reals, energy_errors: Reals, wear_errors: Reals,
+    history_errors: Reals, carried_errors: Reals, pressure_errors: Reals, wear_tolerances: Reals,
+    pressure_tolerances: Reals, energy_tolerance: Real, least_allowed: Real, safety: Real,
+    largest_cut: Real, largest_growth: Real, too_far: Flags, was_pressed: Flags, cut: Flags,
+    lengths: Reals, next_lengths: Reals, accepted: Flags, pressed: Flags, undefined: Flags,
+    new_lengths: Reals, new_next_lengths: Reals,
+) -> None:  # fmt: skip
+    """Set which tries are accepted, and the lengths of the next ones, see ``ErrorControl``."""
+    for history in range(count):
+        missed, row = 0.0, history * n
+        for k in range(row, row + n):
+            missed = max(missed, abs(errors_before[k]))
+        tolerance, carried = wear_tolerances[history], carried_errors[history]
+        whole = energy_tolerance * (
+            energies[history] + powers[history] * (most_time[history] - times[history])
+        )
+        energy = max(energy_errors[history] / whole if whole > 0.0 else 0.0, 1e-6)
+        error, least = wear_errors[history], least_allowed * tolerance
+        ratio = max(energy, error / max(tolerance - carried, least))
+        # the next step is to leave as much of the error before it as this one does
+        share = min(carried / missed, 1.0) if missed > 0.0 else 1.0
+        ahead = max(energy, error / max(tolerance - history_errors[history] * share, least))
+        over = pressure_errors[history] / pressure_tolerances[history]
+        if not math.isfinite(over):
+            over = math.inf
+        pressing = over > 1.0
+        if pressing:
+            ratio = max(ratio, over)
+        if not math.isfinite(error + energy_errors[history] + whole + carried):
+            ratio = ahead = math.inf
+        if not math.isfinite(history_errors[history]):
+            ahead = math.inf
+        within = ratio <= 1.0
+        accepted[history] = within and not too_far[history]
+        pressed[history] = was_pressed[history] or pressing
+        undefined[history] = ratio == math.inf
+        length, uncut = times[history] - times_before[history], lengths[history]
+        new_lengths[history] = uncut
+        new_next_lengths[history] = next_lengths[history]
+        # the third root of the error, with care
+        if not within:
+            new_lengths[history] = length * max(safety * ratio ** (-1.0 / 3.0), largest_cut)
+        if accepted[history]:
+            change = max(safety * ahead ** (-1.0 / 3.0), largest_cut)
+            # errors of pressure come and go with elements: they limit steps, but do not foretell
+            # them
+            following = length * min(change, 1.0 if pressed[history] else largest_growth)
+            new_next_lengths[history] = max(following, uncut) if cut[history] else following

@@ -46,7 +46,7 @@ class BasisStack:
         """
         name = compliance, sets
         if name not in self._numbers:
-            number = self._numbers[name] = self.own_number()
+            number = self._numbers[name] = self._vacant.pop()
             basis = self._compliances.basis(compliance, free, wearing)
             self.psi[number], self.mu[number], self.force[number] = basis
             self.psi_t[number] = basis.psi.T
@@ -54,10 +54,6 @@ class BasisStack:
             if more is not None:
                 self.derivatives[number] = basis.psi.T @ more.derivatives[compliance] @ basis.psi
         return self._numbers[name]
-
-    def own_number(self) -> int:
-        """Return the number of a basis that is not shared, to be set."""
-        return self._vacant.pop()
 
     def make_room(self, used: IntArray) -> None:
         """Forget the bases that are not used, so that there is room for others.

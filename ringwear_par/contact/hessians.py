@@ -3,8 +3,8 @@
 They are diagonal in bases that histories share (see ``scaled_compliances``). Of compliances that
 deviate from their references, or where the slope of wear over pressure has another shape, such a
 basis preconditions projected conjugate gradients (Gould, Hribar and Nocedal, SIAM J. Sci. Comput.
-23 (2001) 1376-1395). Wear that gets through layers, non-local wear and large systems have bases of
-their own, the inverses of Cholesky factors.
+23 (2001) 1376-1395). Wear that gets through layers, non-local wear and large systems have Cholesky
+factors of their own.
 """
 
 from collections import defaultdict
@@ -65,13 +65,14 @@ class Hessians:
         self._valid = np.zeros(count, dtype=bool)
         #: (B, n) elements that bases take to wear
         self._wearing = np.zeros((count, n), dtype=bool)
-        #: bases, the number of that of each history, -1 of none, and whether it is of its own
+        #: bases, and the number of that of each history, -1 of none
         self._stack, self._basis = BasisStack(compliances), np.full(count, -1)
-        self._has_own = np.zeros(count, dtype=bool)
+        #: (B, n, n) inverses of factors, of those without a basis; (0, n, n): all have one
+        self._factors = np.empty((0, n, n))
         #: (B, n) inverses in the bases, exact where the slope has the shape, else preconditioners
         self._inverse, self._regular = np.ones((count, n)), np.ones(count, dtype=bool)
-        #: (B, n) in the bases, what unknowns grow by with the approach, and (B,) the force with it,
-        #: by the weights of the reference
+        #: (B, n) in the bases, if any, what unknowns grow by with the approach, and (B,) the force
+        #: with it, by the weights of the reference
         self._response, self._stiffness = np.zeros((count, n)), np.zeros(count)
         #: how histories are solved whose rows are compact (True), or among those of all
         self._rows: dict[bool, tuple[IntArray, _BasisRows]] = {}
@@ -83,9 +84,10 @@ class Hessians:
         keep(
             self,
             ("_which", "_deviation", "_free", "_valid", "_wearing", "_basis",
-             "_has_own", "_inverse", "_regular", "_response", "_stiffness"),
+             "_inverse", "_regular", "_response", "_stiffness"),
             histories,
         )  # fmt: skip
+        self._factors = self._factors[histories] if len(self._factors) else self._factors
         self._rows.clear()
 
     def pose(self, wear: WearIncrement | None) -> None:
@@ -158,16 +160,12 @@ class Hessians:
                     return
             else:
                 rates[irregular] = self._median_rates(histories[irregular])
-        new_sets |= self._has_own[histories] | (self._basis[histories] < 0)
+        new_sets |= self._basis[histories] < 0
         if new_sets.any():
             self._choose_bases(histories[new_sets])
-        self._invert(histories, rates)
-
-    def _invert(self, histories: IntArray, rates: FloatArray) -> None:
-        """Set the inverses of slopes of these rates, (h,), in bases."""
         self._loops.invert(
-            len(histories), self._inverse.shape[1], histories, self._basis, rates, self._stack.mu,
-            self._stack.force, self._inverse, self._response, self._stiffness,
+            len(histories), n, histories, self._basis, rates, self._stack.mu, self._stack.force,
+            self._inverse, self._response, self._stiffness,
         )  # fmt: skip
 
     def _median_rates(self, histories: IntArray) -> FloatArray:
@@ -180,7 +178,6 @@ class Hessians:
     def _choose_bases(self, histories: IntArray) -> None:
         """Take the bases of the sets of histories."""
         self._rows.clear()
-        self._has_own[histories] = False
         free, wearing = self._free[histories], self._wearing[histories]
         sets = np.packbits(np.concatenate([free, wearing], axis=1), axis=1)
         alike: dict[tuple[int, bytes], list[int]] = defaultdict(list)
@@ -196,22 +193,20 @@ class Hessians:
             )
 
     def _factorise(self, histories: IntArray) -> None:
-        """Make bases of their own in which Hessians are 1."""
-        for history in histories[~self._has_own[histories]].tolist():
+        """Factor the blocks of histories, which have no bases then."""
+        if (self._basis[histories] >= 0).any():
             self._rows.clear()
-            if self._stack.is_full:
-                self._stack.make_room(self._basis)
-            self._basis[history], self._has_own[history] = self._stack.own_number(), True
-        compliances, stack, n = self._compliances, self._stack, self.slope.shape[1]
+        compliances, (count, n), self._basis[histories] = self._compliances, self.slope.shape, -1
+        if not len(self._factors):
+            self._factors = np.empty((count, n, n))
         more, coupled = compliances.deviations, len(self.coupling) > 0
         self._loops.factorise(
             len(histories), n, histories, self._which, compliances.reference, compliances.matrices,
             self._deviation, compliances.matrices if more is None else more.derivatives,
             more is not None, self.slope, self.coupling if coupled else self.slope, coupled,
-            self._free, compliances.reference_weights, self._basis, stack.psi, stack.psi_t,
-            stack.mu, stack.force, np.empty((n, 2 * n)),
+            self._free, compliances.reference_weights, self._factors, self._response,
+            self._stiffness, np.empty((n, 2 * n)),
         )  # fmt: skip
-        self._invert(histories, np.zeros(len(histories)))
 
     def _rows_of(self, histories: IntArray, compact: bool) -> "_BasisRows":
         """Return how some histories are solved, remembered for the same ones.
@@ -223,11 +218,13 @@ class Hessians:
         known = self._rows.get(compact)
         if known is None or known[0] is not histories:
             bases = self._basis[histories]
-            order, every = np.argsort(bases, kind="stable"), np.arange(len(self._basis))
+            order = np.argsort(bases, kind="stable")
+            factored, places = np.count_nonzero(bases < 0), order if compact else histories[order]
+            every = np.arange(len(self._basis))
             rows = _BasisRows(
                 histories if compact else every, bases if compact else self._basis,
                 self._which[histories] if compact else self._which,
-                order if compact else histories[order],
+                places[factored:], places[:factored],
             )  # fmt: skip
             known = self._rows[compact] = histories, rows
         return known[1]
@@ -300,10 +297,10 @@ class Hessians:
         size, n, stack, which = len(rows.histories), gradient.shape[-1], self._stack, rows.which
         weights, per_scale = self._compliances.weights, self._compliances.per_scale
         count = gradient.size // n
-        direct, indirect = rows.places, rows.places[:0]
+        direct, indirect = rows.in_bases, rows.in_bases[:0]
         if self._deviates or not self._regular.all():
             among = rows.histories[direct]
-            diagonal = self._regular[among] & (self._deviation[among] == 0.0) | self._has_own[among]
+            diagonal = self._regular[among] & (self._deviation[among] == 0.0)
             direct, indirect = direct[diagonal], direct[~diagonal]
         steps, changes = np.empty((count + ROOM, n)), np.zeros(gradient.shape[:-1])
         # forces and approaches are by the weights of references in bases
@@ -314,6 +311,12 @@ class Hessians:
             stack.psi_t, stack.force, self._inverse, self._response, self._stiffness,
             lacking, missing is not None, gradient, which,
             weights, per_scale, with_scales, *np.empty((2, 4, n)), steps, changes,
+        )  # fmt: skip
+        self._loops.steps_by_factors(
+            len(rows.factored), n, count // size, size, rows.factored, rows.histories,
+            self._factors, self._response, self._stiffness, lacking, missing is not None, gradient,
+            which, self._compliances.reference, self._compliances.reference_weights,
+            weights, per_scale, with_scales, np.empty(n), steps, changes,
         )  # fmt: skip
         out = steps[:count].reshape(gradient.shape), changes
         if len(indirect):
@@ -366,5 +369,6 @@ class _BasisRows(NamedTuple):
     histories: IntArray
     bases: IntArray
     which: IntArray
-    #: (s,) which of the rows are solved, one basis after the other
-    places: IntArray
+    #: which of the rows are solved in bases, one basis after the other, and which by factors
+    in_bases: IntArray
+    factored: IntArray

@@ -181,7 +181,10 @@ class WearIncrement:
             ]
             depths = [self.step * rate for rate in of_bodies]
             self._known = _Worn(
-                p, _stacked(of_bodies), total_of(depths) if depths else np.zeros_like(p), None
+                p,
+                _stacked(of_bodies, p.shape),
+                total_of(depths) if depths else np.zeros_like(p),
+                None,
             )
         return self._known
 
@@ -285,13 +288,12 @@ class WearIncrement:
                 after = at.worn_by(lost if self.obliquity is None else lost / self.obliquity)
                 rate = self.along_axis(averaged_rate(law, after, average, p))
             ends.append(rate)
-        return _stacked(ends)
+        return _stacked(ends, p.shape)
 
     def rates(self, p: FloatArray) -> FloatArray:
         """Return the rates of wear at the end of the step, (2, ..., n) mm/s, see above."""
         rates = np.zeros((2, *p.shape))
-        if self.bodies:
-            rates[self._sides] = self._end_rates(p)
+        rates[self._sides] = self._end_rates(p)
         return rates
 
     def wear_off(
@@ -467,9 +469,11 @@ def _filled(values: float | FloatArray, shape: tuple[int, ...]) -> FloatArray:
     return np.array(np.broadcast_to(values, shape), dtype=float)
 
 
-def _stacked(fields: Sequence[FloatArray]) -> FloatArray:
-    """Return fields of bodies in one array."""
-    return np.ascontiguousarray(fields[0])[None] if len(fields) == 1 else np.array(fields)
+def _stacked(fields: Sequence[FloatArray], shape: tuple[int, ...]) -> FloatArray:
+    """Return fields of a shape, of bodies, in one array."""
+    if len(fields) == 1:
+        return np.ascontiguousarray(fields[0])[None]
+    return np.array(fields).reshape(len(fields), *shape)
 
 
 def _not_negative(p: FloatArray) -> FloatArray:

@@ -36,6 +36,7 @@ class NoWear(Law):
     """The law of a layer, or of a body under layers, that does not wear."""
 
     formula = "0"
+    steady = True
 
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, 0 mm/s."""
@@ -155,8 +156,13 @@ class LayeredLaw(Law):
 
     @property
     def reads_wear(self) -> bool:
-        """Whether the rate may depend on worn depth: it says which layer it is."""
-        return True
+        """Whether the rate may depend on worn depth: if only as it says which layer it is."""
+        return self.present is None or any(law.reads_wear for law in self.laws)
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the rate at a pressure changes only where speed or friction does."""
+        return self.present is not None and all(law.is_steady for law in self.laws)
 
     @property
     def breakpoints(self) -> tuple[float, ...]:

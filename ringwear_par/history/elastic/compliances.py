@@ -123,7 +123,7 @@ class Compliances:
         return self._of_references([c.torque_reaction for c in self.every])
 
     def _of_references(self, values: Sequence[FloatArray]) -> FloatArray:
-        """Return the values of histories, (B, ...), of those of the references."""
+        """Return values of histories, (B, ...), from values of references."""
         if len(values) == 1:  # and no memory of each
             return np.broadcast_to(values[0], (len(self.which), *values[0].shape))
         return np.array(values)[self.reference[self.which]]

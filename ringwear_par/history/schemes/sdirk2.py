@@ -94,13 +94,13 @@ def step(
     wear, last_volumes = last.wear_off(
         contact.pressure, carried, stage_length, physics.area, weights_last
     )
-    sums, with_weights = np.empty((4, len(length))), weights is not None
+    sums, with_weights = np.empty((5, len(length))), weights is not None
     load(step_rows).add_power(
         *p_before.shape, length, np.array(sliding), p_before, stage.pressure, contact.pressure,
         weights if with_weights else p_before, weights_last if with_weights else p_before,
-        with_weights, physics.torque_arm, _WEIGHTS, _DEFECT, sums,
+        with_weights, physics.torque_arm, physics.area, _WEIGHTS, _DEFECT, sums,
     )  # fmt: skip
-    energy, work, energy_error, power = sums
+    energy, work, energy_error, power, touching = sums
     contact = replace(
         contact,
         iterations=stage.iterations + contact.iterations,
@@ -131,7 +131,8 @@ def step(
     )  # fmt: skip
     after = replace(after, error=errors.at_end)
     passage = Passage.of(physics, state, after, end, sliding[2], contact.pressure)
-    wear_error, mean_pressure = errors.of_step, _mean_pressure(physics, contact)
+    wear_error = errors.of_step
+    mean_pressure = contact.force / np.maximum(touching, physics.least_area)
     if passage is not None:
         growth = passage.growth_at(mean_pressure[:, None])
         wear_error = largest(np.abs(errors.defect * growth))
@@ -270,9 +271,3 @@ def _last_stage(
         contact = replace(again, iterations=again.iterations + more)
         inside = last.share(last.depth_if_always_in_contact(contact.pressure))
     return last, contact, weights * inside
-
-
-def _mean_pressure(physics: Physics, contact: ContactState) -> FloatArray:
-    """Return the force over the area in contact, (B,) MPa."""
-    touching = physics.area_in_contact(contact.pressure)
-    return contact.force / np.maximum(touching, physics.least_area)
