@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, inner, largest
+from ringwear_par.arrays import FloatArray, IntArray, largest
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.mesh import case_slopes
 from ringwear_par.elasticity.sections import BODIES
@@ -96,7 +96,7 @@ class WorstStates:
         take(_MOVED, np.maximum(approach, largest(wear).max(axis=0)))
         take(_FORCE, force)
         enough = count >= min(FEW_ELEMENTS, n)
-        area = inner(physics.area, bearing.astype(float))
+        area = physics.area_in_contact(p)
         take(_MEAN_PRESSURE, np.divide(force, area, out=np.zeros_like(force), where=enough))
         for few in np.unique(count[~enough & (count > 0)]).tolist():
             take(force_measure(few), np.where(count == few, force, 0.0))
