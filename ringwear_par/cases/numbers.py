@@ -123,7 +123,7 @@ def _refused_by(
         for (path, entry), column in numbers.items()
         if (key := path if entry is None else f"{path}{entry}").startswith(f"{table}.")
     }
-    if not columns:
+    if not columns or not type(law).has_rules():
         return np.zeros(count, dtype=bool)
     values = {name: getattr(law, name) for name in parameters_of(type(law))}
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))

@@ -26,12 +26,13 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
-from importlib.metadata import version
 from itertools import compress
 from operator import is_not
 from pathlib import Path
 from types import FunctionType, ModuleType, SimpleNamespace
 from typing import Annotated, Any, TypeAlias
+
+from ringwear_par.version import numba_version
 
 log = logging.getLogger(__name__)
 
@@ -164,10 +165,12 @@ def _target_machine(llvm: Any) -> Any:
 
 def _stored_code(llvm: Any, source: Path, functions: Sequence[FunctionType]) -> bytes:
     """Return the object file of loops, which is made where there is none."""
+    import llvmlite
+
     processor = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
     sources = Path(__file__).read_bytes(), source.read_bytes()
     stem = f"{source.stem}-{_digest(processor)}"
-    name = f"{stem}-{_digest((*sources, version('numba'), version('llvmlite')))}.o"
+    name = f"{stem}-{_digest((*sources, numba_version(), llvmlite.__version__))}.o"
     places = [folder / name for folder in _folders()]
     for place in places:
         with suppress(OSError):

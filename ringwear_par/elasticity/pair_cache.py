@@ -25,7 +25,6 @@ from collections.abc import Callable, Hashable
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from functools import cache
-from importlib.metadata import version
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,7 +35,7 @@ import scipy
 from ringwear_par.arrays import FloatArray
 from ringwear_par.files.writing import atomic_write, open_ordinary, remove_leftovers
 from ringwear_par.parallel import blas_threads, on_first_rank
-from ringwear_par.version import __version__
+from ringwear_par.version import __version__, numba_version
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -198,7 +197,7 @@ def _surroundings() -> str:
         lines = file.read(8192).decode(errors="replace").splitlines()
         processor = "\n".join(x for x in lines if x.startswith(("model name", "flags", "Features")))
     return "\n".join(
-        (__version__, source.hexdigest(), np.__version__, scipy.__version__, version("numba"),
+        (__version__, source.hexdigest(), np.__version__, scipy.__version__, numba_version(),
          platform.machine(), processor)
     )  # fmt: skip
 

@@ -71,7 +71,8 @@ class Batch:
         self._warm: WarmStart | None = None
         #: whether a history steps alone until it has made a step, and why its last try failed
         self._alone, self._failure = False, ""
-        #: states within steps, which wait for more of them, as histories do not go on from them
+        #: states within steps, which wait for more of them, as histories do not go on from them:
+        #: one that cannot be computed fails its history, whose steps are over
         self._passing: list[Passing] = []
         #: of the histories at first, and which of these are left; None: no state waits
         self._whole: Physics | None = None

@@ -106,6 +106,8 @@ class Warnings:
         good = [number for number, bad in enumerate(failed) if not bad]
         warnings: list[tuple[ValidityWarning, ...]] = [()] * len(failed)
         first = self._cases[0]
+        # those of its rings under a constant force, too
+        of_first = tuple(_of_cases(first))
         alike = np.array([case.rings == first.rings for case in self._cases])
         unsuspicious = self._unsuspicious(alike)
         forecasts = deep_forecasts([self._cases[number] for number in good])
@@ -114,7 +116,9 @@ class Warnings:
             if unsuspicious[number] and plausible[number] and not of_case:
                 long_steps = self._long_steps.get(number)
                 few = () if long_steps is None else (long_steps,)
-                warnings[number] = (*few, *_of_cases(self._cases[number]))
+                case = self._cases[number]
+                steady = isinstance(case.load.force, float) and isinstance(first.load.force, float)
+                warnings[number] = (*few, *(of_first if steady else _of_cases(case)))
             else:
                 warnings[number] = self._of(number, of_case)
         return warnings

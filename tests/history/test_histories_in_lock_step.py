@@ -298,6 +298,37 @@ def test_one_that_fails_does_not_disturb_the_others(flat, pair):
         assert np.array_equal(rows[-1][2].wear, last[sorted(last)[i]].wear)
 
 
+@dataclass(frozen=True)
+class SpoiltInstant(ThresholdLaw):
+    """Fails in the histories whose threshold is 13 MPa, at one time of output."""
+
+    def rate(self, p, at):
+        """Return NaN there."""
+        p0 = np.broadcast_to(self._line(at)[1], p.shape)
+        spoilt = (np.broadcast_to(at.time, p.shape) == 7.77) & (p0 == 13.0)
+        return np.where(spoilt, np.nan, super().rate(p, at))
+
+
+def test_one_that_fails_within_a_step_does_not_disturb_the_others(flat, pair):
+    """States within steps are computed later than the steps: their histories end then."""
+    thresholds = zip(of_laws(flat, "threshold", 4), (0, 13, 20, 13), strict=True)
+    cases = [
+        replace(case, wear_lower=SpoiltInstant(1e-7, float(p0)), output=Output(times=(7.77,)))
+        for case, p0 in thresholds
+    ]
+    within, ended = set(), set()
+
+    def observe(snapshot):
+        if snapshot.passing:
+            within.update(snapshot.numbers.tolist())
+        ended.update(snapshot.numbers[snapshot.finished].tolist())
+
+    failures = simulate(cases, ALONE, pair=pair, observers=[observe]).failures
+    assert sorted(failures) == [1, 3]
+    assert within == {0, 2} <= ended
+    assert all("in step" in str(error) for error in failures.values())
+
+
 def test_what_nobody_expects_is_warned_of_once(flat, pair, caplog):
     """They all run alone then, and are right: nothing else would tell."""
 

@@ -95,7 +95,7 @@ class Compliances:
     @property
     def diagonal(self) -> FloatArray:
         """(B, n) mm/MPa, displacement of each element under its own pressure alone."""
-        return self.members.diagonal[self.which]
+        return _rows(self.members.diagonal, self.which)
 
     @property
     def stiffness(self) -> FloatArray:
@@ -110,23 +110,19 @@ class Compliances:
     @property
     def twist(self) -> FloatArray:
         """(B, n) mm/MPa, see ``ContactCompliance``."""
-        return self.members.twist[self.which]
+        return _rows(self.members.twist, self.which)
 
     @property
     def force_reaction(self) -> FloatArray:
         """(B, 2, n) mm^2, see ``ContactCompliance``."""
-        return self._of_references([c.force_reaction for c in self.every])
+        of_references = np.array([c.force_reaction for c in self.every])
+        return _rows(of_references, self.reference[self.which])
 
     @property
     def torque_reaction(self) -> FloatArray:
         """(B, 2, n) mm^3, see ``ContactCompliance``."""
-        return self._of_references([c.torque_reaction for c in self.every])
-
-    def _of_references(self, values: Sequence[FloatArray]) -> FloatArray:
-        """Return values of histories, (B, ...), from values of references."""
-        if len(values) == 1:  # and no memory of each
-            return np.broadcast_to(values[0], (len(self.which), *values[0].shape))
-        return np.array(values)[self.reference[self.which]]
+        of_references = np.array([c.torque_reaction for c in self.every])
+        return _rows(of_references, self.reference[self.which])
 
     def take(self, histories: IntArray) -> "Compliances":
         """Return the compliances of some of the histories."""
@@ -155,3 +151,9 @@ class Compliances:
     def contacts(self) -> CorrectedContacts:
         """Return the contacts of the histories. Not collective."""
         return CorrectedContacts(ContactEngine(self.scaled(), self.which))
+
+
+def _rows(values: FloatArray, which: IntArray) -> FloatArray:
+    """Return some of the rows of values, (B, ...), which take no memory where there is one."""
+    one_row = len(values) == 1
+    return np.broadcast_to(values, (len(which), *values.shape[1:])) if one_row else values[which]

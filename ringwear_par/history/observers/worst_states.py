@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ringwear_par.arrays import FloatArray, IntArray, inner, largest
+from ringwear_par.arrays import FloatArray, IntArray, largest
 from ringwear_par.cases.case import Case
 from ringwear_par.elasticity.mesh import case_slopes
 from ringwear_par.elasticity.sections import BODIES
@@ -80,7 +80,8 @@ class WorstStates:
         contact, wear, time = state.contact, state.wear, state.time
         p, approach, force = contact.pressure, contact.approach, contact.force
         n, bearing = p.shape[1], p > 0.0
-        count = np.count_nonzero(bearing, axis=1)
+        all_bear = bearing.all()
+        count = np.full(len(p), n) if all_bear else np.count_nonzero(bearing, axis=1)
 
         def take(name: str, values: Any, *more: Any) -> None:
             """Take the values (B,) of a measure, and numbers that tell their places."""
@@ -93,10 +94,12 @@ class WorstStates:
                     measure[entry, numbers[worse]] = column[worse]
 
         take(_APPROACH, approach)
-        take(_MOVED, np.maximum(approach, largest(wear).max(axis=0)))
+        worn = [i for i in (0, 1) if physics.inputs.laws[i] is not None]
+        deepest = [largest(wear[i]) for i in worn]
+        take(_MOVED, np.max([approach, *deepest], axis=0))
         take(_FORCE, force)
         enough = count >= min(FEW_ELEMENTS, n)
-        area = inner(physics.area, bearing.astype(float))
+        area = physics.area_in_contact(p)
         take(_MEAN_PRESSURE, np.divide(force, area, out=np.zeros_like(force), where=enough))
         for few in np.unique(count[~enough & (count > 0)]).tolist():
             take(force_measure(few), np.where(count == few, force, 0.0))

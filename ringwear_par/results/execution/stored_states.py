@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par import batched
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, share
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, is_one_number, share
 from ringwear_par.cases.case import Case
 from ringwear_par.history.derivatives.keys import units_of
 from ringwear_par.history.inputs import StoredStates
@@ -29,6 +29,14 @@ def row(physics: Physics, state: State) -> dict[str, Any]:
     All but ``penetration`` and ``contact_iterations``, which other states have a part in.
     """
     contact, volumes = state.contact, physics.integrals(state.wear)
+    nowhere = np.broadcast_to(0.0, contact.pressure.shape)
+    lower, upper = (
+        nowhere if law is None else wear
+        for law, wear in zip(physics.inputs.laws, state.wear, strict=True)
+    )
+    # in contact it is 0 all but round-off
+    closed = contact.pressure > 0.0
+    gap = nowhere if closed.all() else np.where(closed, 0.0, contact.gap)
     sliding = physics.sliding(state.time)
     values = {
         "time": state.time,
@@ -40,9 +48,9 @@ def row(physics: Physics, state: State) -> dict[str, Any]:
         "worn_volume_upper": volumes[1],
         "dissipated_energy": state.energy,
         "pressure": contact.pressure,
-        "gap": np.where(contact.pressure > 0.0, 0.0, contact.gap),  # in contact all but round-off
-        "wear_lower": state.wear[0],
-        "wear_upper": state.wear[1],
+        "gap": gap,
+        "wear_lower": lower,
+        "wear_upper": upper,
     }
     for i, body in enumerate(("lower", "upper")):
         if physics.layer_ends[i] is not None:
@@ -151,7 +159,8 @@ class StoredRows:
         part = slice(None) if len(stored) == len(snapshot.numbers) else stored
         for name, rows in self._rows.items():
             if name not in _SINCE_START:
-                rows.append(values[name][at_rows(name, part)])
+                alike = is_one_number(values[name])
+                rows.append(values[name][at_rows(name, slice(len(stored)) if alike else part)])
         # a single history may be stored before its end
         last = np.flatnonzero(snapshot.finished) if self._count > 1 else stored
         for name, profiles in self._last_profiles.items() if len(last) else ():
@@ -198,7 +207,10 @@ class StoredRows:
         if variable.dimensions[-1] == "step":
             empty = np.empty(self._shape(name, 0), variable.dtype)
             return np.concatenate([empty, *parts], axis=-1)[..., order]
-        column, first = np.empty(self._shape(name, len(order))), 0
+        shape, first = self._shape(name, len(order)), 0
+        if all(is_one_number(part) and not part.any() for part in parts):
+            return np.broadcast_to(0.0, shape)
+        column = np.empty(shape)
         for part in parts:
             last = first + part.shape[variable.dimensions.index("step")]
             column[at_rows(name, places[first:last])] = part

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ringwear_par.arrays import IntArray
+from ringwear_par.arrays import IntArray, is_one_number
 from ringwear_par.elasticity.mesh import ContactLine
 from ringwear_par.errors import ComputationError, InputError
 from ringwear_par.files.writing import open_ordinary
@@ -201,6 +201,8 @@ class Block:
 
 def _stored(values: Any) -> Any:
     """Return the numbers of a column, or the one that all of them are, to the last bit."""
+    if is_one_number(values):
+        values = values.flat[:1]
     numbers = np.ascontiguousarray(values, dtype="<f8").reshape(-1)
     bits = numbers.view(np.int64)
     return numbers[:1] if (bits[-1:] == bits[:1]).all() and (bits == bits[:1]).all() else numbers
