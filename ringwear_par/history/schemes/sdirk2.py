@@ -99,7 +99,8 @@ def step(
     load(step_rows).add_power(
         *p_before.shape, length, np.array(sliding, dtype=float), p_before, stage.pressure,
         contact.pressure, weights if with_weights else p_before,
-        weights_last if with_weights else p_before, with_weights, physics.torque_arm, physics.area, _WEIGHTS, _DEFECT, sums,
+        weights_last if with_weights else p_before, with_weights, physics.torque_arm,
+        physics.area, _WEIGHTS, _DEFECT, sums,
     )  # fmt: skip
     energy, work, energy_error, power, touching = sums
     contact = replace(
