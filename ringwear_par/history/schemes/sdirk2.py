@@ -98,8 +98,9 @@ def step(
     sums, with_weights = np.empty((5, len(length))), weights is not None
     load(step_rows).add_power(
         *p_before.shape, length, np.array(sliding, dtype=float), p_before, stage.pressure,
-        contact.pressure, weights if with_weights else p_before, weights_last if with_weights else p_before,
-        with_weights, physics.torque_arm, physics.area, _WEIGHTS, _DEFECT, sums,
+        contact.pressure, weights if with_weights else p_before,
+        weights_last if with_weights else p_before, with_weights, physics.torque_arm,
+        physics.area, _WEIGHTS, _DEFECT, sums,
     )  # fmt: skip
     energy, work, energy_error, power, touching = sums
     contact = replace(
