@@ -342,9 +342,10 @@ class Law:
     @classmethod
     def has_rules(cls) -> bool:
         """Return whether parameters that are right one by one can be wrong together."""
-        own = "from_values", "faults", "__post_init__"
+        names = "from_values", "faults", "__post_init__"
         bounds = any(parameter.at_least for parameter in parameters_of(cls).values())
-        return bounds or any(vars(k).get(name) for k in cls.__mro__ if k is not Law for name in own)
+        classes = [defined for defined in cls.__mro__ if defined is not Law]
+        return bounds or any(vars(defined).get(name) for defined in classes for name in names)
 
     @classmethod
     def faults(cls, table: str, values: Mapping[str, Any]) -> list[str]:
