@@ -264,14 +264,14 @@ def test_a_failed_case_is_a_row_and_the_others_go_on(
 ):
     from ringwear_par.wear.laws.threshold import ThresholdLaw
 
-    original = ThresholdLaw.rate
+    original = ThresholdLaw.line
 
-    def rate(self, p, power):
+    def line(self, local):
         if abs(self.k - 1e-7) < 1e-12:
             raise RuntimeError("this law blows up")
-        return original(self, p, power)
+        return original(self, local)
 
-    monkeypatch.setattr(ThresholdLaw, "rate", rate)
+    monkeypatch.setattr(ThresholdLaw, "line", line)
     folder = shared_path / "out"
     with pytest.raises(ComputationError, match="1 of 3 cases failed"):
         swept(write(COEFFICIENTS), folder, comm)
