@@ -8,7 +8,7 @@ factors of their own.
 """
 
 from collections import defaultdict
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
@@ -19,7 +19,7 @@ from ringwear_par.compiled import contact_rows
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.contact.basis_stack import BROKEN, BasisStack
 from ringwear_par.contact.problem import LARGEST_WITH_BASES, ContactProblem
-from ringwear_par.contact.row_products import ROOM, RowProducts
+from ringwear_par.contact.row_products import ROOM
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.wear.increment import WearIncrement
 
@@ -52,10 +52,8 @@ class Hessians:
         count, n = len(which), len(compliances.area)
         self._per_speed = (1.0 / compliances.speed)[compliances.reference]
         more, self._loops = compliances.deviations, load(contact_rows)
-        #: (B,) from the references, see ``Deviations``, and whether any do
+        #: (B,) from the references, see ``Deviations``
         self._deviation = np.zeros(count) if more is None else more.deviation[which]
-        self._root = None if more is None else more.root
-        self._deviates = bool(self._deviation.any())
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
         #: (B, n) the diagonal
@@ -176,8 +174,8 @@ class Hessians:
             valid = self._basis[histories] >= 0
             histories, rates = histories[valid], rates[valid]
         self._loops.invert(
-            len(histories), n, histories, self._basis, rates, self._stack.mu, self._stack.force,
-            self._inverse, self._response, self._stiffness,
+            len(histories), n, histories, self._basis, rates, self._stack.mu, self._stack.bends,
+            self._deviation, self._stack.force, self._inverse, self._response, self._stiffness,
         )  # fmt: skip
 
     def _median_rates(self, histories: IntArray) -> FloatArray:
@@ -303,66 +301,24 @@ class Hessians:
         size, n, stack, which = len(rows.histories), gradient.shape[-1], self._stack, rows.which
         weights, per_scale = self._compliances.weights, self._compliances.per_scale
         count = gradient.size // n
-        direct, indirect = rows.in_bases, rows.in_bases[:0]
-        if self._deviates or not self._regular.all():
-            among = rows.histories[direct]
-            diagonal = self._regular[among] & (self._deviation[among] == 0.0)
-            direct, indirect = direct[diagonal], direct[~diagonal]
         steps, changes = np.empty((count + ROOM, n)), np.zeros(gradient.shape[:-1])
-        # forces and approaches are by the weights of references in bases
-        root: Any = 1.0 if self._root is None else self._root[which]
-        lacking = changes if missing is None else np.ascontiguousarray(missing * root)
+        lacking = changes if missing is None else np.ascontiguousarray(missing)
         self._loops.steps_in_bases(
-            len(direct), n, count // size, size, direct, rows.histories, rows.bases, stack.psi,
-            stack.psi_t, stack.force, self._inverse, self._response, self._stiffness,
-            lacking, missing is not None, gradient, which,
-            weights, per_scale, with_scales, *np.empty((2, 4, n)), steps, changes,
+            len(rows.in_bases), n, count // size, size, rows.in_bases, rows.histories, rows.bases,
+            stack.psi, stack.psi_t, stack.derivatives if stack.derivatives.size else stack.psi,
+            stack.bends, stack.force, self.slope, self._regular, self._deviation, self._inverse,
+            self._response, self._stiffness, lacking, missing is not None, *tolerance,
+            _MOST_ITERATIONS, gradient, which, weights, per_scale, self._compliances.roots,
+            with_scales, np.empty((24, n)), np.empty(8), steps, changes,
         )  # fmt: skip
-        out = steps[:count].reshape(gradient.shape), changes
-        not_direct = np.append(indirect, rows.factored) if len(direct) < size else direct[:0]
-        if with_scales and len(not_direct):
-            gradient = gradient * weights[which]
-        if len(indirect):
-            sides = gradient, None if missing is None else lacking
-            self._set_indirect(rows, indirect, *sides, tolerance, out)
-        if self._root is not None:
-            changes *= root
-        if len(rows.factored):
-            self._set_factored(rows.histories, rows.factored, gradient, missing, out)
-        if with_scales and len(not_direct):
-            out[0][..., not_direct, :] *= per_scale[which[not_direct]]
+        out, factored = (steps[:count].reshape(gradient.shape), changes), rows.factored
+        if len(factored):
+            if with_scales:
+                gradient = gradient * weights[which]
+            self._set_factored(rows.histories, factored, gradient, missing, out)
+            if with_scales:
+                out[0][..., factored, :] *= per_scale[which[factored]]
         return out
-
-    def _set_indirect(
-        self,
-        rows: "_BasisRows",
-        places: IntArray,
-        gradient: FloatArray,
-        missing: FloatArray | None,
-        tolerance: tuple[float, float],
-        out: tuple[FloatArray, FloatArray],
-    ) -> None:
-        """Set steps and changes of approaches that take conjugate gradients."""
-        order = np.argsort(
-            2 * rows.bases[places] + self._regular[rows.histories[places]], kind="stable"
-        )
-        places = places[order]
-        histories, stack, n = rows.histories[places], self._stack, gradient.shape[-1]
-        groups, count = RowProducts(rows.bases[places]), len(places)
-        modal = groups.of(gradient[..., places, :], stack.psi)
-        changes, deviates = np.empty(modal.shape[:-1]), stack.derivatives.size > 0
-        lacking = changes if missing is None else np.ascontiguousarray(missing[..., places])
-        # all that there are of a history one after another
-        every = np.arange(changes.size).reshape(-1, count).T.ravel()
-        self._loops.conjugate_gradients(
-            len(every), n, every, count, histories, self._basis, stack.psi, stack.psi_t,
-            stack.derivatives if deviates else stack.psi, deviates, stack.force, self.slope,
-            self._regular, self._deviation, self._inverse, self._response, self._stiffness,
-            lacking, missing is not None, *tolerance, _MOST_ITERATIONS, modal, changes,
-            *np.empty((2, 4), dtype=np.int64), *np.empty((3, 4)), *np.empty((6, 7, n)),
-        )  # fmt: skip
-        out[0][..., places, :] = groups.of(modal, stack.psi_t)
-        out[1][..., places] = changes
 
     def _set_factored(
         self,

@@ -23,7 +23,7 @@ from ringwear_par.contact.row_products import ROOM
 from ringwear_par.wear.increment import WearIncrement
 
 if TYPE_CHECKING:
-    from ringwear_par.contact.scaled_compliances import ComplianceProducts, ScaledCompliances
+    from ringwear_par.contact.scaled_compliances import ScaledCompliances
 
 #: largest relative KKT residual of an accepted solution
 KKT_TOLERANCE = 1e-9
@@ -101,7 +101,8 @@ class ContactProblem:
             part(values, which) for values in (scale, weights, 1.0 / weights)
         )
         self.every = np.arange(len(which))
-        self._reference = compliances.reference[which]
+        more, self._reference = compliances.deviations, compliances.reference[which]
+        self._deviation = np.zeros(len(which)) if more is None else more.deviation[which]
         #: (B, n) unknowns, and gradients: weighted gaps of the deformed, worn profiles
         self.unknowns, self.gradients = np.zeros((2, len(which), len(self.area)))
         #: (B, n) A q, with room for what loops multiply too much
@@ -119,9 +120,8 @@ class ContactProblem:
         self.forces: FloatArray | None = None
         self.wear: WearIncrement | None = None
         self._wear_at_work: tuple[IntArray, WearIncrement] | None = None
-        #: histories, those in the order of their references, and products with compliances that
-        #: deviate from these; None: none does
-        self._products: tuple[IntArray, IntArray, ComplianceProducts | None] | None = None
+        #: histories, and those in the order of their references
+        self._in_order: tuple[IntArray, IntArray] | None = None
 
     def pose(
         self,
@@ -160,13 +160,15 @@ class ContactProblem:
             rows = getattr(self, name)
             rows[:count] = rows[histories]
             setattr(self, name, rows[:count])
-        keep(self, ("which", "_reference", "is_known", "gaps", "approaches"), histories)
+        keep(
+            self, ("which", "_reference", "_deviation", "is_known", "gaps", "approaches"), histories
+        )
         self._product = self._product[np.append(histories, histories[-1:].repeat(ROOM))]
         if len(self.compliances.scale) > 1:
             keep(self, ("scale", "weights", "_per_weight"), histories)
         self.every = np.arange(count)
         self.at_work = self.every
-        self._pressure = self._products = self._wear_at_work = self.wear = self.forces = None
+        self._pressure = self._in_order = self._wear_at_work = self.wear = self.forces = None
 
     def rows_of(self, histories: IntArray) -> IntArray | slice:
         """Return the rows of some histories; of all a slice, which is quicker."""
@@ -237,23 +239,15 @@ class ContactProblem:
 
     def _multiply(self, histories: IntArray) -> None:
         """Set A q of some histories."""
-        compliances, n = self.compliances, len(self.area)
-        known = self._products
-        if known is None or known[0] is not histories:
-            which = self.which[histories]
-            order = histories[np.argsort(compliances.reference[which], kind="stable")]
-            deviate = compliances.deviations is not None
-            known = self._products = (
-                histories, order, compliances.products(which) if deviate else None
-            )  # fmt: skip
-        _, order, products = known
-        if products is None:
-            self.loops.multiply(
-                len(histories), n, n, 1, len(self.every), order, self._reference,
-                self.unknowns, compliances.matrices, self._product,
-            )  # fmt: skip
-        else:
-            self._product[histories] = products.symmetric(self.unknowns[histories])
+        matrices, more, n = self.compliances.matrices, self.compliances.deviations, len(self.area)
+        if self._in_order is None or self._in_order[0] is not histories:
+            order = np.argsort(self._reference[histories], kind="stable")
+            self._in_order = histories, histories[order]
+        self.loops.multiply(
+            len(histories), n, n, 1, len(self.every), self._in_order[1], self._reference,
+            self.unknowns, matrices, matrices if more is None else more.derivatives,
+            self._deviation, more is not None, np.empty((4, n)), self._product,
+        )  # fmt: skip
         self.is_known[histories] = True
 
     def _set_gradients(self, histories: IntArray, depths: FloatArray) -> None:
