@@ -326,8 +326,8 @@ def _conjugate_gradients(
     at: Count, together: Count, n: Count, times: Count, number: Count, order: Integers,
     histories: Integers, psi: Reals, psi_t: Reals, derivatives: Reals, bends: Reals,
     forces: Reals, slopes: Reals, bent: Count, are_regular: Flags, deviating: Count,
-    deviations: Reals, inverses: Reals, responses: Reals, stiffness: Reals, with_missing: Count, most: Count,
-    size: Count, room: Reals, sizes: Reals, changes: Reals,
+    deviations: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
+    with_missing: Count, most: Count, size: Count, room: Reals, sizes: Reals, changes: Reals,
 ) -> None:  # fmt: skip
     """Go on from the steps of diagonal Hessians to those of the others."""
     for i in range(4 * n):
