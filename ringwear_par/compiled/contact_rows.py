@@ -198,8 +198,9 @@ def compare_slopes(
 ) -> None:  # fmt: skip
     """Set which histories, compact, need a new inverse, with its rate and its sets.
 
-    Slopes are regular where they are one rate, compact, times the speed of elements that wear.
-    Elements in contact and those of them that wear become those before.
+    Slopes are regular where they are one rate, compact, times the speed of elements that wear;
+    others have the middle between their least and their largest. Elements in contact and those of
+    them that wear become those before.
     """
     for place in range(count):
         history = rows[place]
@@ -222,7 +223,8 @@ def compare_slopes(
             wears = free[k] and (every or slopes[k] > 0.0)
             same = same and wears == wearing_before[k]
             free_before[k], wearing_before[k] = free[k], wears
-        rates[place], are_regular[history], have_new_sets[place] = most, regular, not same
+        rates[place] = most if regular else 0.5 * (most + least)
+        are_regular[history], have_new_sets[place] = regular, not same
 
 
 def invert(

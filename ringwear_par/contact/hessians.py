@@ -158,16 +158,11 @@ class Hessians:
         if coupled or not in_bases or n > LARGEST_WITH_BASES:
             self._factorise(histories)
             return
-        irregular = ~self._regular[histories]
-        if irregular.any():
-            if self.through_layers:
-                self._factorise(histories[irregular])
-                histories, new_sets = histories[~irregular], new_sets[~irregular]
-                rates = rates[~irregular]
-                if not len(histories):
-                    return
-            else:
-                rates[irregular] = self._median_rates(histories[irregular])
+        if self.through_layers and not (regular := self._regular[histories]).all():
+            self._factorise(histories[~regular])
+            histories, new_sets, rates = histories[regular], new_sets[regular], rates[regular]
+            if not len(histories):
+                return
         new_sets |= self._basis[histories] < 0
         if new_sets.any():
             self._choose_bases(histories[new_sets])
@@ -177,13 +172,6 @@ class Hessians:
             len(histories), n, histories, self._basis, rates, self._stack.mu, self._stack.bends,
             self._deviation, self._stack.force, self._inverse, self._response, self._stiffness,
         )  # fmt: skip
-
-    def _median_rates(self, histories: IntArray) -> FloatArray:
-        """Return the medians of slopes over speeds on elements in contact, (h,)."""
-        per_speed, free = self._per_speed[self._which[histories]], self._free[histories]
-        rates = self.slope[histories] * per_speed
-        ordered = np.sort(np.where(free, rates, np.inf), axis=1)
-        return ordered[np.arange(len(ordered)), free.sum(axis=1) // 2]
 
     def _choose_bases(self, histories: IntArray) -> None:
         """Take the bases of the sets of histories."""
