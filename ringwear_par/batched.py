@@ -33,6 +33,13 @@ def keep(holder: object, names: Sequence[str], histories: IntArray) -> None:
         setattr(holder, name, getattr(holder, name)[histories])
 
 
+def variant(data: T, **values: Any) -> T:
+    """Return frozen data with other values, and with what it has computed of the others."""
+    same = object.__new__(type(data))
+    same.__dict__.update(data.__dict__, **values)
+    return same
+
+
 def one(batch: T, history: int) -> T:
     """Return one of the histories of a batch, without the axis."""
     return _apply(lambda axis, values: np.take(values, history, axis), batch)
@@ -53,17 +60,16 @@ def where(accepted: BoolArray, new: T, old: T) -> T:
     return _apply(choose, new, old)
 
 
-def _apply(function: Callable[..., Any], *batches: Any) -> Any:
-    first: Any = batches[0]
+def _apply(function: Callable[..., Any], first: Any, *further: Any) -> Any:
     changed: dict[str, Any] = {}
     for name, axis in _fields(type(first)):
-        values = [getattr(batch, name) for batch in batches]
-        if axis is None or any(value is None for value in values):
-            changed[name] = values[0]
-        elif isinstance(values[0], np.ndarray) or not is_dataclass(values[0]):
-            changed[name] = function(axis, *values)
+        value, more = getattr(first, name), [getattr(batch, name) for batch in further]
+        if axis is None or value is None or (more and any(entry is None for entry in more)):
+            changed[name] = value
+        elif isinstance(value, np.ndarray) or not is_dataclass(value):
+            changed[name] = function(axis, value, *more)
         else:
-            changed[name] = _apply(function, *values)
+            changed[name] = _apply(function, value, *more)
     return type(first)(**changed)
 
 

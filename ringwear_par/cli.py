@@ -4,6 +4,7 @@ It works on the world's communicator, and starts PETSc with the arguments behind
 other module imports it.
 """
 
+import gc
 import logging
 import os
 import sys
@@ -36,6 +37,9 @@ _ISOLATED = {
     "OMPI_MCA_mtl": "^ofi",
     "OMPI_MCA_io": "^romio321",
 }
+#: new objects after which Python looks for those that only hold each other: a sweep makes thousands
+#: of cases, and none of them does
+_NEW_OBJECTS = 50_000
 #: message between ranks: why the command ends is said
 _REPORTED = 1
 
@@ -173,6 +177,7 @@ def _without_other_processes() -> Iterator[None]:
 
 
 def _main(words: Sequence[str], world: _World, signals: StopAtOnce) -> int:
+    gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
     cut = words.index("--") if "--" in words else len(words)
 
     try:

@@ -117,7 +117,7 @@ def in_time(quantity: Quantity, time: float | FloatArray) -> float | FloatArray:
     if isinstance(quantity, Stacked):
         return quantity.value(time, None)
     if isinstance(time, np.ndarray):
-        return np.array(np.broadcast_to(value(quantity, time), time.shape))
+        return quantity(time) if isinstance(quantity, Table) else np.full(time.shape, quantity)
     return float(value(quantity, time))
 
 

@@ -297,7 +297,7 @@ class Case:
                     laws[f"{body}.layers[{i}].wear"] = layer.wear
         return laws
 
-    @property
+    @cached_property
     def laws(self) -> tuple[Law | None, Law | None]:
         """Wear laws of lower and upper, complete; with layers those of all of them."""
         lower, upper = self.wear_lower, self.wear_upper

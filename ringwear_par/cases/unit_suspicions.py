@@ -14,7 +14,7 @@ from ringwear_par.arrays import FloatArray
 from ringwear_par.cases.case import Case, Ring, RingLayer
 from ringwear_par.elasticity.sections import BODIES
 from ringwear_par.errors import ValidityWarning
-from ringwear_par.schedules import Table, largest, mean
+from ringwear_par.schedules import Table, largest, mean, stack
 from ringwear_par.wear.law import Law, WearLaw, parameters_of, stack_laws
 from ringwear_par.wear.laws import LAWS
 from ringwear_par.wear.laws.archard import ArchardLaw
@@ -65,11 +65,14 @@ def _forecast(cases: Sequence[Case]) -> list[list[Forecast]]:
     """Return the forecasts of cases under a force, at once."""
     forecasts: list[list[Forecast]] = [[] for _ in cases]
     ends = np.array([case.time.end for case in cases])
-    means = [
-        [mean(q, 0.0, end) for q in (case.load.force or 0.0, case.load.omega, case.friction)]
-        for case, end in zip(cases, ends.tolist(), strict=True)
-    ]
-    force, omega, friction = np.array(means).T
+    force, omega, friction = (
+        mean(stack(quantities), 0.0, ends)
+        for quantities in (
+            [case.load.force or 0.0 for case in cases],
+            [case.load.omega for case in cases],
+            [case.friction for case in cases],
+        )
+    )
     long, r = np.array([np.inf]), np.array([0.5 * sum(cases[0].overlap)])
     pressure = force[:, None] / cases[0].area
     local = LocalState(0.0 * ends, r, r * omega[:, None], friction, long, long)
@@ -243,7 +246,7 @@ def are_plausible(cases: Sequence[Case]) -> bool:
 
     By the largest of their numbers, which are no less suspicious. Not collective.
     """
-    if not cases or unit_suspicions(max(cases, key=_load), ()):
+    if not cases or unit_suspicions(max(cases, key=lambda c: largest(c.load.force or 0.0)), ()):
         return not cases
     return not any(rate > _FASTEST for case in cases for *_, rate in _specific_rates(case))
 
@@ -323,7 +326,7 @@ def _too_fast(case: Case) -> Iterator[tuple[str, str]]:
 def _specific_rates(case: Case) -> Iterator[tuple[str, float, float]]:
     """Yield wear coefficients, key and 1/MPa, and the specific wear rates that they are, 1/MPa."""
     for table, wear in case.laws_by_table.items():
-        if isinstance(wear, AboveThreshold | ArchardLaw):
+        if isinstance(wear, (AboveThreshold, ArchardLaw)):
             share = largest(case.friction) if isinstance(wear, AboveThreshold) else 1.0
             for name in ("k", "k_start"):
                 k = largest(getattr(wear, name, 0.0))

@@ -247,13 +247,125 @@ def invert(
         stiffness[rows[place]] = carried
 
 
+def factorise(
+    count: Count, n: Count, rows: Integers, which: Integers, references: Integers, matrices: Reals,
+    deviations: Reals, derivatives: Reals, with_derivatives: Count, slopes: Reals, coupling: Reals,
+    with_coupling: Count, free: Flags, weights: Reals, factors: Reals, responses: Reals,
+    stiffness: Reals, work: Reals,
+) -> None:  # fmt: skip
+    """Set inverses of the lower Cholesky factors of Hessians, and how they respond to an approach.
+
+    ``factors`` are (B, n, n), without their upper triangles; NaN of what is not positive definite.
+    ``weights`` (f, n) are those of the ``references`` (m,) of the compliances, ``work`` is room for
+    (n, 2 n).
+    """
+    for place in range(count):
+        history = rows[place]
+        row, reference, deviation = history * n, references[which[history]], deviations[history]
+        for i in range(n):
+            at, line = 2 * i * n, (reference * n + i) * n
+            for j in range(n):
+                work[at + j] = matrices[line + j]
+                work[at + n + j] = 0.0
+            if with_derivatives:
+                for j in range(n):
+                    work[at + j] += deviation * derivatives[line + j]
+            if with_coupling:
+                for j in range(n):
+                    work[at + j] += coupling[(row + j) * n + i]
+            work[at + i] += slopes[row + i]
+            for j in range(n):
+                if j != i and not (free[row + i] and free[row + j]):
+                    work[at + j] = 0.0
+        _eliminate(n, work)
+        for i in range(n):
+            line, at = (row + i) * n, 2 * i * n + n
+            for j in range(i + 1):
+                factors[line + j] = work[at + j] if free[row + i] else 0.0
+        _solve(n, row * n, factors, reference * n, weights, row, responses)
+        carried = 0.0
+        for i in range(n):
+            carried += weights[reference * n + i] * responses[row + i]
+        stiffness[history] = carried
+
+
+@in_order
+def _eliminate(n: Count, work: Reals) -> None:
+    """Make (L', L^-1) of a matrix L L' and zeros, (n, 2 n), row by row, four earlier at a time."""
+    width = 2 * n
+    for j in range(n):
+        row, i = j * width, 0
+        while i < j:
+            p = i * width
+            if i + 4 <= j:
+                q, r, s = p + width, p + 2 * width, p + 3 * width
+                a, b, c, d = work[p + j], work[q + j], work[r + j], work[s + j]
+                for k in range(j, n + i + 4):
+                    less = a * work[p + k] + b * work[q + k] + c * work[r + k] + d * work[s + k]
+                    work[row + k] -= less
+                i += 4
+            else:
+                a = work[p + j]
+                for k in range(j, n + i + 1):
+                    work[row + k] -= a * work[p + k]
+                i += 1
+        work[row + n + j] = 1.0
+        root = 1.0 / math.sqrt(work[row + j])
+        for k in range(row + j, row + n + j + 1):
+            work[k] *= root
+
+
+def _solve(
+    n: Count, start: Count, factors: Reals, at: Count, sides: Reals, to: Count, solutions: Reals
+) -> None:
+    """Set the solution of one system from the inverse of its factor."""
+    for i in range(n):
+        solutions[to + i] = 0.0
+    for i in range(n):
+        line, product = start + i * n, 0.0
+        for j in range(i + 1):
+            product += factors[line + j] * sides[at + j]
+        for j in range(i + 1):
+            solutions[to + j] += product * factors[line + j]
+
+
+def steps_by_factors(
+    count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
+    factors: Reals, responses: Reals, stiffness: Reals, references: Integers,
+    reference_weights: Reals, missing: Reals, with_missing: Count, gradients: Reals,
+    which: Integers, weights: Reals, per_scale: Reals, roots: Reals, with_scales: Count,
+    scaled: Reals, steps: Reals, changes: Reals,
+) -> None:  # fmt: skip
+    """Set steps against gradients (times, size, n), and of approaches, as ``steps_in_bases`` does.
+
+    ``scaled`` is room for a row.
+    """
+    for at in range(count * times):
+        place = order[at // times]
+        into, history, compliance = at % times * size + place, histories[place], which[place] * n
+        start, row, change = into * n, history * n, 0.0
+        for i in range(n):
+            side = gradients[start + i]
+            scaled[i] = side * weights[compliance + i] if with_scales else side
+        _solve(n, row * n, factors, 0, scaled, start, steps)
+        if with_missing and stiffness[history] > 0.0:
+            carried, reference = 0.0, references[which[place]] * n
+            for i in range(n):
+                carried += reference_weights[reference + i] * steps[start + i]
+            change = (missing[into] * roots[which[place]] + carried) / stiffness[history]
+        for i in range(n):
+            step = change * responses[row + i] - steps[start + i]
+            steps[start + i] = step * per_scale[compliance + i] if with_scales else step
+        changes[into] = change * roots[which[place]]
+
+
 def steps_in_bases(
     count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
     numbers: Integers, psi: Reals, psi_t: Reals, derivatives: Reals, bends: Reals, forces: Reals,
     slopes: Reals, are_regular: Flags, deviations: Reals, inverses: Reals, responses: Reals,
-    stiffness: Reals, missing: Reals, with_missing: Count, tolerance: Real, regular_tolerance: Real,
-    most: Count, gradients: Reals, which: Integers, weights: Reals, per_scale: Reals, roots: Reals,
-    with_scales: Count, room: Reals, sizes: Reals, steps: Reals, changes: Reals,
+    stiffness: Reals, tolerance: Real, regular_tolerance: Real, most: Count, missing: Reals,
+    with_missing: Count, gradients: Reals, which: Integers, weights: Reals, per_scale: Reals,
+    roots: Reals, with_scales: Count, room: Reals, sizes: Reals, steps: Reals, changes: Reals,
 ) -> None:  # fmt: skip
     """Set steps against gradients (times, size, n), and of approaches, by way of bases (m, n, n).
 

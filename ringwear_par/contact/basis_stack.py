@@ -5,8 +5,6 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 
-#: instead of the number of a basis: what it would be of is not positive definite
-BROKEN = -2
 _LEAST_ROOM = 4
 
 
@@ -49,20 +47,16 @@ class BasisStack:
         """
         name = compliance, sets
         if name not in self._numbers:
+            number = self._numbers[name] = self._vacant.pop()
             basis = self._compliances.basis(compliance, free, wearing)
-            if basis is None:
-                self._numbers[name] = BROKEN
-            else:
-                number = self._numbers[name] = self._vacant.pop()
-                self.psi[number], self.mu[number], self.force[number] = basis
-                self.psi_t[number] = basis.psi.T
-                more = self._compliances.deviations
-                self.bends[number] = 0.0
-                if more is not None:
-                    derivative = basis.psi.T @ more.derivatives[compliance] @ basis.psi
-                    self.bends[number] = np.diagonal(derivative)
-                    np.fill_diagonal(derivative, 0.0)
-                    self.derivatives[number] = derivative
+            self.psi[number], self.mu[number], self.force[number] = basis
+            self.psi_t[number], self.bends[number] = basis.psi.T, 0.0
+            more = self._compliances.deviations
+            if more is not None:
+                derivative = basis.psi.T @ more.derivatives[compliance] @ basis.psi
+                self.bends[number] = np.diagonal(derivative)
+                np.fill_diagonal(derivative, 0.0)
+                self.derivatives[number] = derivative
         return self._numbers[name]
 
     def make_room(self, used: IntArray) -> None:
@@ -75,9 +69,7 @@ class BasisStack:
         vacant = np.ones(len(self.mu), dtype=bool)
         vacant[used[used >= 0]] = False
         self._numbers = {
-            name: number
-            for name, number in self._numbers.items()
-            if number < 0 or not vacant[number]
+            name: number for name, number in self._numbers.items() if not vacant[number]
         }
         more = len(vacant) - 2 * int(vacant.sum())  # bases that are used, less those that are not
         if more > 0 or not len(vacant):

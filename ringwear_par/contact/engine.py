@@ -379,9 +379,13 @@ class ContactEngine:
 
     def take(self, histories: IntArray) -> "ContactEngine":
         """Return an engine of some of the histories, which starts where this one would."""
-        used, which = np.unique(self.which[histories], return_inverse=True)
+        return self.starting(self.which[histories], take(self.warm, histories))
+
+    def starting(self, which: IntArray, warm: WarmStart) -> "ContactEngine":
+        """Return an engine of histories of some of these compliances, which starts elsewhere."""
+        used, which = np.unique(which, return_inverse=True)
         engine = ContactEngine(self.compliances.take(used), which, self._tao_type)
-        engine.warm = take(self.warm, histories)
+        engine.warm = warm
         return engine
 
     def destroy(self) -> None:

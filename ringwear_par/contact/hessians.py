@@ -11,13 +11,12 @@ from collections import defaultdict
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotrs
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.batched import keep
 from ringwear_par.compiled import contact_rows
 from ringwear_par.compiled.machine_code import load
-from ringwear_par.contact.basis_stack import BROKEN, BasisStack
+from ringwear_par.contact.basis_stack import BasisStack
 from ringwear_par.contact.problem import LARGEST_WITH_BASES, ContactProblem
 from ringwear_par.contact.row_products import ROOM
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
@@ -25,8 +24,6 @@ from ringwear_par.wear.increment import WearIncrement
 
 #: what slopes may differ by from their shape, relative: round-off
 _ROUND_OFF = 1e-12
-#: instead of the number of a basis: a factor of its own
-_FACTOR = -1
 #: residuals, relative to the first, at which conjugate gradients end: where slopes have another
 #: shape than the bases, and where they have that. Of estimates, of solutions, and within Newton's
 #: method, whose next step corrects what this one left; slopes of that shape are linear, so that
@@ -34,8 +31,6 @@ _FACTOR = -1
 ROUGH, SOLVED = (1e-3, 1e-3), (1e-13, 1e-13)
 NEAR = 1e-6, 1e-13
 _MOST_ITERATIONS = 200
-#: where nothing touches
-_NO_FACTOR = np.zeros((0, 0))
 
 
 class Hessians:
@@ -68,14 +63,15 @@ class Hessians:
         self._valid = np.zeros(count, dtype=bool)
         #: (B, n) elements that bases take to wear
         self._wearing = np.zeros((count, n), dtype=bool)
-        #: bases, and the number of that of each history
-        self._stack, self._basis = BasisStack(compliances), np.full(count, BROKEN)
+        #: bases, and the number of that of each history, -1 of none
+        self._stack, self._basis = BasisStack(compliances), np.full(count, -1)
+        #: (B, n, n) inverses of factors, of those without a basis; (0, n, n): all have one
+        self._factors = np.empty((0, n, n))
         #: (B, n) inverses in the bases, exact where the slope has the shape, else preconditioners
         self._inverse, self._regular = np.ones((count, n)), np.ones(count, dtype=bool)
-        #: (B, n) in the bases, what unknowns grow by with the approach, and (B,) the force with it,
-        #: by the weights of the reference
+        #: (B, n) in the bases, if any, what unknowns grow by with the approach, and (B,) the force
+        #: with it, by the weights of the reference
         self._response, self._stiffness = np.zeros((count, n)), np.zeros(count)
-        self._factors: dict[int, FloatArray] = {}
         #: how histories are solved whose rows are compact (True), or among those of all
         self._rows: dict[bool, tuple[IntArray, _BasisRows]] = {}
 
@@ -89,10 +85,7 @@ class Hessians:
              "_inverse", "_regular", "_response", "_stiffness"),
             histories,
         )  # fmt: skip
-        if self._factors:
-            places = {history: place for place, history in enumerate(histories.tolist())}
-            factors = self._factors.items()
-            self._factors = {places[h]: factor for h, factor in factors if h in places}
+        self._factors = self._factors[histories] if len(self._factors) else self._factors
         self._rows.clear()
 
     def pose(self, wear: WearIncrement | None) -> None:
@@ -126,10 +119,7 @@ class Hessians:
     def forget(self, histories: IntArray) -> None:
         """Let nothing touch in some histories."""
         self._free[histories], self._valid[histories] = False, False
-        self._basis[histories] = _FACTOR
-        self._rows.clear()
-        for history in histories.tolist():
-            self._factors[history] = _NO_FACTOR
+        self._factorise(histories)
 
     def refresh(self, histories: IntArray, free: BoolArray, in_bases: bool = True) -> None:
         """Invert the blocks of those histories that have changed, on their free elements, (B, n).
@@ -166,8 +156,6 @@ class Hessians:
         new_sets |= self._basis[histories] < 0
         if new_sets.any():
             self._choose_bases(histories[new_sets])
-            valid = self._basis[histories] >= 0
-            histories, rates = histories[valid], rates[valid]
         self._loops.invert(
             len(histories), n, histories, self._basis, rates, self._stack.mu, self._stack.bends,
             self._deviation, self._stack.force, self._inverse, self._response, self._stiffness,
@@ -191,14 +179,20 @@ class Hessians:
             )
 
     def _factorise(self, histories: IntArray) -> None:
-        """Factor blocks one by one."""
-        self._rows.clear()
-        for history in histories.tolist():
-            block, free = self.matrix(history), self._free[history]
-            if not free.all():
-                block = block[np.ix_(free, free)]
-            self._factors[history], info = dpotrf(block, lower=1, clean=0)
-            self._basis[history] = _FACTOR if info == 0 else BROKEN
+        """Factor the blocks of histories, which have no bases then."""
+        if (self._basis[histories] >= 0).any():
+            self._rows.clear()
+        compliances, (count, n), self._basis[histories] = self._compliances, self.slope.shape, -1
+        if not len(self._factors):
+            self._factors = np.empty((count, n, n))
+        more, coupled = compliances.deviations, len(self.coupling) > 0
+        self._loops.factorise(
+            len(histories), n, histories, self._which, compliances.reference, compliances.matrices,
+            self._deviation, compliances.matrices if more is None else more.derivatives,
+            more is not None, self.slope, self.coupling if coupled else self.slope, coupled,
+            self._free, compliances.reference_weights, self._factors, self._response,
+            self._stiffness, np.empty((n, 2 * n)),
+        )  # fmt: skip
 
     def _rows_of(self, histories: IntArray, compact: bool) -> "_BasisRows":
         """Return how some histories are solved, remembered for the same ones.
@@ -287,55 +281,26 @@ class Hessians:
         """
         gradient = np.ascontiguousarray(gradient)
         size, n, stack, which = len(rows.histories), gradient.shape[-1], self._stack, rows.which
-        weights, per_scale = self._compliances.weights, self._compliances.per_scale
-        count = gradient.size // n
+        compliances, count = self._compliances, gradient.size // n
         steps, changes = np.empty((count + ROOM, n)), np.zeros(gradient.shape[:-1])
         lacking = changes if missing is None else np.ascontiguousarray(missing)
+        sides = (
+            lacking, missing is not None, gradient, which, compliances.weights,
+            compliances.per_scale, compliances.roots, with_scales,
+        )  # fmt: skip
         self._loops.steps_in_bases(
             len(rows.in_bases), n, count // size, size, rows.in_bases, rows.histories, rows.bases,
             stack.psi, stack.psi_t, stack.derivatives if stack.derivatives.size else stack.psi,
             stack.bends, stack.force, self.slope, self._regular, self._deviation, self._inverse,
-            self._response, self._stiffness, lacking, missing is not None, *tolerance,
-            _MOST_ITERATIONS, gradient, which, weights, per_scale, self._compliances.roots,
-            with_scales, np.empty((24, n)), np.empty(8), steps, changes,
+            self._response, self._stiffness, *tolerance, _MOST_ITERATIONS, *sides,
+            np.empty((24, n)), np.empty(8), steps, changes,
         )  # fmt: skip
-        out, factored = (steps[:count].reshape(gradient.shape), changes), rows.factored
-        if len(factored):
-            if with_scales:
-                gradient = gradient * weights[which]
-            self._set_factored(rows.histories, factored, gradient, missing, out)
-            if with_scales:
-                out[0][..., factored, :] *= per_scale[which[factored]]
-        return out
-
-    def _set_factored(
-        self,
-        histories: IntArray,
-        places: IntArray,
-        gradient: FloatArray,
-        missing: FloatArray | None,
-        out: tuple[FloatArray, FloatArray],
-    ) -> None:
-        """Set steps and changes of approaches of histories that have factors of their own."""
-        weights = self._compliances.weights[self._which[histories[places]]]
-        sides = gradient[..., places, :]
-        right = np.concatenate([sides.reshape(-1, *weights.shape), weights[None]])
-        solved = np.zeros_like(right)
-        whole = self._free[histories[places]].all(axis=1).tolist()
-        for place, history in enumerate(histories[places].tolist()):
-            factor = self._factors.get(history, _NO_FACTOR)
-            if self._basis[history] == BROKEN:
-                solved[:, place] = np.nan
-            elif len(factor):
-                free = slice(None) if whole[place] else self._free[history]
-                solved[:, place, free] = dpotrs(factor, right[:, place, free].T, lower=1)[0].T
-        by_gradient, response = solved[:-1].reshape(sides.shape), solved[-1]
-        change = np.zeros(sides.shape[:-1])
-        if missing is not None:
-            carried, stiffness = inner(weights, by_gradient), inner(weights, response)
-            change = _divided(missing[..., places] + carried, stiffness)
-        out[0][..., places, :] = change[..., None] * response - by_gradient
-        out[1][..., places] = change
+        self._loops.steps_by_factors(
+            len(rows.factored), n, count // size, size, rows.factored, rows.histories,
+            self._factors, self._response, self._stiffness, compliances.reference,
+            compliances.reference_weights, *sides, np.empty(n), steps, changes,
+        )  # fmt: skip
+        return steps[:count].reshape(gradient.shape), changes
 
 
 class _BasisRows(NamedTuple):
@@ -348,8 +313,3 @@ class _BasisRows(NamedTuple):
     #: which of the rows are solved in bases, one basis after the other, and which by factors
     in_bases: IntArray
     factored: IntArray
-
-
-def _divided(force: FloatArray, stiffness: FloatArray) -> FloatArray:
-    """Return forces over stiffnesses, (h,); 0 where nothing touches."""
-    return np.divide(force, stiffness, out=np.zeros_like(force), where=stiffness > 0.0)

@@ -32,8 +32,8 @@ GRADIENT_TOLERANCE = 1e-12
 #: relative force balance at which a solver ends, and that it may not exceed
 FORCE_TOLERANCE, FORCE_LIMIT = 1e-12, 1e-10
 
-#: largest systems that have bases: a basis takes as long as 26 to 31 factors (0.67, 3.1 and 14.8 ms
-#: with 64, 128 and 256 elements), and as much memory as two
+#: largest systems that share bases: such a one takes as long as 30 to 50 Cholesky factors (0.67,
+#: 3.1 and 14.8 ms with 64, 128 and 256 elements)
 LARGEST_WITH_BASES = 256
 
 

@@ -159,10 +159,10 @@ class ScaledCompliances:
             return self.matrices[at].copy()
         return self.matrices[at] + more.deviation[number] * more.derivatives[at]
 
-    def basis(self, number: int, free: BoolArray, wearing: BoolArray) -> Basis | None:
+    def basis(self, number: int, free: BoolArray, wearing: BoolArray) -> Basis:
         """Return the basis of elements of a reference in contact and wearing, (n,).
 
-        None: not positive definite. It is kept for whoever needs it next.
+        NaN if that is not positive definite. It is kept for whoever needs it next.
         """
         sets = np.packbits(free).tobytes(), np.packbits(wearing & free).tobytes()
         name = self.names[number], *sets
@@ -179,9 +179,7 @@ class ScaledCompliances:
         return basis
 
 
-def _basis(
-    matrix: FloatArray, speed: FloatArray, weights: FloatArray, free: IntArray
-) -> Basis | None:
+def _basis(matrix: FloatArray, speed: FloatArray, weights: FloatArray, free: IntArray) -> Basis:
     n, size = len(matrix), len(free)
     psi, mu = np.zeros((n, n)), np.zeros(n)
     try:
@@ -190,7 +188,7 @@ def _basis(
         half = solve_triangular(factor, roots, lower=True, check_finite=False)
         values, vectors = np.linalg.eigh(half @ half.T)
     except LinAlgError:
-        return None
+        return Basis(*(np.full_like(part, np.nan) for part in (psi, mu, mu)))
     mu[:size] = np.maximum(values, 0.0)
     psi[free, :size] = solve_triangular(factor, vectors, lower=True, trans=1, check_finite=False)
     return Basis(psi, mu, weights @ psi)
@@ -229,4 +227,4 @@ class ComplianceProducts:
         return gap
 
 
-_CACHE: OrderedDict[tuple[bytes, bytes, bytes], Basis | None] = OrderedDict()
+_CACHE: OrderedDict[tuple[bytes, bytes, bytes], Basis] = OrderedDict()

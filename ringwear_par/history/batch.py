@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from ringwear_par.errors import (
     reason_of,
 )
 from ringwear_par.history.ensemble import Ensemble, Present
+from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.interfaces import next_to_cross
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.history.state import Progress, State
@@ -29,6 +30,26 @@ from ringwear_par.history.stop_criteria import have_reached
 from ringwear_par.parallel import as_on_first_rank, together
 
 log = logging.getLogger(__name__)
+
+#: states within steps that are computed together: few of a round's steps have one
+_TOGETHER = 512
+
+
+@dataclass(frozen=True)
+class Passing:
+    """States at times within accepted steps, to be computed; histories do not go on from them."""
+
+    #: (h,) int, of the histories among all cases, among those of a physics, and of compliances
+    numbers: IntArray
+    rows: IntArray
+    compliances: IntArray
+    #: at the starts of the steps, and where contacts start
+    state: State
+    warm: WarmStart
+    #: before the steps
+    progress: Progress
+    #: (h,) s
+    time: FloatArray
 
 
 class Batch:
@@ -50,6 +71,11 @@ class Batch:
         self._warm: WarmStart | None = None
         #: whether a history steps alone until it has made a step, and why its last try failed
         self._alone, self._failure = False, ""
+        #: states within steps, which wait for more of them, as histories do not go on from them
+        self._passing: list[Passing] = []
+        #: of the histories at first, and which of these are left; None: no state waits
+        self._whole: Physics | None = None
+        self._rows = np.arange(len(numbers))
 
     @property
     def may_join(self) -> bool:
@@ -65,8 +91,8 @@ class Batch:
         try:
             snapshots = self._start() if before is None else self._round(before)
         except Exception as error:
-            if isinstance(error, InputError) and not isinstance(error, UnfitError):
-                raise  # an option for PETSc
+            if _is_of_petsc(error):
+                raise
             if self._present is not None and self._warm is not None:
                 self._present.contacts.warm = self._warm
             return self._after_failure(error)
@@ -76,23 +102,40 @@ class Batch:
         if self._alone and snapshots[-1].accepted.all():
             self._alone, self._failure = False, ""
         ended = snapshots[-1].finished
+        if self._ensemble.failures:  # within steps
+            ended = ended | np.isin(self.numbers, list(self._ensemble.failures))
         if ended.all():
+            self._show_passing()
             self.close()
             return []
         if ended.any():
             assert self._present is not None
             rest = np.flatnonzero(~ended)
             self.numbers, self._present = self.numbers[rest], self._present.keep(rest)
+            self._rows = self._rows[rest]
         return [self]
 
     def joined(self, other: "Batch") -> "Batch":
         """Return one batch of the histories of both, which end."""
+        self._show_passing()
+        other._show_passing()
         batch = Batch(self._ensemble, np.append(self.numbers, other.numbers))
         assert self._present is not None
         assert other._present is not None
         control = self._ensemble.control(batch.numbers)
-        batch._present = self._present.joined(other._present, control)
+        batch._begin(self._present.joined(other._present, control))
         return batch
+
+    def _begin(self, present: Present) -> None:
+        """Have the histories be where they are at first."""
+        self._present = present
+        at_once = (
+            len(self.numbers) == 1  # it tries a shorter step where a state fails
+            or self._ensemble.comm.size > 1  # others have to know that it does
+            or self._ensemble.paces is not None  # physics are of a step
+            or present.physics.case.stress is not None  # stresses are in the order of time
+        )
+        self._whole = None if at_once else present.physics
 
     def close(self) -> None:
         """Free the contacts."""
@@ -104,7 +147,7 @@ class Batch:
     def _start(self) -> list[Snapshot]:
         """Return the states at the start, unless the history continues. Collective."""
         numbers, present = self.numbers, self._ensemble.begin(self.numbers)
-        self._present = present
+        self._begin(present)
         if self._ensemble.start is not None:
             return []
         state = present.state
@@ -146,7 +189,7 @@ class Batch:
         decision = as_on_first_rank(ensemble.comm, control.decide(before.state, step, progress))
         accepted, progress = decision.accepted, decision.progress
         with together(ensemble.comm):
-            snapshots = self._within(before, end, accepted, progress)
+            snapshots = self._within(before, end, accepted)
         state = step.state
         sensitivity = physics.sensitivity
         if state.tangent is not None and sensitivity is not None and sensitivity.moving_ends:
@@ -167,40 +210,65 @@ class Batch:
             ),
         ]  # fmt: skip
 
-    def _within(
-        self, before: Present, end: FloatArray, accepted: BoolArray, progress: Progress
-    ) -> list[Snapshot]:
-        """Return the states at times of output within accepted steps, which leave no trace."""
+    def _within(self, before: Present, end: FloatArray, accepted: BoolArray) -> list[Snapshot]:
+        """Return states at times of output within accepted steps, those that wait once many do."""
         stored = before.physics.inputs.stored
         if stored.times is None:
             return []
         histories, which = np.nonzero(stored.within(before.state.time, end) & accepted[:, None])
-        times = stored.times[histories, which]
-        # the first of each history, then the second ones
-        turn = np.arange(len(histories)) - np.searchsorted(histories, histories)
-        return [
-            self._at_times(before, histories[turn == k], times[turn == k], progress)
-            for k in range(turn.max(initial=-1) + 1)
-        ]
+        if len(histories):
+            passing = Passing(
+                self.numbers, self._rows, before.contacts.engine.which, before.state,
+                before.contacts.warm, before.progress, end,
+            )  # fmt: skip
+            times = stored.times[histories, which]
+            self._passing.append(replace(batched.take(passing, histories), time=times))
+        if self._whole is None:
+            return self._states_within(before.physics)
+        many = sum(len(passing.time) for passing in self._passing) >= _TOGETHER
+        return self._states_within(self._whole) if many else []
 
-    def _at_times(
-        self, before: Present, histories: IntArray, times: FloatArray, progress: Progress
-    ) -> Snapshot:
-        """Return the states of some histories at times within their steps."""
-        part = before.take(histories)
+    def _show_passing(self) -> None:
+        """Compute the states within steps that wait, and show them."""
+        if self._whole is not None:
+            self._ensemble.show(self._states_within(self._whole))
+
+    def _states_within(self, physics: Physics) -> list[Snapshot]:
+        """Return the states within steps that have not been computed."""
+        parts = [batched.concat(self._passing)] if self._passing else []
+        if self._whole is None and parts:  # of each history one at a time
+            rows = parts[0].rows
+            turn = np.searchsorted(rows, rows) - np.arange(len(rows))
+            parts = [batched.take(parts[0], np.flatnonzero(turn == k)) for k in np.unique(turn)]
+        self._passing, snapshots = [], list[Snapshot]()
+        while parts:
+            passing = parts.pop()
+            try:
+                snapshots.append(self._at_times(passing, physics.take(passing.rows)))
+            except Exception as error:
+                if self._whole is None or _is_of_petsc(error):
+                    raise
+                if len(passing.time) > 1:
+                    apart = _apart(error, len(passing.time))
+                    parts += [batched.take(passing, some) for some in apart if len(some)]
+                else:
+                    number, state = int(passing.numbers[0]), passing.state
+                    self._fail(number, error, str(error), state, passing.progress)
+        return snapshots
+
+    def _at_times(self, passing: Passing, physics: Physics) -> Snapshot:
+        """Return states within steps."""
+        assert self._present is not None
+        contacts = self._present.contacts.starting(passing.compliances, passing.warm)
         try:
-            step = self._ensemble.method.within(part.physics, part.contacts, part.state, times)
-        except HistoriesError as error:
-            which = np.zeros(len(self.numbers), dtype=bool)
-            which[histories[error.which]] = True
-            raise HistoriesError(which) from error
+            step = self._ensemble.method.within(physics, contacts, passing.state, passing.time)
         finally:
-            part.contacts.close()
-        every = np.ones(len(histories), dtype=bool)
+            contacts.close()
+        every = np.ones(len(passing.time), dtype=bool)
+        progress = replace(passing.progress, steps=passing.progress.steps + 1)
         return Snapshot(
-            self.numbers[histories], part.physics, part.contacts, step.state, step,
-            batched.take(progress, histories), step.state.contact.iterations, every, every, ~every,
-            passing=True,
+            passing.numbers, physics, contacts, step.state, step, progress,
+            step.state.contact.iterations, every, every, ~every, passing=True,
         )  # fmt: skip
 
     # -- failures ----------------------------------------------------------------------------------
@@ -211,24 +279,33 @@ class Batch:
             return self._parted(error)
         if self._tries_shorter(error):
             return [self]
-        self._ensemble.failures[int(self.numbers[0])] = self._named(error)
+        number, present = int(self.numbers[0]), self._present
+        if present is None:
+            self._ensemble.failures[number] = error
+            return []
+        self._show_passing()
+        why = f"{self._failure}, {NO_STEP}" if self._failure else str(error)
+        if isinstance(error, InterfaceError):
+            why += f": {next_to_cross(present.physics, present.state)}"
+        self._fail(number, error, why, present.state, present.progress)
         self.close()
         return []
 
+    def _fail(
+        self, number: int, error: Exception, why: str, state: State, progress: Progress
+    ) -> None:
+        """Note why a single history failed, with its step and time."""
+        if isinstance(error, ComputationError):
+            named = type(error)(
+                f"{why}; in step {int(progress.steps[0]) + 1}, from time {state.time[0]:g} s"
+                f"{unit_question(self._ensemble.cases[number], state.wear[:, 0])}"
+            )
+            named.__cause__, error = error, named
+        self._ensemble.failures[number] = error
+
     def _parted(self, error: Exception) -> list["Batch"]:
         """Return batches that go on, histories in trouble apart, as far as it is known which."""
-        count = len(self.numbers)
-        if isinstance(error, HistoriesError):
-            parts = [np.flatnonzero(~error.which), *np.flatnonzero(error.which)[:, None]]
-        else:  # whatever a user's law may raise, nobody knows for whom
-            expected = isinstance(error, RingwearError)
-            log.log(
-                logging.DEBUG if expected else logging.WARNING,
-                "%d histories cannot step together (%s)", count, reason_of(error),
-                exc_info=error if expected else None,
-            )  # fmt: skip
-            parts = list(np.array_split(np.arange(count), 2))
-        batches = self._split(parts)
+        batches = self._split(_apart(error, len(self.numbers)))
         for batch in batches:
             batch._alone = len(batch.numbers) == 1 or not isinstance(error, HistoriesError)
         return batches
@@ -247,32 +324,37 @@ class Batch:
         self._alone, self._failure = True, str(error)
         return True
 
-    def _named(self, error: Exception) -> Exception:
-        """Return the error of a single history with its step and time."""
-        present = self._present
-        if present is None or not isinstance(error, ComputationError):
-            return error
-        case, state = self._ensemble.cases[int(self.numbers[0])], present.state
-        why = f"{self._failure}, {NO_STEP}" if self._failure else str(error)
-        if isinstance(error, InterfaceError):
-            why += f": {next_to_cross(present.physics, state)}"
-        named = type(error)(
-            f"{why}; in step {int(present.progress.steps[0]) + 1}, from time {state.time[0]:g} s"
-            f"{unit_question(case, state.wear[:, 0])}"
-        )
-        named.__cause__ = error
-        return named
-
     def _split(self, parts: Sequence[IntArray]) -> list["Batch"]:
         """Return batches of some of the histories each; this one ends."""
+        self._show_passing()
         batches = []
         for part in parts:
             if len(part):
                 batch = Batch(self._ensemble, self.numbers[part])
-                batch._present = None if self._present is None else self._present.take(part)
+                if self._present is not None:
+                    batch._begin(self._present.take(part))
                 batches.append(batch)
         self.close()
         return batches
+
+
+def _apart(error: Exception, count: int) -> list[IntArray]:
+    """Return histories that go on after an error, those in trouble apart, as far as is known."""
+    if isinstance(error, HistoriesError):
+        return [np.flatnonzero(~error.which), *np.flatnonzero(error.which)[:, None]]
+    # whatever a user's law may raise, nobody knows for whom
+    expected = isinstance(error, RingwearError)
+    log.log(
+        logging.DEBUG if expected else logging.WARNING,
+        "%d histories cannot step together (%s)", count, reason_of(error),
+        exc_info=error if expected else None,
+    )  # fmt: skip
+    return list(np.array_split(np.arange(count), 2))
+
+
+def _is_of_petsc(error: Exception) -> bool:
+    """Tell whether an error is that of an option for PETSc."""
+    return isinstance(error, InputError) and not isinstance(error, UnfitError)
 
 
 def _with_entries_of(other: State, state: State) -> State:

@@ -138,6 +138,16 @@ class HistoryInputs:
         return self.initial_gap.shape
 
     @cached_property
+    def most_wear(self) -> tuple[float, ...]:
+        """How deep lower and upper may be worn, mm; the cases have the same heights."""
+        return tuple(0.5 * (ring.z[1] - ring.z[0]) for ring in self.cases[0].rings)
+
+    @cached_property
+    def open_ends(self) -> list[int]:
+        """The end elements, 0 and -1, at which mesh.contact cut the contact."""
+        return [e for e, cut in zip((0, -1), self.cases[0].open_ends, strict=True) if cut]
+
+    @cached_property
     def wears(self) -> bool:
         """Whether any body wears."""
         return any(law is not None for law in self.laws)

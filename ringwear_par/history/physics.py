@@ -14,10 +14,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from ringwear_par import batched
 from ringwear_par.arrays import FloatArray, IntArray, columns, inner
 from ringwear_par.cases.case import Case
 from ringwear_par.contact.correction import CorrectedContacts
@@ -70,6 +71,10 @@ class Physics:
     pair_is_shared: bool = False
     #: the last increment, where rates stay: it is that of all steps or stages of the same length
     _last: list[WearIncrement] = field(default_factory=list, init=False, repr=False, compare=False)
+    #: the last layers that elements stayed in, (2, B, n), with the physics there
+    _staying: list[tuple[IntArray, Any]] = field(
+        default_factory=list, init=False, repr=False, compare=False
+    )
 
     @classmethod
     def of(
@@ -136,10 +141,10 @@ class Physics:
         """The contact elements before any wear."""
         return self.pairs[0].line
 
-    @property
+    @cached_property
     def area(self) -> FloatArray:
         """(n,) mm^2, of the contact elements, normal to the axis."""
-        return self.line.area
+        return self.line.area.copy()  # loops refuse what cannot be written to
 
     @cached_property
     def obliquity(self) -> FloatArray | None:
@@ -147,19 +152,17 @@ class Physics:
         first = self.compliances.every[0]
         return first.obliquity if first.slope.any() else None
 
-    @cached_property
-    def _whole_area(self) -> FloatArray:
-        """(1,) mm^2, as ``inner`` rounds it."""
-        return np.asarray(inner(self.area, np.ones((1, self.line.n))))
-
     def area_in_contact(self, p: FloatArray) -> FloatArray:
         """Return the area of elements with pressure, mm^2, (B,), at (B, n)."""
-        if p.min() > 0.0:  # so in most batches, and this look is quick
-            return np.repeat(self._whole_area, len(p))
         return np.asarray(inner(self.area, (p > 0.0).astype(float)))
 
     @cached_property
-    def _moment(self) -> FloatArray:
+    def least_area(self) -> float:
+        """mm^2, of the smallest contact element, normal to the axis."""
+        return float(self.area.min())
+
+    @cached_property
+    def torque_arm(self) -> FloatArray:
         """(n,) mm^3, torque per unit shear."""
         return self.area * self.compliances.every[0].obliquity * self.line.arm
 
@@ -264,15 +267,15 @@ class Physics:
         """
         # with derivatives it is not shared: a linearisation needs the state of its own stage
         stays = self.inputs.rates_stay and self.sensitivity is None
-        last, duration = self._last[0] if stays and self._last else None, columns(step)
-        if last is not None and closing is None and np.array_equal(last.step, duration):
-            return last
-        if last is not None:
+        if stays and self._last:
+            last = self._last[0]
+            if closing is None:
+                if not np.array_equal(last.step, columns(step)):
+                    self._last[:] = [last.over(step)]
+                return self._last[0]
             at = last.at
         else:
-            lower = self.local_state(time, sliding, wear[0])
-            upper = self.inputs.laws[1]
-            at = (lower, lower if upper is None else self.local_state(time, sliding, wear[1]))
+            at = self._local_states(time, sliding, wear)
         increment = WearIncrement(
             self.inputs.laws, at, step, self.averages, self.obliquity, closing, self.inputs.pace
         )
@@ -280,15 +283,24 @@ class Physics:
             self._last[:] = [increment]
         return increment
 
+    def _local_states(
+        self, time: FloatArray, sliding: Sliding, wear: FloatArray
+    ) -> tuple[LocalState, LocalState]:
+        """Return the local states of lower and upper."""
+        lower, upper = self.local_state(time, sliding, wear[0]), self.inputs.laws[1]
+        return lower, lower if upper is None else self.local_state(time, sliding, wear[1])
+
     def rates(
         self, time: FloatArray, sliding: Sliding, wear: FloatArray, p: FloatArray
     ) -> FloatArray:
         """Return the rates of wear of lower and upper, (2, B, n) mm/s, at pressure and wear."""
         rates = np.zeros((2, *p.shape))
-        bodies = zip(rates, self.inputs.laws, wear, self.averages, strict=True)
-        for rate, law, worn, average in bodies:
+        at = self._last[0].at if self._last else self._local_states(time, sliding, wear)
+        for rate, law, local, average in zip(
+            rates, self.inputs.laws, at, self.averages, strict=True
+        ):
             if law is not None:
-                rate[:] = averaged_rate(law, self.local_state(time, sliding, worn), average, p)
+                rate[:] = averaged_rate(law, local, average, p)
         if self.obliquity is not None:
             rates *= self.obliquity
         if self.inputs.pace is not None:
@@ -307,7 +319,7 @@ class Physics:
 
     def moment(self, p: FloatArray) -> FloatArray:
         """Return the friction torque over mu in full slip, N mm, (B,), at (B, n)."""
-        return inner(self._moment, p)
+        return inner(self.torque_arm, p)
 
     def torque(self, p: FloatArray, sliding: Sliding | None = None) -> FloatArray:
         """Return the friction torque in full slip, N mm, (B,), at pressure (B, n).
@@ -328,11 +340,15 @@ class Physics:
 
         At pressure (B, n); N mm and N.
         """
+        return np.array([inner(weights, p) for weights in self._carried])
+
+    @cached_property
+    def _carried(self) -> tuple[FloatArray, ...]:
+        """What ``reactions`` are the integrals of, (n,) or (B, n), per pressure."""
         force = self.compliances.force_reaction
         # boundary elements turn with tractions that are constant on each
         torque = self.compliances.torque_reaction * (self.line.arm / self.line.uniform_arm)
-        carried = self._moment, force[:, 0], force[:, 1], torque[:, 0], torque[:, 1]
-        return np.array([inner(weights, p) for weights in carried])
+        return self.torque_arm, force[:, 0], force[:, 1], torque[:, 0], torque[:, 1]
 
     # -- layers ------------------------------------------------------------------------------------
 
@@ -357,8 +373,13 @@ class Physics:
 
     def in_layers(self, layers: IntArray) -> Self:
         """Return the physics of elements that stay in these layers, (2, B, n)."""
+        for known, physics in self._staying:
+            if np.array_equal(known, layers):
+                return physics
         inputs = self.inputs.with_laws(lambda i, law: law.in_layers(layers[i]))
-        return replace(self, inputs=inputs)
+        physics = batched.variant(self, inputs=inputs, _last=[])
+        self._staying[:] = [(layers, physics), *self._staying[:1]]
+        return physics
 
     def ends_of(self, layers: IntArray) -> FloatArray:
         """Return the depths along the axis at which layers end, (2, B, n) mm.

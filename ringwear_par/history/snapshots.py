@@ -34,7 +34,7 @@ class Snapshot:
     stored: BoolArray
     finished: BoolArray
     #: whether all of them lie within steps, at times of output, and the histories do not continue
-    #: from them
+    #: from them: of several histories they may come after later states, more than one of a history
     passing: bool = field(default=False, metadata=along(None))
 
     def instant(self, place: int) -> "Instant":

@@ -52,4 +52,4 @@ def initial_state(physics: Physics, contacts: CorrectedContacts) -> State:
         tangent=None if step_tangent is None else step_tangent.reached(contact),
         through=np.full(worn.shape, np.inf) if physics.inputs.layered else None,
     )  # fmt: skip
-    return check_state(physics.case, state)
+    return check_state(physics.inputs, state)

@@ -7,12 +7,14 @@ its functions take and return. Another control is a class with the same methods,
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray, largest, relative
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
+from ringwear_par.compiled import step_rows
+from ringwear_par.compiled.machine_code import load
 from ringwear_par.errors import ComputationError, HistoriesError, InterfaceError
 from ringwear_par.history.schemes.step import Step
 from ringwear_par.history.state import Progress, State
@@ -219,14 +221,13 @@ class ErrorControl:
                 f"time.pressure_tolerance = {self.pressure_tolerance[0]:g} (try larger tolerances)"
             )
             raise ComputationError(f"{reason}, {NO_STEP}")
-        fresh = ~progress.begun
         return end, replace(
             progress,
             length=length,
             cut=cut,
-            begun=np.ones_like(fresh),
-            pressed=progress.pressed & ~fresh,
-            tried_iterations=np.where(fresh, 0, progress.tried_iterations),
+            begun=np.ones(len(end), dtype=bool),
+            pressed=progress.pressed & progress.begun,
+            tried_iterations=progress.tried_iterations * progress.begun,
         )
 
     def _try(self, state: State, progress: Progress) -> tuple[FloatArray, BoolArray, FloatArray]:
@@ -235,51 +236,52 @@ class ErrorControl:
         if self.limits.shape[1] > 1:
             ahead = self.limits > state.time[:, None]
             limit = np.take_along_axis(self.limits, ahead.argmax(axis=1)[:, None], axis=1)[:, 0]
-        limit = _until_interface(state, limit, progress)
-        fresh, length = ~progress.begun, progress.length
-        if fresh.any():
-            wanted, first = progress.next_step, progress.next_step == 0.0
-            follows = np.isfinite(self.meshed_wear)
-            if first.any() or follows.any():
-                fastest = largest(state.rates).max(axis=0)
-                at_first = np.minimum(self.end, _time(_FIRST_WEAR * self.wear_tolerance, fastest))
-                wanted = np.where(first, at_first, wanted)
-                wanted = np.minimum(wanted, _time(self.meshed_wear, fastest))
-            length = np.where(fresh, wanted, length)
-        left = limit - state.time
-        cut = length >= left * (1.0 - 1e-9)
-        whole = (length < 0.5 * left) | (length > 0.9 * left)  # else the last step would be tiny
-        end = np.where(cut, limit, state.time + np.where(whole, length, 0.5 * left))
+        limit = np.ascontiguousarray(_until_interface(state, limit, progress))
+        end, length, cut = np.empty(len(limit)), np.empty(len(limit)), np.empty(len(limit), bool)
+        load(step_rows).choose_ends(
+            *state.error.shape, state.time, limit, progress.begun, progress.length,
+            progress.next_step, state.rates, self.end, _FIRST_WEAR * self.wear_tolerance,
+            self.meshed_wear, length, end, cut,
+        )  # fmt: skip
         return end, cut, length
 
     def decide(self, before: State, step: Step, progress: Progress) -> Decision:
         """Accept steps within the tolerances; change the next one with the third root of its error.
 
-        So is the error of energy: schedules may change the power where nothing wears.
+        The errors to expect of the next step are those of a step of this length over the error that
+        the next step is allowed. That of energy counts, too: schedules may change the power where
+        nothing wears. What is no number counts as infinite.
         """
-        length = step.state.time - before.time
-        iterations = progress.tried_iterations + step.state.contact.iterations
-        ratio, pressing, ahead = self._ratios(before, step)
-        pressed = progress.pressed | pressing
-        within = ratio <= 1.0
-        accepted = np.logical_and(within, np.logical_not(step.too_far))
-        ended = accepted | step.too_far
-        following = _following(length, _change(ahead), pressed, progress.cut, progress.length)
+        state, count = step.state, len(self.end)
+        iterations = progress.tried_iterations + state.contact.iterations
+        too_far = _of_each(step.too_far, count)
+        accepted, pressed, undefined = np.empty((3, count), dtype=bool)
+        length, next_step = np.empty((2, count))
+        load(step_rows).judge_tries(
+            *before.error.shape, before.error, before.time, state.time, self.end, state.energy,
+            _of_each(step.power, count), _of_each(step.energy_error, count), step.wear_error,
+            step.history_error, _of_each(step.carried_error, count),
+            _of_each(step.pressure_error, count), self.wear_tolerance, self.pressure_tolerance,
+            _ENERGY_TOLERANCE, _LEAST_ALLOWED, _SAFETY, _LARGEST_CUT, _LARGEST_GROWTH, too_far,
+            progress.pressed, progress.cut, progress.length, progress.next_step, accepted, pressed,
+            undefined, length, next_step,
+        )  # fmt: skip
+        rejected = ~accepted
         return Decision(
             accepted,
             accepted,
             Progress(
                 progress.steps + accepted,
-                np.where(accepted, following, progress.next_step),
-                progress.rejected + ~accepted,
-                progress.iterations + np.where(accepted, iterations, 0),
-                np.where(within, progress.length, length * _change(ratio)),
+                next_step,
+                progress.rejected + rejected,
+                progress.iterations + accepted * iterations,
+                length,
                 progress.cut,
-                ~accepted,
+                rejected,
                 pressed,
                 iterations,
-                ratio == np.inf,
-                np.where(ended, step.interface, progress.interface),
+                undefined,
+                np.where(accepted | too_far, step.interface, progress.interface),
                 step.history_error,
             ),
         )
@@ -296,29 +298,6 @@ class ErrorControl:
         """Return which histories are at their end."""
         return state.time >= self.end
 
-    def _ratios(self, before: State, step: Step) -> tuple[FloatArray, BoolArray, FloatArray]:
-        """Return the errors of a step over the allowed ones, and those to expect of the next step.
-
-        Also, whether the error of pressure is too large. The expected errors are those of a step of
-        this length over the error that the next step is allowed. NaN counts as infinite.
-        """
-        state, missed = step.state, largest(np.abs(before.error))
-        whole = state.energy + step.power * (self.end - state.time)
-        energy = np.maximum(relative(step.energy_error, _ENERGY_TOLERANCE * whole), 1e-6)
-        ratio = np.maximum(energy, step.wear_error / self._allowed(step.carried_error))
-        # the next step is to leave as much of the error before it as this one does
-        decay = relative(missed - step.carried_error, missed)
-        left = step.history_error * np.minimum(1.0 - decay, 1.0)
-        ahead = np.maximum(energy, step.wear_error / self._allowed(left))
-        over = _or_infinite(step.pressure_error / self.pressure_tolerance)
-        pressing = over > 1.0
-        ratio = np.where(pressing, np.maximum(ratio, over), ratio)
-        return _or_infinite(ratio), pressing, _or_infinite(ahead)
-
-    def _allowed(self, missed: FloatArray) -> FloatArray:
-        """Return the error, mm, that a step may make whose history's error is ``missed``."""
-        return np.maximum(self.wear_tolerance - missed, _LEAST_ALLOWED * self.wear_tolerance)
-
 
 def _until_interface(state: State, end: FloatArray, progress: Progress) -> FloatArray:
     """Return ends of steps, s, or when an element is at the end of its layer, if it is before."""
@@ -329,29 +308,11 @@ def _until_interface(state: State, end: FloatArray, progress: Progress) -> Float
     return np.where(within, interface, end)
 
 
-def _time(depth: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return the times, s, in which depths are worn off; infinite where nothing wears."""
-    return np.divide(depth, rate, out=np.full_like(rate, np.inf), where=rate > 0.0)
-
-
 def _is_short(time: FloatArray, end: FloatArray) -> BoolArray:
     """Return which steps are as short as the round-off of their times."""
     return end - time <= 4.0 * np.spacing(time)
 
 
-def _or_infinite(ratio: FloatArray) -> FloatArray:
-    return np.where(ratio == ratio, ratio, np.inf)
-
-
-def _change(ratio: FloatArray) -> FloatArray:
-    """Return the factor of the length of the next try: the third root of the error, with care."""
-    return np.maximum(_SAFETY * ratio ** (-1.0 / 3.0), _LARGEST_CUT)
-
-
-def _following(
-    length: FloatArray, change: FloatArray, pressed: BoolArray, cut: BoolArray, uncut: FloatArray
-) -> FloatArray:
-    """Return the length of the next step, s; ``uncut`` is the length of this one without limits."""
-    # errors of pressure come and go with elements: they limit steps, but do not foretell them
-    following = length * np.minimum(change, np.where(pressed, 1.0, _LARGEST_GROWTH))
-    return np.where(cut, np.maximum(following, uncut), following)
+def _of_each(values: Any, count: int) -> Any:
+    """Return values of histories, (B,), from these or from one of all."""
+    return values if isinstance(values, np.ndarray) else np.full(count, values)

@@ -142,7 +142,7 @@ def law_rows(outcome: Entry) -> list[tuple[str, ...]]:
         if law["p_value"] is None:
             verdict = "not tested: noise was fitted, has long tails, or readings are limits"
         numbers = f"{law['aic'] - best:+.1f}", f"{law['bic']:.5g}", f"{law['chi2']:.5g}"
-        share = f"{shares[name]:.2g}" if shares else "-"
+        share = "-" if not shares else f"{shares[name]:.2g}" if shares[name] >= 1e-4 else "< 1e-4"
         rows.append((name, *numbers, share, parameters, verdict))
     failed = ((name, law["error"]) for name, law in laws.items() if name not in solved)
     return [*rows, *((name, "", "", "", "", "", f"failed: {error}") for name, error in failed)]

@@ -23,7 +23,7 @@ from ringwear_par.results.key_numbers import (
 )
 from ringwear_par.results.result import Result
 from ringwear_par.results.subsurface import nearest_states
-from ringwear_par.results.summary import checks
+from ringwear_par.results.summary import checks, early_end
 
 #: most times on a slider
 _SLIDER = 120
@@ -50,6 +50,8 @@ def run_page(result: Result) -> page.Page:
         len(doubts), with_signs("; ".join([*map(str, wrong), errors])), len(wrong)
     )
     blocks: list[page.Block] = [page.Tiles([*answers(numbers), passed]), *rig]
+    if early := early_end(result):
+        blocks.append(page.Lines([f"Ended {early}."]))
     if doubts:
         blocks.append(page.Lines(doubts, warning=True))
     blocks.append(

@@ -72,7 +72,7 @@ def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple
             return f"{number.label} unknown ({number.note})"
         return f"{number_words(number.value)} {number.unit}"
 
-    if early := _early_end(result):
+    if early := early_end(result):
         yield "ended", early
     parts = ""
     if "worn_off" in numbers:
@@ -104,7 +104,7 @@ def _answers(result: Result, numbers: Mapping[str, KeyNumber]) -> Iterator[tuple
     )
 
 
-def _early_end(result: Result) -> str:
+def early_end(result: Result) -> str:
     """Return where a limit ended a history before its time, "" if none did."""
     about, ended = result.attributes, float(result.histories["time"][-1])
     if about["status"] != "complete" or ended >= about["time_end"] * (1.0 - SAME_TIME):
@@ -140,7 +140,7 @@ def _in_full(result: Result, numbers: list[KeyNumber], last: Checkpoint) -> str:
         *([title] if title else []),
         *warning_lines(_warnings(result, last)),
         *(f"{group}: {', '.join(map(str, them))}" for group, them in in_groups(numbers).items()),
-        *([f"ended {early}"] if (early := _early_end(result)) else []),
+        *([f"ended {early}"] if (early := early_end(result)) else []),
         *_wearing(about),
         *(
             f"{noun} of {body}: {about[key]}"

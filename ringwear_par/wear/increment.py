@@ -5,12 +5,15 @@ all of a step, see ``LayeredLaw.in_layers``.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, columns, largest
+from ringwear_par.compiled import step_rows
+from ringwear_par.compiled.machine_code import load
 from ringwear_par.errors import ComputationError
 from ringwear_par.schedules import take
 from ringwear_par.wear.law import Law, PacedLaw
@@ -51,7 +54,20 @@ class WearingBody(NamedTuple):
     average: FloatArray | None
 
 
-@dataclass(frozen=True)
+class _Worn(NamedTuple):
+    """What pressures wear off in contact all along."""
+
+    #: (..., n) MPa
+    pressure: FloatArray
+    #: (bodies, ..., n) mm/s, along the axis, of the bodies that wear
+    rates: FloatArray
+    #: (..., n) mm, of both together
+    depth: FloatArray
+    #: (..., n) mm/MPa, its derivative where all rates are lines; None: laws have to be asked
+    slope: FloatArray | None
+
+
+@dataclass(eq=False)
 class WearIncrement:
     """Wear of both bodies over one implicit step, as a function of the pressure at its end.
 
@@ -85,31 +101,33 @@ class WearIncrement:
     #: of laws that remember, by identity: the last pressures, and the local states before and after
     #: the step; one law may serve both bodies
     _after: dict[int, tuple[FloatArray, LocalState, LocalState]] = field(
-        default_factory=dict, init=False, repr=False, compare=False
+        default_factory=dict, init=False, repr=False
     )
-    #: the last pressures, and the depths of the bodies that wear: they are asked for several times
-    _known: list[Any] = field(default_factory=list, init=False, repr=False, compare=False)
-    #: of laws by identity, the last slopes of rates, and those of depths: linear ones stay the same
-    _steep: dict[int, tuple[FloatArray, FloatArray]] = field(
-        default_factory=dict, init=False, repr=False, compare=False
-    )
+    #: at the last pressures: it is asked for several times
+    _known: _Worn | None = field(default=None, init=False, repr=False)
+    #: (2, bodies, ..., n) rises and onsets of the rates of those that wear, see ``Law.line``;
+    #: empty: some are no lines; None: laws were not asked yet
+    _lines: FloatArray | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         parts = enumerate(zip(self.laws, self.at, self.averages, strict=True))
-        bodies = [
+        self.bodies = [
             WearingBody(i, law, at, average) for i, (law, at, average) in parts if law is not None
         ]
-        object.__setattr__(self, "bodies", bodies)
-        object.__setattr__(self, "local", all(a is None for a in self.averages))
-        layered = any(isinstance(body.law, LayeredLaw) for body in bodies)
-        object.__setattr__(self, "layered", layered)
+        self._sides = np.array([body.side for body in self.bodies], dtype=np.int64)
+        self.local = all(average is None for average in self.averages)
+        self.layered = any(isinstance(body.law, LayeredLaw) for body in self.bodies)
         if self.pace is not None:
-            paced = [b._replace(law=PacedLaw(b.law, columns(self.pace[b.side]))) for b in bodies]
-            object.__setattr__(self, "bodies", paced)
-        if self.closing is not None:
-            object.__setattr__(self, "step", self.closing.step)
-        else:
-            object.__setattr__(self, "step", columns(self.step))
+            self.bodies = [
+                b._replace(law=PacedLaw(b.law, columns(self.pace[b.side]))) for b in self.bodies
+            ]
+        self.step = columns(self.step) if self.closing is None else self.closing.step
+
+    def over(self, step: float | FloatArray) -> "WearIncrement":
+        """Return the increment over another step of laws that are steady, of which it knows all."""
+        other = copy(self)
+        other.step, other._known = columns(step), None
+        return other
 
     def take(self, histories: IntArray) -> "WearIncrement":
         """Return the increment of some of B histories."""
@@ -141,19 +159,46 @@ class WearIncrement:
             at = self.after_step(law, at, p)
         return np.ascontiguousarray(averaged_rate(law, at, average, p))
 
-    def _bodies_at(self, p: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-        """Return rates, mm/s, and depths of those that wear in contact all along, mm.
-
-        Along the axis; of the same pressures they are the same arrays.
-        """
-        if not self._known or self._known[0] is not p:
-            rates = [
+    def _worn(self, p: FloatArray) -> _Worn:
+        """Return rates, depths and slopes at pressures in contact all along."""
+        known = self._known
+        if known is not None and known.pressure is p:
+            return known
+        lines, n = self._lines_over(p.shape), p.shape[-1]
+        if lines.size:
+            of_elements = np.size(self.step) == p.size
+            step = _filled(self.step, p.shape if of_elements else (*p.shape[:-1], 1))
+            rates, (depth, slope) = np.empty(lines.shape[1:]), np.empty((2, *p.shape))
+            load(step_rows).wear_by_lines(
+                p.size // n, n, len(rates), np.ascontiguousarray(p), step, of_elements, *lines,
+                rates, depth, slope,
+            )  # fmt: skip
+            self._known = _Worn(p, rates, depth, slope)
+        else:
+            of_bodies = [
                 self.along_axis(self._rate(law, at, average, p))
                 for _, law, at, average in self.bodies
             ]
-            self._known[:] = p, [(rate, self.step * rate) for rate in rates]
-        bodies: list[tuple[FloatArray, FloatArray]] = self._known[1]
-        return bodies
+            depths = [self.step * rate for rate in of_bodies]
+            self._known = _Worn(
+                p,
+                _stacked(of_bodies, p.shape),
+                total_of(depths) if depths else np.zeros_like(p),
+                None,
+            )
+        return self._known
+
+    def _lines_over(self, shape: tuple[int, ...]) -> FloatArray:
+        """Return rises, along the axis, and onsets of rates at pressures of a shape; see above."""
+        if self._lines is None or (self._lines.size and self._lines.shape[2:] != shape):
+            lines = [law.line(at) if a is None else None for _, law, at, a in self.bodies]
+            of_bodies = [(self.along_axis(line[0]), line[1]) for line in lines if line is not None]
+            self._lines = np.empty((2, len(lines), *shape))
+            if len(of_bodies) < len(lines):
+                self._lines = self._lines[:, :0]
+            for body, line in enumerate(of_bodies[: self._lines.shape[1]]):
+                self._lines[0, body], self._lines[1, body] = line
+        return self._lines
 
     def after_step(self, law: Law, at: LocalState, p: FloatArray) -> LocalState:
         """Return the local state with the depth worn at the end of the step.
@@ -206,10 +251,7 @@ class WearIncrement:
     def _d_depth_dp(self, law: Law, at: LocalState, p: FloatArray) -> FloatArray:
         p = _not_negative(p)
         if not law.remembers:
-            slope = law.d_rate_dp(p, at)
-            if id(law) not in self._steep or self._steep[id(law)][0] is not slope:
-                self._steep[id(law)] = slope, self.step * slope
-            return self._steep[id(law)][1]
+            return self.step * law.d_rate_dp(p, at)
         after = self.after_step(law, at, p)
         return self.step * law.d_rate_dp(p, after) / (1.0 - self.step * law.d_rate_dwear(p, after))
 
@@ -218,34 +260,72 @@ class WearIncrement:
     def depth_if_always_in_contact(self, p: FloatArray) -> FloatArray:
         """Return the depths that lower and upper lose in contact all along, (2, ..., n) mm."""
         depths = np.zeros((2, *p.shape))
-        for body, (_, depth) in zip(self.bodies, self._bodies_at(p), strict=True):
-            depths[body.side] = depth
+        for body, rate in zip(self.bodies, self._worn(p).rates, strict=True):
+            depths[body.side] = self.step * rate
         return depths
 
     def total_if_always_in_contact(self, p: FloatArray) -> FloatArray:
         """Return the depths that both bodies together lose in contact all along, (..., n) mm."""
-        depths = [depth for _, depth in self._bodies_at(p)]
-        return total_of(depths) if depths else np.zeros_like(p)
+        return self._worn(p).depth
 
     def depths(self, p: FloatArray) -> FloatArray:
         """Return the depths that lower and upper lose, (2, ..., n) mm."""
         always = self.depth_if_always_in_contact(p)
         return always if self.closing is None else always * self.share(always)
 
-    def rates(self, p: FloatArray, depths: FloatArray) -> FloatArray:
-        """Return the rates of wear at the end of the step, (2, ..., n) mm/s.
+    def _end_rates(self, p: FloatArray) -> FloatArray:
+        """Return the rates at the end of the step in contact all along, of those that wear.
 
-        They are evaluated at the pressure, apart from the depths (2, ..., n) mm, whose volumes are
-        to be the same; of the depths, only laws that depend on them take any notice.
+        Of laws that depend on depths they are evaluated at these, apart from these.
         """
-        rates = np.zeros((2, *p.shape))
-        for (i, law, at, average), (rate, _) in zip(self.bodies, self._bodies_at(p), strict=True):
+        rates = self._worn(p).rates
+        if not any(body.law.remembers for body in self.bodies):
+            return rates
+        ends = []
+        for (_, law, at, average), rate in zip(self.bodies, rates, strict=True):
             if law.remembers:
-                lost = depths[i] if self.obliquity is None else depths[i] / self.obliquity
-                after = at.worn_by(lost)
+                lost = self.step * rate
+                after = at.worn_by(lost if self.obliquity is None else lost / self.obliquity)
                 rate = self.along_axis(averaged_rate(law, after, average, p))
-            rates[i] = rate
+            ends.append(rate)
+        return _stacked(ends, p.shape)
+
+    def rates(self, p: FloatArray) -> FloatArray:
+        """Return the rates of wear at the end of the step, (2, ..., n) mm/s, see above."""
+        rates = np.zeros((2, *p.shape))
+        rates[self._sides] = self._end_rates(p)
         return rates
+
+    def wear_off(
+        self,
+        p: FloatArray,
+        wear: FloatArray,
+        duration: FloatArray,
+        area: FloatArray,
+        weights: FloatArray | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the wear after a duration at pressures, and the rates of the worn volumes.
+
+        (2, B, n) mm and (2, B) mm^3/s. Volumes are of the rates at the end of the step, not of the
+        depths, whose volumes are to be the same.
+
+        Parameters
+        ----------
+        p : (B, n) MPa.
+        wear : (2, B, n) mm, before.
+        duration : (B,) s.
+        area : (n,) mm^2.
+        weights : (B, n) factors on duration and rates of elements; None: 1.
+        """
+        after, volumes = np.empty_like(wear), np.zeros(wear.shape[:-1])
+        if not self.bodies:
+            return wear, volumes
+        rates = self._worn(p).rates
+        load(step_rows).wear_off(
+            *p.shape, len(self.bodies), self._sides, wear, rates, self._end_rates(p), duration,
+            p if weights is None else weights, weights is not None, area, after, volumes,
+        )  # fmt: skip
+        return after, volumes
 
     def share(self, always: FloatArray) -> FloatArray:
         """Return the share of the step, (..., n), that is left for wear once the gap is closed.
@@ -289,14 +369,16 @@ class WearIncrement:
 
     def d_depth_dp(self, p: FloatArray) -> FloatArray:
         """Return d depth_e / d p_e, (..., n) mm/MPa; of local laws all there is."""
-        slopes = []
-        for _, law, at, average in self.bodies:
-            if average is None:
-                slopes.append(self._d_depth_dp(law, at, p))
-            else:
-                slope = self._d_depth_dp(law, at, averaged(average, p))
-                slopes.append(((average * average.T) * slope[..., None, :]).sum(axis=-1))
-        total = self.along_axis(total_of(slopes))
+        total = self._worn(p).slope
+        if total is None:
+            slopes = []
+            for _, law, at, average in self.bodies:
+                if average is None:
+                    slopes.append(self._d_depth_dp(law, at, p))
+                else:
+                    slope = self._d_depth_dp(law, at, averaged(average, p))
+                    slopes.append(((average * average.T) * slope[..., None, :]).sum(axis=-1))
+            total = self.along_axis(total_of(slopes))
         return total if self.closing is None else np.where(self._left(p) >= 0.0, total, 0.0)
 
     def jacobian(self, p: FloatArray) -> FloatArray:
@@ -324,19 +406,16 @@ class WearIncrement:
         """Return the depth changes, mm, for small pressure changes, (P, ..., n) MPa."""
         return slope * change if self.local else averaged(slope, change)
 
-    def memory(self, p: FloatArray, worn: FloatArray) -> FloatArray | float:
+    def memory(self, p: FloatArray) -> FloatArray | None:
         """Return the change of depth at the end over that at the start, pressure staying, (..., n).
 
-        1 of laws that do not remember depth.
-
-        Parameters
-        ----------
-        worn : (2, ..., n) mm, lost by lower and upper, by which a change is shared between them.
+        None, for 1, of laws that do not remember depth. A change is shared between lower and upper
+        by what they lose.
         """
         if not any(body.law.remembers for body in self.bodies):
-            return 1.0
-        total, q = worn.sum(axis=0), np.maximum(p, 0.0)
-
+            return None
+        worn, q = self.depth_if_always_in_contact(p), np.maximum(p, 0.0)
+        total = worn.sum(axis=0)
         growth = np.ones_like(p)
         for i, law, at, _ in self.bodies:
             if law.remembers:
@@ -381,6 +460,20 @@ class WearIncrement:
                 rate = self._rate(law, at, None, low + share * span)
                 total += w / _PANELS * self.step * rate
         return total * span
+
+
+def _filled(values: float | FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """Return values as an array of a shape."""
+    if isinstance(values, np.ndarray) and values.shape == shape and values.flags.c_contiguous:
+        return values
+    return np.array(np.broadcast_to(values, shape), dtype=float)
+
+
+def _stacked(fields: Sequence[FloatArray], shape: tuple[int, ...]) -> FloatArray:
+    """Return fields of a shape, of bodies, in one array."""
+    if len(fields) == 1:
+        return np.ascontiguousarray(fields[0])[None]
+    return np.array(fields).reshape(len(fields), *shape)
 
 
 def _not_negative(p: FloatArray) -> FloatArray:

@@ -136,10 +136,12 @@ class Law:
     steady: ClassVar[bool] = False
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Leave ``depth_in_step`` to the class that defines it: others may override the rate."""
+        """Leave closed forms to the class that defines them: others may override the rate."""
         super().__init_subclass__(**options)
         if "depth_in_step" not in vars(cls):
             cls.depth_in_step = Law.depth_in_step  # type: ignore[method-assign]
+        if "line" not in vars(cls) and "rate" in vars(cls):
+            cls.line = Law.line  # type: ignore[method-assign]
 
     @property
     def remembers(self) -> bool:
@@ -175,10 +177,7 @@ class Law:
         raise NotImplementedError
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
-        """Return the derivative of the rate with respect to pressure, mm/s/MPa, >= 0.
-
-        It must be a new array wherever values are new: callers compare arrays by identity.
-        """
+        """Return the derivative of the rate with respect to pressure, mm/s/MPa, >= 0."""
         d_rate = derivative(lambda p: self.rate(p, local), p, _SMALL_PRESSURE)
         return np.maximum(d_rate, 0.0)
 
@@ -251,6 +250,13 @@ class Law:
 
     def potential(self, p: FloatArray, local: LocalState) -> FloatArray | None:
         """Return the integral of the rate from 0 to p, MPa mm/s; None: by quadrature."""
+        return None
+
+    def line(self, local: LocalState) -> tuple[FloatArray, float | FloatArray] | None:
+        """Return rise, mm/s/MPa, and onset, MPa, of a rate that is rise x max(0, p - onset).
+
+        None of other rates, and of those that depend on the wear within a step.
+        """
         return None
 
     def depth_in_step(
@@ -378,6 +384,11 @@ class PacedLaw(Law):
     def d_rate_dwear(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to ``local.wear``, 1/s."""
         return self.pace * self.law.d_rate_dwear(p, local)
+
+    def line(self, local: LocalState) -> tuple[FloatArray, float | FloatArray] | None:
+        """Return rise and onset of a rate that is a line."""
+        line = self.law.line(local)
+        return None if line is None else (self.pace * line[0], line[1])
 
     def depth_in_step(
         self, p: FloatArray, local: LocalState, step: float | FloatArray

@@ -36,10 +36,15 @@ class NoWear(Law):
     """The law of a layer, or of a body under layers, that does not wear."""
 
     formula = "0"
+    steady = True
 
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, 0 mm/s."""
         return np.zeros_like(p)
+
+    def line(self, local: LocalState) -> tuple[FloatArray, float | FloatArray] | None:
+        """Return rise and onset, 0."""
+        return np.zeros_like(local.speed), 0.0
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return its derivative with respect to pressure, 0."""
@@ -151,8 +156,13 @@ class LayeredLaw(Law):
 
     @property
     def reads_wear(self) -> bool:
-        """Whether the rate may depend on worn depth: it says which layer it is."""
-        return True
+        """Whether the rate may depend on worn depth: if only as it says which layer it is."""
+        return self.present is None or any(law.reads_wear for law in self.laws)
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the rate at a pressure changes only where speed or friction does."""
+        return self.present is not None and all(law.is_steady for law in self.laws)
 
     @property
     def breakpoints(self) -> tuple[float, ...]:
@@ -200,6 +210,22 @@ class LayeredLaw(Law):
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s."""
         return self._at_face("rate", p, local)
+
+    def line(self, local: LocalState) -> tuple[FloatArray, float | FloatArray] | None:
+        """Return rise, mm/s/MPa, and onset, MPa, of rates that are lines in all layers."""
+        if self._joined is not None:
+            return self._joined.line(local)
+        lines = [law.line(at) for law, at in zip(self.laws, self.states(local), strict=True)]
+        if self.present is None or any(line is None for line in lines):
+            return None
+        rise, onset = np.zeros((2, *self.present.shape))
+        for number, line in enumerate(lines):
+            if line is not None:
+                in_layer = self.present == number
+                rise, onset = (
+                    np.where(in_layer, *pair) for pair in zip(line, (rise, onset), strict=True)
+                )
+        return rise, onset
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa."""

@@ -210,7 +210,7 @@ def test_a_tolerance_that_cannot_be_met_is_told(stepped, monkeypatch):
 
 def test_errors_that_stay_too_large_are_told_with_their_tolerances(stepped, monkeypatch):
     def wrong(step, *arguments):
-        return replace(step(*arguments), wear_error=1.0)
+        return replace(step(*arguments), wear_error=np.ones(1))
 
     change_steps(monkeypatch, wrong)
     with pytest.raises(

@@ -180,6 +180,8 @@ def run(cases, pair, size=None, order=None, most=None):
             [cases[i] for i in part], ALONE, pair=pair, observers=[observe], most_together=most
         )
         assert outcome.failures == {}
+    for states in seen.values():  # those within steps may come late
+        states.sort(key=lambda row: row[0][2])
     return seen
 
 

@@ -174,7 +174,7 @@ def test_potential_depth_and_jacobian_of_a_step_go_together(cones, laws):
     assert (orders(total, area @ (step.depth(p) * direction), direction) > 1.9).all()
     # an average of depths would be another potential; depths of the step and rates are one
     assert step.depths(p).sum(axis=0) == pytest.approx(step.depth(p), rel=1e-12)
-    assert 3.0 * step.rates(p, step.depths(p)) == pytest.approx(step.depths(p), rel=1e-9)
+    assert 3.0 * step.rates(p) == pytest.approx(step.depths(p), rel=1e-9)
 
 
 # -- faces that turn as they wear ------------------------------------------------------------------

@@ -115,12 +115,18 @@ class Compliances:
     @property
     def force_reaction(self) -> FloatArray:
         """(B, 2, n) mm^2, see ``ContactCompliance``."""
-        return np.array([c.force_reaction for c in self.every])[self.reference[self.which]]
+        return self._of_references([c.force_reaction for c in self.every])
 
     @property
     def torque_reaction(self) -> FloatArray:
         """(B, 2, n) mm^3, see ``ContactCompliance``."""
-        return np.array([c.torque_reaction for c in self.every])[self.reference[self.which]]
+        return self._of_references([c.torque_reaction for c in self.every])
+
+    def _of_references(self, values: Sequence[FloatArray]) -> FloatArray:
+        """Return values of histories, (B, ...), from values of references."""
+        if len(values) == 1:  # and no memory of each
+            return np.broadcast_to(values[0], (len(self.which), *values[0].shape))
+        return np.array(values)[self.reference[self.which]]
 
     def take(self, histories: IntArray) -> "Compliances":
         """Return the compliances of some of the histories."""

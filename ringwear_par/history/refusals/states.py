@@ -3,10 +3,9 @@
 import numpy as np
 
 from ringwear_par.arrays import largest
-from ringwear_par.cases.case import Case
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.errors import ComputationError, HistoriesError, UnfitError
-from ringwear_par.history.inputs import of_faces
+from ringwear_par.history.inputs import HistoryInputs, of_faces
 from ringwear_par.history.physics import Physics
 from ringwear_par.history.refusals.stable_steps import most_loaded_contacts
 from ringwear_par.history.state import State
@@ -39,23 +38,19 @@ def check_interpenetration(physics: Physics, contacts: CorrectedContacts) -> Non
     )
 
 
-def check_state(case: Case, state: State) -> State:
+def check_state(inputs: HistoryInputs, state: State) -> State:
     """Return a state if the physics holds for it. Not collective.
-
-    Parameters
-    ----------
-    case : any of the B, which have the same heights.
 
     Raises
     ------
     ComputationError : contact has reached an end of the contact line that is no edge, or half of a
         body has been worn off; HistoriesError of several histories.
     """
-    most, open_ends = np.array(_most_wear(case)), _open_ends(case)
-    if not open_ends and not state.wear.max() > most.min():
+    most, open_ends = inputs.most_wear, inputs.open_ends
+    if not open_ends and not state.wear.max() > min(most):
         return state
-    deepest = largest(state.wear)
-    too_deep = (deepest > most[:, None]).any(axis=0)
+    case, deepest = inputs.cases[0], largest(state.wear)
+    too_deep = (deepest > np.array(most)[:, None]).any(axis=0)
     off = too_deep.copy()
     for e in open_ends:
         off |= state.contact.pressure[:, e] > 0.0
@@ -74,13 +69,3 @@ def check_state(case: Case, state: State) -> State:
         f"time {state.time[0]:g} s: contact has reached the end of mesh.contact "
         f"at r = {case.line.edges[e]:g} mm; mesh.contact must be wider there"
     )
-
-
-def _open_ends(case: Case) -> list[int]:
-    """Return the end elements, 0 and -1, at which mesh.contact cut the contact."""
-    return [e for e, cut in zip((0, -1), case.open_ends, strict=True) if cut]
-
-
-def _most_wear(case: Case) -> tuple[float, ...]:
-    """Return how deep lower and upper may be worn, mm."""
-    return tuple(0.5 * (ring.z[1] - ring.z[0]) for ring in case.rings)

@@ -96,7 +96,7 @@ def find_closing_elements(
     with all others, and ``entry_error`` judges.
     """
     p, gap = state.contact.pressure, state.contact.gap
-    if not physics.inputs.wears_locally or p.min() > 0.0:
+    if not physics.inputs.wears_locally:
         return None
     worn = columns(length * state.rates.sum(axis=0).max(axis=-1))
     closing = (p <= 0.0) & (gap > 0.0) & (gap < _REACH * worn)
@@ -129,15 +129,13 @@ def entry_error(
 
     Parameters
     ----------
-    depth_if_always_in_contact : (2, ..., n) float, mm, of the elements.
+    depth_if_always_in_contact : (..., n) float, mm, of the elements of both bodies.
     """
     p = after.contact.pressure
-    if before.contact.pressure.min() > 0.0:
-        return None
     entered = (before.contact.pressure <= 0.0) & (p > 0.0)
     if not entered.any():
         return None
-    elastic, most = physics.own_displacement(p), depth_if_always_in_contact.sum(axis=0)
+    elastic, most = physics.own_displacement(p), depth_if_always_in_contact
     worn = (after.wear - before.wear).sum(axis=0)
     size = np.maximum((elastic + worn) * (elastic + most), np.finfo(float).tiny)
     share: FloatArray | float = _STAGE_ERROR

@@ -55,18 +55,24 @@ def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: F
         tangents=step_tangent,
     )
     p = contact.pressure
-    depths = increment.depths(p)
-    wear, end_rates = state.wear + depths, increment.rates(p, depths)
-    volumes = length * physics.integrals(end_rates)
-    if not physics.inputs.rates_last:
-        end_rates = physics.rates_at(end, wear, p)
+    wear, volume_rates = increment.wear_off(p, state.wear, length, physics.area)
+    end_rates = increment.rates(p) if physics.inputs.rates_last else physics.rates_at(end, wear, p)
     turn, moment = length * sliding.omega, physics.moment(p)
     energy, work = turn * (sliding.friction * moment), turn * moment
     if step_tangent is not None:
         step_tangent.implicit()
         step_tangent.work(length, sliding, p, step_tangent.pressure)
     after = advanced(
-        physics, state, end, wear, volumes, energy, work, contact, end_rates, step_tangent
+        physics,
+        state,
+        end,
+        wear,
+        length * volume_rates,
+        energy,
+        work,
+        contact,
+        end_rates,
+        step_tangent,
     )
     passage = Passage.of(physics, state, after, end, sliding, p)
     return end_at_interfaces(contacts, state, _estimate_error(state, after), passage, step_tangent)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, columns, largest
+from ringwear_par.arrays import BoolArray, FloatArray, largest
 from ringwear_par.compiled import step_rows
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.contact.correction import CorrectedContacts
@@ -65,91 +65,87 @@ def step(
 ) -> Step:
     """Return the step to a time; without layers perhaps without its errors, which are 0 then."""
     physics = physics.in_present_layers(state.wear)
-    length = end - state.time
-    middle = state.time + GAMMA * length
+    length, p_before = end - state.time, state.contact.pressure
+    middle, stage_length = state.time + GAMMA * length, GAMMA * length
     sliding = [physics.sliding(t) for t in (state.time, middle, end)]
 
-    closing = find_closing_elements(physics, state, length)
+    is_closed = bool(p_before.min() > 0.0)  # then no element can close a gap
+    closing = None if is_closed else find_closing_elements(physics, state, length)
     gap_closing = (
-        None if closing is None else closing.closing(GAMMA * length, np.ones_like(closing.gap))
+        None if closing is None else closing.closing(stage_length, np.ones_like(closing.gap))
     )
-    first = physics.increment(middle, sliding[1], state.wear, GAMMA * length, gap_closing)
+    first = physics.increment(middle, sliding[1], state.wear, stage_length, gap_closing)
     step_tangent = tangent_of_step(physics, contacts, state, end, middle, closing)
     stage = contacts.solve(
-        physics.contact_inputs(middle, state.wear, first),
-        state.contact.pressure,
-        tangents=step_tangent,
+        physics.contact_inputs(middle, state.wear, first), p_before, tangents=step_tangent
     )
-    worn_first = first.depth_if_always_in_contact(stage.pressure)
-    weights = 1.0 if closing is None else closing.stage_weights(stage.pressure, 0.0)
-    carried = state.wear + (_FIRST_STAGE_FACTOR * weights) * worn_first
+    weights = None if closing is None else closing.stage_weights(stage.pressure, 0.0)
+    carried, first_volumes = first.wear_off(
+        stage.pressure, state.wear, _FIRST_STAGE_FACTOR * stage_length, physics.area, weights
+    )
     if step_tangent is not None:
-        step_tangent.first_stage(stage.pressure, weights, _FIRST_STAGE_FACTOR)
+        step_tangent.first_stage(
+            stage.pressure, 1.0 if weights is None else weights, _FIRST_STAGE_FACTOR
+        )
     last, contact, weights_last = _last_stage(
-        physics, contacts, closing, end, sliding[2], carried, length, stage.pressure, step_tangent
-    )
-    worn_last = last.depth_if_always_in_contact(contact.pressure)
-    losses = worn_last if closing is None else last.depths(contact.pressure)
-
-    pressures = (
-        state.contact.pressure, _weighted(weights, stage.pressure),
-        _weighted(weights_last, contact.pressure),
+        physics, contacts, closing, end, sliding[2], carried, stage_length, stage.pressure,
+        step_tangent,
     )  # fmt: skip
-    moments = np.array([physics.moment(p) for p in pressures])
-    omega, friction = (np.array(of) for of in zip(*sliding, strict=True))
-    powers, normal_powers = omega * (friction * moments), omega * moments
+    wear, last_volumes = last.wear_off(
+        contact.pressure, carried, stage_length, physics.area, weights_last
+    )
+    sums, with_weights = np.empty((5, len(length))), weights is not None
+    load(step_rows).add_power(
+        *p_before.shape, length, np.array(sliding), p_before, stage.pressure, contact.pressure,
+        weights if with_weights else p_before, weights_last if with_weights else p_before,
+        with_weights, physics.torque_arm, physics.area, _WEIGHTS, _DEFECT, sums,
+    )  # fmt: skip
+    energy, work, energy_error, power, touching = sums
     contact = replace(
         contact,
         iterations=stage.iterations + contact.iterations,
         residual=np.maximum(stage.residual, contact.residual),
     )
-    energy, work = (length * _sum(_WEIGHTS, power) for power in (powers, normal_powers))
-    wear = carried + losses
-    then = last.rates(contact.pressure, worn_last)
-    volumes = length * (
-        _WEIGHTS[1] * physics.integrals(_weighted(weights, first.rates(stage.pressure, worn_first)))
-        + _WEIGHTS[2] * physics.integrals(_weighted(weights_last, then))
+    then = (
+        last.rates(contact.pressure)
+        if physics.inputs.rates_last
+        else physics.rates(end, sliding[2], wear, contact.pressure)
     )
-    if not physics.inputs.rates_last:
-        then = physics.rates(end, sliding[2], wear, contact.pressure)
+    volumes = length * (_WEIGHTS[1] * first_volumes + _WEIGHTS[2] * last_volumes)
     if step_tangent is not None:
-        step_tangent.last_stage(last, contact.pressure, GAMMA * length)
-        for i, d_p in enumerate(step_tangent.weighted, start=1):
-            step_tangent.work(_WEIGHTS[i] * length, sliding[i], pressures[i], d_p)
+        step_tangent.last_stage(last, contact.pressure, stage_length)
+        pressures = _weighted(weights, stage.pressure), _weighted(weights_last, contact.pressure)
+        for i, (p, d_p) in enumerate(zip(pressures, step_tangent.weighted, strict=True), start=1):
+            step_tangent.work(_WEIGHTS[i] * length, sliding[i], p, d_p)
     after = advanced(physics, state, end, wear, volumes, energy, work, contact, then, step_tangent)
     if not with_errors:
         return Step(after, np.zeros_like(length), np.zeros_like(length))
-    stages = (first, stage.pressure), (last, contact.pressure)
-    in_first, in_last = (wear_of.total_if_always_in_contact(p) for wear_of, p in stages)
-    if closing is not None:
+    in_first = first.total_if_always_in_contact(stage.pressure)
+    in_last = last.total_if_always_in_contact(contact.pressure)
+    came = None if is_closed else entry_error(physics, closing, state, after, in_last)
+    if closing is not None and weights_last is not None:
         in_last = in_last / np.where(closing.mask, 1.0, weights_last)
-    came = entry_error(physics, closing, state, after, worn_last)
     errors = _errors_of(
-        contacts, state, length, in_first, in_last, last, contact.pressure, worn_last,
+        contacts, state, length, in_first, in_last, last, contact.pressure,
         None if closing is None else closing.mask,
     )  # fmt: skip
     after = replace(after, error=errors.at_end)
     passage = Passage.of(physics, state, after, end, sliding[2], contact.pressure)
     wear_error = errors.of_step
+    mean_pressure = contact.force / np.maximum(touching, physics.least_area)
     if passage is not None:
-        growth = passage.growth_at(_mean_pressure(physics, contact))
+        growth = passage.growth_at(mean_pressure[:, None])
         wear_error = largest(np.abs(errors.defect * growth))
     relief = errors.relief if came is None else np.maximum(came, np.abs(errors.relief))
     pressure_errors = np.empty_like(length)
-    load(step_rows).largest_ratios(
-        *relief.shape, relief, state.contact.pressure, _least_scale(physics, contact),
-        pressure_errors,
-    )  # fmt: skip
+    # the scale is the pressure at the start, but not less than the mean at the end, and than what
+    # an approach as small as the tolerance of wear presses
+    least = np.maximum(mean_pressure, physics.slight_pressure)
+    load(step_rows).largest_ratios(*relief.shape, relief, p_before, least, pressure_errors)
     judged = Step(
-        after,
-        wear_error,
-        errors.of_history,
-        np.abs(length * _sum(_DEFECT, powers)),
-        powers.max(axis=0),
-        pressure_errors,
-        errors.of_before,
-        _closing(state.contact.pressure, losses),
-    )
+        after, wear_error, errors.of_history, energy_error, power, pressure_errors,
+        errors.of_before, False if is_closed else _closing(p_before, state.wear, wear),
+    )  # fmt: skip
     return end_at_interfaces(contacts, state, judged, passage, step_tangent)
 
 
@@ -175,7 +171,6 @@ def _errors_of(
     in_last: FloatArray,
     last: WearIncrement,
     p: FloatArray,
-    worn_last: FloatArray,
     closing: BoolArray | None,
 ) -> _Errors:
     """Return the errors of steps from a state, estimated and propagated.
@@ -186,7 +181,7 @@ def _errors_of(
     ----------
     length : (B,) s.
     in_first, in_last : (B, n) mm, depths of both bodies together in stages of usual length.
-    last : of the last stage, at (B, n) MPa, in which bodies lose ``worn_last`` (2, B, n) mm.
+    last : of the last stage, at (B, n) MPa.
     closing : (B, n) elements that close a gap in the step.
     """
     loops, shape = load(step_rows), in_last.shape
@@ -196,48 +191,40 @@ def _errors_of(
     )
     if closing is not None:  # those make one step of first order, see ``entry_error``
         errors[:2, closing] = 0.0
-    slope, memory = last.slope(p), last.memory(p, worn_last)
-    respond, forgets = contacts.engine.derivatives.response, isinstance(memory, float)
-    remembered = (errors if isinstance(memory, float) else memory), not forgets
+    slope, memory = last.slope(p), last.memory(p)
+    respond, ones = contacts.engine.derivatives.response, None if last.local else np.ones(shape)
+
+    def relieved(growth: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the pressures that depths too many take away, and theirs times slopes."""
+        reliefs = respond(growth)
+        if ones is not None:
+            return reliefs, last.depth_change(slope, reliefs), ones
+        return reliefs, reliefs, slope
+
+    remembered = errors if memory is None else memory, memory is not None
     # the filter: the pressure that a depth too many takes away, times d depth / d p
-    growth = errors if forgets else np.concatenate([errors[:1], memory * errors[1:]])
-    reliefs = respond(growth)
+    reliefs, *changing = relieved(
+        errors if memory is None else np.concatenate([errors[:1], memory * errors[1:]])
+    )
     # (1 + (1 - 2 gamma) z) / (1 - gamma z)^2 of the error before, z being h J
     defect, at_end, sizes = np.empty(shape), np.empty(shape), np.empty((3, len(length)))
-    changes = last.depth_change(slope, reliefs)
     loops.propagate(
-        *shape,
-        errors,
-        changes,
-        *remembered,
-        state.error,
-        _LACKING / GAMMA,
-        _FIRST_STAGE_FACTOR,
-        defect,
-        propagated,
-    )
-    changes = last.depth_change(slope, respond(propagated if forgets else memory * propagated))
-    loops.sum_errors(*shape, propagated, changes, *remembered, defect, at_end, sizes)
+        *shape, errors, *changing, *remembered, state.error, _LACKING / GAMMA,
+        _FIRST_STAGE_FACTOR, defect, propagated,
+    )  # fmt: skip
+    _, *changing = relieved(propagated if memory is None else memory * propagated)
+    loops.sum_errors(*shape, propagated, *changing, *remembered, defect, at_end, sizes)
     return _Errors(defect, at_end, reliefs[0], *sizes)
 
 
-def _closing(p: FloatArray, losses: FloatArray) -> BoolArray:
-    """Return where elements that are apart at pressures wear, (B,)."""
-    if p.min() > 0.0:
-        return np.zeros(len(p), dtype=bool)
-    return ((p <= 0.0) & (losses > 0.0).any(axis=0)).any(axis=-1)
+def _closing(p: FloatArray, before: FloatArray, after: FloatArray) -> BoolArray:
+    """Return where elements that are apart at pressures wear, (B,), from wear before and after."""
+    return ((p <= 0.0) & (after > before).any(axis=0)).any(axis=-1)
 
 
-def _weighted(weights: FloatArray | float, values: FloatArray) -> FloatArray:
-    """Return weights times values; a number stands for 1, where no elements close."""
-    return values if isinstance(weights, float) else weights * values
-
-
-def _sum(weights: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the weighted sum of values at the start and of both stages, (3, B), term by term."""
-    start, stage, last = weights.tolist()
-    total: FloatArray = start * values[0] + stage * values[1] + last * values[2]
-    return total
+def _weighted(weights: FloatArray | None, values: FloatArray) -> FloatArray:
+    """Return weights times values; None stands for 1, where no elements close."""
+    return values if weights is None else weights * values
 
 
 def _last_stage(
@@ -247,21 +234,23 @@ def _last_stage(
     end: FloatArray,
     sliding: Sliding,
     carried: FloatArray,
-    length: FloatArray,
+    step: FloatArray,
     pressure_guess: FloatArray,
     step_tangent: StepTangent | None,
-) -> tuple[WearIncrement, ContactState, FloatArray | float]:
+) -> tuple[WearIncrement, ContactState, FloatArray | None]:
     """Return the last stage, its contact, and how many times its weight it counts, (..., n).
 
-    ``pressure_guess`` are pressures near those at its end, (..., n) MPa.
+    Parameters
+    ----------
+    step : s, of the stage.
+    pressure_guess : pressures near those at its end, (..., n) MPa.
     """
-    step = GAMMA * length
     if closing is None:
         last = physics.increment(end, sliding, carried, step)
         contact = contacts.solve(
             physics.contact_inputs(end, carried, last), pressure_guess, tangents=step_tangent
         )
-        return last, contact, 1.0
+        return last, contact, None
     weights = np.where(closing.mask, 1.0 + _FIRST_STAGE_FACTOR, 1.0)
     last = physics.increment(end, sliding, carried, step, closing.closing(step, weights))
     contact = contacts.solve(
@@ -282,18 +271,3 @@ def _last_stage(
         contact = replace(again, iterations=again.iterations + more)
         inside = last.share(last.depth_if_always_in_contact(contact.pressure))
     return last, contact, weights * inside
-
-
-def _least_scale(physics: Physics, after: ContactState) -> FloatArray:
-    """Return the least scale of errors of pressure, (B,) MPa; it is the pressure at the start.
-
-    The mean pressure at the end, but not less than what an approach as small as the tolerance of
-    wear presses.
-    """
-    return np.maximum(_mean_pressure(physics, after)[:, 0], physics.slight_pressure)
-
-
-def _mean_pressure(physics: Physics, contact: ContactState) -> FloatArray:
-    """Return the force over the area in contact, MPa, a number or (B, 1)."""
-    touching = physics.area_in_contact(contact.pressure)
-    return columns(contact.force / np.maximum(touching, physics.area.min()))

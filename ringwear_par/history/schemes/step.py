@@ -86,4 +86,4 @@ def advanced(
         state.meshed_wear, state.gap_offset,
         None if step_tangent is None else step_tangent.reached(contact), state.through,
     )  # fmt: skip
-    return check_state(physics.case, after)
+    return check_state(physics.inputs, after)

@@ -86,13 +86,21 @@ class StoredRows:
             for name in stored
             if case.output.profiles == "last" and "element" in VARIABLES[name].dimensions
         ]
-        # rows as they come: numbers of the histories, steps, variables
+        # rows as they come: numbers of the histories, steps, iterations of the contact solver in
+        # the steps before, variables
         self._numbers: list[IntArray] = []
         self._steps: list[IntArray] = []
+        self._before: list[IntArray] = []
         self._rows: dict[str, list[Any]] = {name: [] for name in stored if name not in last}
         self._last_profiles = {name: np.full(self._shape(name, count), np.nan) for name in last}
-        #: (B,) iterations of the contact solver since the last stored state
-        self.pending = np.zeros(count, dtype=np.int64)
+        # (B,) iterations of the contact solver in all steps so far, in those before the last stored
+        # state, and in those before the first one here
+        self._iterations, self._until_last, self._until_first = np.zeros((3, count), np.int64)
+
+    @property
+    def pending(self) -> IntArray:
+        """(B,) iterations of the contact solver since the last stored state."""
+        return self._iterations - self._until_last
 
     def restore(self, before: Result, reached: float) -> BoolArray:
         """Take the stored rows of an interrupted single history that its case still stores.
@@ -116,22 +124,29 @@ class StoredRows:
             if rows[-1]:
                 last[0] = stored[name]
         assert before.checkpoint is not None
-        self.pending[0] = before.checkpoint.pending_iterations + int(
-            before.histories["contact_iterations"][~rows].sum()
-        )
+        self._iterations[0] = before.checkpoint.start.progress.iterations[0]
+        pending = before.histories["contact_iterations"][~rows].sum()
+        self._until_last[0] = self._iterations[0] - pending - before.checkpoint.pending_iterations
+        self._until_first[:] = self._until_last
+        self._before.append(np.repeat(self._until_last, np.count_nonzero(rows)))
         return rows
 
     def __call__(self, snapshot: Snapshot) -> bool:
         """Take new states that are to be stored."""
-        self.pending[snapshot.numbers] += snapshot.iterations
+        iterations = snapshot.progress.iterations
+        if not snapshot.passing:
+            self._iterations[snapshot.numbers] = iterations
         stored = np.flatnonzero(snapshot.stored)
         if not len(stored):
             return False
         values, numbers = row(snapshot.physics, snapshot.state), snapshot.numbers[stored]
-        values["contact_iterations"] = self.pending[snapshot.numbers]
+        # of a state from which its history does not go on from another; steps have theirs by now
+        apart = snapshot.passing or snapshot.step is None
+        values["contact_iterations"] = snapshot.iterations * apart
         values |= derivatives_of(snapshot.physics, snapshot.state)
         self._numbers.append(numbers)
         self._steps.append(snapshot.progress.steps[stored])
+        self._before.append(iterations[stored])
         # states do not change: those of all histories are stored without a copy
         part = slice(None) if len(stored) == len(snapshot.numbers) else stored
         for name, rows in self._rows.items():
@@ -141,14 +156,15 @@ class StoredRows:
         last = np.flatnonzero(snapshot.finished) if self._count > 1 else stored
         for name, profiles in self._last_profiles.items() if len(last) else ():
             profiles[at_rows(name, snapshot.numbers[last])] = values[name][at_rows(name, last)]
-        self.pending[numbers] = 0
+        np.maximum.at(self._until_last, numbers, iterations[stored])
         return False
 
     def columns(self) -> dict[str, Any]:
         """Return all rows, by history: the fields of ``HistoryColumns`` that these are."""
         empty = np.empty(0, dtype=np.int64)
         numbers = np.concatenate([empty, *self._numbers])
-        order = np.argsort(numbers, kind="stable")
+        times = np.concatenate([np.empty(0), *self._rows["time"]])
+        order = np.lexsort((times, numbers))  # states within steps may come late
         places = np.empty(len(order), dtype=np.int64)
         places[order] = np.arange(len(order))
         values: dict[str, Any] = {}
@@ -159,6 +175,11 @@ class StoredRows:
         numbers, steps = numbers[order], np.concatenate([empty, *self._steps])[order]
         self._numbers, self._steps = [numbers], [steps]
         first = np.searchsorted(numbers, numbers)
+        before = np.concatenate([empty, *self._before])[order]
+        self._before = [before]
+        at_first = np.arange(len(numbers)) == first
+        since = before - np.where(at_first, self._until_first[numbers], np.roll(before, 1))
+        values["contact_iterations"] = values["contact_iterations"] + since
         for name, total in _SINCE_START.items():
             if name in self._rows:
                 values[name] = values[total] - values[total][..., first]

@@ -6,7 +6,8 @@ A packed block is a header and its data::
     data of each column, one after another
 
 The header (the first line, its checksum is of all of it) is enough for an index: ``cases`` has a
-row of ``CASE`` each, the words are JSON: where each column is, its checksum, versions, errors.
+row of ``CASE`` each, the words are JSON: where each column is, its checksum, versions, errors. Of a
+column that is the same number throughout there is one.
 """
 
 import json
@@ -180,10 +181,7 @@ class Block:
 
     def packed(self) -> list[memoryview]:
         """Return the block as ``unpack_header`` reads it, in parts that follow each other."""
-        data = {
-            name: np.ascontiguousarray(values, dtype="<f8").reshape(-1).view(np.uint8).data
-            for name, values in self.columns.items()
-        }
+        data = {name: _stored(values).view(np.uint8).data for name, values in self.columns.items()}
         data[_TEXTS] = memoryview(zlib.compress(_BETWEEN.join(self.texts).encode(), 1))
         words = {
             "sizes": sizes_of(self.columns),
@@ -199,6 +197,13 @@ class Block:
         numbers = len(header) - self.cases.nbytes, len(self.cases), size
         head = _HEAD.pack(MARKER, *numbers, _checksum(numbers, header))
         return [memoryview(head + header), *data.values()]
+
+
+def _stored(values: Any) -> Any:
+    """Return the numbers of a column, or the one that all of them are, to the last bit."""
+    numbers = np.ascontiguousarray(values, dtype="<f8").reshape(-1)
+    bits = numbers.view(np.int64)
+    return numbers[:1] if (bits[-1:] == bits[:1]).all() and (bits == bits[:1]).all() else numbers
 
 
 def _checksum(numbers: tuple[int, int, int], header: bytes) -> int:
@@ -218,10 +223,13 @@ class PackedBlock(CaseBlock):
 
     def read(self, names: Iterable[str]) -> dict[str, Any]:
         """Return the stored ones of some columns."""
-        return {
-            name: np.frombuffer(part, "<f8").reshape(-1, *shape_of(name, self.sizes))
-            for name, part in self._bytes(names).items()
-        }
+        counts, columns = _counts(self.cases), {}
+        for name, part in self._bytes(names).items():
+            shape = counts[self.axes[name]], *shape_of(name, self.sizes)
+            numbers = np.frombuffer(part, "<f8")
+            alike = len(numbers) < math.prod(shape)
+            columns[name] = np.broadcast_to(numbers, shape) if alike else numbers.reshape(shape)
+        return columns
 
     def texts(self, places: Sequence[int]) -> list[str]:
         """Return the TOML texts of some of the cases."""
@@ -283,16 +291,20 @@ def unpack_header(content: Any, at: int, path: Path) -> PackedBlock | None:
         return None
 
 
+def _counts(cases: Any) -> dict[str, int]:
+    """Return the lengths of the first axes of columns of some cases."""
+    return {BY_STATE: int(cases["rows"].sum()), BY_CASE: len(cases), SHARED: 1}
+
+
 def _is_consistent(block: PackedBlock) -> bool:
     """Tell whether a header makes sense, for all its right checksum; may raise instead."""
-    cases = block.cases
-    counts = {BY_STATE: int(cases["rows"].sum()), BY_CASE: len(cases), SHARED: 1}
+    cases, counts = block.cases, _counts(block.cases)
     sizes = {
         name: 8 * counts[axis] * math.prod(shape_of(name, block.sizes))
         for name, axis in block.axes.items()
     }
     return bool(
-        all(block.parts[name][0] == size for name, size in sizes.items())
+        all(block.parts[name][0] in (size, min(size, 8)) for name, size in sizes.items())
         and sum(size for size, _ in block.parts.values()) == block.stop - block.start
         and ((cases["status"] >= 0) & (cases["status"] < len(STATUS))).all()
         and ((cases["rows"] >= 0) & (cases["elements"] >= 0)).all()

@@ -131,10 +131,7 @@ class CaseTable:
             self.ids.astype(str).tolist(),
             *(column.by_case(_cell) for column in self.varied.values()),
             *(words[name] for name in _BEFORE),
-            *(
-                ["" if v != v else repr(v) for v in values.tolist()]
-                for values in self._columns().values()
-            ),
+            *map(_cells, self._columns().values()),
             ["" if v != v else f"{v:.4f}" for v in seconds],
             *(words[name] for name in _AFTER[1:]),
             strict=True,
@@ -232,6 +229,14 @@ def _joined(column: Column, values: Sequence[Any]) -> Column:
     distinct = column.distinct
     more = len(distinct) + np.arange(len(values))
     return Column.chosen([*distinct, *values], np.concatenate([column.codes, more]))
+
+
+def _cells(values: FloatArray) -> list[str]:
+    """Return the texts of numbers, "" for NaN."""
+    texts = list(map(repr, values.tolist()))
+    for unknown in np.flatnonzero(np.isnan(values)).tolist():
+        texts[unknown] = ""
+    return texts
 
 
 def _cell(value: Any) -> str:

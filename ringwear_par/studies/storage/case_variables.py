@@ -18,9 +18,9 @@ from ringwear_par.studies.storage.stored_variables import AXES
 _CHUNK_BYTES = 256e3
 #: most cases of which texts, or rows of a table, are made together
 WINDOW = 2**13
-#: share of bytes equal to the one before above which bytes of one weight are compressed; of random
-#: bytes it is 1 / 256
-_REPEATED = 0.02
+#: share of bytes equal to the one before above which bytes of one weight are compressed: a search
+#: for runs takes more time than all the rest of writing
+_REPEATED = 0.15
 #: of zlib's streams
 _HEADER = b"\x78\x01"
 #: with which xarray takes bytes for the texts that they are
@@ -113,7 +113,8 @@ class Chunks:
         # the line repeats from case to case: that is no run, nor is one number
         if self.name in LINE or planes.shape[1] < 2:
             return zlib.compress(planes.data, 1)
-        repeated = (planes[:, 1:] == planes[:, :-1]).mean(axis=1) > _REPEATED
+        least = _REPEATED * planes.shape[1]
+        repeated = np.count_nonzero(planes[:, 1:] == planes[:, :-1], axis=1) > least
         stream, first = [_HEADER], 0
         for in_runs, alike in itertools.groupby(repeated.tolist()):
             last = first + len(list(alike))

@@ -36,6 +36,10 @@ class ArchardLaw(Law):
             return None
         return self.k / friction
 
+    def line(self, local: LocalState) -> tuple[FloatArray, float | FloatArray] | None:
+        """Return rise, mm/s/MPa, and onset, 0 MPa."""
+        return value(self.k, local.time, local.r) * local.speed, 0.0
+
     def rate(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the rate of wear, mm/s."""
         return value(self.k, local.time, local.r) * local.speed * p

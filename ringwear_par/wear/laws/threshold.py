@@ -26,6 +26,10 @@ class AboveThreshold(Law):
             memo[:] = self, self._rise(local), value(self.p0, local.time, local.r)
         return memo[1], memo[2]
 
+    def line(self, local: LocalState) -> tuple[FloatArray, float | FloatArray] | None:
+        """Return rise, mm/s/MPa, and onset, MPa."""
+        return None if self.remembers else self._line(local)
+
     def _excess(self, p: FloatArray, local: LocalState) -> FloatArray:
         excess = np.asarray(p - self._line(local)[1])
         return np.maximum(excess, 0.0, out=excess)
@@ -37,8 +41,7 @@ class AboveThreshold(Law):
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to pressure, mm/s/MPa."""
         rise, p0 = self._line(local)
-        above = p > p0
-        return rise if above.shape == rise.shape and above.all() else rise * above
+        return rise * (p > p0)
 
     def d_rate_dparameter(self, name: str, p: FloatArray, local: LocalState) -> FloatArray:
         """Return the derivative of the rate with respect to a numeric parameter's value there."""
