@@ -28,7 +28,7 @@ _ROUND_OFF = 1e-12
 #: shape than the bases, and where they have that. Of estimates, of solutions, and within Newton's
 #: method, whose next step corrects what this one left; slopes of that shape are linear, so that
 #: this step is the last
-ROUGH, SOLVED = (1e-3, 1e-3), (1e-13, 1e-13)
+ROUGH, SOLVED = (1e-2, 1e-2), (1e-13, 1e-13)
 NEAR = 1e-6, 1e-13
 _MOST_ITERATIONS = 200
 
@@ -254,7 +254,7 @@ class Hessians:
         return self._steps(self._rows_of(histories, compact=True), gradient, missing, tolerance)
 
     def responses(self, histories: IntArray, gaps: FloatArray, with_forces: bool) -> FloatArray:
-        """Return about the changes of pressures, MPa, with gaps (..., h, n) mm, to some 1e-3.
+        """Return about the changes of pressures, MPa, with gaps (..., h, n) mm, to some 1e-2.
 
         Parameters
         ----------
