@@ -13,30 +13,34 @@ from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Rea
 
 def multiply(
     count: Count, n: Count, k: Count, times: Count, size: Count, order: Integers, which: Integers,
-    rows: Reals, matrices: Reals, products: Reals,
+    rows: Reals, matrices: Reals, derivatives: Reals, deviations: Reals, with_derivatives: Count,
+    deviating: Reals, products: Reals,
 ) -> None:  # fmt: skip
     """Set products (times, size, k) of rows (times, size, n) with their matrices (m, n, k).
 
     Rows have the matrices ``which`` (size,), by which the ``order`` (count,) of those that are
-    multiplied should be: digits of a row do not depend on the others. After the products there is
-    room for 3 more.
+    multiplied should be: digits of a row do not depend on the others. With derivatives (m, n, k),
+    ``deviations`` (size,) of these are added to the matrices. After the products there is room for
+    3 more; ``deviating`` is room for 4.
     """
-    _multiply(count, n, k, times, size, order, which, rows, matrices, products)
-
-
-def _multiply(
-    count: Count, n: Count, k: Count, times: Count, size: Count, order: Integers, which: Integers,
-    rows: Reals, matrices: Reals, products: Reals,
-) -> None:  # fmt: skip
-    """Multiply four rows of a matrix at a time; where there are fewer, the first again."""
     at, spare = 0, times * size
     while at < count * times:
         row0, row1, row2, row3, together = _four(at, count, times, size, order, which)
+        number = which[order[at // times]]
         _multiply_four(
-            n, k, row0, row1, row2, row3, rows, which[order[at // times]], matrices, row0,
+            n, k, row0, row1, row2, row3, rows, number, matrices, row0,
             row1 if together > 1 else spare, row2 if together > 2 else spare + 1,
             row3 if together > 3 else spare + 2, products,
         )  # fmt: skip
+        if with_derivatives:
+            _multiply_four(
+                n, k, row0, row1, row2, row3, rows, number, derivatives, 0, 1, 2, 3, deviating
+            )
+            for q in range(together):
+                place = order[(at + q) // times]
+                start = ((at + q) % times * size + place) * k
+                for j in range(k):
+                    products[start + j] += deviations[place] * deviating[q * k + j]
         at += together
 
 
@@ -308,8 +312,9 @@ def compare_slopes(
 ) -> None:  # fmt: skip
     """Set which histories, compact, need a new inverse, with its rate and its sets.
 
-    Slopes are regular where they are one rate, compact, times the speed of elements that wear.
-    Elements in contact and those of them that wear become those before.
+    Slopes are regular where they are one rate, compact, times the speed of elements that wear;
+    others have the middle between their least and their largest. Elements in contact and those of
+    them that wear become those before.
     """
     for place in range(count):
         rates[place], are_new[place], have_new_sets[place] = _compare_slopes(
@@ -343,33 +348,33 @@ def _compare_slopes(
         same = same and wears == wearing_before[k]
         free_before[k], wearing_before[k] = free[k], wears
     are_regular[history] = regular
-    return most, True, not same
+    return most if regular else 0.5 * (most + least), True, not same
 
 
 def invert(
     count: Count, n: Count, rows: Integers, numbers: Integers, rates: Reals, values: Reals,
-    forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
+    bends: Reals, deviations: Reals, forces: Reals, inverses: Reals, responses: Reals,
+    stiffness: Reals,
 ) -> None:  # fmt: skip
-    """Set the inverses 1 / (1 + rate mu) in bases, and what they make of a change of approach.
+    """Set the inverses 1 / (1 + rate mu + deviation K'_ii) in bases, and responses to approaches.
 
-    Bases have ``values`` mu (m, n) and ``forces`` (m, n); rates are compact.
+    Bases have ``values`` mu, ``bends`` K'_ii and ``forces``, (m, n); rates are compact.
     """
     for place in range(count):
         _invert(
-            n, rows[place], numbers[rows[place]], rates[place], values, forces, inverses, responses,
-            stiffness,
+            n, rows[place], numbers[rows[place]], rates[place], values, bends,
+            deviations[rows[place]], forces, inverses, responses, stiffness,
         )  # fmt: skip
 
 
 def _invert(
-    n: Count, history: Count, number: Count, rate: Real, values: Reals, forces: Reals,
-    inverses: Reals, responses: Reals, stiffness: Reals,
+    n: Count, history: Count, number: Count, rate: Real, values: Reals, bends: Reals,
+    deviation: Real, forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
 ) -> None:  # fmt: skip
     row, basis, carried = history * n, number * n, 0.0
     for i in range(n):
-        force = forces[basis + i]
-        inverse = 1.0 / (1.0 + rate * values[basis + i])
-        inverses[row + i], responses[row + i] = inverse, inverse * force
+        inverse = 1.0 / (1.0 + rate * values[basis + i] + deviation * bends[basis + i])
+        inverses[row + i], responses[row + i] = inverse, inverse * forces[basis + i]
     for i in range(n):
         carried += forces[basis + i] * responses[row + i]
     stiffness[history] = carried
@@ -380,11 +385,11 @@ def take_steps(
     slope_scale: Reals, slopes: Reals, diagonals: Reals, per_speed: Reals, free: Flags,
     are_valid: Flags, free_before: Flags, wearing_before: Flags, rates: Reals, are_new: Flags,
     have_new_sets: Flags, are_regular: Flags, round_off: Real, in_bases: Count, are_inverted: Count,
-    deviations: Reals, numbers: Integers, values: Reals, bases: Reals, transposed: Reals,
-    basis_forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals, factors: Reals,
-    references: Integers, reference_weights: Reals, unknowns: Reals, gradients: Reals,
-    approaches: Reals, are_known: Flags, weights: Reals, roots: Reals, forces: Reals,
-    with_forces: Count, missing: Reals, per_scale: Reals, pressures: Reals, are_left: Flags,
+    deviations: Reals, numbers: Integers, values: Reals, bends: Reals, bases: Reals,
+    transposed: Reals, basis_forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
+    factors: Reals, references: Integers, reference_weights: Reals, unknowns: Reals,
+    gradients: Reals, approaches: Reals, are_known: Flags, weights: Reals, roots: Reals,
+    forces: Reals,    with_forces: Count, missing: Reals, per_scale: Reals, pressures: Reals, are_left: Flags,
     group: Integers, modal: Reals, steps: Reals,
 ) -> None:  # fmt: skip
     """Set slopes, and take the steps of histories whose Hessians are diagonal in bases they have.
@@ -422,8 +427,8 @@ def take_steps(
                 if is_new and not are_inverted:
                     are_valid[history] = True
                     _invert(
-                        n, history, number, rate, values, basis_forces, inverses, responses,
-                        stiffness,
+                        n, history, number, rate, values, bends, deviations[history],
+                        basis_forces, inverses, responses, stiffness,
                     )  # fmt: skip
                 group[together] = place
                 together += 1
@@ -563,10 +568,10 @@ def _solve(
 
 def steps_by_factors(
     count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
-    factors: Reals, responses: Reals, stiffness: Reals, missing: Reals, with_missing: Count,
-    gradients: Reals, which: Integers, references: Integers, reference_weights: Reals,
-    weights: Reals, per_scale: Reals, with_scales: Count, scaled: Reals, steps: Reals,
-    changes: Reals,
+    factors: Reals, responses: Reals, stiffness: Reals, references: Integers,
+    reference_weights: Reals, missing: Reals, with_missing: Count, gradients: Reals,
+    which: Integers, weights: Reals, per_scale: Reals, roots: Reals, with_scales: Count,
+    scaled: Reals, steps: Reals, changes: Reals,
 ) -> None:  # fmt: skip
     """Set steps against gradients (times, size, n), and of approaches, as ``steps_in_bases`` does.
 
@@ -579,9 +584,10 @@ def steps_by_factors(
         for i in range(n):
             side = gradients[start + i]
             scaled[i] = side * weights[compliance + i] if with_scales else side
-        changes[into] = _step_by_factor(
-            n, histories[place], references[which[place]], scaled, 0, missing[into], with_missing,
-            factors, responses, stiffness, reference_weights, start, steps,
+        changes[into] = roots[which[place]] * _step_by_factor(
+            n, histories[place], references[which[place]], scaled, 0,
+            missing[into] * roots[which[place]], with_missing, factors, responses,
+            stiffness, reference_weights, start, steps,
         )  # fmt: skip
         if with_scales:
             for i in range(n):
@@ -608,19 +614,25 @@ def _step_by_factor(
 
 def steps_in_bases(
     count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
-    numbers: Integers, bases: Reals, transposed: Reals, forces: Reals, inverses: Reals,
-    responses: Reals, stiffness: Reals, missing: Reals, with_missing: Count, gradients: Reals,
-    which: Integers, weights: Reals, per_scale: Reals, with_scales: Count, scaled: Reals,
-    modal: Reals, steps: Reals, changes: Reals,
+    numbers: Integers, psi: Reals, psi_t: Reals, derivatives: Reals, bends: Reals, forces: Reals,
+    slopes: Reals, are_regular: Flags, deviations: Reals, inverses: Reals, responses: Reals,
+    stiffness: Reals, tolerance: Real, regular_tolerance: Real, most: Count, missing: Reals,
+    with_missing: Count, gradients: Reals, which: Integers, weights: Reals, per_scale: Reals,
+    roots: Reals, with_scales: Count, room: Reals, sizes: Reals, steps: Reals, changes: Reals,
 ) -> None:  # fmt: skip
     """Set steps against gradients (times, size, n), and of approaches, by way of bases (m, n, n).
 
-    Of Hessians that are diagonal there: slopes are regular, and compliances references.
-
     Gradients are of the ``histories`` (size,), those of the ``order`` (count,) of places are solved
-    in the bases ``numbers`` (size,). Steps carry the forces that are missing (times, size), where
-    these are given. With scales these are gaps and pressures instead. After the steps there is room
-    for 3 rows; ``scaled`` and ``modal`` are room for 4.
+    in the bases ``numbers`` (size,), four of a basis at a time. Steps carry the forces that are
+    missing (times, size), where these are given, which are ``roots`` (m,) times as large by the
+    weights of references. With scales these are gaps and pressures instead. After the steps there
+    is room for 3 rows.
+
+    Where slopes are not regular or compliances deviate, Hessians 1 + Psi' slope Psi + deviation K'
+    are not diagonal there: inverses precondition projected conjugate gradients, up to ``most``
+    iterations, until residuals are below a tolerance relative to the first. The change of approach
+    is the multiplier of the condition that the force stays. There is ``room`` for (24, n), and of
+    ``sizes`` for 8.
     """
     at, spare = 0, times * size
     while at < count * times:
@@ -631,149 +643,114 @@ def steps_in_bases(
                 place = order[(at + q) // times]
                 start, compliance = ((at + q) % times * size + place) * n, which[place] * n
                 for i in range(n):
-                    scaled[q * n + i] = gradients[start + i] * weights[compliance + i]
-            _multiply_four(n, n, 0, 1, 2, 3, scaled, number, bases, 0, 1, 2, 3, modal)
+                    room[q * n + i] = gradients[start + i] * weights[compliance + i]
+            _multiply_four(n, n, 0, 1, 2, 3, room, number, psi, 4, 5, 6, 7, room)
         else:
-            _multiply_four(
-                n, n, row0, row1, row2, row3, gradients, number, bases, 0, 1, 2, 3, modal
-            )
+            _multiply_four(n, n, row0, row1, row2, row3, gradients, number, psi, 4, 5, 6, 7, room)
+        bent, deviating = False, False
         for q in range(together):
             place = order[(at + q) // times]
-            into = (at + q) % times * size + place
-            changes[into] = _step_in_basis(
-                n, histories[place], number, q, missing[into], with_missing, forces, inverses,
-                responses, stiffness, modal,
+            history, into, local = histories[place], (at + q) % times * size + place, q * n
+            row, basis, change, size_q = history * n, number * n, 0.0, 0.0
+            if with_missing and stiffness[history] > 0.0:
+                for i in range(n):
+                    change += responses[row + i] * room[4 * n + local + i]
+                change = (missing[into] * roots[which[place]] + change) / stiffness[history]
+            for i in range(n):
+                room[4 * n + local + i] = change * forces[basis + i] - room[4 * n + local + i]
+            for i in range(n):
+                room[local + i] = room[4 * n + local + i] * inverses[row + i]
+            changes[into] = change
+            regular, deviates = are_regular[history], deviations[history] != 0.0
+            sizes[q] = 0.0
+            if not regular or deviates:
+                for i in range(n):
+                    size_q += inverses[row + i] * room[4 * n + local + i] * room[4 * n + local + i]
+                sizes[q], share = size_q, regular_tolerance if regular else tolerance
+                sizes[4 + q] = share * share * size_q
+            bent, deviating = bent or not regular, deviating or deviates
+        if bent or deviating:
+            _conjugate_gradients(
+                at, together, n, times, number, order, histories, psi, psi_t, derivatives, bends,
+                forces, slopes, bent, are_regular, deviating, deviations, inverses, responses,
+                stiffness, with_missing, most, size, room, sizes, changes,
             )  # fmt: skip
         _multiply_four(
-            n, n, 0, 1, 2, 3, modal, number, transposed, row0, row1 if together > 1 else spare,
+            n, n, 0, 1, 2, 3, room, number, psi_t, row0, row1 if together > 1 else spare,
             row2 if together > 2 else spare + 1, row3 if together > 3 else spare + 2, steps,
         )  # fmt: skip
-        if with_scales:
-            for q in range(together):
-                place = order[(at + q) // times]
-                start, compliance = ((at + q) % times * size + place) * n, which[place] * n
+        for q in range(together):
+            place = order[(at + q) // times]
+            into, compliance = (at + q) % times * size + place, which[place] * n
+            changes[into] *= roots[which[place]]
+            if with_scales:
                 for i in range(n):
-                    steps[start + i] *= per_scale[compliance + i]
+                    steps[into * n + i] *= per_scale[compliance + i]
         at += together
 
 
-def conjugate_gradients(
-    count: Count, n: Count, order: Integers, n_histories: Count, histories: Integers,
-    numbers: Integers, psi: Reals, psi_t: Reals, derivatives: Reals, with_derivatives: Count,
-    forces: Reals, slopes: Reals, are_regular: Flags, deviations: Reals, inverses: Reals,
-    responses: Reals, stiffness: Reals, missing: Reals, with_forces: Count, tolerance: Real,
-    regular_tolerance: Real, most: Count, sides: Reals, changes: Reals, which: Integers,
-    positions: Integers, sizes: Reals, limits: Reals, multipliers: Reals, solutions: Reals,
-    residuals: Reals, directions: Reals, bent: Reals, products: Reals, deviating: Reals,
+def _conjugate_gradients(
+    at: Count, together: Count, n: Count, times: Count, number: Count, order: Integers,
+    histories: Integers, psi: Reals, psi_t: Reals, derivatives: Reals, bends: Reals,
+    forces: Reals, slopes: Reals, bent: Count, are_regular: Flags, deviating: Count,
+    deviations: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
+    with_missing: Count, most: Count, size: Count, room: Reals, sizes: Reals, changes: Reals,
 ) -> None:  # fmt: skip
-    """Set steps against gradients in bases, of an ``order`` of places, as ``steps_in_bases`` does.
-
-    Of Hessians that are not diagonal there, 1 + Psi' slope Psi + deviation K', by projected
-    conjugate gradients, which these inverses precondition: four histories of a basis at a time, up
-    to ``most`` iterations, until residuals are below a tolerance relative to the first. Each
-    iterate carries the force; the change of approach is the multiplier of that condition.
-    ``sides`` (places, n) are gradients before and steps after. ``which``, ``positions``, ``sizes``,
-    ``limits`` and ``multipliers`` are work arrays of 4; from ``solutions`` on of (7, n).
-    """
-    begin = 0
-    while begin < count:
-        first = histories[order[begin] % n_histories]
-        regular, together = are_regular[first], 0
-        share = regular_tolerance if regular else tolerance
-        while together < 4 and begin + together < count:
-            history = histories[order[begin + together] % n_histories]
-            if numbers[history] != numbers[first] or are_regular[history] != regular:
-                break
-            which[together], positions[together] = numbers[first], together
-            together += 1
-        shifted = False
-        for q in range(together):
-            place, local = order[begin + q], q * n
-            history = histories[place % n_histories]
-            row, start, size, shift = history * n, place * n, 0.0, 0.0
-            for i in range(n):
-                size += inverses[row + i] * sides[start + i] * sides[start + i]
-            if with_forces and stiffness[history] > 0.0:
-                shift = missing[place] / stiffness[history]
-            # of so little as is mostly missing, the round-off of the last step, the residual is
-            # that of none
-            much = shift * shift * stiffness[history] > share * share * size
-            shifted = shifted or much
-            for i in range(n):
-                solutions[local + i] = shift * responses[row + i]
-                directions[local + i] = solutions[local + i] if much else 0.0
-                residuals[local + i] = -sides[start + i]
-            sizes[q], limits[q], multipliers[q] = 1.0, 0.0, 0.0
-        # the first time the residual is made that of the shift
-        for iteration in range(most + 1):
-            if iteration > 0 or shifted:
-                if not regular:
-                    _multiply(
-                        together, n, n, 1, together, positions, which, directions, psi_t, bent
-                    )
-                    for q in range(together):
-                        row = histories[order[begin + q] % n_histories] * n
-                        for i in range(n):
-                            bent[q * n + i] *= slopes[row + i]
-                    _multiply(together, n, n, 1, together, positions, which, bent, psi, products)
-                if with_derivatives:
-                    _multiply(
-                        together, n, n, 1, together, positions, which, directions, derivatives,
-                        deviating,
-                    )  # fmt: skip
-            going = False
+    """Go on from the steps of diagonal Hessians to those of the others."""
+    for i in range(4 * n):
+        room[8 * n + i] = room[i]
+    for iteration in range(most + 1):
+        if bent:
+            _multiply_four(n, n, 8, 9, 10, 11, room, number, psi_t, 12, 13, 14, 15, room)
             for q in range(together):
-                if not sizes[q] > limits[q]:
-                    continue
-                local, history = q * n, histories[order[begin + q] % n_histories]
-                row, basis, deviation = history * n, numbers[history] * n, deviations[history]
-                size, curvature = sizes[q], 0.0
-                if iteration > 0 or shifted:
-                    if regular:
-                        for i in range(n):
-                            products[local + i] = directions[local + i] / inverses[row + i]
-                    else:
-                        for i in range(n):
-                            products[local + i] += directions[local + i]
-                    if with_derivatives:
-                        for i in range(n):
-                            products[local + i] += deviation * deviating[local + i]
-                    for i in range(n):
-                        curvature += directions[local + i] * products[local + i]
-                    length = size / curvature if curvature > 0.0 else 0.0
-                    if iteration == 0:
-                        length = 1.0
-                    moved = length if iteration > 0 else 0.0
-                    for i in range(n):
-                        solutions[local + i] += moved * directions[local + i]
-                        residuals[local + i] -= length * products[local + i]
-                carried, before, size = 0.0, size, 0.0
-                if with_forces and stiffness[history] > 0.0:
-                    for i in range(n):
-                        carried += responses[row + i] * residuals[local + i]
-                    carried /= stiffness[history]
-                    for i in range(n):
-                        residuals[local + i] -= carried * forces[basis + i]
-                    multipliers[q] += carried
+                row = histories[order[(at + q) // times]] * n
                 for i in range(n):
-                    size += inverses[row + i] * residuals[local + i] * residuals[local + i]
-                if iteration == 0:
-                    limits[q] = share * share * size
-                again = size / before if iteration > 0 else 0.0
-                for i in range(n):
-                    directions[local + i] = (
-                        again * directions[local + i] + inverses[row + i] * residuals[local + i]
-                    )
-                sizes[q] = size
-                going = going or size > limits[q]
-            if not going:
-                break
+                    room[(12 + q) * n + i] *= slopes[row + i]
+            _multiply_four(n, n, 12, 13, 14, 15, room, number, psi, 16, 17, 18, 19, room)
+        if deviating:
+            _multiply_four(n, n, 8, 9, 10, 11, room, number, derivatives, 20, 21, 22, 23, room)
+        going = False
         for q in range(together):
-            place = order[begin + q]
+            if not sizes[q] > sizes[4 + q]:
+                continue
+            place = order[(at + q) // times]
+            history, into = histories[place], (at + q) % times * size + place
+            row, basis, deviation = history * n, number * n, deviations[history]
+            x, r, d, t, g = q * n, (4 + q) * n, (8 + q) * n, (16 + q) * n, (20 + q) * n
+            length, curvature, carried, norm = 1.0, 0.0, 0.0, 0.0
+            if are_regular[history]:
+                for i in range(n):
+                    room[t + i] = room[d + i] / inverses[row + i]
+            else:
+                for i in range(n):
+                    room[t + i] += room[d + i] * (1.0 + deviation * bends[basis + i])
+            if deviating:
+                for i in range(n):
+                    room[t + i] += deviation * room[g + i]
+            if iteration > 0:
+                for i in range(n):
+                    curvature += room[d + i] * room[t + i]
+                length = sizes[q] / curvature if curvature > 0.0 else 0.0
+                for i in range(n):
+                    room[x + i] += length * room[d + i]
             for i in range(n):
-                sides[place * n + i] = solutions[q * n + i]
-            changes[place] = -multipliers[q]
-        begin += together
+                room[r + i] -= length * room[t + i]
+            if with_missing and stiffness[history] > 0.0:
+                for i in range(n):
+                    carried += responses[row + i] * room[r + i]
+                carried /= stiffness[history]
+                for i in range(n):
+                    room[r + i] -= carried * forces[basis + i]
+                changes[into] -= carried
+            for i in range(n):
+                norm += inverses[row + i] * room[r + i] * room[r + i]
+            again = norm / sizes[q] if iteration > 0 else 0.0
+            for i in range(n):
+                room[d + i] = again * room[d + i] + inverses[row + i] * room[r + i]
+            sizes[q] = norm
+            going = going or norm > sizes[4 + q]
+        if not going:
+            break
 
 
 def correction_errors(

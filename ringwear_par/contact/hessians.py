@@ -8,7 +8,7 @@ factors of their own.
 """
 
 from collections import defaultdict
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from ringwear_par.compiled import contact_rows
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.contact.basis_stack import BasisStack
 from ringwear_par.contact.problem import LARGEST_WITH_BASES, ContactProblem
-from ringwear_par.contact.row_products import ROOM, RowProducts
+from ringwear_par.contact.row_products import ROOM
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 from ringwear_par.wear.increment import WearIncrement
 
@@ -28,7 +28,7 @@ _ROUND_OFF = 1e-12
 #: shape than the bases, and where they have that. Of estimates, of solutions, and within Newton's
 #: method, whose next step corrects what this one left; slopes of that shape are linear, so that
 #: this step is the last
-ROUGH, SOLVED = (1e-3, 1e-3), (1e-13, 1e-13)
+ROUGH, SOLVED = (1e-2, 1e-2), (1e-13, 1e-13)
 NEAR = 1e-6, 1e-13
 _MOST_ITERATIONS = 200
 
@@ -47,10 +47,8 @@ class Hessians:
         count, n = len(which), len(compliances.area)
         self._per_speed = (1.0 / compliances.speed)[compliances.reference]
         more, self._loops = compliances.deviations, load(contact_rows)
-        #: (B,) from the references, see ``Deviations``, and whether any do
+        #: (B,) from the references, see ``Deviations``
         self._deviation = np.zeros(count) if more is None else more.deviation[which]
-        self._root = None if more is None else more.root
-        self._deviates = bool(self._deviation.any())
         #: (B, n) what wear adds to the diagonal
         self.slope = np.zeros((count, n))
         #: (B, n) the diagonal
@@ -78,7 +76,7 @@ class Hessians:
         self._rows: dict[bool, tuple[IntArray, _BasisRows]] = {}
         self._order: tuple[IntArray, IntArray] | None = None
         #: (B,) weights of references over those of the compliances, and N, the forces missing
-        self._roots = np.ones(count) if more is None else more.root[which]
+        self._roots = compliances.roots[which]
         self._missing = np.empty(count)
         #: room of loops
         self._room = np.empty(4, dtype=np.int64), *np.empty((2, 4, n))
@@ -167,30 +165,18 @@ class Hessians:
         if coupled or not in_bases or n > LARGEST_WITH_BASES:
             self._factorise(histories)
             return
-        irregular = ~self._regular[histories]
-        if irregular.any():
-            if self.through_layers:
-                self._factorise(histories[irregular])
-                histories, new_sets = histories[~irregular], new_sets[~irregular]
-                rates = rates[~irregular]
-                if not len(histories):
-                    return
-            else:
-                rates[irregular] = self._median_rates(histories[irregular])
+        if self.through_layers and not (regular := self._regular[histories]).all():
+            self._factorise(histories[~regular])
+            histories, new_sets, rates = histories[regular], new_sets[regular], rates[regular]
+            if not len(histories):
+                return
         new_sets |= self._basis[histories] < 0
         if new_sets.any():
             self._choose_bases(histories[new_sets])
         self._loops.invert(
-            len(histories), n, histories, self._basis, rates, self._stack.mu, self._stack.force,
-            self._inverse, self._response, self._stiffness,
+            len(histories), n, histories, self._basis, rates, self._stack.mu, self._stack.bends,
+            self._deviation, self._stack.force, self._inverse, self._response, self._stiffness,
         )  # fmt: skip
-
-    def _median_rates(self, histories: IntArray) -> FloatArray:
-        """Return the medians of slopes over speeds on elements in contact, (h,)."""
-        per_speed, free = self._per_speed[self._which[histories]], self._free[histories]
-        rates = self.slope[histories] * per_speed
-        ordered = np.sort(np.where(free, rates, np.inf), axis=1)
-        return ordered[np.arange(len(ordered)), free.sum(axis=1) // 2]
 
     def _choose_bases(self, histories: IntArray) -> None:
         """Take the bases of the sets of histories."""
@@ -265,7 +251,7 @@ class Hessians:
                 compliances.slope_scale, self.slope, self.diagonal, self._per_speed, free,
                 self._valid, self._free, self._wearing, rates, new, new_sets, self._regular,
                 _ROUND_OFF, coupling is None, are_inverted, self._deviation, self._basis,
-                stack.mu, stack.psi, stack.psi_t, stack.force, self._inverse,
+                stack.mu, stack.bends, stack.psi, stack.psi_t, stack.force, self._inverse,
                 self._response, self._stiffness, self._factors, compliances.reference,
                 compliances.reference_weights, problem.unknowns, problem.gradients,
                 problem.approaches, problem.is_known, compliances.weights, self._roots,
@@ -321,7 +307,7 @@ class Hessians:
         return self._steps(self._rows_of(histories, compact=True), gradient, missing, tolerance)
 
     def responses(self, histories: IntArray, gaps: FloatArray, with_forces: bool) -> FloatArray:
-        """Return about the changes of pressures, MPa, with gaps (..., h, n) mm, to some 1e-3.
+        """Return about the changes of pressures, MPa, with gaps (..., h, n) mm, to some 1e-2.
 
         Parameters
         ----------
@@ -348,71 +334,26 @@ class Hessians:
         """
         gradient = np.ascontiguousarray(gradient)
         size, n, stack, which = len(rows.histories), gradient.shape[-1], self._stack, rows.which
-        weights, per_scale = self._compliances.weights, self._compliances.per_scale
-        count = gradient.size // n
-        direct, indirect = rows.in_bases, rows.in_bases[:0]
-        if self._deviates or not self._regular.all():
-            among = rows.histories[direct]
-            diagonal = self._regular[among] & (self._deviation[among] == 0.0)
-            direct, indirect = direct[diagonal], direct[~diagonal]
+        compliances, count = self._compliances, gradient.size // n
         steps, changes = np.empty((count + ROOM, n)), np.zeros(gradient.shape[:-1])
-        # forces and approaches are by the weights of references in bases
-        root: Any = 1.0 if self._root is None else self._root[which]
-        lacking = changes if missing is None else np.ascontiguousarray(missing * root)
+        lacking = changes if missing is None else np.ascontiguousarray(missing)
+        sides = (
+            lacking, missing is not None, gradient, which, compliances.weights,
+            compliances.per_scale, compliances.roots, with_scales,
+        )  # fmt: skip
         self._loops.steps_in_bases(
-            len(direct), n, count // size, size, direct, rows.histories, rows.bases, stack.psi,
-            stack.psi_t, stack.force, self._inverse, self._response, self._stiffness,
-            lacking, missing is not None, gradient, which,
-            weights, per_scale, with_scales, *np.empty((2, 4, n)), steps, changes,
+            len(rows.in_bases), n, count // size, size, rows.in_bases, rows.histories, rows.bases,
+            stack.psi, stack.psi_t, stack.derivatives if stack.derivatives.size else stack.psi,
+            stack.bends, stack.force, self.slope, self._regular, self._deviation, self._inverse,
+            self._response, self._stiffness, *tolerance, _MOST_ITERATIONS, *sides,
+            np.empty((24, n)), np.empty(8), steps, changes,
         )  # fmt: skip
         self._loops.steps_by_factors(
             len(rows.factored), n, count // size, size, rows.factored, rows.histories,
-            self._factors, self._response, self._stiffness, lacking, missing is not None, gradient,
-            which, self._compliances.reference, self._compliances.reference_weights,
-            weights, per_scale, with_scales, np.empty(n), steps, changes,
+            self._factors, self._response, self._stiffness, compliances.reference,
+            compliances.reference_weights, *sides, np.empty(n), steps, changes,
         )  # fmt: skip
-        out = steps[:count].reshape(gradient.shape), changes
-        if len(indirect):
-            if with_scales:
-                gradient = gradient * weights[which]
-            sides = gradient, None if missing is None else lacking
-            self._set_indirect(rows, indirect, *sides, tolerance, out)
-            if with_scales:
-                out[0][..., indirect, :] *= per_scale[which[indirect]]
-        if self._root is not None:
-            changes *= root
-        return out
-
-    def _set_indirect(
-        self,
-        rows: "_BasisRows",
-        places: IntArray,
-        gradient: FloatArray,
-        missing: FloatArray | None,
-        tolerance: tuple[float, float],
-        out: tuple[FloatArray, FloatArray],
-    ) -> None:
-        """Set steps and changes of approaches that take conjugate gradients."""
-        order = np.argsort(
-            2 * rows.bases[places] + self._regular[rows.histories[places]], kind="stable"
-        )
-        places = places[order]
-        histories, stack, n = rows.histories[places], self._stack, gradient.shape[-1]
-        groups, count = RowProducts(rows.bases[places]), len(places)
-        modal = groups.of(gradient[..., places, :], stack.psi)
-        changes, deviates = np.empty(modal.shape[:-1]), stack.derivatives.size > 0
-        lacking = changes if missing is None else np.ascontiguousarray(missing[..., places])
-        # all that there are of a history one after another
-        every = np.arange(changes.size).reshape(-1, count).T.ravel()
-        self._loops.conjugate_gradients(
-            len(every), n, every, count, histories, self._basis, stack.psi, stack.psi_t,
-            stack.derivatives if deviates else stack.psi, deviates, stack.force, self.slope,
-            self._regular, self._deviation, self._inverse, self._response, self._stiffness,
-            lacking, missing is not None, *tolerance, _MOST_ITERATIONS, modal, changes,
-            *np.empty((2, 4), dtype=np.int64), *np.empty((3, 4)), *np.empty((6, 7, n)),
-        )  # fmt: skip
-        out[0][..., places, :] = groups.of(modal, stack.psi_t)
-        out[1][..., places] = changes
+        return steps[:count].reshape(gradient.shape), changes
 
 
 class _BasisRows(NamedTuple):

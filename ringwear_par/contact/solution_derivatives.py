@@ -30,7 +30,7 @@ class SolutionDerivatives:
     def response(self, gap: FloatArray) -> FloatArray:
         """Return about the changes of the last pressures, MPa, with small growths of gaps.
 
-        Of (..., B, n) mm, to some 1e-3 of them: for estimates of errors. Linear, elements in
+        Of (..., B, n) mm, to some 1e-2 of them: for estimates of errors. Linear, elements in
         contact and forces or approaches, whichever were given, staying so; the wear of the step
         included.
         """
