@@ -342,10 +342,9 @@ class Law:
     @classmethod
     def has_rules(cls) -> bool:
         """Return whether parameters that are right one by one can be wrong together."""
-        names = "from_values", "faults", "__post_init__"
+        checks = {"from_values", "faults", "__post_init__"}
         bounds = any(parameter.at_least for parameter in parameters_of(cls).values())
-        classes = [defined for defined in cls.__mro__ if defined is not Law]
-        return bounds or any(vars(defined).get(name) for defined in classes for name in names)
+        return bounds or any(checks & vars(k).keys() for k in cls.__mro__ if k is not Law)
 
     @classmethod
     def faults(cls, table: str, values: Mapping[str, Any]) -> list[str]:
