@@ -181,10 +181,10 @@ def judge(
     with_derivatives: Count, deviations: Reals, deviating: Reals, products: Reals, gaps: Reals,
     approaches: Reals, depths: Reals, weights: Reals, gradients: Reals, are_known: Flags,
     diagonals: Reals, forces: Reals, with_forces: Count, free: Flags, residuals: Reals,
-    are_settled: Flags, are_broken: Flags, round_off: Real, gradient_tolerance: Real,
-    force_tolerance: Real,
+    are_settled: Flags, are_broken: Flags, counts: Integers, round_off: Real,
+    gradient_tolerance: Real, force_tolerance: Real,
 ) -> None:  # fmt: skip
-    """Evaluate, and set which histories, compact, have settled and are not finite.
+    """Evaluate, and set which histories, compact, have settled and are not finite; and how many.
 
     They have settled where they keep their sets and are optimal on these: the natural residual
     min(g, diag(H) x) is small against the overlap of the bodies, or at the round-off of x, and the
@@ -192,7 +192,7 @@ def judge(
     those of the signs; unknowns that leave them become 0, and gradients those there, with the wear
     of before. Unknowns that are no numbers become 0, and their products are not known.
     """
-    at = 0
+    at, n_settled, n_broken = 0, 0, 0
     while at < count:
         row0, row1, row2, row3, together = _four(at, count, 1, size, histories, references)
         _product_four(
@@ -214,6 +214,7 @@ def judge(
                 gradient_tolerance, force_tolerance,
             )  # fmt: skip
             are_settled[place], are_broken[place], are_known[history] = settled, broken, not broken
+            n_settled, n_broken = n_settled + settled, n_broken + broken
             if broken:
                 for k in range(history * n, history * n + n):
                     unknowns[k] = 0.0
@@ -228,6 +229,7 @@ def judge(
                     gradients,
                 )  # fmt: skip
         at += together
+    counts[0], counts[1] = n_settled, n_broken
 
 
 def _settle(
@@ -385,17 +387,17 @@ def take_steps(
     references: Integers, reference_weights: Reals, unknowns: Reals, gradients: Reals,
     approaches: Reals, are_known: Flags, weights: Reals, roots: Reals, forces: Reals,
     with_forces: Count, missing: Reals, per_scale: Reals, pressures: Reals, are_left: Flags,
-    group: Integers, modal: Reals, steps: Reals,
+    n_left: Integers, group: Integers, modal: Reals, steps: Reals,
 ) -> None:  # fmt: skip
     """Set slopes, and take the steps of histories whose Hessians are diagonal in bases they have.
 
-    Others, compact, are left, with what ``compare_slopes`` says of them and the force that they are
-    ``missing`` (B,): those that need another basis, unless inverses are what they have to be, and
-    those that deviate. The ``order`` (count,) of rows is by ``numbers`` (B,) of bases. Forces and
-    approaches in bases are by weights of references: ``roots`` (B,) times those. ``group``,
-    ``modal`` and ``steps`` are room for 4.
+    ``n_left`` (1,) others, compact, are left, with what ``compare_slopes`` says of them and the
+    force that they are ``missing`` (B,): those that need another basis, unless inverses are what
+    they have to be, and those that deviate. The ``order`` (count,) of rows is by ``numbers`` (B,)
+    of bases. Forces and approaches in bases are by weights of references: ``roots`` (B,) times
+    those. ``group``, ``modal`` and ``steps`` are room for 4.
     """
-    at = 0
+    at, left = 0, 0
     while at < count:
         number, together = numbers[rows[order[at]]], 0
         most = 1 if number < 0 else 4
@@ -427,6 +429,8 @@ def take_steps(
                     )  # fmt: skip
                 group[together] = place
                 together += 1
+            else:
+                left += 1
             are_left[place] = is_left
             at += 1
         if together == 0:
@@ -457,6 +461,7 @@ def take_steps(
             for i in range(n):
                 unknowns[history * n + i] += steps[q * n + i]
             _set_pressures(n, history, compliance, start, unknowns, per_scale, pressures)
+    n_left[0] = left
 
 
 def _step_in_basis(

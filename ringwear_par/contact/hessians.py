@@ -80,6 +80,11 @@ class Hessians:
         #: (B,) weights of references over those of the compliances, and N, the forces missing
         self._roots = np.ones(count) if more is None else more.root[which]
         self._missing = np.empty(count)
+        #: of the histories at work: rates of slopes, whether inverses are to be new, whether these
+        #: are of new sets, whether steps are left to be taken, and how many are
+        self._rates, (self._new, self._new_sets, self._left), self._n_left = (
+            np.empty(count), np.empty((3, count), dtype=bool), np.zeros(1, dtype=np.int64),
+        )  # fmt: skip
         #: room of loops
         self._room = np.empty(4, dtype=np.int64), *np.empty((2, 4, n))
 
@@ -255,7 +260,7 @@ class Hessians:
         """
         histories, (depth_slopes, coupling) = problem.at_work, problem.slopes()
         (count, n), compliances, stack = depth_slopes.shape, self._compliances, self._stack
-        (new, new_sets, left), rates = np.zeros((3, count), dtype=bool), np.empty(count)
+        rates, new, new_sets, left = self._rates, self._new, self._new_sets, self._left[:count]
         with_forces, forces = problem.forces is not None, problem.forces
         pressures = np.empty((count, n))
 
@@ -270,17 +275,17 @@ class Hessians:
                 compliances.reference_weights, problem.unknowns, problem.gradients,
                 problem.approaches, problem.is_known, compliances.weights, self._roots,
                 problem.approaches if forces is None else forces, with_forces, self._missing,
-                compliances.per_scale, pressures, left, *self._room,
+                compliances.per_scale, pressures, self._left, self._n_left, *self._room,
             )  # fmt: skip
 
         step(self._order_of(histories), are_inverted=False)
-        if left.any():
+        if self._n_left[0]:
             if coupling is not None:
                 self.coupling[histories] = coupling
             places = left.nonzero()[0]
             self._renew(histories[places], new[places], new_sets[places], rates[places])
             step(places[np.argsort(self._basis[histories[places]], kind="stable")], True)
-        if left.any():
+        if self._n_left[0]:
             remaining = histories if left.all() else histories[left]
             rows, missing = self._rows_of(remaining, compact=False), self._missing
             steps, changes = self._steps(

@@ -114,6 +114,9 @@ class ContactProblem:
         self._derivatives = compliances.matrices if more is None else more.derivatives
         self._deviation = np.zeros(len(which)) if more is None else more.deviation[which]
         self._deviating = np.empty((4, n))
+        #: of the histories at work, which have settled and which are lost, and how many of them
+        self.settled, self.lost = np.empty((2, len(which)), dtype=bool)
+        self._counts = np.zeros(2, dtype=np.int64)
         #: (h, n) MPa, pressures of the histories at work at their unknowns
         self.pressures_at_work: FloatArray | None = None
         self.at_work = self.every
@@ -244,8 +247,8 @@ class ContactProblem:
 
     def judge(
         self, diagonal: FloatArray, free: BoolArray, residuals: FloatArray
-    ) -> tuple[BoolArray, BoolArray]:
-        """Evaluate after steps; return which histories at work have settled, which are lost, (h,).
+    ) -> tuple[int, int]:
+        """Evaluate after steps; return how many histories have settled, and how many are lost.
 
         The others go on with the sets of the signs; unknowns that leave their set become 0.
 
@@ -257,17 +260,17 @@ class ContactProblem:
         """
         histories, p, forces = self.at_work, self.pressures_at_work, self.forces
         assert p is not None
-        settled, broken = np.empty((2, len(histories)), dtype=bool)
         self.loops.judge(
             *p.shape, len(self.every), *self._in_order(histories), self._reference, self.which,
             self.unknowns, self.compliances.matrices, self._derivatives,
             self.compliances.deviations is not None, self._deviation, self._deviating,
             self._product, self.gaps, self.approaches, self._depths(p), self.compliances.weights,
             self.gradients, self.is_known, diagonal, self.approaches if forces is None else forces,
-            forces is not None, free, residuals, settled, broken, ROUND_OFF, GRADIENT_TOLERANCE,
-            FORCE_TOLERANCE,
+            forces is not None, free, residuals, self.settled, self.lost, self._counts, ROUND_OFF,
+            GRADIENT_TOLERANCE, FORCE_TOLERANCE,
         )  # fmt: skip
-        return settled, broken
+        settled, lost = self._counts.tolist()
+        return settled, lost
 
     def _depths(self, p: FloatArray) -> FloatArray:
         """Return the wear of the histories at work, (h, n) mm."""
