@@ -13,30 +13,45 @@ from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Rea
 
 def multiply(
     count: Count, n: Count, k: Count, times: Count, size: Count, order: Integers, which: Integers,
-    rows: Reals, matrices: Reals, products: Reals,
+    rows: Reals, matrices: Reals, derivatives: Reals, deviations: Reals, with_derivatives: Count,
+    deviating: Reals, products: Reals,
 ) -> None:  # fmt: skip
     """Set products (times, size, k) of rows (times, size, n) with their matrices (m, n, k).
 
     Rows have the matrices ``which`` (size,), by which the ``order`` (count,) of those that are
-    multiplied should be: digits of a row do not depend on the others. After the products there is
-    room for 3 more.
+    multiplied should be: digits of a row do not depend on the others. With derivatives (m, n, k),
+    ``deviations`` (size,) of these are added to the matrices. After the products there is room for
+    3 more; ``deviating`` is room for 4.
     """
-    _multiply(count, n, k, times, size, order, which, rows, matrices, products)
+    _multiply(
+        count, n, k, times, size, order, which, rows, matrices, derivatives, deviations,
+        with_derivatives, deviating, products,
+    )  # fmt: skip
 
 
 def _multiply(
     count: Count, n: Count, k: Count, times: Count, size: Count, order: Integers, which: Integers,
-    rows: Reals, matrices: Reals, products: Reals,
+    rows: Reals, matrices: Reals, derivatives: Reals, deviations: Reals, with_derivatives: Count,
+    deviating: Reals, products: Reals,
 ) -> None:  # fmt: skip
-    """Multiply four rows of a matrix at a time; where there are fewer, the first again."""
     at, spare = 0, times * size
     while at < count * times:
         row0, row1, row2, row3, together = _four(at, count, times, size, order, which)
+        number = which[order[at // times]]
         _multiply_four(
-            n, k, row0, row1, row2, row3, rows, which[order[at // times]], matrices, row0,
+            n, k, row0, row1, row2, row3, rows, number, matrices, row0,
             row1 if together > 1 else spare, row2 if together > 2 else spare + 1,
             row3 if together > 3 else spare + 2, products,
         )  # fmt: skip
+        if with_derivatives:
+            _multiply_four(
+                n, k, row0, row1, row2, row3, rows, number, derivatives, 0, 1, 2, 3, deviating
+            )
+            for q in range(together):
+                place = order[(at + q) // times]
+                start = ((at + q) % times * size + place) * k
+                for j in range(k):
+                    products[start + j] += deviations[place] * deviating[q * k + j]
         at += together
 
 
@@ -110,29 +125,6 @@ def _set_pressures(
         pressures[start + i] = 0.0 if x <= 0.0 else x * per_scale[compliance * n + i]
 
 
-def _product_four(
-    n: Count, row0: Count, row1: Count, row2: Count, row3: Count, to1: Count, to2: Count,
-    to3: Count, reference: Count, unknowns: Reals, matrices: Reals, derivatives: Reals,
-    with_derivatives: Count, deviations: Reals, deviating: Reals, products: Reals,
-) -> None:  # fmt: skip
-    """Set A q of four rows or the same, of which the first is sure to be set in its place."""
-    _multiply_four(
-        n, n, row0, row1, row2, row3, unknowns, reference, matrices, row0, to1, to2, to3, products
-    )
-    if with_derivatives:
-        _multiply_four(
-            n, n, row0, row1, row2, row3, unknowns, reference, derivatives, 0, 1, 2, 3, deviating
-        )
-        for i in range(n):
-            products[row0 * n + i] += deviations[row0] * deviating[i]
-            if to1 == row1:
-                products[row1 * n + i] += deviations[row1] * deviating[n + i]
-            if to2 == row2:
-                products[row2 * n + i] += deviations[row2] * deviating[2 * n + i]
-            if to3 == row3:
-                products[row3 * n + i] += deviations[row3] * deviating[3 * n + i]
-
-
 def _set_gradient(
     n: Count, history: Count, place: Count, compliance: Count, gaps: Reals, approaches: Reals,
     depths: Reals, weights: Reals, products: Reals, gradients: Reals,
@@ -144,91 +136,65 @@ def _set_gradient(
 
 
 def evaluate(
-    count: Count, n: Count, size: Count, histories: Integers, places: Integers,
-    references: Integers, which: Integers, unknowns: Reals, matrices: Reals, derivatives: Reals,
-    with_derivatives: Count, deviations: Reals, deviating: Reals, products: Reals,
-    with_products: Count, gaps: Reals, approaches: Reals, depths: Reals, weights: Reals,
-    gradients: Reals, are_known: Flags,
+    count: Count, n: Count, size: Count, order: Integers, places: Integers, references: Integers,
+    which: Integers, unknowns: Reals, matrices: Reals, derivatives: Reals, deviations: Reals,
+    with_derivatives: Count, deviating: Reals, products: Reals, with_products: Count, gaps: Reals,
+    approaches: Reals, depths: Reals, weights: Reals, gradients: Reals, are_known: Flags,
+    with_judgement: Count, diagonals: Reals, forces: Reals, with_forces: Count, free: Flags,
+    residuals: Reals, are_settled: Flags, are_broken: Flags, counts: Integers, cleared: Integers,
+    round_off: Real, gradient_tolerance: Real, force_tolerance: Real,
 ) -> None:  # fmt: skip
     """Set gradients, the weighted gaps, and with products A q before, which then are known.
 
-    ``histories`` (count,) should be in the order of their ``references`` (size,); depths of wear,
+    The ``order`` (count,) of histories should be by ``references`` (size,); depths of wear,
     compact, have their ``places``. After A q there is room for 3 rows; ``deviating`` is for 4.
-    """
-    at = 0
-    while at < count:
-        row0, row1, row2, row3, together = _four(at, count, 1, size, histories, references)
-        if with_products:
-            _product_four(
-                n, row0, row1, row2, row3, row1 if together > 1 else size,
-                row2 if together > 2 else size + 1, row3 if together > 3 else size + 2,
-                references[row0], unknowns, matrices, derivatives, with_derivatives, deviations,
-                deviating, products,
-            )  # fmt: skip
-        for q in range(together):
-            history = histories[at + q]
-            are_known[history] = True
-            _set_gradient(
-                n, history, places[at + q], which[history], gaps, approaches, depths, weights,
-                products, gradients,
-            )  # fmt: skip
-        at += together
 
-
-def judge(
-    count: Count, n: Count, size: Count, histories: Integers, places: Integers,
-    references: Integers, which: Integers, unknowns: Reals, matrices: Reals, derivatives: Reals,
-    with_derivatives: Count, deviations: Reals, deviating: Reals, products: Reals, gaps: Reals,
-    approaches: Reals, depths: Reals, weights: Reals, gradients: Reals, are_known: Flags,
-    diagonals: Reals, forces: Reals, with_forces: Count, free: Flags, residuals: Reals,
-    are_settled: Flags, are_broken: Flags, counts: Integers, round_off: Real,
-    gradient_tolerance: Real, force_tolerance: Real,
-) -> None:  # fmt: skip
-    """Evaluate, and set which histories, compact, have settled and are not finite; and how many.
-
-    They have settled where they keep their sets and are optimal on these: the natural residual
+    With judgement set which histories, compact, have settled and are not finite, and how many. They
+    have settled where they keep their sets and are optimal on these: the natural residual
     min(g, diag(H) x) is small against the overlap of the bodies, or at the round-off of x, and the
     force is met. ``residuals`` are relative to the largest unknowns. The sets of others become
     those of the signs; unknowns that leave them become 0, and gradients those there, with the wear
-    of before. Unknowns that are no numbers become 0, and their products are not known.
+    of before. Unknowns that are no numbers become 0, and their products are not known. There is
+    room for ``cleared`` (2, size).
     """
-    at, n_settled, n_broken = 0, 0, 0
-    while at < count:
-        row0, row1, row2, row3, together = _four(at, count, 1, size, histories, references)
-        _product_four(
-            n, row0, row1, row2, row3, row1 if together > 1 else size,
-            row2 if together > 2 else size + 1, row3 if together > 3 else size + 2,
-            references[row0], unknowns, matrices, derivatives, with_derivatives, deviations,
-            deviating, products,
+    if with_products:
+        _multiply(
+            count, n, n, 1, size, order, references, unknowns, matrices, derivatives, deviations,
+            with_derivatives, deviating, products,
         )  # fmt: skip
-        for q in range(together):
-            history, place = histories[at + q], places[at + q]
-            compliance = which[history]
-            _set_gradient(
-                n, history, place, compliance, gaps, approaches, depths, weights, products,
-                gradients,
-            )  # fmt: skip
-            settled, broken, cleared = _settle(
-                n, history, compliance, unknowns, gradients, diagonals, weights, gaps,
+    n_settled, n_broken, n_cleared = 0, 0, 0
+    for k in range(count):
+        history, place = order[k], places[k]
+        _set_gradient(
+            n, history, place, which[history], gaps, approaches, depths, weights, products,
+            gradients,
+        )  # fmt: skip
+        are_known[history] = True
+        if with_judgement:
+            settled, broken, is_cleared = _settle(
+                n, history, which[history], unknowns, gradients, diagonals, weights, gaps,
                 approaches[history], forces[history], with_forces, free, residuals, round_off,
                 gradient_tolerance, force_tolerance,
             )  # fmt: skip
             are_settled[place], are_broken[place], are_known[history] = settled, broken, not broken
             n_settled, n_broken = n_settled + settled, n_broken + broken
             if broken:
-                for k in range(history * n, history * n + n):
-                    unknowns[k] = 0.0
-            if cleared:
-                _product_four(
-                    n, history, history, history, history, size, size + 1, size + 2,
-                    references[history], unknowns, matrices, derivatives, with_derivatives,
-                    deviations, deviating, products,
-                )  # fmt: skip
-                _set_gradient(
-                    n, history, place, compliance, gaps, approaches, depths, weights, products,
-                    gradients,
-                )  # fmt: skip
-        at += together
+                for i in range(history * n, history * n + n):
+                    unknowns[i] = 0.0
+            if is_cleared:
+                cleared[n_cleared], cleared[size + n_cleared] = history, place
+                n_cleared = n_cleared + 1
+    if n_cleared > 0:
+        _multiply(
+            n_cleared, n, n, 1, size, cleared, references, unknowns, matrices, derivatives,
+            deviations, with_derivatives, deviating, products,
+        )  # fmt: skip
+    for k in range(n_cleared):
+        history = cleared[k]
+        _set_gradient(
+            n, history, cleared[size + k], which[history], gaps, approaches, depths, weights,
+            products, gradients,
+        )  # fmt: skip
     counts[0], counts[1] = n_settled, n_broken
 
 
@@ -310,8 +276,9 @@ def compare_slopes(
 ) -> None:  # fmt: skip
     """Set which histories, compact, need a new inverse, with its rate and its sets.
 
-    Slopes are regular where they are one rate, compact, times the speed of elements that wear.
-    Elements in contact and those of them that wear become those before.
+    Slopes are regular where they are one rate, compact, times the speed of elements that wear;
+    others have the middle between their least and their largest. Elements in contact and those of
+    them that wear become those before.
     """
     for place in range(count):
         rates[place], are_new[place], have_new_sets[place] = _compare_slopes(
@@ -345,139 +312,113 @@ def _compare_slopes(
         same = same and wears == wearing_before[k]
         free_before[k], wearing_before[k] = free[k], wears
     are_regular[history] = regular
-    return most, True, not same
+    return most if regular else 0.5 * (most + least), True, not same
 
 
 def invert(
     count: Count, n: Count, rows: Integers, numbers: Integers, rates: Reals, values: Reals,
-    forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
+    bends: Reals, deviations: Reals, forces: Reals, inverses: Reals, responses: Reals,
+    stiffness: Reals,
 ) -> None:  # fmt: skip
-    """Set the inverses 1 / (1 + rate mu) in bases, and what they make of a change of approach.
+    """Set the inverses 1 / (1 + rate mu + deviation K'_ii) in bases, and responses to approaches.
 
-    Bases have ``values`` mu (m, n) and ``forces`` (m, n); rates are compact.
+    Bases have ``values`` mu, ``bends`` K'_ii and ``forces``, (m, n); rates are compact.
     """
     for place in range(count):
         _invert(
-            n, rows[place], numbers[rows[place]], rates[place], values, forces, inverses, responses,
-            stiffness,
+            n, rows[place], numbers[rows[place]], rates[place], values, bends, deviations, forces,
+            inverses, responses, stiffness,
         )  # fmt: skip
 
 
 def _invert(
-    n: Count, history: Count, number: Count, rate: Real, values: Reals, forces: Reals,
-    inverses: Reals, responses: Reals, stiffness: Reals,
+    n: Count, history: Count, number: Count, rate: Real, values: Reals, bends: Reals,
+    deviations: Reals, forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
 ) -> None:  # fmt: skip
-    row, basis, carried = history * n, number * n, 0.0
+    row, basis, carried, deviation = history * n, number * n, 0.0, deviations[history]
     for i in range(n):
-        force = forces[basis + i]
-        inverse = 1.0 / (1.0 + rate * values[basis + i])
-        inverses[row + i], responses[row + i] = inverse, inverse * force
+        inverse = 1.0 / (1.0 + rate * values[basis + i] + deviation * bends[basis + i])
+        inverses[row + i], responses[row + i] = inverse, inverse * forces[basis + i]
     for i in range(n):
         carried += forces[basis + i] * responses[row + i]
     stiffness[history] = carried
 
 
 def take_steps(
-    count: Count, n: Count, rows: Integers, order: Integers, which: Integers, depth_slopes: Reals,
-    slope_scale: Reals, slopes: Reals, diagonals: Reals, per_speed: Reals, free: Flags,
-    are_valid: Flags, free_before: Flags, wearing_before: Flags, rates: Reals, are_new: Flags,
-    have_new_sets: Flags, are_regular: Flags, round_off: Real, in_bases: Count, are_inverted: Count,
-    deviations: Reals, numbers: Integers, values: Reals, bases: Reals, transposed: Reals,
-    basis_forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals, factors: Reals,
-    references: Integers, reference_weights: Reals, unknowns: Reals, gradients: Reals,
-    approaches: Reals, are_known: Flags, weights: Reals, roots: Reals, forces: Reals,
-    with_forces: Count, missing: Reals, per_scale: Reals, pressures: Reals, are_left: Flags,
-    n_left: Integers, group: Integers, modal: Reals, steps: Reals,
+    count: Count, n: Count, size: Count, rows: Integers, order: Integers, every: Integers,
+    which: Integers, depth_slopes: Reals, slope_scale: Reals, slopes: Reals, diagonals: Reals,
+    per_speed: Reals, free: Flags, are_valid: Flags, free_before: Flags, wearing_before: Flags,
+    rates: Reals, are_new: Flags, have_new_sets: Flags, are_regular: Flags, round_off: Real,
+    in_bases: Count, through_layers: Count, are_inverted: Count, numbers: Integers, values: Reals,
+    psi: Reals, psi_t: Reals, derivatives: Reals, bends: Reals, basis_forces: Reals,
+    deviations: Reals, inverses: Reals, responses: Reals, stiffness: Reals, factors: Reals,
+    references: Integers, reference_weights: Reals, tolerance: Real, regular_tolerance: Real,
+    most: Count, unknowns: Reals, gradients: Reals, approaches: Reals, are_known: Flags,
+    weights: Reals, roots: Reals, forces: Reals, with_forces: Count, missing: Reals,
+    per_scale: Reals, pressures: Reals, are_left: Flags, n_left: Integers, ready: Integers,
+    factored: Integers, room: Reals, sizes: Reals, steps: Reals, changes: Reals,
 ) -> None:  # fmt: skip
-    """Set slopes, and take the steps of histories whose Hessians are diagonal in bases they have.
+    """Set slopes, and take the steps of histories in bases they have, or by their factors.
 
-    ``n_left`` (1,) others, compact, are left, with what ``compare_slopes`` says of them and the
-    force that they are ``missing`` (B,): those that need another basis, unless inverses are what
-    they have to be, and those that deviate. The ``order`` (count,) of rows is by ``numbers`` (B,)
-    of bases. Forces and approaches in bases are by weights of references: ``roots`` (B,) times
-    those. ``group``, ``modal`` and ``steps`` are room for 4.
+    ``n_left`` (1,) others, compact, are left, with what ``compare_slopes`` says of them: those that
+    need another basis or factor, unless inverses are what they have to be. The ``order`` (count,)
+    of rows is by ``numbers`` (size,) of bases; ``every`` are all histories (size,). There is room
+    for forces that are ``missing``, and histories that are ``ready`` and ``factored``, (size,); for
+    the rest see ``steps``.
     """
-    at, left = 0, 0
-    while at < count:
-        number, together = numbers[rows[order[at]]], 0
-        most = 1 if number < 0 else 4
-        while at < count and together < most and numbers[rows[order[at]]] == number:
-            place = order[at]
-            history, compliance = rows[place], which[rows[place]]
-            _set_slopes(
-                n, history, place, compliance, depth_slopes, slope_scale, slopes, diagonals,
-                are_valid,
-            )  # fmt: skip
-            rate, is_new, has_new_sets = _compare_slopes(
-                n, history, compliance, slopes, per_speed, free, are_valid, free_before,
-                wearing_before, are_regular, round_off,
-            )  # fmt: skip
-            rates[place], are_new[place], have_new_sets[place] = rate, is_new, has_new_sets
-            carried = 0.0
-            for i in range(n):
-                carried += weights[compliance * n + i] * unknowns[history * n + i]
-            missing[history], are_known[history] = forces[history] - carried, False
-            is_diagonal = number < 0 or (are_regular[history] and deviations[history] == 0.0)
-            must_wait = not in_bases or has_new_sets or (is_new and number < 0)
-            is_left = not is_diagonal or (must_wait and not are_inverted)
-            if not is_left:
-                if is_new and not are_inverted:
-                    are_valid[history] = True
-                    _invert(
-                        n, history, number, rate, values, basis_forces, inverses, responses,
-                        stiffness,
-                    )  # fmt: skip
-                group[together] = place
-                together += 1
-            else:
-                left += 1
-            are_left[place] = is_left
-            at += 1
-        if together == 0:
-            continue
-        row0 = rows[group[0]]
-        if number < 0:
-            approaches[row0] += roots[row0] * _step_by_factor(
-                n, row0, references[which[row0]], gradients, row0 * n,
-                missing[row0] * roots[row0], with_forces, factors, responses, stiffness,
-                reference_weights, 0, steps,
-            )  # fmt: skip
-        else:
-            row1 = rows[group[1]] if together > 1 else row0
-            row2 = rows[group[2]] if together > 2 else row0
-            row3 = rows[group[3]] if together > 3 else row0
-            _multiply_four(
-                n, n, row0, row1, row2, row3, gradients, number, bases, 0, 1, 2, 3, modal
-            )
-            for q in range(together):
-                history = rows[group[q]]
-                approaches[history] += roots[history] * _step_in_basis(
-                    n, history, number, q, missing[history] * roots[history], with_forces,
-                    basis_forces, inverses, responses, stiffness, modal,
-                )  # fmt: skip
-            _multiply_four(n, n, 0, 1, 2, 3, modal, number, transposed, 0, 1, 2, 3, steps)
-        for q in range(together):
-            history, compliance, start = rows[group[q]], which[rows[group[q]]], group[q] * n
-            for i in range(n):
-                unknowns[history * n + i] += steps[q * n + i]
-            _set_pressures(n, history, compliance, start, unknowns, per_scale, pressures)
-    n_left[0] = left
-
-
-def _step_in_basis(
-    n: Count, history: Count, number: Count, q: Count, missing: Real, with_missing: Count,
-    forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals, modal: Reals,
-) -> float:  # fmt: skip
-    """Return the change of an approach; a gradient in a basis becomes the step."""
-    row, basis, start, change = history * n, number * n, q * n, 0.0
-    if with_missing and stiffness[history] > 0.0:
-        carried = 0.0
+    left, n_ready, n_factored = 0, 0, 0
+    for k in range(count):
+        place = order[k]
+        history, compliance = rows[place], which[rows[place]]
+        _set_slopes(
+            n, history, place, compliance, depth_slopes, slope_scale, slopes, diagonals, are_valid
+        )
+        rate, is_new, has_new_sets = _compare_slopes(
+            n, history, compliance, slopes, per_speed, free, are_valid, free_before, wearing_before,
+            are_regular, round_off,
+        )  # fmt: skip
+        rates[place], are_new[place], have_new_sets[place] = rate, is_new, has_new_sets
+        number, carried = numbers[history], 0.0
         for i in range(n):
-            carried += responses[row + i] * modal[start + i]
-        change = (missing + carried) / stiffness[history]
-    for i in range(n):
-        modal[start + i] = (change * forces[basis + i] - modal[start + i]) * inverses[row + i]
-    return change
+            carried += weights[compliance * n + i] * unknowns[history * n + i]
+        missing[history], are_known[history] = forces[history] - carried, False
+        by_factor = number < 0 or (through_layers and not are_regular[history])
+        is_left = not are_inverted and (not in_bases or has_new_sets or (is_new and by_factor))
+        are_left[place] = is_left
+        if is_left:
+            left += 1
+        elif number < 0:
+            factored[n_factored] = history
+            n_factored += 1
+        else:
+            if is_new and not are_inverted:
+                are_valid[history] = True
+                _invert(
+                    n, history, number, rate, values, bends, deviations, basis_forces, inverses,
+                    responses, stiffness,
+                )  # fmt: skip
+            ready[n_ready] = history
+            n_ready += 1
+    _steps_in_bases(
+        n_ready, n, 1, size, ready, every, numbers, psi, psi_t, derivatives, bends, basis_forces,
+        slopes, are_regular, deviations, inverses, responses, stiffness, tolerance,
+        regular_tolerance, most, missing, with_forces, gradients, which, weights, per_scale, roots,
+        False, room, sizes, steps, changes,
+    )  # fmt: skip
+    _steps_by_factors(
+        n_factored, n, 1, size, factored, every, factors, responses, stiffness, references,
+        reference_weights, missing, with_forces, gradients, which, weights, per_scale, roots, False,
+        room, steps, changes,
+    )  # fmt: skip
+    for k in range(count):
+        place = order[k]
+        history = rows[place]
+        if not are_left[place]:
+            approaches[history] += changes[history]
+            for i in range(history * n, history * n + n):
+                unknowns[i] += steps[i]
+            _set_pressures(n, history, which[history], place * n, unknowns, per_scale, pressures)
+    n_left[0] = left
 
 
 def factorise(
@@ -562,66 +503,81 @@ def _solve(
             solutions[to + j] += product * factors[line + j]
 
 
-def steps_by_factors(
-    count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
-    factors: Reals, responses: Reals, stiffness: Reals, missing: Reals, with_missing: Count,
-    gradients: Reals, which: Integers, references: Integers, reference_weights: Reals,
-    weights: Reals, per_scale: Reals, with_scales: Count, scaled: Reals, steps: Reals,
-    changes: Reals,
+def steps(
+    count: Count, n_factored: Count, n: Count, times: Count, size: Count, in_bases: Integers,
+    factored: Integers, histories: Integers, numbers: Integers, psi: Reals, psi_t: Reals,
+    derivatives: Reals, bends: Reals, forces: Reals, slopes: Reals, are_regular: Flags,
+    deviations: Reals, inverses: Reals, responses: Reals, stiffness: Reals, factors: Reals,
+    references: Integers, reference_weights: Reals, tolerance: Real, regular_tolerance: Real,
+    most: Count, missing: Reals, with_missing: Count, gradients: Reals, which: Integers,
+    weights: Reals, per_scale: Reals, roots: Reals, with_scales: Count, room: Reals, sizes: Reals,
+    steps: Reals, changes: Reals,
 ) -> None:  # fmt: skip
-    """Set steps against gradients (times, size, n), and of approaches, as ``steps_in_bases`` does.
+    """Set steps of histories that have bases, and of those that have factors, as below."""
+    _steps_in_bases(
+        count - n_factored, n, times, size, in_bases, histories, numbers, psi, psi_t, derivatives,
+        bends, forces, slopes, are_regular, deviations, inverses, responses, stiffness, tolerance,
+        regular_tolerance, most, missing, with_missing, gradients, which, weights, per_scale, roots,
+        with_scales, room, sizes, steps, changes,
+    )  # fmt: skip
+    _steps_by_factors(
+        n_factored, n, times, size, factored, histories, factors, responses, stiffness, references,
+        reference_weights, missing, with_missing, gradients, which, weights, per_scale, roots,
+        with_scales, room, steps, changes,
+    )  # fmt: skip
+
+
+def _steps_by_factors(
+    count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
+    factors: Reals, responses: Reals, stiffness: Reals, references: Integers,
+    reference_weights: Reals, missing: Reals, with_missing: Count, gradients: Reals,
+    which: Integers, weights: Reals, per_scale: Reals, roots: Reals, with_scales: Count,
+    scaled: Reals, steps: Reals, changes: Reals,
+) -> None:  # fmt: skip
+    """Set steps against gradients (times, size, n), and of approaches, as in bases.
 
     ``scaled`` is room for a row.
     """
     for at in range(count * times):
         place = order[at // times]
-        into, compliance = at % times * size + place, which[place] * n
-        start = into * n
+        into, history, compliance = at % times * size + place, histories[place], which[place] * n
+        start, row, change = into * n, history * n, 0.0
         for i in range(n):
             side = gradients[start + i]
             scaled[i] = side * weights[compliance + i] if with_scales else side
-        changes[into] = _step_by_factor(
-            n, histories[place], references[which[place]], scaled, 0, missing[into], with_missing,
-            factors, responses, stiffness, reference_weights, start, steps,
-        )  # fmt: skip
-        if with_scales:
+        _solve(n, row * n, factors, 0, scaled, start, steps)
+        if with_missing and stiffness[history] > 0.0:
+            carried, reference = 0.0, references[which[place]] * n
             for i in range(n):
-                steps[start + i] *= per_scale[compliance + i]
-
-
-def _step_by_factor(
-    n: Count, history: Count, reference: Count, gradients: Reals, at: Count, missing: Real,
-    with_missing: Count, factors: Reals, responses: Reals, stiffness: Reals,
-    reference_weights: Reals, to: Count, steps: Reals,
-) -> float:  # fmt: skip
-    """Set a step against a gradient; return the change of the approach."""
-    row, change = history * n, 0.0
-    _solve(n, row * n, factors, at, gradients, to, steps)
-    if with_missing and stiffness[history] > 0.0:
-        carried = 0.0
+                carried += reference_weights[reference + i] * steps[start + i]
+            change = (missing[into] * roots[which[place]] + carried) / stiffness[history]
         for i in range(n):
-            carried += reference_weights[reference * n + i] * steps[to + i]
-        change = (missing + carried) / stiffness[history]
-    for i in range(n):
-        steps[to + i] = change * responses[row + i] - steps[to + i]
-    return change
+            step = change * responses[row + i] - steps[start + i]
+            steps[start + i] = step * per_scale[compliance + i] if with_scales else step
+        changes[into] = change * roots[which[place]]
 
 
-def steps_in_bases(
+def _steps_in_bases(
     count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
-    numbers: Integers, bases: Reals, transposed: Reals, forces: Reals, inverses: Reals,
-    responses: Reals, stiffness: Reals, missing: Reals, with_missing: Count, gradients: Reals,
-    which: Integers, weights: Reals, per_scale: Reals, with_scales: Count, scaled: Reals,
-    modal: Reals, steps: Reals, changes: Reals,
+    numbers: Integers, psi: Reals, psi_t: Reals, derivatives: Reals, bends: Reals, forces: Reals,
+    slopes: Reals, are_regular: Flags, deviations: Reals, inverses: Reals, responses: Reals,
+    stiffness: Reals, tolerance: Real, regular_tolerance: Real, most: Count, missing: Reals,
+    with_missing: Count, gradients: Reals, which: Integers, weights: Reals, per_scale: Reals,
+    roots: Reals, with_scales: Count, room: Reals, sizes: Reals, steps: Reals, changes: Reals,
 ) -> None:  # fmt: skip
     """Set steps against gradients (times, size, n), and of approaches, by way of bases (m, n, n).
 
-    Of Hessians that are diagonal there: slopes are regular, and compliances references.
-
     Gradients are of the ``histories`` (size,), those of the ``order`` (count,) of places are solved
-    in the bases ``numbers`` (size,). Steps carry the forces that are missing (times, size), where
-    these are given. With scales these are gaps and pressures instead. After the steps there is room
-    for 3 rows; ``scaled`` and ``modal`` are room for 4.
+    in the bases ``numbers`` (size,), four of a basis at a time. Steps carry the forces that are
+    missing (times, size), where these are given, which are ``roots`` (m,) times as large by the
+    weights of references. With scales these are gaps and pressures instead. After the steps there
+    is room for 3 rows.
+
+    Where slopes are not regular or compliances deviate, Hessians 1 + Psi' slope Psi + deviation K'
+    are not diagonal there: inverses precondition projected conjugate gradients, up to ``most``
+    iterations, until residuals are below a tolerance relative to the first. The change of approach
+    is the multiplier of the condition that the force stays. There is ``room`` for (24, n), and of
+    ``sizes`` for 8.
     """
     at, spare = 0, times * size
     while at < count * times:
@@ -632,149 +588,114 @@ def steps_in_bases(
                 place = order[(at + q) // times]
                 start, compliance = ((at + q) % times * size + place) * n, which[place] * n
                 for i in range(n):
-                    scaled[q * n + i] = gradients[start + i] * weights[compliance + i]
-            _multiply_four(n, n, 0, 1, 2, 3, scaled, number, bases, 0, 1, 2, 3, modal)
+                    room[q * n + i] = gradients[start + i] * weights[compliance + i]
+            _multiply_four(n, n, 0, 1, 2, 3, room, number, psi, 4, 5, 6, 7, room)
         else:
-            _multiply_four(
-                n, n, row0, row1, row2, row3, gradients, number, bases, 0, 1, 2, 3, modal
-            )
+            _multiply_four(n, n, row0, row1, row2, row3, gradients, number, psi, 4, 5, 6, 7, room)
+        bent, deviating = False, False
         for q in range(together):
             place = order[(at + q) // times]
-            into = (at + q) % times * size + place
-            changes[into] = _step_in_basis(
-                n, histories[place], number, q, missing[into], with_missing, forces, inverses,
-                responses, stiffness, modal,
+            history, into, local = histories[place], (at + q) % times * size + place, q * n
+            row, basis, change, size_q = history * n, number * n, 0.0, 0.0
+            if with_missing and stiffness[history] > 0.0:
+                for i in range(n):
+                    change += responses[row + i] * room[4 * n + local + i]
+                change = (missing[into] * roots[which[place]] + change) / stiffness[history]
+            for i in range(n):
+                room[4 * n + local + i] = change * forces[basis + i] - room[4 * n + local + i]
+            for i in range(n):
+                room[local + i] = room[4 * n + local + i] * inverses[row + i]
+            changes[into] = change
+            regular, deviates = are_regular[history], deviations[history] != 0.0
+            sizes[q] = 0.0
+            if not regular or deviates:
+                for i in range(n):
+                    size_q += inverses[row + i] * room[4 * n + local + i] * room[4 * n + local + i]
+                sizes[q], share = size_q, regular_tolerance if regular else tolerance
+                sizes[4 + q] = share * share * size_q
+            bent, deviating = bent or not regular, deviating or deviates
+        if bent or deviating:
+            _conjugate_gradients(
+                at, together, n, times, number, order, histories, psi, psi_t, derivatives, bends,
+                forces, slopes, bent, are_regular, deviating, deviations, inverses, responses,
+                stiffness, with_missing, most, size, room, sizes, changes,
             )  # fmt: skip
         _multiply_four(
-            n, n, 0, 1, 2, 3, modal, number, transposed, row0, row1 if together > 1 else spare,
+            n, n, 0, 1, 2, 3, room, number, psi_t, row0, row1 if together > 1 else spare,
             row2 if together > 2 else spare + 1, row3 if together > 3 else spare + 2, steps,
         )  # fmt: skip
-        if with_scales:
-            for q in range(together):
-                place = order[(at + q) // times]
-                start, compliance = ((at + q) % times * size + place) * n, which[place] * n
+        for q in range(together):
+            place = order[(at + q) // times]
+            into, compliance = (at + q) % times * size + place, which[place] * n
+            changes[into] *= roots[which[place]]
+            if with_scales:
                 for i in range(n):
-                    steps[start + i] *= per_scale[compliance + i]
+                    steps[into * n + i] *= per_scale[compliance + i]
         at += together
 
 
-def conjugate_gradients(
-    count: Count, n: Count, order: Integers, n_histories: Count, histories: Integers,
-    numbers: Integers, psi: Reals, psi_t: Reals, derivatives: Reals, with_derivatives: Count,
-    forces: Reals, slopes: Reals, are_regular: Flags, deviations: Reals, inverses: Reals,
-    responses: Reals, stiffness: Reals, missing: Reals, with_forces: Count, tolerance: Real,
-    regular_tolerance: Real, most: Count, sides: Reals, changes: Reals, which: Integers,
-    positions: Integers, sizes: Reals, limits: Reals, multipliers: Reals, solutions: Reals,
-    residuals: Reals, directions: Reals, bent: Reals, products: Reals, deviating: Reals,
+def _conjugate_gradients(
+    at: Count, together: Count, n: Count, times: Count, number: Count, order: Integers,
+    histories: Integers, psi: Reals, psi_t: Reals, derivatives: Reals, bends: Reals,
+    forces: Reals, slopes: Reals, bent: Count, are_regular: Flags, deviating: Count,
+    deviations: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
+    with_missing: Count, most: Count, size: Count, room: Reals, sizes: Reals, changes: Reals,
 ) -> None:  # fmt: skip
-    """Set steps against gradients in bases, of an ``order`` of places, as ``steps_in_bases`` does.
-
-    Of Hessians that are not diagonal there, 1 + Psi' slope Psi + deviation K', by projected
-    conjugate gradients, which these inverses precondition: four histories of a basis at a time, up
-    to ``most`` iterations, until residuals are below a tolerance relative to the first. Each
-    iterate carries the force; the change of approach is the multiplier of that condition.
-    ``sides`` (places, n) are gradients before and steps after. ``which``, ``positions``, ``sizes``,
-    ``limits`` and ``multipliers`` are work arrays of 4; from ``solutions`` on of (7, n).
-    """
-    begin = 0
-    while begin < count:
-        first = histories[order[begin] % n_histories]
-        regular, together = are_regular[first], 0
-        share = regular_tolerance if regular else tolerance
-        while together < 4 and begin + together < count:
-            history = histories[order[begin + together] % n_histories]
-            if numbers[history] != numbers[first] or are_regular[history] != regular:
-                break
-            which[together], positions[together] = numbers[first], together
-            together += 1
-        shifted = False
-        for q in range(together):
-            place, local = order[begin + q], q * n
-            history = histories[place % n_histories]
-            row, start, size, shift = history * n, place * n, 0.0, 0.0
-            for i in range(n):
-                size += inverses[row + i] * sides[start + i] * sides[start + i]
-            if with_forces and stiffness[history] > 0.0:
-                shift = missing[place] / stiffness[history]
-            # of so little as is mostly missing, the round-off of the last step, the residual is
-            # that of none
-            much = shift * shift * stiffness[history] > share * share * size
-            shifted = shifted or much
-            for i in range(n):
-                solutions[local + i] = shift * responses[row + i]
-                directions[local + i] = solutions[local + i] if much else 0.0
-                residuals[local + i] = -sides[start + i]
-            sizes[q], limits[q], multipliers[q] = 1.0, 0.0, 0.0
-        # the first time the residual is made that of the shift
-        for iteration in range(most + 1):
-            if iteration > 0 or shifted:
-                if not regular:
-                    _multiply(
-                        together, n, n, 1, together, positions, which, directions, psi_t, bent
-                    )
-                    for q in range(together):
-                        row = histories[order[begin + q] % n_histories] * n
-                        for i in range(n):
-                            bent[q * n + i] *= slopes[row + i]
-                    _multiply(together, n, n, 1, together, positions, which, bent, psi, products)
-                if with_derivatives:
-                    _multiply(
-                        together, n, n, 1, together, positions, which, directions, derivatives,
-                        deviating,
-                    )  # fmt: skip
-            going = False
+    """Go on from the steps of diagonal Hessians to those of the others."""
+    for i in range(4 * n):
+        room[8 * n + i] = room[i]
+    for iteration in range(most + 1):
+        if bent:
+            _multiply_four(n, n, 8, 9, 10, 11, room, number, psi_t, 12, 13, 14, 15, room)
             for q in range(together):
-                if not sizes[q] > limits[q]:
-                    continue
-                local, history = q * n, histories[order[begin + q] % n_histories]
-                row, basis, deviation = history * n, numbers[history] * n, deviations[history]
-                size, curvature = sizes[q], 0.0
-                if iteration > 0 or shifted:
-                    if regular:
-                        for i in range(n):
-                            products[local + i] = directions[local + i] / inverses[row + i]
-                    else:
-                        for i in range(n):
-                            products[local + i] += directions[local + i]
-                    if with_derivatives:
-                        for i in range(n):
-                            products[local + i] += deviation * deviating[local + i]
-                    for i in range(n):
-                        curvature += directions[local + i] * products[local + i]
-                    length = size / curvature if curvature > 0.0 else 0.0
-                    if iteration == 0:
-                        length = 1.0
-                    moved = length if iteration > 0 else 0.0
-                    for i in range(n):
-                        solutions[local + i] += moved * directions[local + i]
-                        residuals[local + i] -= length * products[local + i]
-                carried, before, size = 0.0, size, 0.0
-                if with_forces and stiffness[history] > 0.0:
-                    for i in range(n):
-                        carried += responses[row + i] * residuals[local + i]
-                    carried /= stiffness[history]
-                    for i in range(n):
-                        residuals[local + i] -= carried * forces[basis + i]
-                    multipliers[q] += carried
+                row = histories[order[(at + q) // times]] * n
                 for i in range(n):
-                    size += inverses[row + i] * residuals[local + i] * residuals[local + i]
-                if iteration == 0:
-                    limits[q] = share * share * size
-                again = size / before if iteration > 0 else 0.0
-                for i in range(n):
-                    directions[local + i] = (
-                        again * directions[local + i] + inverses[row + i] * residuals[local + i]
-                    )
-                sizes[q] = size
-                going = going or size > limits[q]
-            if not going:
-                break
+                    room[(12 + q) * n + i] *= slopes[row + i]
+            _multiply_four(n, n, 12, 13, 14, 15, room, number, psi, 16, 17, 18, 19, room)
+        if deviating:
+            _multiply_four(n, n, 8, 9, 10, 11, room, number, derivatives, 20, 21, 22, 23, room)
+        going = False
         for q in range(together):
-            place = order[begin + q]
+            if not sizes[q] > sizes[4 + q]:
+                continue
+            place = order[(at + q) // times]
+            history, into = histories[place], (at + q) % times * size + place
+            row, basis, deviation = history * n, number * n, deviations[history]
+            x, r, d, t, g = q * n, (4 + q) * n, (8 + q) * n, (16 + q) * n, (20 + q) * n
+            length, curvature, carried, norm = 1.0, 0.0, 0.0, 0.0
+            if are_regular[history]:
+                for i in range(n):
+                    room[t + i] = room[d + i] / inverses[row + i]
+            else:
+                for i in range(n):
+                    room[t + i] += room[d + i] * (1.0 + deviation * bends[basis + i])
+            if deviating:
+                for i in range(n):
+                    room[t + i] += deviation * room[g + i]
+            if iteration > 0:
+                for i in range(n):
+                    curvature += room[d + i] * room[t + i]
+                length = sizes[q] / curvature if curvature > 0.0 else 0.0
+                for i in range(n):
+                    room[x + i] += length * room[d + i]
             for i in range(n):
-                sides[place * n + i] = solutions[q * n + i]
-            changes[place] = -multipliers[q]
-        begin += together
+                room[r + i] -= length * room[t + i]
+            if with_missing and stiffness[history] > 0.0:
+                for i in range(n):
+                    carried += responses[row + i] * room[r + i]
+                carried /= stiffness[history]
+                for i in range(n):
+                    room[r + i] -= carried * forces[basis + i]
+                changes[into] -= carried
+            for i in range(n):
+                norm += inverses[row + i] * room[r + i] * room[r + i]
+            again = norm / sizes[q] if iteration > 0 else 0.0
+            for i in range(n):
+                room[d + i] = again * room[d + i] + inverses[row + i] * room[r + i]
+            sizes[q] = norm
+            going = going or norm > sizes[4 + q]
+        if not going:
+            break
 
 
 def correction_errors(

@@ -26,9 +26,10 @@ class BasisStack:
         #: ``Basis``
         self.psi, self.psi_t = np.empty((2, 0, n, n))
         self.mu, self.force = np.empty((2, 0, n))
-        #: (m, n, n), K' of ``Deviations`` in the bases; without these (m, 0, 0)
+        #: (m, n, n) and (m, n), K' of ``Deviations`` in the bases, off the diagonal and on it;
+        #: without these (m, 0, 0)
         size = 0 if compliances.deviations is None else n
-        self.derivatives = np.empty((0, size, size))
+        self.derivatives, self.bends = np.empty((0, size, size)), np.empty((0, n))
 
     @property
     def is_full(self) -> bool:
@@ -49,10 +50,13 @@ class BasisStack:
             number = self._numbers[name] = self._vacant.pop()
             basis = self._compliances.basis(compliance, free, wearing)
             self.psi[number], self.mu[number], self.force[number] = basis
-            self.psi_t[number] = basis.psi.T
+            self.psi_t[number], self.bends[number] = basis.psi.T, 0.0
             more = self._compliances.deviations
             if more is not None:
-                self.derivatives[number] = basis.psi.T @ more.derivatives[compliance] @ basis.psi
+                derivative = basis.psi.T @ more.derivatives[compliance] @ basis.psi
+                self.bends[number] = np.diagonal(derivative)
+                np.fill_diagonal(derivative, 0.0)
+                self.derivatives[number] = derivative
         return self._numbers[name]
 
     def make_room(self, used: IntArray) -> None:
@@ -71,7 +75,7 @@ class BasisStack:
         if more > 0 or not len(vacant):
             # room that is not used costs nothing, to copy bases does: two of each compliance
             more = max(_LEAST_ROOM, more, 2 * len(self._compliances.matrices) - len(vacant))
-            for name in ("psi", "psi_t", "mu", "force", "derivatives"):
+            for name in ("psi", "psi_t", "mu", "force", "derivatives", "bends"):
                 setattr(self, name, _longer(getattr(self, name), more))
             vacant = np.append(vacant, np.ones(more, dtype=bool))
         # the lowest are taken first: products are fewer where numbers follow each other

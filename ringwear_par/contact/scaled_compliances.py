@@ -52,11 +52,6 @@ class Deviations:
     #: (f, n, n) float, mm/MPa, what K' has more than the same of collocated compliances, transposed
     transposed_excess: FloatArray = field(metadata=along(None))
 
-    @cached_property
-    def root(self) -> FloatArray:
-        """(m,) weights of references over those of the compliances."""
-        return np.sqrt(self.share)
-
 
 @dataclass(frozen=True, eq=False)
 class ScaledCompliances:
@@ -139,6 +134,12 @@ class ScaledCompliances:
         return 1.0 / self.scale
 
     @cached_property
+    def roots(self) -> FloatArray:
+        """(m,) weights of references over those of the compliances."""
+        more = self.deviations
+        return np.ones(len(self.reference)) if more is None else np.sqrt(more.share)
+
+    @cached_property
     def slope_scale(self) -> FloatArray:
         """(m, n) MPa/mm, slopes of gradients over unknowns, over those of gaps over pressures."""
         return self.weights / self.scale
@@ -204,33 +205,24 @@ class ComplianceProducts:
 
     def __init__(self, compliances: ScaledCompliances, which: IntArray) -> None:
         self._compliances, self._which = compliances, which
-        self._groups, more = RowProducts(compliances.reference[which]), compliances.deviations
-        #: (h, 1) of the rows; None: all are those of references
-        self._deviation: FloatArray | None = None
-        if more is not None and more.deviation[which].any():
-            self._deviation = more.deviation[which][:, None]
-
-    def _product(
-        self, rows: FloatArray, references: FloatArray, derivatives: FloatArray | None
-    ) -> FloatArray:
-        """Return products with matrices that deviate from those of references, (..., h, n)."""
-        product = self._groups.of(rows, references)
-        if self._deviation is not None and derivatives is not None:
-            product += self._deviation * self._groups.of(rows, derivatives)
-        return product
+        more = self._deviations = compliances.deviations
+        self._rows = RowProducts(
+            compliances.reference[which], None if more is None else more.deviation[which]
+        )
 
     def symmetric(self, q: FloatArray) -> FloatArray:
         """Return A q, (..., h, n)."""
-        more = self._compliances.deviations
-        derivatives = None if more is None else more.derivatives
-        return self._product(q, self._compliances.matrices, derivatives)
+        more = self._deviations
+        return self._rows.of(
+            q, self._compliances.matrices, None if more is None else more.derivatives
+        )
 
     def gap_of_excess(self, p: FloatArray) -> FloatArray:
         """Return the gap that the excess opens at pressures (..., h, n) MPa, mm."""
-        more = self._compliances.deviations
+        more, excess = self._deviations, self._compliances.transposed_excess
         if more is None:
-            return self._product(p, self._compliances.transposed_excess, None)
-        gap = self._product(p, self._compliances.transposed_excess, more.transposed_excess)
+            return self._rows.of(p, excess)
+        gap = self._rows.of(p, excess, more.transposed_excess)
         gap *= more.share[self._which][:, None]
         return gap
 
