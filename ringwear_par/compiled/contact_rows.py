@@ -23,6 +23,17 @@ def multiply(
     ``deviations`` (size,) of these are added to the matrices. After the products there is room for
     3 more; ``deviating`` is room for 4.
     """
+    _multiply(
+        count, n, k, times, size, order, which, rows, matrices, derivatives, deviations,
+        with_derivatives, deviating, products,
+    )  # fmt: skip
+
+
+def _multiply(
+    count: Count, n: Count, k: Count, times: Count, size: Count, order: Integers, which: Integers,
+    rows: Reals, matrices: Reals, derivatives: Reals, deviations: Reals, with_derivatives: Count,
+    deviating: Reals, products: Reals,
+) -> None:  # fmt: skip
     at, spare = 0, times * size
     while at < count * times:
         row0, row1, row2, row3, together = _four(at, count, times, size, order, which)
@@ -114,29 +125,6 @@ def _set_pressures(
         pressures[start + i] = 0.0 if x <= 0.0 else x * per_scale[compliance * n + i]
 
 
-def _product_four(
-    n: Count, row0: Count, row1: Count, row2: Count, row3: Count, to1: Count, to2: Count,
-    to3: Count, reference: Count, unknowns: Reals, matrices: Reals, derivatives: Reals,
-    with_derivatives: Count, deviations: Reals, deviating: Reals, products: Reals,
-) -> None:  # fmt: skip
-    """Set A q of four rows or the same, of which the first is sure to be set in its place."""
-    _multiply_four(
-        n, n, row0, row1, row2, row3, unknowns, reference, matrices, row0, to1, to2, to3, products
-    )
-    if with_derivatives:
-        _multiply_four(
-            n, n, row0, row1, row2, row3, unknowns, reference, derivatives, 0, 1, 2, 3, deviating
-        )
-        for i in range(n):
-            products[row0 * n + i] += deviations[row0] * deviating[i]
-            if to1 == row1:
-                products[row1 * n + i] += deviations[row1] * deviating[n + i]
-            if to2 == row2:
-                products[row2 * n + i] += deviations[row2] * deviating[2 * n + i]
-            if to3 == row3:
-                products[row3 * n + i] += deviations[row3] * deviating[3 * n + i]
-
-
 def _set_gradient(
     n: Count, history: Count, place: Count, compliance: Count, gaps: Reals, approaches: Reals,
     depths: Reals, weights: Reals, products: Reals, gradients: Reals,
@@ -148,90 +136,66 @@ def _set_gradient(
 
 
 def evaluate(
-    count: Count, n: Count, size: Count, histories: Integers, places: Integers,
-    references: Integers, which: Integers, unknowns: Reals, matrices: Reals, derivatives: Reals,
-    with_derivatives: Count, deviations: Reals, deviating: Reals, products: Reals,
-    with_products: Count, gaps: Reals, approaches: Reals, depths: Reals, weights: Reals,
-    gradients: Reals, are_known: Flags,
+    count: Count, n: Count, size: Count, order: Integers, places: Integers, references: Integers,
+    which: Integers, unknowns: Reals, matrices: Reals, derivatives: Reals, deviations: Reals,
+    with_derivatives: Count, deviating: Reals, products: Reals, with_products: Count, gaps: Reals,
+    approaches: Reals, depths: Reals, weights: Reals, gradients: Reals, are_known: Flags,
+    with_judgement: Count, diagonals: Reals, forces: Reals, with_forces: Count, free: Flags,
+    residuals: Reals, are_settled: Flags, are_broken: Flags, counts: Integers, cleared: Integers,
+    round_off: Real, gradient_tolerance: Real, force_tolerance: Real,
 ) -> None:  # fmt: skip
     """Set gradients, the weighted gaps, and with products A q before, which then are known.
 
-    ``histories`` (count,) should be in the order of their ``references`` (size,); depths of wear,
+    The ``order`` (count,) of histories should be by ``references`` (size,); depths of wear,
     compact, have their ``places``. After A q there is room for 3 rows; ``deviating`` is for 4.
-    """
-    at = 0
-    while at < count:
-        row0, row1, row2, row3, together = _four(at, count, 1, size, histories, references)
-        if with_products:
-            _product_four(
-                n, row0, row1, row2, row3, row1 if together > 1 else size,
-                row2 if together > 2 else size + 1, row3 if together > 3 else size + 2,
-                references[row0], unknowns, matrices, derivatives, with_derivatives, deviations,
-                deviating, products,
-            )  # fmt: skip
-        for q in range(together):
-            history = histories[at + q]
-            are_known[history] = True
-            _set_gradient(
-                n, history, places[at + q], which[history], gaps, approaches, depths, weights,
-                products, gradients,
-            )  # fmt: skip
-        at += together
 
-
-def judge(
-    count: Count, n: Count, size: Count, histories: Integers, places: Integers,
-    references: Integers, which: Integers, unknowns: Reals, matrices: Reals, derivatives: Reals,
-    with_derivatives: Count, deviations: Reals, deviating: Reals, products: Reals, gaps: Reals,
-    approaches: Reals, depths: Reals, weights: Reals, gradients: Reals, are_known: Flags,
-    diagonals: Reals, forces: Reals, with_forces: Count, free: Flags, residuals: Reals,
-    are_settled: Flags, are_broken: Flags, round_off: Real, gradient_tolerance: Real,
-    force_tolerance: Real,
-) -> None:  # fmt: skip
-    """Evaluate, and set which histories, compact, have settled and are not finite.
-
-    They have settled where they keep their sets and are optimal on these: the natural residual
+    With judgement set which histories, compact, have settled and are not finite, and how many. They
+    have settled where they keep their sets and are optimal on these: the natural residual
     min(g, diag(H) x) is small against the overlap of the bodies, or at the round-off of x, and the
     force is met. ``residuals`` are relative to the largest unknowns. The sets of others become
     those of the signs; unknowns that leave them become 0, and gradients those there, with the wear
-    of before. Unknowns that are no numbers become 0, and their products are not known.
+    of before. Unknowns that are no numbers become 0, and their products are not known. There is
+    room for ``cleared`` (2, size).
     """
-    at = 0
-    while at < count:
-        row0, row1, row2, row3, together = _four(at, count, 1, size, histories, references)
-        _product_four(
-            n, row0, row1, row2, row3, row1 if together > 1 else size,
-            row2 if together > 2 else size + 1, row3 if together > 3 else size + 2,
-            references[row0], unknowns, matrices, derivatives, with_derivatives, deviations,
-            deviating, products,
+    if with_products:
+        _multiply(
+            count, n, n, 1, size, order, references, unknowns, matrices, derivatives, deviations,
+            with_derivatives, deviating, products,
         )  # fmt: skip
-        for q in range(together):
-            history, place = histories[at + q], places[at + q]
-            compliance = which[history]
-            _set_gradient(
-                n, history, place, compliance, gaps, approaches, depths, weights, products,
-                gradients,
-            )  # fmt: skip
-            settled, broken, cleared = _settle(
-                n, history, compliance, unknowns, gradients, diagonals, weights, gaps,
+    n_settled, n_broken, n_cleared = 0, 0, 0
+    for k in range(count):
+        history, place = order[k], places[k]
+        _set_gradient(
+            n, history, place, which[history], gaps, approaches, depths, weights, products,
+            gradients,
+        )  # fmt: skip
+        are_known[history] = True
+        if with_judgement:
+            settled, broken, is_cleared = _settle(
+                n, history, which[history], unknowns, gradients, diagonals, weights, gaps,
                 approaches[history], forces[history], with_forces, free, residuals, round_off,
                 gradient_tolerance, force_tolerance,
             )  # fmt: skip
             are_settled[place], are_broken[place], are_known[history] = settled, broken, not broken
+            n_settled, n_broken = n_settled + settled, n_broken + broken
             if broken:
-                for k in range(history * n, history * n + n):
-                    unknowns[k] = 0.0
-            if cleared:
-                _product_four(
-                    n, history, history, history, history, size, size + 1, size + 2,
-                    references[history], unknowns, matrices, derivatives, with_derivatives,
-                    deviations, deviating, products,
-                )  # fmt: skip
-                _set_gradient(
-                    n, history, place, compliance, gaps, approaches, depths, weights, products,
-                    gradients,
-                )  # fmt: skip
-        at += together
+                for i in range(history * n, history * n + n):
+                    unknowns[i] = 0.0
+            if is_cleared:
+                cleared[n_cleared], cleared[size + n_cleared] = history, place
+                n_cleared = n_cleared + 1
+    if n_cleared > 0:
+        _multiply(
+            n_cleared, n, n, 1, size, cleared, references, unknowns, matrices, derivatives,
+            deviations, with_derivatives, deviating, products,
+        )  # fmt: skip
+    for k in range(n_cleared):
+        history = cleared[k]
+        _set_gradient(
+            n, history, cleared[size + k], which[history], gaps, approaches, depths, weights,
+            products, gradients,
+        )  # fmt: skip
+    counts[0], counts[1] = n_settled, n_broken
 
 
 def _settle(
@@ -362,16 +326,16 @@ def invert(
     """
     for place in range(count):
         _invert(
-            n, rows[place], numbers[rows[place]], rates[place], values, bends,
-            deviations[rows[place]], forces, inverses, responses, stiffness,
+            n, rows[place], numbers[rows[place]], rates[place], values, bends, deviations, forces,
+            inverses, responses, stiffness,
         )  # fmt: skip
 
 
 def _invert(
     n: Count, history: Count, number: Count, rate: Real, values: Reals, bends: Reals,
-    deviation: Real, forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
+    deviations: Reals, forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
 ) -> None:  # fmt: skip
-    row, basis, carried = history * n, number * n, 0.0
+    row, basis, carried, deviation = history * n, number * n, 0.0, deviations[history]
     for i in range(n):
         inverse = 1.0 / (1.0 + rate * values[basis + i] + deviation * bends[basis + i])
         inverses[row + i], responses[row + i] = inverse, inverse * forces[basis + i]
@@ -381,103 +345,80 @@ def _invert(
 
 
 def take_steps(
-    count: Count, n: Count, rows: Integers, order: Integers, which: Integers, depth_slopes: Reals,
-    slope_scale: Reals, slopes: Reals, diagonals: Reals, per_speed: Reals, free: Flags,
-    are_valid: Flags, free_before: Flags, wearing_before: Flags, rates: Reals, are_new: Flags,
-    have_new_sets: Flags, are_regular: Flags, round_off: Real, in_bases: Count, are_inverted: Count,
-    deviations: Reals, numbers: Integers, values: Reals, bends: Reals, bases: Reals,
-    transposed: Reals, basis_forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
-    factors: Reals, references: Integers, reference_weights: Reals, unknowns: Reals,
-    gradients: Reals, approaches: Reals, are_known: Flags, weights: Reals, roots: Reals,
-    forces: Reals, with_forces: Count, missing: Reals, per_scale: Reals, pressures: Reals,
-    are_left: Flags, group: Integers, modal: Reals, steps: Reals,
+    count: Count, n: Count, size: Count, rows: Integers, order: Integers, every: Integers,
+    which: Integers, depth_slopes: Reals, slope_scale: Reals, slopes: Reals, diagonals: Reals,
+    per_speed: Reals, free: Flags, are_valid: Flags, free_before: Flags, wearing_before: Flags,
+    rates: Reals, are_new: Flags, have_new_sets: Flags, are_regular: Flags, round_off: Real,
+    in_bases: Count, through_layers: Count, are_inverted: Count, numbers: Integers, values: Reals,
+    psi: Reals, psi_t: Reals, derivatives: Reals, bends: Reals, basis_forces: Reals,
+    deviations: Reals, inverses: Reals, responses: Reals, stiffness: Reals, factors: Reals,
+    references: Integers, reference_weights: Reals, tolerance: Real, regular_tolerance: Real,
+    most: Count, unknowns: Reals, gradients: Reals, approaches: Reals, are_known: Flags,
+    weights: Reals, roots: Reals, forces: Reals, with_forces: Count, missing: Reals,
+    per_scale: Reals, pressures: Reals, are_left: Flags, n_left: Integers, ready: Integers,
+    factored: Integers, room: Reals, sizes: Reals, steps: Reals, changes: Reals,
 ) -> None:  # fmt: skip
-    """Set slopes, and take the steps of histories whose Hessians are diagonal in bases they have.
+    """Set slopes, and take the steps of histories in bases they have, or by their factors.
 
-    Others, compact, are left, with what ``compare_slopes`` says of them and the force that they are
-    ``missing`` (B,): those that need another basis, unless inverses are what they have to be, and
-    those that deviate. The ``order`` (count,) of rows is by ``numbers`` (B,) of bases. Forces and
-    approaches in bases are by weights of references: ``roots`` (B,) times those. ``group``,
-    ``modal`` and ``steps`` are room for 4.
+    ``n_left`` (1,) others, compact, are left, with what ``compare_slopes`` says of them: those that
+    need another basis or factor, unless inverses are what they have to be. The ``order`` (count,)
+    of rows is by ``numbers`` (size,) of bases; ``every`` are all histories (size,). There is room
+    for forces that are ``missing``, and histories that are ``ready`` and ``factored``, (size,); for
+    the rest see ``steps``.
     """
-    at = 0
-    while at < count:
-        number, together = numbers[rows[order[at]]], 0
-        most = 1 if number < 0 else 4
-        while at < count and together < most and numbers[rows[order[at]]] == number:
-            place = order[at]
-            history, compliance = rows[place], which[rows[place]]
-            _set_slopes(
-                n, history, place, compliance, depth_slopes, slope_scale, slopes, diagonals,
-                are_valid,
-            )  # fmt: skip
-            rate, is_new, has_new_sets = _compare_slopes(
-                n, history, compliance, slopes, per_speed, free, are_valid, free_before,
-                wearing_before, are_regular, round_off,
-            )  # fmt: skip
-            rates[place], are_new[place], have_new_sets[place] = rate, is_new, has_new_sets
-            carried = 0.0
-            for i in range(n):
-                carried += weights[compliance * n + i] * unknowns[history * n + i]
-            missing[history], are_known[history] = forces[history] - carried, False
-            is_diagonal = number < 0 or (are_regular[history] and deviations[history] == 0.0)
-            must_wait = not in_bases or has_new_sets or (is_new and number < 0)
-            is_left = not is_diagonal or (must_wait and not are_inverted)
-            if not is_left:
-                if is_new and not are_inverted:
-                    are_valid[history] = True
-                    _invert(
-                        n, history, number, rate, values, bends, deviations[history],
-                        basis_forces, inverses, responses, stiffness,
-                    )  # fmt: skip
-                group[together] = place
-                together += 1
-            are_left[place] = is_left
-            at += 1
-        if together == 0:
-            continue
-        row0 = rows[group[0]]
-        if number < 0:
-            approaches[row0] += roots[row0] * _step_by_factor(
-                n, row0, references[which[row0]], gradients, row0 * n,
-                missing[row0] * roots[row0], with_forces, factors, responses, stiffness,
-                reference_weights, 0, steps,
-            )  # fmt: skip
-        else:
-            row1 = rows[group[1]] if together > 1 else row0
-            row2 = rows[group[2]] if together > 2 else row0
-            row3 = rows[group[3]] if together > 3 else row0
-            _multiply_four(
-                n, n, row0, row1, row2, row3, gradients, number, bases, 0, 1, 2, 3, modal
-            )
-            for q in range(together):
-                history = rows[group[q]]
-                approaches[history] += roots[history] * _step_in_basis(
-                    n, history, number, q, missing[history] * roots[history], with_forces,
-                    basis_forces, inverses, responses, stiffness, modal,
-                )  # fmt: skip
-            _multiply_four(n, n, 0, 1, 2, 3, modal, number, transposed, 0, 1, 2, 3, steps)
-        for q in range(together):
-            history, compliance, start = rows[group[q]], which[rows[group[q]]], group[q] * n
-            for i in range(n):
-                unknowns[history * n + i] += steps[q * n + i]
-            _set_pressures(n, history, compliance, start, unknowns, per_scale, pressures)
-
-
-def _step_in_basis(
-    n: Count, history: Count, number: Count, q: Count, missing: Real, with_missing: Count,
-    forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals, modal: Reals,
-) -> float:  # fmt: skip
-    """Return the change of an approach; a gradient in a basis becomes the step."""
-    row, basis, start, change = history * n, number * n, q * n, 0.0
-    if with_missing and stiffness[history] > 0.0:
-        carried = 0.0
+    left, n_ready, n_factored = 0, 0, 0
+    for k in range(count):
+        place = order[k]
+        history, compliance = rows[place], which[rows[place]]
+        _set_slopes(
+            n, history, place, compliance, depth_slopes, slope_scale, slopes, diagonals, are_valid
+        )
+        rate, is_new, has_new_sets = _compare_slopes(
+            n, history, compliance, slopes, per_speed, free, are_valid, free_before, wearing_before,
+            are_regular, round_off,
+        )  # fmt: skip
+        rates[place], are_new[place], have_new_sets[place] = rate, is_new, has_new_sets
+        number, carried = numbers[history], 0.0
         for i in range(n):
-            carried += responses[row + i] * modal[start + i]
-        change = (missing + carried) / stiffness[history]
-    for i in range(n):
-        modal[start + i] = (change * forces[basis + i] - modal[start + i]) * inverses[row + i]
-    return change
+            carried += weights[compliance * n + i] * unknowns[history * n + i]
+        missing[history], are_known[history] = forces[history] - carried, False
+        by_factor = number < 0 or (through_layers and not are_regular[history])
+        is_left = not are_inverted and (not in_bases or has_new_sets or (is_new and by_factor))
+        are_left[place] = is_left
+        if is_left:
+            left += 1
+        elif number < 0:
+            factored[n_factored] = history
+            n_factored += 1
+        else:
+            if is_new and not are_inverted:
+                are_valid[history] = True
+                _invert(
+                    n, history, number, rate, values, bends, deviations, basis_forces, inverses,
+                    responses, stiffness,
+                )  # fmt: skip
+            ready[n_ready] = history
+            n_ready += 1
+    _steps_in_bases(
+        n_ready, n, 1, size, ready, every, numbers, psi, psi_t, derivatives, bends, basis_forces,
+        slopes, are_regular, deviations, inverses, responses, stiffness, tolerance,
+        regular_tolerance, most, missing, with_forces, gradients, which, weights, per_scale, roots,
+        False, room, sizes, steps, changes,
+    )  # fmt: skip
+    _steps_by_factors(
+        n_factored, n, 1, size, factored, every, factors, responses, stiffness, references,
+        reference_weights, missing, with_forces, gradients, which, weights, per_scale, roots, False,
+        room, steps, changes,
+    )  # fmt: skip
+    for k in range(count):
+        place = order[k]
+        history = rows[place]
+        if not are_left[place]:
+            approaches[history] += changes[history]
+            for i in range(history * n, history * n + n):
+                unknowns[i] += steps[i]
+            _set_pressures(n, history, which[history], place * n, unknowns, per_scale, pressures)
+    n_left[0] = left
 
 
 def factorise(
@@ -497,20 +438,19 @@ def factorise(
         row, reference, deviation = history * n, references[which[history]], deviations[history]
         for i in range(n):
             at, line = 2 * i * n, (reference * n + i) * n
-            for j in range(i, n):
+            for j in range(n):
                 work[at + j] = matrices[line + j]
+                work[at + n + j] = 0.0
             if with_derivatives:
-                for j in range(i, n):
+                for j in range(n):
                     work[at + j] += deviation * derivatives[line + j]
             if with_coupling:
-                for j in range(i, n):
+                for j in range(n):
                     work[at + j] += coupling[(row + j) * n + i]
             work[at + i] += slopes[row + i]
-            for j in range(i + 1, n):
-                if not (free[row + i] and free[row + j]):
-                    work[at + j] = 0.0
             for j in range(n):
-                work[at + n + j] = 0.0
+                if j != i and not (free[row + i] and free[row + j]):
+                    work[at + j] = 0.0
         _eliminate(n, work)
         for i in range(n):
             line, at = (row + i) * n, 2 * i * n + n
@@ -525,10 +465,7 @@ def factorise(
 
 @in_order
 def _eliminate(n: Count, work: Reals) -> None:
-    """Make (L', L^-1) of (L L', 0), (n, 2 n), row by row, four earlier ones at a time.
-
-    Of L L' and L' the upper triangles.
-    """
+    """Make (L', L^-1) of a matrix L L' and zeros, (n, 2 n), row by row, four earlier at a time."""
     width = 2 * n
     for j in range(n):
         row, i = j * width, 0
@@ -566,53 +503,61 @@ def _solve(
             solutions[to + j] += product * factors[line + j]
 
 
-def steps_by_factors(
+def steps(
+    count: Count, n_factored: Count, n: Count, times: Count, size: Count, in_bases: Integers,
+    factored: Integers, histories: Integers, numbers: Integers, psi: Reals, psi_t: Reals,
+    derivatives: Reals, bends: Reals, forces: Reals, slopes: Reals, are_regular: Flags,
+    deviations: Reals, inverses: Reals, responses: Reals, stiffness: Reals, factors: Reals,
+    references: Integers, reference_weights: Reals, tolerance: Real, regular_tolerance: Real,
+    most: Count, missing: Reals, with_missing: Count, gradients: Reals, which: Integers,
+    weights: Reals, per_scale: Reals, roots: Reals, with_scales: Count, room: Reals, sizes: Reals,
+    steps: Reals, changes: Reals,
+) -> None:  # fmt: skip
+    """Set steps of histories that have bases, and of those that have factors, as below."""
+    _steps_in_bases(
+        count - n_factored, n, times, size, in_bases, histories, numbers, psi, psi_t, derivatives,
+        bends, forces, slopes, are_regular, deviations, inverses, responses, stiffness, tolerance,
+        regular_tolerance, most, missing, with_missing, gradients, which, weights, per_scale, roots,
+        with_scales, room, sizes, steps, changes,
+    )  # fmt: skip
+    _steps_by_factors(
+        n_factored, n, times, size, factored, histories, factors, responses, stiffness, references,
+        reference_weights, missing, with_missing, gradients, which, weights, per_scale, roots,
+        with_scales, room, steps, changes,
+    )  # fmt: skip
+
+
+def _steps_by_factors(
     count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
     factors: Reals, responses: Reals, stiffness: Reals, references: Integers,
     reference_weights: Reals, missing: Reals, with_missing: Count, gradients: Reals,
     which: Integers, weights: Reals, per_scale: Reals, roots: Reals, with_scales: Count,
     scaled: Reals, steps: Reals, changes: Reals,
 ) -> None:  # fmt: skip
-    """Set steps against gradients (times, size, n), and of approaches, as ``steps_in_bases`` does.
+    """Set steps against gradients (times, size, n), and of approaches, as in bases.
 
     ``scaled`` is room for a row.
     """
     for at in range(count * times):
         place = order[at // times]
-        into, compliance = at % times * size + place, which[place] * n
-        start = into * n
+        into, history, compliance = at % times * size + place, histories[place], which[place] * n
+        start, row, change = into * n, history * n, 0.0
         for i in range(n):
             side = gradients[start + i]
             scaled[i] = side * weights[compliance + i] if with_scales else side
-        changes[into] = roots[which[place]] * _step_by_factor(
-            n, histories[place], references[which[place]], scaled, 0,
-            missing[into] * roots[which[place]], with_missing, factors, responses,
-            stiffness, reference_weights, start, steps,
-        )  # fmt: skip
-        if with_scales:
+        _solve(n, row * n, factors, 0, scaled, start, steps)
+        if with_missing and stiffness[history] > 0.0:
+            carried, reference = 0.0, references[which[place]] * n
             for i in range(n):
-                steps[start + i] *= per_scale[compliance + i]
-
-
-def _step_by_factor(
-    n: Count, history: Count, reference: Count, gradients: Reals, at: Count, missing: Real,
-    with_missing: Count, factors: Reals, responses: Reals, stiffness: Reals,
-    reference_weights: Reals, to: Count, steps: Reals,
-) -> float:  # fmt: skip
-    """Set a step against a gradient; return the change of the approach."""
-    row, change = history * n, 0.0
-    _solve(n, row * n, factors, at, gradients, to, steps)
-    if with_missing and stiffness[history] > 0.0:
-        carried = 0.0
+                carried += reference_weights[reference + i] * steps[start + i]
+            change = (missing[into] * roots[which[place]] + carried) / stiffness[history]
         for i in range(n):
-            carried += reference_weights[reference * n + i] * steps[to + i]
-        change = (missing + carried) / stiffness[history]
-    for i in range(n):
-        steps[to + i] = change * responses[row + i] - steps[to + i]
-    return change
+            step = change * responses[row + i] - steps[start + i]
+            steps[start + i] = step * per_scale[compliance + i] if with_scales else step
+        changes[into] = change * roots[which[place]]
 
 
-def steps_in_bases(
+def _steps_in_bases(
     count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
     numbers: Integers, psi: Reals, psi_t: Reals, derivatives: Reals, bends: Reals, forces: Reals,
     slopes: Reals, are_regular: Flags, deviations: Reals, inverses: Reals, responses: Reals,

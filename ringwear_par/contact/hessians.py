@@ -73,13 +73,20 @@ class Hessians:
         #: with it, by the weights of the reference
         self._response, self._stiffness = np.zeros((count, n)), np.zeros(count)
         #: how histories are solved whose rows are compact (True), or among those of all
-        self._rows: dict[bool, tuple[IntArray, _BasisRows]] = {}
+        self._rows: tuple[IntArray, _BasisRows] | None = None
         self._order: tuple[IntArray, IntArray] | None = None
-        #: (B,) weights of references over those of the compliances, and N, the forces missing
-        self._roots = compliances.roots[which]
-        self._missing = np.empty(count)
+        #: of the histories at work: rates of slopes, whether inverses are to be new, whether these
+        #: are of new sets, whether steps are left to be taken, and how many are
+        self._rates, (self._new, self._new_sets, self._left), self._n_left = (
+            np.empty(count), np.empty((3, count), dtype=bool), np.zeros(1, dtype=np.int64),
+        )  # fmt: skip
         #: room of loops
-        self._room = np.empty(4, dtype=np.int64), *np.empty((2, 4, n))
+        self._room = np.empty((24, n)), np.empty(8)
+        self._room_of_steps = (
+            *np.empty((2, count), dtype=np.int64), *self._room, np.empty((count + ROOM, n)),
+            np.empty(count),
+        )  # fmt: skip
+        self._missing = np.empty(count)
 
     def keep(self, histories: IntArray) -> None:
         """Go on with some of the histories."""
@@ -88,7 +95,7 @@ class Hessians:
         keep(
             self,
             ("_which", "_deviation", "_free", "_valid", "_wearing", "_basis",
-             "_inverse", "_regular", "_response", "_stiffness", "_roots", "_missing"),
+             "_inverse", "_regular", "_response", "_stiffness"),
             histories,
         )  # fmt: skip
         self._factors = self._factors[histories] if len(self._factors) else self._factors
@@ -116,8 +123,7 @@ class Hessians:
 
     def _forget_order(self) -> None:
         """Forget how histories are solved, after their bases have changed."""
-        self._rows.clear()
-        self._order = None
+        self._rows = self._order = None
 
     def matrix(self, history: int) -> FloatArray:
         """Return the Hessian of a history, (n, n)."""
@@ -211,26 +217,18 @@ class Hessians:
             self._stiffness, np.empty((n, 2 * n)),
         )  # fmt: skip
 
-    def _rows_of(self, histories: IntArray, compact: bool) -> "_BasisRows":
-        """Return how some histories are solved, remembered for the same ones.
-
-        Parameters
-        ----------
-        compact : whether arrays are of these histories one after another, or of all.
-        """
-        known = self._rows.get(compact)
-        if known is None or known[0] is not histories:
+    def _rows_of(self, histories: IntArray) -> "_BasisRows":
+        """Return how some histories are solved, remembered for the same ones."""
+        if self._rows is None or self._rows[0] is not histories:
             bases = self._basis[histories]
-            order = np.argsort(bases, kind="stable")
-            factored, places = np.count_nonzero(bases < 0), order if compact else histories[order]
-            every = np.arange(len(self._basis))
-            rows = _BasisRows(
-                histories if compact else every, bases if compact else self._basis,
-                self._which[histories] if compact else self._which,
-                places[factored:], places[:factored],
-            )  # fmt: skip
-            known = self._rows[compact] = histories, rows
-        return known[1]
+            order, factored = np.argsort(bases, kind="stable"), np.count_nonzero(bases < 0)
+            self._rows = (
+                histories,
+                _BasisRows(
+                    histories, bases, self._which[histories], order[factored:], order[:factored]
+                ),
+            )
+        return self._rows[1]
 
     def take_steps(self, problem: ContactProblem, free: BoolArray) -> None:
         """Take the steps of the histories at work of a problem, and of their approaches.
@@ -241,47 +239,37 @@ class Hessians:
         """
         histories, (depth_slopes, coupling) = problem.at_work, problem.slopes()
         (count, n), compliances, stack = depth_slopes.shape, self._compliances, self._stack
-        (new, new_sets, left), rates = np.zeros((3, count), dtype=bool), np.empty(count)
-        with_forces, forces = problem.forces is not None, problem.forces
+        rates, new, new_sets, forces = self._rates, self._new, self._new_sets, problem.forces
         pressures = np.empty((count, n))
 
         def step(places: IntArray, are_inverted: bool) -> None:
             self._loops.take_steps(
-                len(places), n, histories, places, self._which, depth_slopes,
-                compliances.slope_scale, self.slope, self.diagonal, self._per_speed, free,
-                self._valid, self._free, self._wearing, rates, new, new_sets, self._regular,
-                _ROUND_OFF, coupling is None, are_inverted, self._deviation, self._basis,
-                stack.mu, stack.bends, stack.psi, stack.psi_t, stack.force, self._inverse,
-                self._response, self._stiffness, self._factors, compliances.reference,
-                compliances.reference_weights, problem.unknowns, problem.gradients,
-                problem.approaches, problem.is_known, compliances.weights, self._roots,
-                problem.approaches if forces is None else forces, with_forces, self._missing,
-                compliances.per_scale, pressures, left, *self._room,
+                len(places), n, len(problem.every), histories, places, problem.every, self._which,
+                depth_slopes, compliances.slope_scale, self.slope, self.diagonal, self._per_speed,
+                free, self._valid, self._free, self._wearing, rates, new, new_sets, self._regular,
+                _ROUND_OFF, coupling is None, self.through_layers, are_inverted, self._basis,
+                stack.mu, stack.psi, stack.psi_t,
+                stack.derivatives if stack.derivatives.size else stack.psi, stack.bends,
+                stack.force, self._deviation, self._inverse, self._response, self._stiffness,
+                self._factors, compliances.reference, compliances.reference_weights, *NEAR,
+                _MOST_ITERATIONS, problem.unknowns, problem.gradients, problem.approaches,
+                problem.is_known, compliances.weights, compliances.roots,
+                problem.approaches if forces is None else forces, forces is not None,
+                self._missing, compliances.per_scale, pressures, self._left, self._n_left,
+                *self._room_of_steps,
             )  # fmt: skip
 
-        step(self._order_of(histories), are_inverted=False)
-        if left.any():
-            if coupling is not None:
-                self.coupling[histories] = coupling
-            places = left.nonzero()[0]
-            self._renew(histories[places], new[places], new_sets[places], rates[places])
-            step(places[np.argsort(self._basis[histories[places]], kind="stable")], True)
-        if left.any():
-            remaining = histories if left.all() else histories[left]
-            rows, missing = self._rows_of(remaining, compact=False), self._missing
-            steps, changes = self._steps(
-                rows, problem.gradients, missing if with_forces else None, NEAR
-            )
-            problem.unknowns[remaining] += steps[remaining]
-            problem.approaches[remaining] += changes[remaining]
-            pressures[left] = problem.pressures(remaining)
-        problem.pressures_at_work = pressures
-
-    def _order_of(self, histories: IntArray) -> IntArray:
-        """Return places of histories in the order of their bases, remembered for the same ones."""
         if self._order is None or self._order[0] is not histories:
             self._order = histories, np.argsort(self._basis[histories], kind="stable")
-        return self._order[1]
+        step(self._order[1], are_inverted=False)
+        if self._n_left[0]:
+            if coupling is not None:
+                self.coupling[histories] = coupling
+            places = self._left[:count].nonzero()[0]
+            left = histories[places]
+            self._renew(left, new[places], new_sets[places], rates[places])
+            step(places[np.argsort(self._basis[left], kind="stable")], are_inverted=True)
+        problem.pressures_at_work = pressures
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
         """Return H^-1 right, (..., h, n), of some histories; 0 off their sets."""
@@ -304,7 +292,7 @@ class Hessians:
         missing : (..., h) float, N; None: approaches stay.
         tolerance : ``ROUGH``, ``NEAR`` or ``SOLVED``.
         """
-        return self._steps(self._rows_of(histories, compact=True), gradient, missing, tolerance)
+        return self._steps(self._rows_of(histories), gradient, missing, tolerance)
 
     def responses(self, histories: IntArray, gaps: FloatArray, with_forces: bool) -> FloatArray:
         """Return about the changes of pressures, MPa, with gaps (..., h, n) mm, to some 1e-2.
@@ -313,7 +301,7 @@ class Hessians:
         ----------
         with_forces : whether forces stay, or approaches.
         """
-        rows, missing = self._rows_of(histories, compact=True), None
+        rows, missing = self._rows_of(histories), None
         if with_forces:
             missing = np.zeros(gaps.shape[:-1])
         return self._steps(rows, gaps, missing, ROUGH, with_scales=True)[0]
@@ -337,21 +325,15 @@ class Hessians:
         compliances, count = self._compliances, gradient.size // n
         steps, changes = np.empty((count + ROOM, n)), np.zeros(gradient.shape[:-1])
         lacking = changes if missing is None else np.ascontiguousarray(missing)
-        sides = (
-            lacking, missing is not None, gradient, which, compliances.weights,
-            compliances.per_scale, compliances.roots, with_scales,
-        )  # fmt: skip
-        self._loops.steps_in_bases(
-            len(rows.in_bases), n, count // size, size, rows.in_bases, rows.histories, rows.bases,
-            stack.psi, stack.psi_t, stack.derivatives if stack.derivatives.size else stack.psi,
-            stack.bends, stack.force, self.slope, self._regular, self._deviation, self._inverse,
-            self._response, self._stiffness, *tolerance, _MOST_ITERATIONS, *sides,
-            np.empty((24, n)), np.empty(8), steps, changes,
-        )  # fmt: skip
-        self._loops.steps_by_factors(
-            len(rows.factored), n, count // size, size, rows.factored, rows.histories,
-            self._factors, self._response, self._stiffness, compliances.reference,
-            compliances.reference_weights, *sides, np.empty(n), steps, changes,
+        self._loops.steps(
+            size, len(rows.factored), n, count // max(size, 1), size, rows.in_bases, rows.factored,
+            rows.histories, rows.bases, stack.psi, stack.psi_t,
+            stack.derivatives if stack.derivatives.size else stack.psi, stack.bends, stack.force,
+            self.slope, self._regular, self._deviation, self._inverse, self._response,
+            self._stiffness, self._factors, compliances.reference, compliances.reference_weights,
+            *tolerance, _MOST_ITERATIONS, lacking, missing is not None, gradient, which,
+            compliances.weights, compliances.per_scale, compliances.roots, with_scales, *self._room,
+            steps, changes,
         )  # fmt: skip
         return steps[:count].reshape(gradient.shape), changes
 

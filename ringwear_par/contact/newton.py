@@ -45,6 +45,7 @@ class ActiveSetNewton:
         self.iterations = np.zeros(len(problem.every), dtype=np.int64)
         self.residuals: FloatArray = np.zeros(len(problem.every))
         self.unsolved: IntArray = problem.every[:0]
+        self._free: BoolArray = np.zeros((0, 0), dtype=bool)
         self._monitored = False
 
     def setUp(self, tao: PETSc.TAO) -> None:
@@ -71,7 +72,9 @@ class ActiveSetNewton:
         """Take plain steps; return the histories that did not end, and the number of steps."""
         problem, hessians = self._problem, self._hessians
         broken: list[int] = []
-        free = problem.unknowns > 0.0
+        if self._free.shape != problem.unknowns.shape:
+            self._free = np.empty(problem.unknowns.shape, dtype=bool)
+        free = np.greater(problem.unknowns, 0.0, out=self._free)
         self._begin(free)
         problem.evaluate(recall=True)
         iteration, limit = 0, min(PLAIN_ITERATIONS, tao.getMaximumIterations())
@@ -79,16 +82,16 @@ class ActiveSetNewton:
             iteration += 1
             histories = problem.at_work
             hessians.take_steps(problem, free)
-            settled, lost = problem.judge(hessians.diagonal, free, self.residuals)
+            n_settled, n_lost = problem.judge(hessians.diagonal, free, self.residuals)
             self.iterations[histories] = iteration
             if self._monitored:
                 self._monitor(tao, iteration)
-            ended = settled | lost
-            if ended.all() and not lost.any():
+            if n_settled == len(histories):
                 return histories[:0], iteration
-            if ended.any():
+            if n_settled or n_lost:
+                settled, lost = problem.settled[: len(histories)], problem.lost[: len(histories)]
                 broken += histories[lost].tolist()
-                problem.go_on(~ended)
+                problem.go_on(~(settled | lost))
         return np.array([*broken, *problem.at_work.tolist()], dtype=np.int64), iteration
 
     def _begin(self, free: BoolArray) -> None:
@@ -131,10 +134,10 @@ class ActiveSetNewton:
             if self._monitored:
                 self._monitor(tao, iteration)
             free[row] = q[row] > 0.0
-            settled, broken = problem.judge(self._hessians.diagonal, free, self.residuals)
-            if broken[0]:
+            settled, lost = problem.judge(self._hessians.diagonal, free, self.residuals)
+            if lost:
                 break
-            if settled[0]:
+            if settled:
                 return histories[:0], iteration
         return histories, iteration
 

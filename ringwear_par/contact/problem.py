@@ -114,6 +114,10 @@ class ContactProblem:
         self._derivatives = compliances.matrices if more is None else more.derivatives
         self._deviation = np.zeros(len(which)) if more is None else more.deviation[which]
         self._deviating = np.empty((4, n))
+        #: of the histories at work, which have settled and which are lost, and how many of them
+        self.settled, self.lost = np.empty((2, len(which)), dtype=bool)
+        self._counts = np.zeros(2, dtype=np.int64)
+        self._cleared = np.empty(2 * len(which), dtype=np.int64)
         #: (h, n) MPa, pressures of the histories at work at their unknowns
         self.pressures_at_work: FloatArray | None = None
         self.at_work = self.every
@@ -232,20 +236,13 @@ class ContactProblem:
         if p is None or len(p) != len(histories):
             p = self.pressures(histories)
         self.is_known[rows] &= recall
-        depths = self._depths(p)
-        self.loops.evaluate(
-            len(histories), len(self.area), len(self.every), *self._in_order(histories),
-            self._reference, self.which, self.unknowns, self.compliances.matrices,
-            self._derivatives, self.compliances.deviations is not None, self._deviation,
-            self._deviating, self._product, not recall, self.gaps, self.approaches, depths,
-            self.compliances.weights, self.gradients, self.is_known,
-        )  # fmt: skip
+        self._evaluate(p, recall, self.unknowns, None, self.approaches)
         self.pressures_at_work = p
 
     def judge(
         self, diagonal: FloatArray, free: BoolArray, residuals: FloatArray
-    ) -> tuple[BoolArray, BoolArray]:
-        """Evaluate after steps; return which histories at work have settled, which are lost, (h,).
+    ) -> tuple[int, int]:
+        """Evaluate after steps; return how many histories have settled, and how many are lost.
 
         The others go on with the sets of the signs; unknowns that leave their set become 0.
 
@@ -255,31 +252,35 @@ class ContactProblem:
         free : (B, n) bool, the elements in contact.
         residuals : (B,) float, set: natural ones, relative to largest unknowns.
         """
-        histories, p, forces = self.at_work, self.pressures_at_work, self.forces
-        assert p is not None
-        settled, broken = np.empty((2, len(histories)), dtype=bool)
-        self.loops.judge(
-            *p.shape, len(self.every), *self._in_order(histories), self._reference, self.which,
-            self.unknowns, self.compliances.matrices, self._derivatives,
-            self.compliances.deviations is not None, self._deviation, self._deviating,
-            self._product, self.gaps, self.approaches, self._depths(p), self.compliances.weights,
-            self.gradients, self.is_known, diagonal, self.approaches if forces is None else forces,
-            forces is not None, free, residuals, settled, broken, ROUND_OFF, GRADIENT_TOLERANCE,
-            FORCE_TOLERANCE,
+        assert self.pressures_at_work is not None
+        self._evaluate(self.pressures_at_work, False, diagonal, free, residuals)
+        settled, lost = self._counts.tolist()
+        return settled, lost
+
+    def _evaluate(
+        self, p: FloatArray, recall: bool, diagonal: FloatArray, free: BoolArray | None,
+        residuals: FloatArray,
+    ) -> None:  # fmt: skip
+        """Set gradients at pressures (h, n), and where there are sets also who has settled."""
+        histories, forces, compliances = self.at_work, self.forces, self.compliances
+        if self._order is None or self._order[0] is not histories:
+            places = np.argsort(self._reference[histories], kind="stable")
+            self._order = histories, histories[places], places
+        self.loops.evaluate(
+            *p.shape, len(self.every), *self._order[1:], self._reference, self.which, self.unknowns,
+            compliances.matrices, self._derivatives, self._deviation,
+            compliances.deviations is not None, self._deviating, self._product, not recall,
+            self.gaps, self.approaches, self._depths(p), compliances.weights, self.gradients,
+            self.is_known, free is not None, diagonal,
+            self.approaches if forces is None else forces, forces is not None,
+            self.is_known if free is None else free, residuals, self.settled, self.lost,
+            self._counts, self._cleared, ROUND_OFF, GRADIENT_TOLERANCE, FORCE_TOLERANCE,
         )  # fmt: skip
-        return settled, broken
 
     def _depths(self, p: FloatArray) -> FloatArray:
         """Return the wear of the histories at work, (h, n) mm."""
         wear = self._increment()
         return np.zeros_like(p) if wear is None else np.ascontiguousarray(wear.depth(p))
-
-    def _in_order(self, histories: IntArray) -> tuple[IntArray, IntArray]:
-        """Return histories in the order of their references, and their places; remembered."""
-        if self._order is None or self._order[0] is not histories:
-            places = np.argsort(self._reference[histories], kind="stable")
-            self._order = histories, histories[places], places
-        return self._order[1:]
 
     def last_pressures(self) -> FloatArray:
         """Return the pressures of all histories, (B, n) MPa.
