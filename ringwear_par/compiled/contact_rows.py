@@ -96,76 +96,181 @@ def pressures(
 ) -> None:  # fmt: skip
     """Set pressures, compact, which are 0 where unknowns are negative."""
     for place in range(count):
-        row, compliance, start = rows[place] * n, which[rows[place]] * n, place * n
+        _set_pressures(
+            n, rows[place], which[rows[place]], place * n, unknowns, per_scale, pressures
+        )
+
+
+def _set_pressures(
+    n: Count, history: Count, compliance: Count, start: Count, unknowns: Reals, per_scale: Reals,
+    pressures: Reals,
+) -> None:  # fmt: skip
+    for i in range(n):
+        x = unknowns[history * n + i]
+        pressures[start + i] = 0.0 if x <= 0.0 else x * per_scale[compliance * n + i]
+
+
+def _product_four(
+    n: Count, row0: Count, row1: Count, row2: Count, row3: Count, to1: Count, to2: Count,
+    to3: Count, reference: Count, unknowns: Reals, matrices: Reals, derivatives: Reals,
+    with_derivatives: Count, deviations: Reals, deviating: Reals, products: Reals,
+) -> None:  # fmt: skip
+    """Set A q of four rows or the same, of which the first is sure to be set in its place."""
+    _multiply_four(
+        n, n, row0, row1, row2, row3, unknowns, reference, matrices, row0, to1, to2, to3, products
+    )
+    if with_derivatives:
+        _multiply_four(
+            n, n, row0, row1, row2, row3, unknowns, reference, derivatives, 0, 1, 2, 3, deviating
+        )
         for i in range(n):
-            x = unknowns[row + i]
-            pressures[start + i] = 0.0 if x <= 0.0 else x * per_scale[compliance + i]
+            products[row0 * n + i] += deviations[row0] * deviating[i]
+            if to1 == row1:
+                products[row1 * n + i] += deviations[row1] * deviating[n + i]
+            if to2 == row2:
+                products[row2 * n + i] += deviations[row2] * deviating[2 * n + i]
+            if to3 == row3:
+                products[row3 * n + i] += deviations[row3] * deviating[3 * n + i]
 
 
-def gradient(
-    count: Count, n: Count, rows: Integers, which: Integers, gaps: Reals, approaches: Reals,
+def _set_gradient(
+    n: Count, history: Count, place: Count, compliance: Count, gaps: Reals, approaches: Reals,
     depths: Reals, weights: Reals, products: Reals, gradients: Reals,
 ) -> None:  # fmt: skip
-    """Set gradients, the weighted gaps; depths of wear are compact, products are A q."""
-    for place in range(count):
-        history, start = rows[place], place * n
-        row, compliance, approach = history * n, which[history] * n, approaches[history]
-        for i in range(n):
-            gap = gaps[row + i] - approach + depths[start + i]
-            gradients[row + i] = gap * weights[compliance + i] + products[row + i]
+    row, start, approach = history * n, place * n, approaches[history]
+    for i in range(n):
+        gap = gaps[row + i] - approach + depths[start + i]
+        gradients[row + i] = gap * weights[compliance * n + i] + products[row + i]
 
 
-def settle(
-    count: Count, n: Count, rows: Integers, which: Integers, unknowns: Reals, gradients: Reals,
-    diagonals: Reals, weights: Reals, gaps: Reals, approaches: Reals, forces: Reals,
-    with_forces: Count, free: Flags, residuals: Reals, are_settled: Flags, are_broken: Flags,
-    are_cleared: Flags, round_off: Real, gradient_tolerance: Real, force_tolerance: Real,
+def evaluate(
+    count: Count, n: Count, size: Count, histories: Integers, places: Integers,
+    references: Integers, which: Integers, unknowns: Reals, matrices: Reals, derivatives: Reals,
+    with_derivatives: Count, deviations: Reals, deviating: Reals, products: Reals,
+    with_products: Count, gaps: Reals, approaches: Reals, depths: Reals, weights: Reals,
+    gradients: Reals, are_known: Flags,
 ) -> None:  # fmt: skip
-    """Set which histories, compact, have settled and are not finite; change the sets of others.
+    """Set gradients, the weighted gaps, and with products A q before, which then are known.
+
+    ``histories`` (count,) should be in the order of their ``references`` (size,); depths of wear,
+    compact, have their ``places``. After A q there is room for 3 rows; ``deviating`` is for 4.
+    """
+    at = 0
+    while at < count:
+        row0, row1, row2, row3, together = _four(at, count, 1, size, histories, references)
+        if with_products:
+            _product_four(
+                n, row0, row1, row2, row3, row1 if together > 1 else size,
+                row2 if together > 2 else size + 1, row3 if together > 3 else size + 2,
+                references[row0], unknowns, matrices, derivatives, with_derivatives, deviations,
+                deviating, products,
+            )  # fmt: skip
+        for q in range(together):
+            history = histories[at + q]
+            are_known[history] = True
+            _set_gradient(
+                n, history, places[at + q], which[history], gaps, approaches, depths, weights,
+                products, gradients,
+            )  # fmt: skip
+        at += together
+
+
+def judge(
+    count: Count, n: Count, size: Count, histories: Integers, places: Integers,
+    references: Integers, which: Integers, unknowns: Reals, matrices: Reals, derivatives: Reals,
+    with_derivatives: Count, deviations: Reals, deviating: Reals, products: Reals, gaps: Reals,
+    approaches: Reals, depths: Reals, weights: Reals, gradients: Reals, are_known: Flags,
+    diagonals: Reals, forces: Reals, with_forces: Count, free: Flags, residuals: Reals,
+    are_settled: Flags, are_broken: Flags, round_off: Real, gradient_tolerance: Real,
+    force_tolerance: Real,
+) -> None:  # fmt: skip
+    """Evaluate, and set which histories, compact, have settled and are not finite.
 
     They have settled where they keep their sets and are optimal on these: the natural residual
     min(g, diag(H) x) is small against the overlap of the bodies, or at the round-off of x, and the
     force is met. ``residuals`` are relative to the largest unknowns. The sets of others become
-    those of the signs; unknowns that leave them become 0, cleared where any did.
+    those of the signs; unknowns that leave them become 0, and gradients those there, with the wear
+    of before. Unknowns that are no numbers become 0, and their products are not known.
     """
-    for place in range(count):
-        history = rows[place]
-        row, compliance, approach = history * n, which[history] * n, approaches[history]
-        worst, most, same = 0.0, 0.0, True
-        defects, overlaps, carried, total = 0.0, 0.0, 0.0, 0.0
-        for i in range(n):
-            k, weight = row + i, weights[compliance + i]
-            x, diagonal = unknowns[k], diagonals[k]
-            natural = min(x, gradients[k] / diagonal)
-            overlap = max(approach - gaps[k], 0.0) * weight
-            defects += natural * diagonal * natural * diagonal
-            overlaps += overlap * overlap
-            carried += weight * x
-            total += x + gradients[k] + diagonal  # comparisons do not see what is no number
-        for k in range(row, row + n):
-            x, gradient = unknowns[k], gradients[k]
-            worst = max(worst, abs(min(x, gradient / diagonals[k])))
-            most = max(most, x)
-            same = same and (x > 0.0 if free[k] else gradient >= 0.0)
-        broken = not math.isfinite(total + carried + worst)
-        # where wear makes the diagonal large, round-off in x is more than the tolerance in g
-        fine = worst <= round_off * most or math.sqrt(defects) <= (
-            gradient_tolerance * math.sqrt(overlaps)
-        )
-        if with_forces:
-            force = forces[history]
-            fine = fine and abs(carried - force) <= force_tolerance * force
-        residuals[history] = worst / most if most > 0.0 else math.inf
-        cleared = False
-        if not same and not broken:
-            for k in range(row, row + n):
-                keep = unknowns[k] > 0.0 if free[k] else gradients[k] < 0.0
-                free[k] = keep
-                if not keep and unknowns[k] != 0.0:
+    at = 0
+    while at < count:
+        row0, row1, row2, row3, together = _four(at, count, 1, size, histories, references)
+        _product_four(
+            n, row0, row1, row2, row3, row1 if together > 1 else size,
+            row2 if together > 2 else size + 1, row3 if together > 3 else size + 2,
+            references[row0], unknowns, matrices, derivatives, with_derivatives, deviations,
+            deviating, products,
+        )  # fmt: skip
+        for q in range(together):
+            history, place = histories[at + q], places[at + q]
+            compliance = which[history]
+            _set_gradient(
+                n, history, place, compliance, gaps, approaches, depths, weights, products,
+                gradients,
+            )  # fmt: skip
+            settled, broken, cleared = _settle(
+                n, history, compliance, unknowns, gradients, diagonals, weights, gaps,
+                approaches[history], forces[history], with_forces, free, residuals, round_off,
+                gradient_tolerance, force_tolerance,
+            )  # fmt: skip
+            are_settled[place], are_broken[place], are_known[history] = settled, broken, not broken
+            if broken:
+                for k in range(history * n, history * n + n):
                     unknowns[k] = 0.0
-                    cleared = True
-        are_settled[place], are_broken[place] = fine and same and not broken, broken
-        are_cleared[place] = cleared
+            if cleared:
+                _product_four(
+                    n, history, history, history, history, size, size + 1, size + 2,
+                    references[history], unknowns, matrices, derivatives, with_derivatives,
+                    deviations, deviating, products,
+                )  # fmt: skip
+                _set_gradient(
+                    n, history, place, compliance, gaps, approaches, depths, weights, products,
+                    gradients,
+                )  # fmt: skip
+        at += together
+
+
+def _settle(
+    n: Count, history: Count, compliance: Count, unknowns: Reals, gradients: Reals,
+    diagonals: Reals, weights: Reals, gaps: Reals, approach: Real, force: Real, with_forces: Count,
+    free: Flags, residuals: Reals, round_off: Real, gradient_tolerance: Real,
+    force_tolerance: Real,
+) -> tuple[bool, bool, bool]:  # fmt: skip
+    """Return whether a history has settled, is not finite, and has unknowns that became 0."""
+    row = history * n
+    worst, most, same = 0.0, 0.0, True
+    defects, overlaps, carried, total = 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        k, weight = row + i, weights[compliance * n + i]
+        x, diagonal = unknowns[k], diagonals[k]
+        natural = min(x, gradients[k] / diagonal)
+        overlap = max(approach - gaps[k], 0.0) * weight
+        defects += natural * diagonal * natural * diagonal
+        overlaps += overlap * overlap
+        carried += weight * x
+        total += x + gradients[k] + diagonal  # comparisons do not see what is no number
+    for k in range(row, row + n):
+        x, gradient = unknowns[k], gradients[k]
+        worst = max(worst, abs(min(x, gradient / diagonals[k])))
+        most = max(most, x)
+        same = same and (x > 0.0 if free[k] else gradient >= 0.0)
+    broken = not math.isfinite(total + carried + worst)
+    # where wear makes the diagonal large, round-off in x is more than the tolerance in g
+    fine = worst <= round_off * most or math.sqrt(defects) <= (
+        gradient_tolerance * math.sqrt(overlaps)
+    )
+    if with_forces:
+        fine = fine and abs(carried - force) <= force_tolerance * force
+    residuals[history] = worst / most if most > 0.0 else math.inf
+    cleared = False
+    if not same and not broken:
+        for k in range(row, row + n):
+            keep = unknowns[k] > 0.0 if free[k] else gradients[k] < 0.0
+            free[k] = keep
+            if not keep and unknowns[k] != 0.0:
+                unknowns[k] = 0.0
+                cleared = True
+    return fine and same and not broken, broken, cleared
 
 
 def set_slopes(
@@ -174,17 +279,26 @@ def set_slopes(
 ) -> None:  # fmt: skip
     """Set slopes from those of depths, compact; inverses of others are no longer valid."""
     for place in range(count):
-        history, start = rows[place], place * n
-        row, compliance, same = history * n, which[history] * n, True
+        _set_slopes(
+            n, rows[place], place, which[rows[place]], depth_slopes, slope_scale, slopes,
+            diagonals, are_valid,
+        )  # fmt: skip
+
+
+def _set_slopes(
+    n: Count, history: Count, place: Count, compliance: Count, depth_slopes: Reals,
+    slope_scale: Reals, slopes: Reals, diagonals: Reals, are_valid: Flags,
+) -> None:  # fmt: skip
+    row, start, same = history * n, place * n, True
+    for i in range(n):
+        slope = depth_slopes[start + i] * slope_scale[compliance * n + i]
+        same = same and slope == slopes[row + i]
+    if not same:
+        are_valid[history] = False
         for i in range(n):
-            slope = depth_slopes[start + i] * slope_scale[compliance + i]
-            same = same and slope == slopes[row + i]
-        if not same:
-            are_valid[history] = False
-            for i in range(n):
-                slope = depth_slopes[start + i] * slope_scale[compliance + i]
-                slopes[row + i] = slope
-                diagonals[row + i] = 1.0 + slope
+            slope = depth_slopes[start + i] * slope_scale[compliance * n + i]
+            slopes[row + i] = slope
+            diagonals[row + i] = 1.0 + slope
 
 
 def compare_slopes(
@@ -198,27 +312,38 @@ def compare_slopes(
     Elements in contact and those of them that wear become those before.
     """
     for place in range(count):
-        history = rows[place]
-        row, same = history * n, True
-        for k in range(row, row + n):
-            same = same and free[k] == free_before[k]
-        are_new[place], have_new_sets[place] = not (same and are_valid[history]), not same
-        if same and are_valid[history]:
-            continue
-        most, least, compliance = 0.0, math.inf, which[history] * n
-        for i in range(n):
-            rate = slopes[row + i] * per_speed[compliance + i]
-            if free[row + i] and rate > 0.0:
-                most = max(most, rate)
-                least = min(least, rate)
-        regular = least >= (1.0 - round_off) * most
-        # without regular wear as if all wore, so as not to need another basis
-        every = most == 0.0 or not regular
-        for k in range(row, row + n):
-            wears = free[k] and (every or slopes[k] > 0.0)
-            same = same and wears == wearing_before[k]
-            free_before[k], wearing_before[k] = free[k], wears
-        rates[place], are_regular[history], have_new_sets[place] = most, regular, not same
+        rates[place], are_new[place], have_new_sets[place] = _compare_slopes(
+            n, rows[place], which[rows[place]], slopes, per_speed, free, are_valid, free_before,
+            wearing_before, are_regular, round_off,
+        )  # fmt: skip
+
+
+def _compare_slopes(
+    n: Count, history: Count, compliance: Count, slopes: Reals, per_speed: Reals, free: Flags,
+    are_valid: Flags, free_before: Flags, wearing_before: Flags, are_regular: Flags,
+    round_off: Real,
+) -> tuple[float, bool, bool]:  # fmt: skip
+    """Return the rate of a history, and whether it needs a new inverse, and one of new sets."""
+    row, same = history * n, True
+    for k in range(row, row + n):
+        same = same and free[k] == free_before[k]
+    if same and are_valid[history]:
+        return 0.0, False, False
+    most, least = 0.0, math.inf
+    for i in range(n):
+        rate = slopes[row + i] * per_speed[compliance * n + i]
+        if free[row + i] and rate > 0.0:
+            most = max(most, rate)
+            least = min(least, rate)
+    regular = least >= (1.0 - round_off) * most
+    # without regular wear as if all wore, so as not to need another basis
+    every = most == 0.0 or not regular
+    for k in range(row, row + n):
+        wears = free[k] and (every or slopes[k] > 0.0)
+        same = same and wears == wearing_before[k]
+        free_before[k], wearing_before[k] = free[k], wears
+    are_regular[history] = regular
+    return most, True, not same
 
 
 def invert(
@@ -230,16 +355,124 @@ def invert(
     Bases have ``values`` mu (m, n) and ``forces`` (m, n); rates are compact.
     """
     for place in range(count):
-        row, basis = rows[place] * n, numbers[rows[place]] * n
-        rate, carried = rates[place], 0.0
+        _invert(
+            n, rows[place], numbers[rows[place]], rates[place], values, forces, inverses, responses,
+            stiffness,
+        )  # fmt: skip
+
+
+def _invert(
+    n: Count, history: Count, number: Count, rate: Real, values: Reals, forces: Reals,
+    inverses: Reals, responses: Reals, stiffness: Reals,
+) -> None:  # fmt: skip
+    row, basis, carried = history * n, number * n, 0.0
+    for i in range(n):
+        force = forces[basis + i]
+        inverse = 1.0 / (1.0 + rate * values[basis + i])
+        inverses[row + i], responses[row + i] = inverse, inverse * force
+    for i in range(n):
+        carried += forces[basis + i] * responses[row + i]
+    stiffness[history] = carried
+
+
+def take_steps(
+    count: Count, n: Count, rows: Integers, order: Integers, which: Integers, depth_slopes: Reals,
+    slope_scale: Reals, slopes: Reals, diagonals: Reals, per_speed: Reals, free: Flags,
+    are_valid: Flags, free_before: Flags, wearing_before: Flags, rates: Reals, are_new: Flags,
+    have_new_sets: Flags, are_regular: Flags, round_off: Real, in_bases: Count, are_inverted: Count,
+    deviations: Reals, numbers: Integers, values: Reals, bases: Reals, transposed: Reals,
+    basis_forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals, factors: Reals,
+    references: Integers, reference_weights: Reals, unknowns: Reals, gradients: Reals,
+    approaches: Reals, are_known: Flags, weights: Reals, roots: Reals, forces: Reals,
+    with_forces: Count, missing: Reals, per_scale: Reals, pressures: Reals, are_left: Flags,
+    group: Integers, modal: Reals, steps: Reals,
+) -> None:  # fmt: skip
+    """Set slopes, and take the steps of histories whose Hessians are diagonal in bases they have.
+
+    Others, compact, are left, with what ``compare_slopes`` says of them and the force that they are
+    ``missing`` (B,): those that need another basis, unless inverses are what they have to be, and
+    those that deviate. The ``order`` (count,) of rows is by ``numbers`` (B,) of bases. Forces and
+    approaches in bases are by weights of references: ``roots`` (B,) times those. ``group``,
+    ``modal`` and ``steps`` are room for 4.
+    """
+    at = 0
+    while at < count:
+        number, together = numbers[rows[order[at]]], 0
+        most = 1 if number < 0 else 4
+        while at < count and together < most and numbers[rows[order[at]]] == number:
+            place = order[at]
+            history, compliance = rows[place], which[rows[place]]
+            _set_slopes(
+                n, history, place, compliance, depth_slopes, slope_scale, slopes, diagonals,
+                are_valid,
+            )  # fmt: skip
+            rate, is_new, has_new_sets = _compare_slopes(
+                n, history, compliance, slopes, per_speed, free, are_valid, free_before,
+                wearing_before, are_regular, round_off,
+            )  # fmt: skip
+            rates[place], are_new[place], have_new_sets[place] = rate, is_new, has_new_sets
+            carried = 0.0
+            for i in range(n):
+                carried += weights[compliance * n + i] * unknowns[history * n + i]
+            missing[history], are_known[history] = forces[history] - carried, False
+            is_diagonal = number < 0 or (are_regular[history] and deviations[history] == 0.0)
+            must_wait = not in_bases or has_new_sets or (is_new and number < 0)
+            is_left = not is_diagonal or (must_wait and not are_inverted)
+            if not is_left:
+                if is_new and not are_inverted:
+                    are_valid[history] = True
+                    _invert(
+                        n, history, number, rate, values, basis_forces, inverses, responses,
+                        stiffness,
+                    )  # fmt: skip
+                group[together] = place
+                together += 1
+            are_left[place] = is_left
+            at += 1
+        if together == 0:
+            continue
+        row0 = rows[group[0]]
+        if number < 0:
+            approaches[row0] += roots[row0] * _step_by_factor(
+                n, row0, references[which[row0]], gradients, row0 * n,
+                missing[row0] * roots[row0], with_forces, factors, responses, stiffness,
+                reference_weights, 0, steps,
+            )  # fmt: skip
+        else:
+            row1 = rows[group[1]] if together > 1 else row0
+            row2 = rows[group[2]] if together > 2 else row0
+            row3 = rows[group[3]] if together > 3 else row0
+            _multiply_four(
+                n, n, row0, row1, row2, row3, gradients, number, bases, 0, 1, 2, 3, modal
+            )
+            for q in range(together):
+                history = rows[group[q]]
+                approaches[history] += roots[history] * _step_in_basis(
+                    n, history, number, q, missing[history] * roots[history], with_forces,
+                    basis_forces, inverses, responses, stiffness, modal,
+                )  # fmt: skip
+            _multiply_four(n, n, 0, 1, 2, 3, modal, number, transposed, 0, 1, 2, 3, steps)
+        for q in range(together):
+            history, compliance, start = rows[group[q]], which[rows[group[q]]], group[q] * n
+            for i in range(n):
+                unknowns[history * n + i] += steps[q * n + i]
+            _set_pressures(n, history, compliance, start, unknowns, per_scale, pressures)
+
+
+def _step_in_basis(
+    n: Count, history: Count, number: Count, q: Count, missing: Real, with_missing: Count,
+    forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals, modal: Reals,
+) -> float:  # fmt: skip
+    """Return the change of an approach; a gradient in a basis becomes the step."""
+    row, basis, start, change = history * n, number * n, q * n, 0.0
+    if with_missing and stiffness[history] > 0.0:
+        carried = 0.0
         for i in range(n):
-            force = forces[basis + i]
-            inverse = 1.0 / (1.0 + rate * values[basis + i])
-            response = inverse * force
-            inverses[row + i], responses[row + i] = inverse, response
-        for i in range(n):
-            carried += forces[basis + i] * responses[row + i]
-        stiffness[rows[place]] = carried
+            carried += responses[row + i] * modal[start + i]
+        change = (missing + carried) / stiffness[history]
+    for i in range(n):
+        modal[start + i] = (change * forces[basis + i] - modal[start + i]) * inverses[row + i]
+    return change
 
 
 def factorise(
@@ -337,21 +570,36 @@ def steps_by_factors(
     """
     for at in range(count * times):
         place = order[at // times]
-        into, history, compliance = at % times * size + place, histories[place], which[place] * n
-        start, row, change = into * n, history * n, 0.0
+        into, compliance = at % times * size + place, which[place] * n
+        start = into * n
         for i in range(n):
             side = gradients[start + i]
             scaled[i] = side * weights[compliance + i] if with_scales else side
-        _solve(n, row * n, factors, 0, scaled, start, steps)
-        if with_missing and stiffness[history] > 0.0:
-            carried, reference = 0.0, references[which[place]] * n
+        changes[into] = _step_by_factor(
+            n, histories[place], references[which[place]], scaled, 0, missing[into], with_missing,
+            factors, responses, stiffness, reference_weights, start, steps,
+        )  # fmt: skip
+        if with_scales:
             for i in range(n):
-                carried += reference_weights[reference + i] * steps[start + i]
-            change = (missing[into] + carried) / stiffness[history]
+                steps[start + i] *= per_scale[compliance + i]
+
+
+def _step_by_factor(
+    n: Count, history: Count, reference: Count, gradients: Reals, at: Count, missing: Real,
+    with_missing: Count, factors: Reals, responses: Reals, stiffness: Reals,
+    reference_weights: Reals, to: Count, steps: Reals,
+) -> float:  # fmt: skip
+    """Set a step against a gradient; return the change of the approach."""
+    row, change = history * n, 0.0
+    _solve(n, row * n, factors, at, gradients, to, steps)
+    if with_missing and stiffness[history] > 0.0:
+        carried = 0.0
         for i in range(n):
-            step = change * responses[row + i] - steps[start + i]
-            steps[start + i] = step * per_scale[compliance + i] if with_scales else step
-        changes[into] = change
+            carried += reference_weights[reference * n + i] * steps[to + i]
+        change = (missing + carried) / stiffness[history]
+    for i in range(n):
+        steps[to + i] = change * responses[row + i] - steps[to + i]
+    return change
 
 
 def steps_in_bases(
@@ -387,18 +635,11 @@ def steps_in_bases(
             )
         for q in range(together):
             place = order[(at + q) // times]
-            history, into = histories[place], (at + q) % times * size + place
-            row, basis, start, change = history * n, number * n, q * n, 0.0
-            if with_missing and stiffness[history] > 0.0:
-                carried = 0.0
-                for i in range(n):
-                    carried += responses[row + i] * modal[start + i]
-                change = (missing[into] + carried) / stiffness[history]
-            for i in range(n):
-                modal[start + i] = (change * forces[basis + i] - modal[start + i]) * inverses[
-                    row + i
-                ]
-            changes[into] = change
+            into = (at + q) % times * size + place
+            changes[into] = _step_in_basis(
+                n, histories[place], number, q, missing[into], with_missing, forces, inverses,
+                responses, stiffness, modal,
+            )  # fmt: skip
         _multiply_four(
             n, n, 0, 1, 2, 3, modal, number, transposed, row0, row1 if together > 1 else spare,
             row2 if together > 2 else spare + 1, row3 if together > 3 else spare + 2, steps,
@@ -531,45 +772,20 @@ def conjugate_gradients(
         begin += together
 
 
-def missing_forces(
-    count: Count, n: Count, rows: Integers, which: Integers, unknowns: Reals, weights: Reals,
-    forces: Reals, missing: Reals,
-) -> None:  # fmt: skip
-    """Set what unknowns lack of the forces."""
-    for place in range(count):
-        history, carried = rows[place], 0.0
-        row, compliance = history * n, which[history] * n
-        for i in range(n):
-            carried += weights[compliance + i] * unknowns[row + i]
-        missing[history] = forces[history] - carried
-
-
-def add_steps(
-    count: Count, n: Count, rows: Integers, steps: Reals, changes: Reals, unknowns: Reals,
-    approaches: Reals,
-) -> None:  # fmt: skip
-    """Take the steps."""
-    for place in range(count):
-        history = rows[place]
-        approaches[history] += changes[history]
-        for k in range(history * n, history * n + n):
-            unknowns[k] += steps[k]
-
-
 def correction_errors(
     count: Count, n: Count, which: Integers, before: Reals, after: Reals, stiffness: Reals,
-    pressures: Reals, means: Reals, errors: Reals, elements: Integers,
+    pressures: Reals, forces: Reals, area: Real, errors: Reals, elements: Integers,
 ) -> None:  # fmt: skip
     """Set the largest errors of pressures for changes of gaps, each element alone, and where.
 
-    Relative to the pressure or to the mean, whichever is larger.
+    Relative to the pressure or to the mean on the whole area, whichever is larger.
     """
     for history in range(count):
-        largest, element, mean = 0.0, 0, means[history]
+        largest, element, mean = 0.0, 0, max(forces[history] / area, 1e-300)
         for i in range(n):
             k, stiff = history * n + i, stiffness[which[history] * n + i]
             error = abs(after[k] - before[k]) * stiff / max(pressures[k], mean)
             if error > largest or (math.isnan(error) and not math.isnan(largest)):
                 largest, element = error, i
-        errors[history] = math.nan if math.isnan(mean) else largest
+        errors[history] = math.nan if math.isnan(forces[history]) else largest
         elements[history] = element

@@ -27,9 +27,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
+from itertools import compress
+from operator import is_not
 from pathlib import Path
 from types import FunctionType, ModuleType, SimpleNamespace
-from typing import Annotated, Any, NoReturn, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 log = logging.getLogger(__name__)
 
@@ -94,34 +96,48 @@ def _is_part(function: FunctionType) -> bool:
 
 
 def _call(function: FunctionType, address: int) -> Callable[..., None]:
-    """Return the compiled loop at an address as a function with the parameters of its source."""
-    kinds = _kinds(function)
-    dtypes = [dtype for _, dtype in kinds]
-    numbers: dict[Any, Any] = {int: ctypes.c_int64, float: ctypes.c_double}
-    types = [numbers.get(kind, ctypes.c_void_p) for kind, _ in kinds]
+    """Return the compiled loop at an address as a function with the parameters of its source.
+
+    What is the same object as the last time has been converted already: most arrays outlive many
+    calls, and to convert them takes longer than most loops.
+    """
+    conversions = [_conversion(function, *kind) for kind in _kinds(function)]
+    count = len(conversions)
     # numba's own convention: places of what is returned and raised, neither of which there is;
     # loops are so short that to let other threads run takes longer
-    native = ctypes.PYFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, *types)(address)
+    native = ctypes.PYFUNCTYPE(ctypes.c_int32)(address)
     place = ctypes.byref(ctypes.c_void_p())
+    last: tuple[Sequence[Any], list[Any]] = [None] * count, [None] * count
 
     def call(*arguments: Any) -> None:
+        nonlocal last
         if not arguments[0]:
             return  # arrays without entries have no place
-        native(
-            place, None,
-            *[
-                argument if not dtype
-                else _reference(_first_byte(argument)) if argument.dtype.char in dtype
-                else _refuse(function, argument)
-                for argument, dtype in zip(arguments, dtypes, strict=True)
-            ],
-        )  # fmt: skip
+        if len(arguments) != count:
+            raise TypeError(f"{function.__name__}: {len(arguments)} arguments, not {count}")
+        before, converted = last
+        changed = [*compress(range(count), map(is_not, arguments, before))]
+        if changed:
+            converted = converted.copy()  # a thread that calls meanwhile has the other
+            for i in changed:
+                converted[i] = conversions[i](arguments[i])
+            last = arguments, converted
+        native(place, None, *converted)
 
     return call
 
 
-def _refuse(function: FunctionType, argument: Any) -> NoReturn:
-    raise TypeError(f"{function.__name__}: no argument may be an array of {argument.dtype}")
+def _conversion(function: FunctionType, kind: Any, dtypes: str) -> Callable[[Any], Any]:
+    """Return the conversion of an argument to one of machine code."""
+    if not dtypes:
+        return ctypes.c_int64 if kind is int else ctypes.c_double
+
+    def place_of(array: Any) -> Any:
+        if array.dtype.char not in dtypes:
+            raise TypeError(f"{function.__name__}: no argument may be an array of {array.dtype}")
+        return _reference(_first_byte(array)) if array.size else None
+
+    return place_of
 
 
 def _kinds(function: FunctionType) -> list[tuple[Any, str]]:

@@ -24,8 +24,6 @@ from ringwear_par.wear.increment import WearIncrement
 _NEAR_ENOUGH, _EXACT = 1e-2, 1e-4
 #: how often to correct at most: five times did for the worst of 200 random cases
 _CORRECTIONS = 10
-#: no pressure, MPa
-_TINY = 1e-300
 
 
 class Tangents(Protocol):
@@ -127,15 +125,15 @@ class CorrectedContacts:
         """
         gap, wear, at = inputs.gap, inputs.wear, pressure_guess
         largest_allowed = _EXACT if exact else _NEAR_ENOUGH
-        count = len(gap)
-        shift, iterations, residual = self._shift(at), np.zeros(count, np.int64), np.zeros(count)
-        errors, elements = np.zeros(count), np.zeros(count, np.int64)
-        not_converged = self._every
+        count, shift, not_converged = len(gap), self._shift(at), self._every
+        iterations, elements = np.zeros((2, count), dtype=np.int64)
+        residual, errors = np.zeros((2, count))
         if already_solved is not None:
             solved, solution = already_solved
             not_converged = np.flatnonzero(~solved)
             iterations[solved] = solution.iterations[solved]
             residual[solved] = solution.residual[solved]
+        first_of_all = not_converged is self._every
         for _ in range(1 + _CORRECTIONS):
             state = self.engine.solve(
                 gap - shift,
@@ -147,13 +145,22 @@ class CorrectedContacts:
             if tangents is not None:
                 tangents.solved(wear, state, at, not_converged)
                 at = state.pressure
-            iterations[not_converged] += state.iterations[not_converged]
-            residual[not_converged] = state.residual[not_converged]
             before, shift = shift, self._shift(state.pressure)
             error, element = self._errors(state, before, shift, largest_allowed)
-            errors[not_converged] = error[not_converged]
-            elements[not_converged] = element[not_converged]
-            not_converged = not_converged[~(error[not_converged] <= largest_allowed)]
+            if first_of_all:
+                iterations, residual, errors, elements = (
+                    state.iterations, state.residual, error, element,
+                )  # fmt: skip
+                first_of_all = False
+            else:
+                iterations[not_converged] += state.iterations[not_converged]
+                residual[not_converged] = state.residual[not_converged]
+                errors[not_converged] = error[not_converged]
+                elements[not_converged] = element[not_converged]
+            fine = error <= largest_allowed
+            if fine.all():
+                break
+            not_converged = not_converged[~fine[not_converged]]
             if not len(not_converged):
                 break
         else:
@@ -166,9 +173,12 @@ class CorrectedContacts:
             raise HistoriesError(which)
         before_errors, before_elements = self.largest_errors
         worse = errors > before_errors
-        self.largest_errors = (
-            np.where(worse, errors, before_errors), np.where(worse, elements, before_elements)
-        )  # fmt: skip
+        if worse.any():
+            self.largest_errors = (
+                np.where(worse, errors, before_errors), np.where(worse, elements, before_elements)
+            )  # fmt: skip
+        if state.iterations is iterations:
+            return state
         return replace(state, iterations=iterations, residual=residual)
 
     def _errors(
@@ -188,7 +198,7 @@ class CorrectedContacts:
         largest, elements = np.empty(len(p)), np.empty(len(p), dtype=np.int64)
         self.engine.loops.correction_errors(
             *p.shape, self.engine.which, before, after, self.engine.compliances.stiffness, p,
-            np.maximum(solution.force / self._total, _TINY), largest, elements,
+            solution.force, self._total, largest, elements,
         )  # fmt: skip
         too_large = largest > largest_allowed
         if not too_large.any():

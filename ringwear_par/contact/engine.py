@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.arrays import FloatArray, IntArray, inner
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
 from ringwear_par.batched import take
 from ringwear_par.contact.approach import find_approach
 from ringwear_par.contact.hessians import Hessians
@@ -217,25 +217,24 @@ class ContactEngine:
             HistoriesError of several histories.
         Exception : what a law raised.
         """
-        problem, residual = self._problem, np.zeros(len(gap))
+        problem = self._problem
         active = problem.every if histories is None else histories
         apart = problem.pose(gap, force, approach, wear, active)
         self._hessians.pose(wear)
         self._iterations[active] = 0
         if apart.any():
             self._separate(active[apart[active]])
-        failed = np.zeros(len(gap), dtype=bool)
-        for history in self._solve_together().tolist():
+        unsolved, failed = self._solve_together(), np.zeros(len(gap), dtype=bool)
+        for history in unsolved.tolist():
             try:
                 self._solve_alone(history)
             except ComputationError:
                 if len(gap) == 1:
                     raise
                 failed[history] = True
-        residual[active] = self._residuals(active)
-        residual[apart] = 0.0
-        failed |= ~(residual <= KKT_TOLERANCE)
-        if failed.any():
+        residual = self._residuals(active, apart)
+        if not (residual <= KKT_TOLERANCE).all() or failed.any():
+            failed |= ~(residual <= KKT_TOLERANCE)
             if len(gap) == 1:
                 raise ComputationError(self._failure(0, float(residual[0])))
             raise HistoriesError(failed)
@@ -245,12 +244,20 @@ class ContactEngine:
             residual,
         )  # fmt: skip
 
-    def _residuals(self, histories: IntArray) -> FloatArray:
-        """Return natural KKT residuals of solutions, as Newton's method saw them last."""
-        seen = None if self._newton is None else self._newton.residuals[histories]
-        if seen is not None and (seen <= KKT_TOLERANCE).all():
-            return seen
-        return self._problem.residuals(histories, self._hessians.slope)
+    def _residuals(self, histories: IntArray, apart: BoolArray) -> FloatArray:
+        """Return natural KKT residuals of all, as Newton's method saw them last if these will do.
+
+        Parameters
+        ----------
+        histories : (h,) int, of which there are new solutions.
+        apart : (B,) bool, which need no pressure.
+        """
+        if self._newton is not None and (self._newton.residuals <= KKT_TOLERANCE).all():
+            return self._newton.residuals.copy()
+        residual = np.zeros(len(apart))
+        residual[histories] = self._problem.residuals(histories, self._hessians.slope)
+        residual[apart] = 0.0
+        return residual
 
     def _failure(self, history: int, residual: float) -> str:
         """Return why a contact was not solved."""
@@ -279,6 +286,8 @@ class ContactEngine:
             problem.gaps[histories] - problem.approaches[histories, None]
         )
         self._hessians.forget(histories)
+        if self._newton is not None:
+            self._newton.residuals[histories] = 0.0
 
     def _solve_alone(self, history: int) -> None:
         """Solve the problem of a history at its approach, or at approaches up to that of its force.

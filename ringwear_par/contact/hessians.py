@@ -76,6 +76,12 @@ class Hessians:
         self._response, self._stiffness = np.zeros((count, n)), np.zeros(count)
         #: how histories are solved whose rows are compact (True), or among those of all
         self._rows: dict[bool, tuple[IntArray, _BasisRows]] = {}
+        self._order: tuple[IntArray, IntArray] | None = None
+        #: (B,) weights of references over those of the compliances, and N, the forces missing
+        self._roots = np.ones(count) if more is None else more.root[which]
+        self._missing = np.empty(count)
+        #: room of loops
+        self._room = np.empty(4, dtype=np.int64), *np.empty((2, 4, n))
 
     def keep(self, histories: IntArray) -> None:
         """Go on with some of the histories."""
@@ -84,11 +90,11 @@ class Hessians:
         keep(
             self,
             ("_which", "_deviation", "_free", "_valid", "_wearing", "_basis",
-             "_inverse", "_regular", "_response", "_stiffness"),
+             "_inverse", "_regular", "_response", "_stiffness", "_roots", "_missing"),
             histories,
         )  # fmt: skip
         self._factors = self._factors[histories] if len(self._factors) else self._factors
-        self._rows.clear()
+        self._forget_order()
 
     def pose(self, wear: WearIncrement | None) -> None:
         """Make room for what the wear of an implicit step adds; none adds nothing."""
@@ -109,6 +115,11 @@ class Hessians:
         )  # fmt: skip
         if coupling is not None:
             self.coupling[histories] = coupling
+
+    def _forget_order(self) -> None:
+        """Forget how histories are solved, after their bases have changed."""
+        self._rows.clear()
+        self._order = None
 
     def matrix(self, history: int) -> FloatArray:
         """Return the Hessian of a history, (n, n)."""
@@ -133,15 +144,21 @@ class Hessians:
         in_bases : whether sets are worth a basis; those that come and go are not.
         """
         count, n = len(histories), free.shape[1]
-        new, new_sets = np.empty((2, count), dtype=bool)
-        rates = np.empty(count)
-        coupled = bool(len(self.coupling))
-        if coupled:
-            self._valid[histories] = False
+        (new, new_sets), rates = np.empty((2, count), dtype=bool), np.empty(count)
         self._loops.compare_slopes(
             count, n, histories, self._which, self.slope, self._per_speed, free, self._valid,
             self._free, self._wearing, rates, new, new_sets, self._regular, _ROUND_OFF,
         )  # fmt: skip
+        self._renew(histories, new, new_sets, rates, in_bases)
+
+    def _renew(
+        self, histories: IntArray, new: BoolArray, new_sets: BoolArray, rates: FloatArray,
+        in_bases: bool = True,
+    ) -> None:  # fmt: skip
+        """Invert the blocks of histories that are new, as ``compare_slopes`` says of them."""
+        coupled, n = bool(len(self.coupling)), self.slope.shape[1]
+        if coupled:
+            new[:] = True
         if not new.any():
             return
         if not new.all():
@@ -177,7 +194,7 @@ class Hessians:
 
     def _choose_bases(self, histories: IntArray) -> None:
         """Take the bases of the sets of histories."""
-        self._rows.clear()
+        self._forget_order()
         free, wearing = self._free[histories], self._wearing[histories]
         sets = np.packbits(np.concatenate([free, wearing], axis=1), axis=1)
         alike: dict[tuple[int, bytes], list[int]] = defaultdict(list)
@@ -195,7 +212,7 @@ class Hessians:
     def _factorise(self, histories: IntArray) -> None:
         """Factor the blocks of histories, which have no bases then."""
         if (self._basis[histories] >= 0).any():
-            self._rows.clear()
+            self._forget_order()
         compliances, (count, n), self._basis[histories] = self._compliances, self.slope.shape, -1
         if not len(self._factors):
             self._factors = np.empty((count, n, n))
@@ -229,20 +246,56 @@ class Hessians:
             known = self._rows[compact] = histories, rows
         return known[1]
 
-    def take_steps(self, problem: ContactProblem) -> None:
-        """Take the steps of the histories at work of a problem, and of their approaches."""
-        histories, n, missing = problem.at_work, self.slope.shape[1], None
-        if problem.forces is not None:
-            missing = np.empty(len(problem.every))
-            self._loops.missing_forces(
-                len(histories), n, histories, self._which, problem.unknowns,
-                self._compliances.weights, problem.forces, missing,
+    def take_steps(self, problem: ContactProblem, free: BoolArray) -> None:
+        """Take the steps of the histories at work of a problem, and of their approaches.
+
+        Parameters
+        ----------
+        free : (B, n), the elements in contact.
+        """
+        histories, (depth_slopes, coupling) = problem.at_work, problem.slopes()
+        (count, n), compliances, stack = depth_slopes.shape, self._compliances, self._stack
+        (new, new_sets, left), rates = np.zeros((3, count), dtype=bool), np.empty(count)
+        with_forces, forces = problem.forces is not None, problem.forces
+        pressures = np.empty((count, n))
+
+        def step(places: IntArray, are_inverted: bool) -> None:
+            self._loops.take_steps(
+                len(places), n, histories, places, self._which, depth_slopes,
+                compliances.slope_scale, self.slope, self.diagonal, self._per_speed, free,
+                self._valid, self._free, self._wearing, rates, new, new_sets, self._regular,
+                _ROUND_OFF, coupling is None, are_inverted, self._deviation, self._basis,
+                stack.mu, stack.psi, stack.psi_t, stack.force, self._inverse,
+                self._response, self._stiffness, self._factors, compliances.reference,
+                compliances.reference_weights, problem.unknowns, problem.gradients,
+                problem.approaches, problem.is_known, compliances.weights, self._roots,
+                problem.approaches if forces is None else forces, with_forces, self._missing,
+                compliances.per_scale, pressures, left, *self._room,
             )  # fmt: skip
-        rows = self._rows_of(histories, compact=False)
-        steps, changes = self._steps(rows, problem.gradients, missing, NEAR)
-        self._loops.add_steps(
-            len(histories), n, histories, steps, changes, problem.unknowns, problem.approaches
-        )
+
+        step(self._order_of(histories), are_inverted=False)
+        if left.any():
+            if coupling is not None:
+                self.coupling[histories] = coupling
+            places = left.nonzero()[0]
+            self._renew(histories[places], new[places], new_sets[places], rates[places])
+            step(places[np.argsort(self._basis[histories[places]], kind="stable")], True)
+        if left.any():
+            remaining = histories if left.all() else histories[left]
+            rows, missing = self._rows_of(remaining, compact=False), self._missing
+            steps, changes = self._steps(
+                rows, problem.gradients, missing if with_forces else None, NEAR
+            )
+            problem.unknowns[remaining] += steps[remaining]
+            problem.approaches[remaining] += changes[remaining]
+            pressures[left] = problem.pressures(remaining)
+        problem.pressures_at_work = pressures
+
+    def _order_of(self, histories: IntArray) -> IntArray:
+        """Return places of histories in the order of their bases, remembered for the same ones."""
+        if self._order is None or self._order[0] is not histories:
+            self._order = histories, np.argsort(self._basis[histories], kind="stable")
+        return self._order[1]
 
     def solve(self, histories: IntArray, right: FloatArray) -> FloatArray:
         """Return H^-1 right, (..., h, n), of some histories; 0 off their sets."""

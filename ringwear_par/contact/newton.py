@@ -15,12 +15,13 @@ import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.contact.hessians import SOLVED, Hessians
-from ringwear_par.contact.problem import FORCE_TOLERANCE, GRADIENT_TOLERANCE, ContactProblem
+from ringwear_par.contact.problem import ContactProblem
 from ringwear_par.contact.tao import Guard
 from ringwear_par.petsc import PETSc
 
 PLAIN_ITERATIONS = 25
-ROUND_OFF = 1e-13
+_ENDED = PETSc.TAO.Reason.CONVERGED_GATOL
+_NOT_ENDED = PETSc.TAO.Reason.DIVERGED_MAXITS
 #: share of the slope at the start of a damped step that is left at its end, and the shortest step
 _SLOPE_LEFT, _SHORTEST = 1e-8, 1e-10
 
@@ -61,11 +62,10 @@ class ActiveSetNewton:
     def _solve(self, tao: PETSc.TAO) -> None:
         iterate = self._iterate_damped if self.damped else self._iterate
         unsolved, iterations = iterate(tao)
-        self.unsolved = np.sort(unsolved)
+        self.unsolved = np.sort(unsolved) if len(unsolved) else unsolved
         tao.setIterationNumber(iterations)
-        reasons = PETSc.TAO.Reason
         ended = not self.damped or not len(unsolved)  # plain steps have damped ones to follow them
-        tao.setConvergedReason(reasons.CONVERGED_GATOL if ended else reasons.DIVERGED_MAXITS)
+        tao.setConvergedReason(_ENDED if ended else _NOT_ENDED)
 
     def _iterate(self, tao: PETSc.TAO) -> tuple[IntArray, int]:
         """Take plain steps; return the histories that did not end, and the number of steps."""
@@ -78,39 +78,18 @@ class ActiveSetNewton:
         while len(problem.at_work) and iteration < limit:
             iteration += 1
             histories = problem.at_work
-            hessians.set_slopes(histories, *problem.slopes())
-            hessians.refresh(histories, free)
-            hessians.take_steps(problem)
-            problem.evaluate()
+            hessians.take_steps(problem, free)
+            settled, lost = problem.judge(hessians.diagonal, free, self.residuals)
             self.iterations[histories] = iteration
             if self._monitored:
                 self._monitor(tao, iteration)
-            settled, lost = self._settle(free)
-            if (ended := settled | lost).any():
+            ended = settled | lost
+            if ended.all() and not lost.any():
+                return histories[:0], iteration
+            if ended.any():
                 broken += histories[lost].tolist()
-                problem.at_work = histories[~ended]
+                problem.go_on(~ended)
         return np.array([*broken, *problem.at_work.tolist()], dtype=np.int64), iteration
-
-    def _settle(self, free: BoolArray) -> tuple[BoolArray, BoolArray]:
-        """Return which histories at work have settled, and whose unknowns are no numbers, (h,).
-
-        The others go on with the sets of the signs; unknowns that leave their set become 0.
-        """
-        problem, histories = self._problem, self._problem.at_work
-        settled, broken, cleared = np.empty((3, len(histories)), dtype=bool)
-        forces = problem.approaches if problem.forces is None else problem.forces
-        problem.loops.settle(
-            len(histories), free.shape[1], histories, problem.which, problem.unknowns,
-            problem.gradients, self._hessians.diagonal, problem.compliances.weights, problem.gaps,
-            problem.approaches, forces, problem.forces is not None, free, self.residuals, settled,
-            broken, cleared, ROUND_OFF, GRADIENT_TOLERANCE, FORCE_TOLERANCE,
-        )  # fmt: skip
-        if cleared.any():
-            problem.evaluate_cleared(cleared)
-        if broken.any():
-            lost = histories[broken]
-            problem.unknowns[lost], problem.is_known[lost] = 0.0, False
-        return settled, broken
 
     def _begin(self, free: BoolArray) -> None:
         """Let the sets be those of the present values; where nothing touches, guess."""
@@ -152,7 +131,7 @@ class ActiveSetNewton:
             if self._monitored:
                 self._monitor(tao, iteration)
             free[row] = q[row] > 0.0
-            settled, broken = self._settle(free)
+            settled, broken = problem.judge(self._hessians.diagonal, free, self.residuals)
             if broken[0]:
                 break
             if settled[0]:

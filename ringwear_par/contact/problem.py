@@ -23,12 +23,14 @@ from ringwear_par.contact.row_products import ROOM
 from ringwear_par.wear.increment import WearIncrement
 
 if TYPE_CHECKING:
-    from ringwear_par.contact.scaled_compliances import ComplianceProducts, ScaledCompliances
+    from ringwear_par.contact.scaled_compliances import ScaledCompliances
 
 #: largest relative KKT residual of an accepted solution
 KKT_TOLERANCE = 1e-9
 #: norm of the gradient at which a solver ends, relative to that of the overlap
 GRADIENT_TOLERANCE = 1e-12
+#: of unknowns
+ROUND_OFF = 1e-13
 #: relative force balance at which a solver ends, and that it may not exceed
 FORCE_TOLERANCE, FORCE_LIMIT = 1e-12, 1e-10
 
@@ -108,10 +110,12 @@ class ContactProblem:
         self._product = np.zeros((len(which) + ROOM, len(self.area)))
         #: (B,) whether A q is that of the unknowns
         self.is_known = np.zeros(len(which), dtype=bool)
-        #: (h, n) MPa and mm, pressures and depths of the histories at work when gradients were
-        #: last set
-        self._pressure: FloatArray | None = None
-        self._depth: FloatArray | None = None
+        more, n = compliances.deviations, len(self.area)
+        self._derivatives = compliances.matrices if more is None else more.derivatives
+        self._deviation = np.zeros(len(which)) if more is None else more.deviation[which]
+        self._deviating = np.empty((4, n))
+        #: (h, n) MPa, pressures of the histories at work at their unknowns
+        self.pressures_at_work: FloatArray | None = None
         self.at_work = self.every
         #: (B, n) mm, and (B,) mm
         self.gaps, self.approaches = np.zeros_like(self.unknowns), np.zeros(len(which))
@@ -119,9 +123,8 @@ class ContactProblem:
         self.forces: FloatArray | None = None
         self.wear: WearIncrement | None = None
         self._wear_at_work: tuple[IntArray, WearIncrement] | None = None
-        #: histories, those in the order of their references, and products with compliances that
-        #: deviate from these; None: none does
-        self._products: tuple[IntArray, IntArray, ComplianceProducts | None] | None = None
+        #: histories, those in the order of their references, and places of these
+        self._order: tuple[IntArray, IntArray, IntArray] | None = None
 
     def pose(
         self,
@@ -146,11 +149,14 @@ class ContactProblem:
             apart = gap.min(axis=1) >= approach
         elif force is not None:
             apart = force == 0.0  # the bodies just touch
-            touching = histories[apart[histories]]
-            self.approaches[touching] = gap[touching].min(axis=1)
         else:
             raise ValueError("force or approach must be given")
-        self.at_work = histories[~apart[histories]] if apart.any() else histories
+        self.at_work = histories
+        if apart.any():
+            self.at_work = histories[~apart[histories]]
+            if approach is None:
+                touching = histories[apart[histories]]
+                self.approaches[touching] = gap[touching].min(axis=1)
         return apart
 
     def keep(self, histories: IntArray) -> None:
@@ -160,13 +166,15 @@ class ContactProblem:
             rows = getattr(self, name)
             rows[:count] = rows[histories]
             setattr(self, name, rows[:count])
-        keep(self, ("which", "_reference", "is_known", "gaps", "approaches"), histories)
+        keep(
+            self, ("which", "_reference", "_deviation", "is_known", "gaps", "approaches"), histories
+        )
         self._product = self._product[np.append(histories, histories[-1:].repeat(ROOM))]
         if len(self.compliances.scale) > 1:
             keep(self, ("scale", "weights", "_per_weight"), histories)
         self.every = np.arange(count)
         self.at_work = self.every
-        self._pressure = self._products = self._wear_at_work = self.wear = self.forces = None
+        self.pressures_at_work = self._order = self._wear_at_work = self.wear = self.forces = None
 
     def rows_of(self, histories: IntArray) -> IntArray | slice:
         """Return the rows of some histories; of all a slice, which is quicker."""
@@ -182,6 +190,12 @@ class ContactProblem:
         self._at_work = histories
         #: the rows of the histories at work
         self.rows = self.rows_of(histories)
+
+    def go_on(self, on: BoolArray) -> None:
+        """Leave some (h,) of the histories at work to go on."""
+        assert self.pressures_at_work is not None
+        self.at_work, p = self.at_work[on], self.pressures_at_work[on]
+        self.pressures_at_work = p
 
     def _increment(self) -> WearIncrement | None:
         """Return the wear of the histories at work."""
@@ -212,73 +226,78 @@ class ContactProblem:
         ----------
         recall : whether unknowns are the last ones, as far as those ``is_known``.
         """
-        histories, rows, wear = self.at_work, self.rows, self._increment()
+        histories, rows = self.at_work, self.rows
         recall = recall and bool(self.is_known[rows].all())
-        p = self._pressure if recall and len(histories) == len(self.every) else None
+        p = self.pressures_at_work if recall and len(histories) == len(self.every) else None
         if p is None or len(p) != len(histories):
             p = self.pressures(histories)
-        self._pressure = None  # where a law raises, nothing is known of these unknowns
         self.is_known[rows] &= recall
-        self._depth = np.zeros_like(p) if wear is None else wear.depth(p)
-        if not recall:
-            self._multiply(histories)
-        self._set_gradients(histories, self._depth)
-        self._pressure = p
-
-    def evaluate_cleared(self, are_cleared: BoolArray) -> None:
-        """Set the gradients of some of the histories at work (h,), negative unknowns now being 0.
-
-        They wear as before.
-        """
-        assert self._depth is not None
-        histories = self.at_work[are_cleared]
-        self._multiply(histories)
-        self._set_gradients(histories, self._depth[are_cleared])
-
-    def _multiply(self, histories: IntArray) -> None:
-        """Set A q of some histories."""
-        compliances, n = self.compliances, len(self.area)
-        known = self._products
-        if known is None or known[0] is not histories:
-            which = self.which[histories]
-            order = histories[np.argsort(compliances.reference[which], kind="stable")]
-            deviate = compliances.deviations is not None
-            known = self._products = (
-                histories, order, compliances.products(which) if deviate else None
-            )  # fmt: skip
-        _, order, products = known
-        if products is None:
-            self.loops.multiply(
-                len(histories), n, n, 1, len(self.every), order, self._reference,
-                self.unknowns, compliances.matrices, self._product,
-            )  # fmt: skip
-        else:
-            self._product[histories] = products.symmetric(self.unknowns[histories])
-        self.is_known[histories] = True
-
-    def _set_gradients(self, histories: IntArray, depths: FloatArray) -> None:
-        """Set gradients of some histories whose wear is (h, n) mm."""
-        self.loops.gradient(
-            *depths.shape, histories, self.which, self.gaps, self.approaches, depths,
-            self.compliances.weights, self._product, self.gradients,
+        depths = self._depths(p)
+        self.loops.evaluate(
+            len(histories), len(self.area), len(self.every), *self._in_order(histories),
+            self._reference, self.which, self.unknowns, self.compliances.matrices,
+            self._derivatives, self.compliances.deviations is not None, self._deviation,
+            self._deviating, self._product, not recall, self.gaps, self.approaches, depths,
+            self.compliances.weights, self.gradients, self.is_known,
         )  # fmt: skip
+        self.pressures_at_work = p
+
+    def judge(
+        self, diagonal: FloatArray, free: BoolArray, residuals: FloatArray
+    ) -> tuple[BoolArray, BoolArray]:
+        """Evaluate after steps; return which histories at work have settled, which are lost, (h,).
+
+        The others go on with the sets of the signs; unknowns that leave their set become 0.
+
+        Parameters
+        ----------
+        diagonal : (B, n) float, of the Hessians.
+        free : (B, n) bool, the elements in contact.
+        residuals : (B,) float, set: natural ones, relative to largest unknowns.
+        """
+        histories, p, forces = self.at_work, self.pressures_at_work, self.forces
+        assert p is not None
+        settled, broken = np.empty((2, len(histories)), dtype=bool)
+        self.loops.judge(
+            *p.shape, len(self.every), *self._in_order(histories), self._reference, self.which,
+            self.unknowns, self.compliances.matrices, self._derivatives,
+            self.compliances.deviations is not None, self._deviation, self._deviating,
+            self._product, self.gaps, self.approaches, self._depths(p), self.compliances.weights,
+            self.gradients, self.is_known, diagonal, self.approaches if forces is None else forces,
+            forces is not None, free, residuals, settled, broken, ROUND_OFF, GRADIENT_TOLERANCE,
+            FORCE_TOLERANCE,
+        )  # fmt: skip
+        return settled, broken
+
+    def _depths(self, p: FloatArray) -> FloatArray:
+        """Return the wear of the histories at work, (h, n) mm."""
+        wear = self._increment()
+        return np.zeros_like(p) if wear is None else np.ascontiguousarray(wear.depth(p))
+
+    def _in_order(self, histories: IntArray) -> tuple[IntArray, IntArray]:
+        """Return histories in the order of their references, and their places; remembered."""
+        if self._order is None or self._order[0] is not histories:
+            places = np.argsort(self._reference[histories], kind="stable")
+            self._order = histories, histories[places], places
+        return self._order[1:]
 
     def last_pressures(self) -> FloatArray:
         """Return the pressures of all histories, (B, n) MPa.
 
         Where they are those of the last gradient the same array, which laws know again.
         """
-        p = self._pressure
+        p = self.pressures_at_work
         if p is None or len(p) != len(self.every) or not self.is_known.all():
-            p = self._pressure = self.pressures(self.every)
+            p = self.pressures_at_work = self.pressures(self.every)
         return p
 
     def objective(self) -> float:
         """Return the sum of the objectives of the histories at work, N mm."""
         histories, wear, rows = self.at_work, self._increment(), self.rows
-        self._multiply(histories)
+        products = self.compliances.products(self.which[histories])
         linear = part(self.weights, rows) * (self.gaps[rows] - self.approaches[rows, None])
-        objectives = inner(self.unknowns[rows], 0.5 * self._product[histories] + linear)
+        q = self.unknowns[rows]
+        objectives = inner(q, 0.5 * products.symmetric(q) + linear)
         if wear is not None:
             objectives = objectives + inner(self.area, wear.potential(self.pressures(histories)))
         return float(objectives.sum())
@@ -290,7 +309,7 @@ class ContactProblem:
         of Hessians, (h, n, n), of non-local wear, and does not have the first in it; of local wear
         it is None.
         """
-        wear, rows, p = self._increment(), self.rows, self._pressure
+        wear, rows, p = self._increment(), self.rows, self.pressures_at_work
         if p is None or len(p) != len(self.at_work):
             p = self.pressures(self.at_work)
         if wear is None:

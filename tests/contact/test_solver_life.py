@@ -102,7 +102,7 @@ def test_what_is_raised_inside_tao_comes_out_as_it_is(kind, error, wrapped, monk
             monkeypatch.setattr(solver, "_tao", _Wrapping(solver._tao))
         places = [(solver._problem, "evaluate"), (solver._problem, "slopes")]
         if kind == "python":
-            places.append((solver._hessians, "take_steps"))
+            places = [*places[1:], (solver._problem, "judge"), (solver._hessians, "take_steps")]
         for place, name in places:
             works, left = getattr(place, name), 0
 
