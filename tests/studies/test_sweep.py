@@ -280,7 +280,7 @@ def test_a_failed_case_is_a_row_and_the_others_go_on(
     assert [row["status"] for row in rows] == ["done", "failed", "done"]
     assert "this law blows up" in rows[1]["error"]
     comm.Barrier()
-    monkeypatch.setattr(ThresholdLaw, "rate", original)
+    monkeypatch.setattr(ThresholdLaw, "line", original)
     with pytest.raises(ComputationError, match="1 of 3 cases failed"):
         swept(write(COEFFICIENTS), folder, comm)  # failures are results as well
     comm.Barrier()
