@@ -389,8 +389,8 @@ def take_steps(
     transposed: Reals, basis_forces: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
     factors: Reals, references: Integers, reference_weights: Reals, unknowns: Reals,
     gradients: Reals, approaches: Reals, are_known: Flags, weights: Reals, roots: Reals,
-    forces: Reals,    with_forces: Count, missing: Reals, per_scale: Reals, pressures: Reals, are_left: Flags,
-    group: Integers, modal: Reals, steps: Reals,
+    forces: Reals, with_forces: Count, missing: Reals, per_scale: Reals, pressures: Reals,
+    are_left: Flags, group: Integers, modal: Reals, steps: Reals,
 ) -> None:  # fmt: skip
     """Set slopes, and take the steps of histories whose Hessians are diagonal in bases they have.
 
