@@ -6,6 +6,7 @@ from swept import CASE, table, write_study
 from ringwear_par.errors import ComputationError
 from ringwear_par.history import ensemble
 from ringwear_par.studies.execution.sweep import sweep
+from ringwear_par.wear.law import Law
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 pytestmark = pytest.mark.mpi(min_size=2)
@@ -48,6 +49,7 @@ def test_a_law_that_raises_on_one_rank_fails_its_cases(
         return rate(self, p, at)
 
     monkeypatch.setattr(ThresholdLaw, "rate", raising)
+    monkeypatch.setattr(ThresholdLaw, "line", Law.line)  # so that its rate is asked for
     with pytest.raises(ComputationError, match="1 of 3 cases failed"):
         swept(case)
     comm.Barrier()
