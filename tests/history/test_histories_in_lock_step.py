@@ -9,7 +9,7 @@ from mpi4py import MPI
 from paths import CASES
 
 from ringwear_par.batched import one
-from ringwear_par.cases.case import Load, Output, Stepping
+from ringwear_par.cases.case import Load, Output, Stepping, Stress
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.errors import ComputationError, LawError
@@ -246,9 +246,10 @@ def test_digits_do_not_depend_on_the_size_of_batches(flat, shape, caplog):
     assert not caplog.records  # such as of histories that cannot step together
 
 
-def test_times_of_output_do_not_disturb(flat, pair):
+@pytest.mark.parametrize("stress", [None, Stress(((30.0, 1.0, ""),))])
+def test_times_of_output_do_not_disturb(flat, pair, stress, caplog):
     """Each history passes its own times; it goes on as if it had not been asked."""
-    cases = of_laws(flat, "threshold")
+    cases = of_laws(replace(flat, stress=stress), "threshold")
     asked = [
         replace(case, output=Output(times=tuple(np.linspace(0.0, 60.0, 4 + 3 * i)[1:].tolist())))
         for i, case in enumerate(cases)
@@ -264,6 +265,7 @@ def test_times_of_output_do_not_disturb(flat, pair):
         alone = trace(case, ALONE, pair=pair)
         for _, _, state in stored[1:]:
             assert np.array_equal(state.wear, alone.at(state.time).wear)
+    assert not caplog.records  # such as of histories that cannot step together
 
 
 @dataclass(frozen=True)
