@@ -204,12 +204,13 @@ def _stored_code(llvm: Any, module: str, functions: Sequence[FunctionType]) -> b
 
 
 def _content(function: FunctionType) -> tuple[Any, ...]:
-    """Return what is compiled of a function: not its source, which may change after its import."""
+    """Return the contents of a function, whose source may have changed since its import."""
     code = function.__code__.replace(co_filename="", co_firstlineno=1, co_linetable=b"")
     numbers = [function.__globals__.get(name) for name in code.co_names]
     constants = [number for number in numbers if isinstance(number, int | float)]
+    in_order = function.__name__ in _IN_ORDER
     # of the second format, as later ones depend on references
-    return marshal.dumps(code, 2), constants, function.__annotations__
+    return marshal.dumps(code, 2), constants, in_order, function.__annotations__
 
 
 def _digest(parts: object) -> str:
