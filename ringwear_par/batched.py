@@ -33,13 +33,6 @@ def keep(holder: object, names: Sequence[str], histories: IntArray) -> None:
         setattr(holder, name, getattr(holder, name)[histories])
 
 
-def variant(data: T, **values: Any) -> T:
-    """Return data with other values, and with what it has computed of the others."""
-    same = object.__new__(type(data))
-    same.__dict__.update(data.__dict__, **values)
-    return same
-
-
 def one(batch: T, history: int) -> T:
     """Return one of the histories of a batch, without the axis."""
     return _apply(lambda axis, values: np.take(values, history, axis), batch)

@@ -19,6 +19,7 @@ import ctypes
 import hashlib
 import inspect
 import logging
+import marshal
 import os
 import re
 import stat
@@ -45,6 +46,8 @@ Flags: TypeAlias = Annotated[Any, "?b"]
 #: loops compare the places of all their arrays, as these might overlap; LLVM by itself of few
 _OPTION = "-runtime-memory-check-threshold=300"
 _BESIDE = Path(__file__).parent / "__pycache__"
+#: as it is imported: it may be another when loops are loaded
+_SOURCE = Path(__file__).read_bytes()
 #: what this process has loaded
 _LOADERS: list[Any] = []
 
@@ -67,6 +70,13 @@ def load(module: ModuleType) -> Any:
     Digits are the same whether loops have been compiled now or before, though not on all kinds of
     processors. Arguments are as in the source. Arrays have to be contiguous and writable, or
     TypeError, BufferError or ValueError is raised.
+
+    A loop keeps the arrays of its last call alive (5 MB of all loops, after 1,024 histories of 64
+    elements), and reads them where they were, of what type they were, while they are the same
+    objects. So callers change their entries only: nothing may put other memory, another dtype or
+    shape into an array that a loop has had. NumPy's ``resize`` refuses to, but for
+    ``refcheck=False``; assignments to ``data``, ``dtype``, ``shape`` and ``strides`` are not
+    noticed.
     """
     import llvmlite.binding as llvm  # takes long, and results are read without loops
 
@@ -78,7 +88,7 @@ def load(module: ModuleType) -> Any:
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     loader = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine(llvm))
-    code = _stored_code(llvm, Path(inspect.getfile(module)), functions)
+    code = _stored_code(llvm, module.__name__.rpartition(".")[2], functions)
     loader.add_object_file(llvm.object_file.ObjectFileRef.from_data(code))
     loader.finalize_object()
     _LOADERS.append(loader)
@@ -163,14 +173,14 @@ def _target_machine(llvm: Any) -> Any:
 # -- the object file -------------------------------------------------------------------------------
 
 
-def _stored_code(llvm: Any, source: Path, functions: Sequence[FunctionType]) -> bytes:
-    """Return the object file of loops, which is made where there is none."""
+def _stored_code(llvm: Any, module: str, functions: Sequence[FunctionType]) -> bytes:
+    """Return the object file of a module's loops, which is made where there is none."""
     import llvmlite
 
     processor = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-    sources = Path(__file__).read_bytes(), source.read_bytes()
-    stem = f"{source.stem}-{_digest(processor)}"
-    name = f"{stem}-{_digest((*sources, numba_version(), llvmlite.__version__))}.o"
+    contents = [_content(function) for function in functions]
+    stem = f"{module}-{_digest(processor)}"
+    name = f"{stem}-{_digest((_SOURCE, contents, numba_version(), llvmlite.__version__))}.o"
     places = [folder / name for folder in _folders()]
     for place in places:
         with suppress(OSError):
@@ -191,6 +201,16 @@ def _stored_code(llvm: Any, source: Path, functions: Sequence[FunctionType]) -> 
         with suppress(OSError):
             older.unlink()
     return code
+
+
+def _content(function: FunctionType) -> tuple[Any, ...]:
+    """Return the contents of a function, whose source may have changed since its import."""
+    code = function.__code__.replace(co_filename="", co_firstlineno=1, co_linetable=b"")
+    numbers = [function.__globals__.get(name) for name in code.co_names]
+    constants = [number for number in numbers if isinstance(number, int | float)]
+    in_order = function.__name__ in _IN_ORDER
+    # of the second format, as later ones depend on references
+    return marshal.dumps(code, 2), constants, in_order, function.__annotations__
 
 
 def _digest(parts: object) -> str:

@@ -31,7 +31,8 @@ from ringwear_par.parallel import as_on_first_rank, together
 
 log = logging.getLogger(__name__)
 
-#: states within steps that are computed together: few of a round's steps have one
+#: states within steps that are computed together, or as many as there are histories: few of a
+#: round's steps have one
 _TOGETHER = 512
 
 
@@ -39,7 +40,7 @@ _TOGETHER = 512
 class Passing:
     """States at times within accepted steps, to be computed; histories do not go on from them."""
 
-    #: (h,) int, of the histories among all cases, among those of a physics, and of compliances
+    #: (h,) int, of the histories among all cases, among those at first, and of compliances
     numbers: IntArray
     rows: IntArray
     compliances: IntArray
@@ -71,10 +72,9 @@ class Batch:
         self._warm: WarmStart | None = None
         #: whether a history steps alone until it has made a step, and why its last try failed
         self._alone, self._failure = False, ""
-        #: states within steps, which wait for more of them, as histories do not go on from them:
-        #: one that cannot be computed fails its history, whose steps are over
+        #: states within steps that wait for more of them, see ``_within``
         self._passing: list[Passing] = []
-        #: of the histories at first, and which of these are left; None: no state waits
+        #: of the histories at first, None before the start; and which of these are left
         self._whole: Physics | None = None
         self._rows = np.arange(len(numbers))
 
@@ -129,14 +129,7 @@ class Batch:
 
     def _begin(self, present: Present) -> None:
         """Have the histories be where they are at first."""
-        self._present = present
-        at_once = (
-            len(self.numbers) == 1  # it tries a shorter step where a state fails
-            or self._ensemble.comm.size > 1  # others have to know that it does
-            or self._ensemble.paces is not None  # physics are of a step
-            or present.physics.case.stress is not None  # stresses are in the order of time
-        )
-        self._whole = None if at_once else present.physics
+        self._present, self._whole = present, present.physics
 
     def close(self) -> None:
         """Free the contacts."""
@@ -169,9 +162,8 @@ class Batch:
             physics, contacts, state = before.geometry.follow(
                 before.physics, before.contacts, before.state
             )
-            before = self._present = replace(
-                before, physics=physics, contacts=contacts, state=state
-            )
+            before = replace(before, physics=physics, contacts=contacts, state=state)
+            self._begin(before)
         pace = ensemble.pace(self.numbers, before.progress.steps)
         if pace is not None:
             physics, state = before.physics.at_pace(pace), before.state
@@ -189,8 +181,7 @@ class Batch:
         # ranks may differ by round-off, or by their processor: the first decides
         decision = as_on_first_rank(ensemble.comm, control.decide(before.state, step, progress))
         accepted, progress = decision.accepted, decision.progress
-        with together(ensemble.comm):
-            snapshots = self._within(before, end, accepted)
+        snapshots = self._within(before, end, accepted)
         state = step.state
         sensitivity = physics.sensitivity
         if state.tangent is not None and sensitivity is not None and sensitivity.moving_ends:
@@ -212,7 +203,12 @@ class Batch:
         ]  # fmt: skip
 
     def _within(self, before: Present, end: FloatArray, accepted: BoolArray) -> list[Snapshot]:
-        """Return states at times of output within accepted steps, those that wait once many do."""
+        """Return states at times of output within accepted steps, once many of them wait.
+
+        As histories do not go on from them, those of several rounds are computed together, and come
+        after states of later times: recorders sort them. Only of stresses, which are kept in the
+        order of time, do they come before the ends of their steps.
+        """
         stored = before.physics.inputs.stored
         if stored.times is None:
             return []
@@ -224,45 +220,54 @@ class Batch:
             )  # fmt: skip
             times = stored.times[histories, which]
             self._passing.append(replace(batched.take(passing, histories), time=times))
-        if self._whole is None:
-            return self._states_within(before.physics)
-        many = sum(len(passing.time) for passing in self._passing) >= _TOGETHER
-        return self._states_within(self._whole) if many else []
+        in_order = before.physics.case.stress is not None
+        most = 1 if in_order else min(_TOGETHER, len(self.numbers))
+        many = sum(len(passing.time) for passing in self._passing) >= most
+        return self._states_within() if many else []
 
     def _show_passing(self) -> None:
-        """Compute the states within steps that wait, and show them."""
-        if self._whole is not None:
-            self._ensemble.show(self._states_within(self._whole))
+        """Compute the states within steps that wait, and show them. Collective."""
+        self._ensemble.show(self._states_within())
 
-    def _states_within(self, physics: Physics) -> list[Snapshot]:
-        """Return the states within steps that have not been computed."""
+    def _states_within(self) -> list[Snapshot]:
+        """Return the states within steps that wait, those of a history in the order of time.
+
+        One that cannot be computed fails its history: a shorter step would be no other, as the step
+        itself was accepted. Collective.
+        """
         parts = [batched.concat(self._passing)] if self._passing else []
-        if self._whole is None and parts:  # of each history one at a time
-            rows = parts[0].rows
-            turn = np.searchsorted(rows, rows) - np.arange(len(rows))
-            parts = [batched.take(parts[0], np.flatnonzero(turn == k)) for k in np.unique(turn)]
         self._passing, snapshots = [], list[Snapshot]()
         while parts:
-            passing = parts.pop()
+            passing = parts.pop(0)
+            count = len(passing.time)
             try:
-                snapshots.append(self._at_times(passing, physics.take(passing.rows)))
+                with together(self._ensemble.comm):
+                    snapshot = self._at_times(passing)
             except Exception as error:
-                if self._whole is None or _is_of_petsc(error):
+                if _is_of_petsc(error):
                     raise
-                if len(passing.time) > 1:
-                    apart = _apart(error, len(passing.time))
-                    parts += [batched.take(passing, some) for some in apart if len(some)]
+                if count > 1:
+                    apart = _apart(error, count)
+                    parts[:0] = [batched.take(passing, some) for some in apart if len(some)]
                 else:
                     number, state = int(passing.numbers[0]), passing.state
                     self._fail(number, error, str(error), state, passing.progress)
+            else:
+                snapshots.append(snapshot)
         return snapshots
 
-    def _at_times(self, passing: Passing, physics: Physics) -> Snapshot:
+    def _at_times(self, passing: Passing) -> Snapshot:
         """Return states within steps."""
+        ensemble = self._ensemble
         assert self._present is not None
+        assert self._whole is not None
+        physics = self._whole.take(passing.rows)
+        pace = ensemble.pace(passing.numbers, passing.progress.steps)
+        if pace is not None:
+            physics = physics.at_pace(pace)
         contacts = self._present.contacts.starting(passing.compliances, passing.warm)
         try:
-            step = self._ensemble.method.within(physics, contacts, passing.state, passing.time)
+            step = ensemble.method.within(physics, contacts, passing.state, passing.time)
         finally:
             contacts.close()
         every = np.ones(len(passing.time), dtype=bool)
@@ -302,7 +307,7 @@ class Batch:
                 f"{unit_question(self._ensemble.cases[number], state.wear[:, 0])}"
             )
             named.__cause__, error = error, named
-        self._ensemble.failures[number] = error
+        self._ensemble.failures.setdefault(number, error)  # states within steps are earlier
 
     def _parted(self, error: Exception) -> list["Batch"]:
         """Return batches that go on, histories in trouble apart, as far as it is known which."""

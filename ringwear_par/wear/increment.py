@@ -5,13 +5,13 @@ all of a step, see ``LayeredLaw.in_layers``.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray, columns, largest
-from ringwear_par.batched import variant
 from ringwear_par.compiled import step_rows
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.errors import ComputationError
@@ -127,7 +127,9 @@ class WearIncrement:
 
     def over(self, step: float | FloatArray) -> "WearIncrement":
         """Return the increment over another step of laws that are steady, of which it knows all."""
-        return variant(self, duration=step, step=columns(step), _known=None)
+        other = copy(self)
+        other.duration, other.step, other._known = step, columns(step), None
+        return other
 
     def take(self, histories: IntArray) -> "WearIncrement":
         """Return the increment of some of B histories."""

@@ -1,6 +1,7 @@
 """Loops that are compiled ahead: where their code is kept, and what they refuse."""
 
 import ast
+import importlib.util
 import inspect
 import math
 
@@ -46,6 +47,26 @@ def test_damaged_code_is_compiled_anew(tmp_path, monkeypatch):
     file.write_bytes(damaged)
     np.testing.assert_equal(largest_ratios(load.__wrapped__(step_rows)), [1.5, math.nan])
     assert file.read_bytes() != damaged
+
+
+def test_code_is_that_of_the_source_that_was_imported(tmp_path, monkeypatch):
+    """Sources may change while a program runs that has not loaded its loops yet."""
+    monkeypatch.setattr(machine_code, "_folders", lambda: [tmp_path])
+    source = tmp_path / "multiply.py"
+
+    def imported(factor):
+        source.write_text(
+            "from ringwear_par.compiled.machine_code import Count, Reals\n"
+            f"def multiply(n: Count, x: Reals):\n for i in range(n):\n  x[i] *= {factor}\n"
+        )
+        spec = importlib.util.spec_from_file_location("multiply", source)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    for module, factor in [(imported(2.0), 2.0), (imported(3.0), 3.0)]:
+        load(module).multiply(1, value := np.ones(1))
+        assert value == factor
 
 
 @pytest.mark.parametrize("module", [contact_rows, step_rows], ids=lambda m: m.__name__)
