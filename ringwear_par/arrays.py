@@ -83,7 +83,7 @@ def relative(off: Any, exact: Any) -> Any:
 
 
 def is_one_number(values: FloatArray) -> bool:
-    """Tell whether values are one number that NumPy has broadcast, which takes no memory."""
+    """Tell whether all entries are one number in memory, broadcast to a shape."""
     return values.size > 0 and not any(values.strides)
 
 

@@ -252,8 +252,8 @@ KEYS: tuple[Key, ...] = (
     Key(
         "time.tolerance", *number(0.0), "mm",
         "largest estimated error that adaptive steps make in the wear depth of both bodies "
-        "together, over the whole history; without the errors of the mesh and of elements that "
-        "come into contact", 1e-5,
+        "together, over the whole history, with layers half of it; without the errors of the mesh "
+        "and of elements that come into contact", 1e-5,
     ),
     Key(
         "time.pressure_tolerance", *number(0.0), "1",

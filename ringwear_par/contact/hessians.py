@@ -72,7 +72,7 @@ class Hessians:
         #: (B, n) in the bases, if any, what unknowns grow by with the approach, and (B,) the force
         #: with it, by the weights of the reference
         self._response, self._stiffness = np.zeros((count, n)), np.zeros(count)
-        #: how histories are solved whose rows are compact (True), or among those of all
+        #: the histories solved last, and in which bases
         self._rows: tuple[IntArray, _BasisRows] | None = None
         self._order: tuple[IntArray, IntArray] | None = None
         #: of the histories at work: rates of slopes, whether inverses are to be new, whether these

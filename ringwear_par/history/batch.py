@@ -37,7 +37,7 @@ _TOGETHER = 512
 
 
 @dataclass(frozen=True)
-class Passing:
+class StatesWithin:
     """States at times within accepted steps, to be computed; histories do not go on from them."""
 
     #: (h,) int, of the histories among all cases, among those at first, and of compliances
@@ -73,9 +73,9 @@ class Batch:
         #: whether a history steps alone until it has made a step, and why its last try failed
         self._alone, self._failure = False, ""
         #: states within steps that wait for more of them, see ``_within``
-        self._passing: list[Passing] = []
+        self._waiting: list[StatesWithin] = []
         #: of the histories at first, None before the start; and which of these are left
-        self._whole: Physics | None = None
+        self._first_physics: Physics | None = None
         self._rows = np.arange(len(numbers))
 
     @property
@@ -106,7 +106,7 @@ class Batch:
         if self._ensemble.failures:  # within steps
             ended = ended | np.isin(self.numbers, list(self._ensemble.failures))
         if ended.all():
-            self._show_passing()
+            self._show_waiting()
             self.close()
             return []
         if ended.any():
@@ -118,8 +118,8 @@ class Batch:
 
     def joined(self, other: "Batch") -> "Batch":
         """Return one batch of the histories of both, which end."""
-        self._show_passing()
-        other._show_passing()
+        self._show_waiting()
+        other._show_waiting()
         batch = Batch(self._ensemble, np.append(self.numbers, other.numbers))
         assert self._present is not None
         assert other._present is not None
@@ -129,7 +129,7 @@ class Batch:
 
     def _begin(self, present: Present) -> None:
         """Have the histories be where they are at first."""
-        self._present, self._whole = present, present.physics
+        self._present, self._first_physics = present, present.physics
 
     def close(self) -> None:
         """Free the contacts."""
@@ -214,18 +214,18 @@ class Batch:
             return []
         histories, which = np.nonzero(stored.within(before.state.time, end) & accepted[:, None])
         if len(histories):
-            passing = Passing(
+            passing = StatesWithin(
                 self.numbers, self._rows, before.contacts.engine.which, before.state,
                 before.contacts.warm, before.progress, end,
             )  # fmt: skip
             times = stored.times[histories, which]
-            self._passing.append(replace(batched.take(passing, histories), time=times))
+            self._waiting.append(replace(batched.take(passing, histories), time=times))
         in_order = before.physics.case.stress is not None
         most = 1 if in_order else min(_TOGETHER, len(self.numbers))
-        many = sum(len(passing.time) for passing in self._passing) >= most
+        many = sum(len(passing.time) for passing in self._waiting) >= most
         return self._states_within() if many else []
 
-    def _show_passing(self) -> None:
+    def _show_waiting(self) -> None:
         """Compute the states within steps that wait, and show them. Collective."""
         self._ensemble.show(self._states_within())
 
@@ -235,8 +235,8 @@ class Batch:
         One that cannot be computed fails its history: a shorter step would be no other, as the step
         itself was accepted. Collective.
         """
-        parts = [batched.concat(self._passing)] if self._passing else []
-        self._passing, snapshots = [], list[Snapshot]()
+        parts = [batched.concat(self._waiting)] if self._waiting else []
+        self._waiting, snapshots = [], list[Snapshot]()
         while parts:
             passing = parts.pop(0)
             count = len(passing.time)
@@ -256,12 +256,12 @@ class Batch:
                 snapshots.append(snapshot)
         return snapshots
 
-    def _at_times(self, passing: Passing) -> Snapshot:
+    def _at_times(self, passing: StatesWithin) -> Snapshot:
         """Return states within steps."""
         ensemble = self._ensemble
         assert self._present is not None
-        assert self._whole is not None
-        physics = self._whole.take(passing.rows)
+        assert self._first_physics is not None
+        physics = self._first_physics.take(passing.rows)
         pace = ensemble.pace(passing.numbers, passing.progress.steps)
         if pace is not None:
             physics = physics.at_pace(pace)
@@ -289,7 +289,7 @@ class Batch:
         if present is None:
             self._ensemble.failures[number] = error
             return []
-        self._show_passing()
+        self._show_waiting()
         why = f"{self._failure}, {NO_STEP}" if self._failure else str(error)
         if isinstance(error, InterfaceError):
             why += f": {next_to_cross(present.physics, present.state)}"
@@ -332,7 +332,7 @@ class Batch:
 
     def _split(self, parts: Sequence[IntArray]) -> list["Batch"]:
         """Return batches of some of the histories each; this one ends."""
-        self._show_passing()
+        self._show_waiting()
         batches = []
         for part in parts:
             if len(part):

@@ -71,8 +71,8 @@ class Physics:
     pair_is_shared: bool = False
     #: the last increment, where rates stay: it is that of all steps or stages of the same length
     _last: list[WearIncrement] = field(default_factory=list, init=False, repr=False, compare=False)
-    #: the last layers that elements stayed in, (2, B, n), with the physics there
-    _staying: list[tuple[IntArray, Any]] = field(
+    #: the last two sets of layers, (2, B, n), with the physics of elements that stay in them
+    _of_layers: list[tuple[IntArray, Any]] = field(
         default_factory=list, init=False, repr=False, compare=False
     )
 
@@ -199,7 +199,7 @@ class Physics:
 
     @property
     def slight_pressure(self) -> FloatArray:
-        """About what an approach as small as ``time.tolerance`` presses, MPa, (B,)."""
+        """About what an approach as small as the tolerance of wear presses, MPa, (B,)."""
         return self.inputs.tolerance * self.compliances.stiffness
 
     def own_displacement(self, p: FloatArray) -> FloatArray:
@@ -277,7 +277,7 @@ class Physics:
         last = self._last[0] if stays and self._last else None
         if last is not None and closing is None:
             if last.duration is not step and not np.array_equal(last.duration, step):
-                last = self._last[0] = last.over(step)
+                last = self._last[0] = last.with_step(step)
             return last
         at = self._local_states(time, sliding, wear) if last is None else last.at
         increment = WearIncrement(
@@ -379,13 +379,13 @@ class Physics:
 
     def in_layers(self, layers: IntArray) -> Self:
         """Return the physics of elements that stay in these layers, (2, B, n)."""
-        for known, physics in self._staying:
+        for known, physics in self._of_layers:
             if np.array_equal(known, layers):
                 return physics
         inputs = self.inputs.with_laws(lambda i, law: law.in_layers(layers[i]))
         physics = copy(self)  # with all that it has computed, as none of it depends on layers
-        physics.__dict__.update(inputs=inputs, _last=[])
-        self._staying[:] = [(layers, physics), *self._staying[:1]]
+        physics.__dict__.update(inputs=inputs, _last=[], _of_layers=[])
+        self._of_layers[:] = [(layers, physics), *self._of_layers[:1]]
         return physics
 
     def ends_of(self, layers: IntArray) -> FloatArray:

@@ -54,7 +54,7 @@ class WearingBody(NamedTuple):
     average: FloatArray | None
 
 
-class _Worn(NamedTuple):
+class _Losses(NamedTuple):
     """What pressures wear off in contact all along."""
 
     #: (..., n) MPa
@@ -104,7 +104,7 @@ class WearIncrement:
         default_factory=dict, init=False, repr=False
     )
     #: at the last pressures: it is asked for several times
-    _known: _Worn | None = field(default=None, init=False, repr=False)
+    _known: _Losses | None = field(default=None, init=False, repr=False)
     #: (2, bodies, ..., n) rises and onsets of the rates of those that wear, see ``Law.line``;
     #: empty: some are no lines; None: laws were not asked yet
     _lines: FloatArray | None = field(default=None, init=False, repr=False)
@@ -125,7 +125,7 @@ class WearIncrement:
         self.duration = self.step
         self.step = columns(self.step) if self.closing is None else self.closing.step
 
-    def over(self, step: float | FloatArray) -> "WearIncrement":
+    def with_step(self, step: float | FloatArray) -> "WearIncrement":
         """Return the increment over another step of laws that are steady, of which it knows all."""
         other = copy(self)
         other.duration, other.step, other._known = step, columns(step), None
@@ -161,7 +161,7 @@ class WearIncrement:
             at = self.after_step(law, at, p)
         return np.ascontiguousarray(averaged_rate(law, at, average, p))
 
-    def _worn(self, p: FloatArray) -> _Worn:
+    def _worn(self, p: FloatArray) -> _Losses:
         """Return rates, depths and slopes at pressures in contact all along."""
         known = self._known
         if known is not None and known.pressure is p:
@@ -175,14 +175,14 @@ class WearIncrement:
                 p.size // n, n, len(rates), np.ascontiguousarray(p), step, of_elements, *lines,
                 rates, depth, slope,
             )  # fmt: skip
-            self._known = _Worn(p, rates, depth, slope)
+            self._known = _Losses(p, rates, depth, slope)
         else:
             of_bodies = [
                 self.along_axis(self._rate(law, at, average, p))
                 for _, law, at, average in self.bodies
             ]
             depths = [self.step * rate for rate in of_bodies]
-            self._known = _Worn(
+            self._known = _Losses(
                 p,
                 _stacked(of_bodies, p.shape),
                 total_of(depths) if depths else np.zeros_like(p),

@@ -138,10 +138,9 @@ class Law:
     def __init_subclass__(cls, **options: Any) -> None:
         """Leave closed forms to the class that defines them: others may override the rate."""
         super().__init_subclass__(**options)
-        if "depth_in_step" not in vars(cls):
-            cls.depth_in_step = Law.depth_in_step  # type: ignore[method-assign]
-        if "line" not in vars(cls) and "rate" in vars(cls):
-            cls.line = Law.line  # type: ignore[method-assign]
+        for form in ("depth_in_step", "line"):
+            if form not in vars(cls):
+                setattr(cls, form, getattr(Law, form))
 
     @property
     def remembers(self) -> bool:

@@ -223,7 +223,8 @@ class Recorder:
             about["stopped_by"] = " and ".join(self._last.stops[number].values())
 
         def part(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-            return {n: self._rows.part(n, column, rows, number) for n, column in values.items()}
+            parts = {n: self._rows.part(n, column, rows, number) for n, column in values.items()}
+            return {name: np.require(values, requirements="W") for name, values in parts.items()}
 
         return Result(
             case.line,

@@ -38,6 +38,7 @@ class RunningInLaw(AboveThreshold):
 
     name = "running-in"
     formula = "(k + (k_start - k) exp(-s)) mu max(0, p - p0) V (s = wear/depth or slid/distance)"
+    line = AboveThreshold.line
 
     k: Coefficient
     k_start: Annotated[

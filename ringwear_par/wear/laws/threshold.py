@@ -78,6 +78,7 @@ class ThresholdLaw(AboveThreshold):
     name = "threshold"
     formula = "k mu max(0, p - p0) V"
     steady = True
+    line = AboveThreshold.line
 
     k: Coefficient
     p0: Threshold = 0.0
