@@ -203,13 +203,13 @@ def _errors_of(
     if len(left) == count:
         return _errors_by_responses(derivatives, None, *estimates, closing, last, slope, memory)
     if len(left):
-        others = _errors_by_responses(
+        by_responses = _errors_by_responses(
             derivatives, left, length[left], state.rates.take(left, axis=1), in_first[left],
             in_last[left], state.error[left], None if closing is None else closing[left], last,
             slope[left], None,
         )  # fmt: skip
-        for values, of_others in zip(errors, others, strict=True):
-            values[left] = of_others
+        for values, of_left in zip(errors, by_responses, strict=True):
+            values[left] = of_left
     return errors
 
 
