@@ -698,6 +698,119 @@ def _conjugate_gradients(
             break
 
 
+def propagate_errors(
+    count: Count, n: Count, size: Count, order: Integers, numbers: Integers, psi: Reals,
+    psi_t: Reals, forces: Reals, are_regular: Flags, deviations: Reals, inverses: Reals,
+    responses: Reals, stiffness: Reals, with_forces: Count, slopes: Reals, which: Integers,
+    slope_scale: Reals, weights: Reals, per_scale: Reals, lengths: Reals, rates: Reals,
+    in_first: Reals, in_last: Reals, before: Reals, closing: Flags, with_closing: Count,
+    depth_slopes: Reals, error_weights: Reals, gamma: Real, bend_factor: Real,
+    factor_before: Real, ready: Integers, left: Integers, n_left: Integers, room: Reals,
+    reliefs: Reals, defects: Reals, totals: Reals, largest: Reals,
+) -> None:  # fmt: skip
+    """Do ``rate_errors``, ``propagate`` and ``sum_errors`` of steps in their bases.
+
+    What slopes times a response to gaps add is diagonal there, so that another response is
+    y' = (1 - P) y, P being the inverses with forces kept. ``n_left`` (1,) of the ``order`` (count,)
+    are left: those that have no basis, or slopes that are no longer those of a diagonal Hessian.
+    ``room`` is for (24, n), and after the reliefs for 3 rows.
+    """
+    n_ready, skipped = 0, 0
+    for k in range(count):
+        history = order[k]
+        row, scale, changed = history * n, which[history] * n, 0
+        diagonal = numbers[history] >= 0 and are_regular[history] and deviations[history] == 0.0
+        if diagonal:
+            for i in range(n):
+                slope = depth_slopes[row + i] * slope_scale[scale + i]
+                changed += 0 if slope == slopes[row + i] else 1
+        if diagonal and changed == 0:
+            ready[n_ready] = history
+            n_ready += 1
+        else:
+            left[skipped] = history
+            skipped += 1
+    n_left[0] = skipped
+    at_start, at_first, at_last = (
+        error_weights[0],
+        error_weights[1] / gamma,
+        error_weights[2] / gamma,
+    )
+    at, all_rows, per_gamma = 0, size * n, 1.0 / gamma
+    while at < n_ready:
+        row0, row1, row2, row3, together = _four(at, n_ready, 1, size, ready, numbers)
+        number = numbers[row0]
+        for q in range(together):
+            history, place = ready[at + q], q * n
+            row, scale, length = history * n, which[history] * n, lengths[history]
+            for i in range(n):
+                k, weight = row + i, weights[scale + i]
+                start, last = length * (rates[k] + rates[all_rows + k]), in_last[k]
+                error = at_start * start + at_first * in_first[k] + at_last * last
+                bend = last * per_gamma - start
+                if with_closing and closing[k]:
+                    error = bend = 0.0
+                defects[k], room[place + i] = error, error * weight
+                room[4 * n + place + i] = bend * weight
+                room[8 * n + place + i] = before[k] * weight
+        for rows in range(0, 12, 4):
+            _multiply_four(
+                n, n, rows, rows + 1, rows + 2, rows + 3, room, number, psi, rows + 12, rows + 13,
+                rows + 14, rows + 15, room,
+            )  # fmt: skip
+        for q in range(together):
+            history, basis = ready[at + q], number * n
+            row, keeps = history * n, with_forces and stiffness[history] > 0.0
+            for rows in range(q * n, 12 * n, 4 * n):
+                change, again = 0.0, 0.0
+                if keeps:
+                    for i in range(n):
+                        change += responses[row + i] * room[12 * n + rows + i]
+                    change /= stiffness[history]
+                for i in range(n):
+                    room[rows + i] = inverses[row + i] * (
+                        change * forces[basis + i] - room[12 * n + rows + i]
+                    )
+                if keeps and rows >= 4 * n:
+                    for i in range(n):
+                        again += responses[row + i] * room[rows + i]
+                    again /= stiffness[history]
+                for i in range(n):
+                    room[12 * n + rows + i] = inverses[row + i] * (
+                        room[rows + i] - again * forces[basis + i]
+                    )
+            for i in range(q * n, (q + 1) * n):
+                room[4 * n + i] = room[i] + bend_factor * room[16 * n + i]
+                room[8 * n + i] += factor_before * room[20 * n + i]
+        _multiply_four(
+            n, n, 0, 1, 2, 3, room, number, psi_t, row0, row1 if together > 1 else size,
+            row2 if together > 2 else size + 1, row3 if together > 3 else size + 2, reliefs,
+        )  # fmt: skip
+        _multiply_four(n, n, 4, 5, 6, 7, room, number, psi_t, 12, 13, 14, 15, room)
+        _multiply_four(n, n, 8, 9, 10, 11, room, number, psi_t, 16, 17, 18, 19, room)
+        for q in range(together):
+            history, step, earlier = ready[at + q], (12 + q) * n, (16 + q) * n
+            row, scale = history * n, which[history] * n
+            step_error, history_error, earlier_error, total = 0.0, 0.0, 0.0, 0.0
+            for i in range(n):
+                k, per = row + i, per_scale[scale + i]
+                slope = depth_slopes[k] * per
+                reliefs[k] *= per
+                defects[k] += slope * room[step + i]
+                room[earlier + i] = before[k] + slope * room[earlier + i]
+                totals[k] = defects[k] + room[earlier + i]
+            for i in range(n):
+                step_error = max(step_error, abs(defects[row + i]))
+                history_error = max(history_error, abs(totals[row + i]))
+                earlier_error = max(earlier_error, abs(room[earlier + i]))
+                total += totals[row + i]
+            if not math.isfinite(total):  # comparisons do not see what is no number
+                step_error = history_error = earlier_error = math.nan
+            largest[history], largest[size + history] = step_error, history_error
+            largest[2 * size + history] = earlier_error
+        at += together
+
+
 def correction_errors(
     count: Count, n: Count, which: Integers, before: Reals, after: Reals, stiffness: Reals,
     pressures: Reals, forces: Reals, area: Real, errors: Reals, elements: Integers,

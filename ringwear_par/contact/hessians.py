@@ -8,7 +8,8 @@ factors of their own.
 """
 
 from collections import defaultdict
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -225,7 +226,12 @@ class Hessians:
             self._rows = (
                 histories,
                 _BasisRows(
-                    histories, bases, self._which[histories], order[factored:], order[:factored]
+                    histories,
+                    bases,
+                    self._which[histories],
+                    order,
+                    order[factored:],
+                    order[:factored],
                 ),
             )
         return self._rows[1]
@@ -306,6 +312,32 @@ class Hessians:
             missing = np.zeros(gaps.shape[:-1])
         return self._steps(rows, gaps, missing, ROUGH, with_scales=True)[0]
 
+    def propagate_errors(
+        self, histories: IntArray, with_forces: bool, slope: FloatArray,
+        closing: BoolArray | None, estimates: Sequence[FloatArray], formula: Sequence[Any],
+        outcome: Sequence[FloatArray],
+    ) -> IntArray:  # fmt: skip
+        """Do the loop of this name, and return the histories that it leaves.
+
+        Parameters
+        ----------
+        with_forces : whether forces stay, or approaches.
+        slope : (B, n) mm/MPa, derivatives of depths with respect to pressure.
+        closing : (B, n) elements whose errors of the step are 0.
+        estimates, formula, outcome : see the loop.
+        """
+        rows, stack, compliances = self._rows_of(histories), self._stack, self._compliances
+        ready, left, room, *_ = self._room_of_steps
+        self._loops.propagate_errors(
+            len(histories), slope.shape[1], len(histories), rows.every, self._basis, stack.psi,
+            stack.psi_t, stack.force, self._regular, self._deviation, self._inverse, self._response,
+            self._stiffness, with_forces, self.slope, self._which, compliances.slope_scale,
+            compliances.weights, compliances.per_scale, *estimates,
+            self._regular if closing is None else closing, closing is not None, slope, *formula,
+            ready, left, self._n_left, room, *outcome,
+        )  # fmt: skip
+        return left[: self._n_left[0]].copy()
+
     def _steps(
         self,
         rows: "_BasisRows",
@@ -345,6 +377,7 @@ class _BasisRows(NamedTuple):
     histories: IntArray
     bases: IntArray
     which: IntArray
-    #: which of the rows are solved in bases, one basis after the other, and which by factors
+    #: all rows, one basis after the other; which are solved in bases, and which by factors
+    every: IntArray
     in_bases: IntArray
     factored: IntArray

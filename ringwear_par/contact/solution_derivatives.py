@@ -4,6 +4,7 @@ Elements in contact stay so, and so do the sides of kinks that elements are on.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -27,15 +28,24 @@ class SolutionDerivatives:
     def __init__(self, problem: ContactProblem, hessians: Hessians) -> None:
         self._problem, self._hessians = problem, hessians
 
-    def response(self, gap: FloatArray) -> FloatArray:
+    def response(self, gap: FloatArray, histories: IntArray | None = None) -> FloatArray:
         """Return about the changes of the last pressures, MPa, with small growths of gaps.
 
-        Of (..., B, n) mm, to some 1e-2 of them: for estimates of errors. Linear, elements in
-        contact and forces or approaches, whichever were given, staying so; the wear of the step
-        included.
+        Of (..., B, n) mm, or (..., h, n) of some histories, to some 1e-2 of them: for estimates of
+        errors. Linear, elements in contact and forces or approaches, whichever were given, staying
+        so; the wear of the step included.
         """
         problem = self._problem
-        return self._hessians.responses(problem.every, gap, problem.forces is not None)
+        histories = problem.every if histories is None else histories
+        return self._hessians.responses(histories, gap, problem.forces is not None)
+
+    def propagate_errors(self, *errors: Any) -> IntArray:
+        """Propagate errors of steps where that is diagonal, and return the other histories.
+
+        Responses are those of ``response``. For the errors see ``Hessians.propagate_errors``.
+        """
+        problem = self._problem
+        return self._hessians.propagate_errors(problem.every, problem.forces is not None, *errors)
 
     def deflections(self, d_p: FloatArray) -> FloatArray:
         """Return the changes of gaps, mm, with those of pressures, (P, B, n) MPa."""

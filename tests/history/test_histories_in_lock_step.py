@@ -11,6 +11,7 @@ from paths import CASES
 from ringwear_par.batched import one
 from ringwear_par.cases.case import Load, Output, Stepping, Stress
 from ringwear_par.cases.files.reading import read_case
+from ringwear_par.contact.solution_derivatives import SolutionDerivatives
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.errors import ComputationError, LawError
 from ringwear_par.history import batch
@@ -212,6 +213,28 @@ def test_laws_and_schemes(flat, pair, name, stepping):
     seen = run(cases, pair)
     same(seen, run(cases, pair, size=2, order=[3, 0, 4, 2, 1]))
     same(seen, run(cases, pair, size=1))
+
+
+def test_errors_in_bases_are_those_by_responses(flat, monkeypatch):
+    cases = crowned(flat)
+    pair = assemble(cases[0], ALONE)
+    in_bases, left = SolutionDerivatives.propagate_errors, []
+
+    def count_left(*arguments):
+        left.append(len(in_bases(*arguments)) / len(arguments[1]))
+        return in_bases(*arguments)
+
+    monkeypatch.setattr(SolutionDerivatives, "propagate_errors", count_left)
+    seen = run(cases, pair)
+    assert min(left) == 0.0
+    monkeypatch.setattr(
+        SolutionDerivatives, "propagate_errors", lambda _, slope, *__: np.arange(len(slope))
+    )
+    for i, rows in run(cases, pair).items():
+        assert len(rows) == len(seen[i])
+        for (_, _, state), (_, _, also) in zip(rows, seen[i], strict=True):
+            assert state.wear == pytest.approx(also.wear, abs=1e-12)
+            assert state.error == pytest.approx(also.error, rel=1e-6, abs=1e-12)
 
 
 @pytest.mark.parametrize("name", ["schedules", "displacements", "speeds", "moduli",

@@ -18,11 +18,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringwear_par.arrays import BoolArray, FloatArray, largest
+from ringwear_par.arrays import BoolArray, FloatArray, IntArray, largest
 from ringwear_par.compiled import step_rows
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
+from ringwear_par.contact.row_products import ROOM
+from ringwear_par.contact.solution_derivatives import SolutionDerivatives
 from ringwear_par.history.physics import Physics, Sliding
 from ringwear_par.history.schemes.closing_elements import (
     ClosingElements,
@@ -46,6 +48,8 @@ _LACKING = 1.0 / 6.0 - (
 )
 #: the first stage is solved over gamma h, and its wear enters with the weight (1 - gamma) h
 _FIRST_STAGE_FACTOR = (1.0 - GAMMA) / GAMMA
+#: of errors: weights of depths, gamma, and factors of bends and of errors before
+_ERRORS = _DEFECT, GAMMA, _LACKING / GAMMA, _FIRST_STAGE_FACTOR
 
 
 def step_within(
@@ -185,19 +189,55 @@ def _errors_of(
     last : of the last stage, at (B, n) MPa.
     closing : (B, n) elements that close a gap in the step.
     """
+    (count, n), slope, memory = in_last.shape, last.slope(p), last.memory(p)
+    estimates = length, state.rates, in_first, in_last, state.error
+    derivatives = contacts.engine.derivatives
+    if memory is not None or not last.local or last.layered:
+        return _errors_by_responses(derivatives, None, *estimates, closing, last, slope, memory)
+    (defect, at_end), sizes = np.empty((2, count, n)), np.empty((3, count))
+    relief = np.empty((count + ROOM, n))
+    left = derivatives.propagate_errors(
+        slope, closing, estimates, _ERRORS, (relief, defect, at_end, sizes)
+    )
+    errors = _Errors(defect, at_end, relief[:count], *sizes)
+    if len(left) == count:
+        return _errors_by_responses(derivatives, None, *estimates, closing, last, slope, memory)
+    if len(left):
+        by_responses = _errors_by_responses(
+            derivatives, left, length[left], state.rates.take(left, axis=1), in_first[left],
+            in_last[left], state.error[left], None if closing is None else closing[left], last,
+            slope[left], None,
+        )  # fmt: skip
+        for values, of_left in zip(errors, by_responses, strict=True):
+            values[left] = of_left
+    return errors
+
+
+def _errors_by_responses(
+    derivatives: SolutionDerivatives,
+    histories: IntArray | None,
+    length: FloatArray,
+    rates: FloatArray,
+    in_first: FloatArray,
+    in_last: FloatArray,
+    before: FloatArray,
+    closing: BoolArray | None,
+    last: WearIncrement,
+    slope: FloatArray,
+    memory: FloatArray | None,
+) -> _Errors:
+    """Return the errors of steps of some histories or all, by responses to them."""
     loops, shape = load(step_rows), in_last.shape
     errors, propagated = np.empty((3, *shape)), np.empty((2, *shape))
-    loops.rate_errors(
-        *shape, length, state.rates, in_first, in_last, state.error, _DEFECT, GAMMA, errors
-    )
+    weights, gamma, *factors = _ERRORS
+    loops.rate_errors(*shape, length, rates, in_first, in_last, before, weights, gamma, errors)
     if closing is not None:  # those make one step of first order, see ``entry_error``
         errors[:2, closing] = 0.0
-    slope, memory = last.slope(p), last.memory(p)
-    respond, ones = contacts.engine.derivatives.response, None if last.local else np.ones(shape)
+    ones = None if last.local else np.ones(shape)
 
     def relieved(growth: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the pressures that depths too many take away, and theirs times slopes."""
-        reliefs = respond(growth)
+        reliefs = derivatives.response(growth, histories)
         if ones is not None:
             return reliefs, last.depth_change(slope, reliefs), ones
         return reliefs, reliefs, slope
@@ -210,8 +250,7 @@ def _errors_of(
     # (1 + (1 - 2 gamma) z) / (1 - gamma z)^2 of the error before, z being h J
     defect, at_end, sizes = np.empty(shape), np.empty(shape), np.empty((3, len(length)))
     loops.propagate(
-        *shape, errors, *changing, *remembered, state.error, _LACKING / GAMMA,
-        _FIRST_STAGE_FACTOR, defect, propagated,
+        *shape, errors, *changing, *remembered, before, *factors, defect, propagated
     )  # fmt: skip
     _, *changing = relieved(propagated if memory is None else memory * propagated)
     loops.sum_errors(*shape, propagated, *changing, *remembered, defect, at_end, sizes)
