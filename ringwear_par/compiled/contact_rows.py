@@ -41,12 +41,13 @@ def _multiply(
         _multiply_four(
             n, k, row0, row1, row2, row3, rows, number, matrices, row0,
             row1 if together > 1 else spare, row2 if together > 2 else spare + 1,
-            row3 if together > 3 else spare + 2, products,
+            row3 if together > 3 else spare + 2, products, 0, n, 0, k,
         )  # fmt: skip
         if with_derivatives:
             _multiply_four(
-                n, k, row0, row1, row2, row3, rows, number, derivatives, 0, 1, 2, 3, deviating
-            )
+                n, k, row0, row1, row2, row3, rows, number, derivatives, 0, 1, 2, 3, deviating,
+                0, n, 0, k,
+            )  # fmt: skip
             for q in range(together):
                 place = order[(at + q) // times]
                 start = ((at + q) % times * size + place) * k
@@ -75,29 +76,34 @@ def _four(
 def _multiply_four(
     n: Count, k: Count, row0: Count, row1: Count, row2: Count, row3: Count, rows: Reals,
     number: Count, matrices: Reals, to0: Count, to1: Count, to2: Count, to3: Count, products: Reals,
+    first: Count, end: Count, left: Count, right: Count,
 ) -> None:  # fmt: skip
-    """Set four products, of four rows or the same."""
+    """Set four products, of four rows or the same.
+
+    Of the matrix (n, k) the rows from ``first`` to ``end`` and columns from ``left`` to ``right``
+    are not 0.
+    """
     x0, x1, x2, x3 = row0 * n, row1 * n, row2 * n, row3 * n
     y0, y1, y2, y3 = to0 * k, to1 * k, to2 * k, to3 * k
     for j in range(k):
         products[y0 + j] = products[y1 + j] = products[y2 + j] = products[y3 + j] = 0.0
-    matrix, whole = number * n * k, n // 4 * 4
-    for i in range(0, whole, 4):
+    matrix, whole = number * n * k, end - (end - first) % 4
+    for i in range(first, whole, 4):
         a0, b0, c0, d0 = rows[x0 + i], rows[x0 + i + 1], rows[x0 + i + 2], rows[x0 + i + 3]
         a1, b1, c1, d1 = rows[x1 + i], rows[x1 + i + 1], rows[x1 + i + 2], rows[x1 + i + 3]
         a2, b2, c2, d2 = rows[x2 + i], rows[x2 + i + 1], rows[x2 + i + 2], rows[x2 + i + 3]
         a3, b3, c3, d3 = rows[x3 + i], rows[x3 + i + 1], rows[x3 + i + 2], rows[x3 + i + 3]
         m = matrix + i * k
-        for j in range(k):
+        for j in range(left, right):
             a, b = matrices[m + j], matrices[m + k + j]
             c, d = matrices[m + 2 * k + j], matrices[m + 3 * k + j]
             products[y0 + j] = products[y0 + j] + a0 * a + b0 * b + c0 * c + d0 * d
             products[y1 + j] = products[y1 + j] + a1 * a + b1 * b + c1 * c + d1 * d
             products[y2 + j] = products[y2 + j] + a2 * a + b2 * b + c2 * c + d2 * d
             products[y3 + j] = products[y3 + j] + a3 * a + b3 * b + c3 * c + d3 * d
-    for i in range(whole, n):
+    for i in range(whole, end):
         a0, a1, a2, a3 = rows[x0 + i], rows[x1 + i], rows[x2 + i], rows[x3 + i]
-        for j in range(k):
+        for j in range(left, right):
             a = matrices[matrix + i * k + j]
             products[y0 + j] += a0 * a
             products[y1 + j] += a1 * a
@@ -350,13 +356,13 @@ def take_steps(
     per_speed: Reals, free: Flags, are_valid: Flags, free_before: Flags, wearing_before: Flags,
     rates: Reals, are_new: Flags, have_new_sets: Flags, are_regular: Flags, round_off: Real,
     in_bases: Count, through_layers: Count, are_inverted: Count, numbers: Integers, values: Reals,
-    psi: Reals, psi_t: Reals, derivatives: Reals, bends: Reals, basis_forces: Reals,
-    deviations: Reals, inverses: Reals, responses: Reals, stiffness: Reals, factors: Reals,
-    references: Integers, reference_weights: Reals, tolerance: Real, regular_tolerance: Real,
-    most: Count, unknowns: Reals, gradients: Reals, approaches: Reals, are_known: Flags,
-    weights: Reals, roots: Reals, forces: Reals, with_forces: Count, missing: Reals,
-    per_scale: Reals, pressures: Reals, are_left: Flags, n_left: Integers, ready: Integers,
-    factored: Integers, room: Reals, sizes: Reals, steps: Reals, changes: Reals,
+    extents: Integers, psi: Reals, psi_t: Reals, derivatives: Reals, bends: Reals,
+    basis_forces: Reals, deviations: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
+    factors: Reals, references: Integers, reference_weights: Reals, tolerance: Real,
+    regular_tolerance: Real, most: Count, unknowns: Reals, gradients: Reals, approaches: Reals,
+    are_known: Flags, weights: Reals, roots: Reals, forces: Reals, with_forces: Count,
+    missing: Reals, per_scale: Reals, pressures: Reals, are_left: Flags, n_left: Integers,
+    ready: Integers, factored: Integers, room: Reals, sizes: Reals, steps: Reals, changes: Reals,
 ) -> None:  # fmt: skip
     """Set slopes, and take the steps of histories in bases they have, or by their factors.
 
@@ -400,8 +406,8 @@ def take_steps(
             ready[n_ready] = history
             n_ready += 1
     _steps_in_bases(
-        n_ready, n, 1, size, ready, every, numbers, psi, psi_t, derivatives, bends, basis_forces,
-        slopes, are_regular, deviations, inverses, responses, stiffness, tolerance,
+        n_ready, n, 1, size, ready, every, numbers, extents, psi, psi_t, derivatives, bends,
+        basis_forces, slopes, are_regular, deviations, inverses, responses, stiffness, tolerance,
         regular_tolerance, most, missing, with_forces, gradients, which, weights, per_scale, roots,
         False, room, sizes, steps, changes,
     )  # fmt: skip
@@ -505,20 +511,21 @@ def _solve(
 
 def steps(
     count: Count, n_factored: Count, n: Count, times: Count, size: Count, in_bases: Integers,
-    factored: Integers, histories: Integers, numbers: Integers, psi: Reals, psi_t: Reals,
-    derivatives: Reals, bends: Reals, forces: Reals, slopes: Reals, are_regular: Flags,
-    deviations: Reals, inverses: Reals, responses: Reals, stiffness: Reals, factors: Reals,
-    references: Integers, reference_weights: Reals, tolerance: Real, regular_tolerance: Real,
+    factored: Integers, histories: Integers, numbers: Integers, extents: Integers, psi: Reals,
+    psi_t: Reals, derivatives: Reals, bends: Reals, forces: Reals, slopes: Reals,
+    are_regular: Flags, deviations: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
+    factors: Reals, references: Integers, reference_weights: Reals, tolerance: Real,
+    regular_tolerance: Real,
     most: Count, missing: Reals, with_missing: Count, gradients: Reals, which: Integers,
     weights: Reals, per_scale: Reals, roots: Reals, with_scales: Count, room: Reals, sizes: Reals,
     steps: Reals, changes: Reals,
 ) -> None:  # fmt: skip
     """Set steps of histories that have bases, and of those that have factors, as below."""
     _steps_in_bases(
-        count - n_factored, n, times, size, in_bases, histories, numbers, psi, psi_t, derivatives,
-        bends, forces, slopes, are_regular, deviations, inverses, responses, stiffness, tolerance,
-        regular_tolerance, most, missing, with_missing, gradients, which, weights, per_scale, roots,
-        with_scales, room, sizes, steps, changes,
+        count - n_factored, n, times, size, in_bases, histories, numbers, extents, psi, psi_t,
+        derivatives, bends, forces, slopes, are_regular, deviations, inverses, responses, stiffness,
+        tolerance, regular_tolerance, most, missing, with_missing, gradients, which, weights,
+        per_scale, roots, with_scales, room, sizes, steps, changes,
     )  # fmt: skip
     _steps_by_factors(
         n_factored, n, times, size, factored, histories, factors, responses, stiffness, references,
@@ -559,16 +566,18 @@ def _steps_by_factors(
 
 def _steps_in_bases(
     count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
-    numbers: Integers, psi: Reals, psi_t: Reals, derivatives: Reals, bends: Reals, forces: Reals,
-    slopes: Reals, are_regular: Flags, deviations: Reals, inverses: Reals, responses: Reals,
-    stiffness: Reals, tolerance: Real, regular_tolerance: Real, most: Count, missing: Reals,
-    with_missing: Count, gradients: Reals, which: Integers, weights: Reals, per_scale: Reals,
-    roots: Reals, with_scales: Count, room: Reals, sizes: Reals, steps: Reals, changes: Reals,
+    numbers: Integers, extents: Integers, psi: Reals, psi_t: Reals, derivatives: Reals,
+    bends: Reals, forces: Reals, slopes: Reals, are_regular: Flags, deviations: Reals,
+    inverses: Reals, responses: Reals, stiffness: Reals, tolerance: Real, regular_tolerance: Real,
+    most: Count, missing: Reals, with_missing: Count, gradients: Reals, which: Integers,
+    weights: Reals, per_scale: Reals, roots: Reals, with_scales: Count, room: Reals, sizes: Reals,
+    steps: Reals, changes: Reals,
 ) -> None:  # fmt: skip
     """Set steps against gradients (times, size, n), and of approaches, by way of bases (m, n, n).
 
     Gradients are of the ``histories`` (size,), those of the ``order`` (count,) of places are solved
-    in the bases ``numbers`` (size,), four of a basis at a time. Steps carry the forces that are
+    in the bases ``numbers`` (size,), four of a basis at a time; these have ``extents`` (m, 3): how
+    many columns of theirs, and from where to where rows, are not 0. Steps carry the forces that are
     missing (times, size), where these are given, which are ``roots`` (m,) times as large by the
     weights of references. With scales these are gaps and pressures instead. After the steps there
     is room for 3 rows.
@@ -583,46 +592,51 @@ def _steps_in_bases(
     while at < count * times:
         row0, row1, row2, row3, together = _four(at, count, times, size, order, numbers)
         number = numbers[order[at // times]]
+        m, first, end = extents[3 * number], extents[3 * number + 1], extents[3 * number + 2]
         if with_scales:
             for q in range(together):
                 place = order[(at + q) // times]
                 start, compliance = ((at + q) % times * size + place) * n, which[place] * n
                 for i in range(n):
                     room[q * n + i] = gradients[start + i] * weights[compliance + i]
-            _multiply_four(n, n, 0, 1, 2, 3, room, number, psi, 4, 5, 6, 7, room)
+            _multiply_four(n, n, 0, 1, 2, 3, room, number, psi, 4, 5, 6, 7, room, first, end, 0, m)
         else:
-            _multiply_four(n, n, row0, row1, row2, row3, gradients, number, psi, 4, 5, 6, 7, room)
+            _multiply_four(
+                n, n, row0, row1, row2, row3, gradients, number, psi, 4, 5, 6, 7, room,
+                first, end, 0, m,
+            )  # fmt: skip
         bent, deviating = False, False
         for q in range(together):
             place = order[(at + q) // times]
             history, into, local = histories[place], (at + q) % times * size + place, q * n
             row, basis, change, size_q = history * n, number * n, 0.0, 0.0
             if with_missing and stiffness[history] > 0.0:
-                for i in range(n):
+                for i in range(m):
                     change += responses[row + i] * room[4 * n + local + i]
                 change = (missing[into] * roots[which[place]] + change) / stiffness[history]
-            for i in range(n):
+            for i in range(m):
                 room[4 * n + local + i] = change * forces[basis + i] - room[4 * n + local + i]
-            for i in range(n):
+            for i in range(m):
                 room[local + i] = room[4 * n + local + i] * inverses[row + i]
             changes[into] = change
             regular, deviates = are_regular[history], deviations[history] != 0.0
             sizes[q] = 0.0
             if not regular or deviates:
-                for i in range(n):
+                for i in range(m):
                     size_q += inverses[row + i] * room[4 * n + local + i] * room[4 * n + local + i]
                 sizes[q], share = size_q, regular_tolerance if regular else tolerance
                 sizes[4 + q] = share * share * size_q
             bent, deviating = bent or not regular, deviating or deviates
         if bent or deviating:
             _conjugate_gradients(
-                at, together, n, times, number, order, histories, psi, psi_t, derivatives, bends,
-                forces, slopes, bent, are_regular, deviating, deviations, inverses, responses,
-                stiffness, with_missing, most, size, room, sizes, changes,
+                at, together, n, times, number, order, histories, m, first, end, psi, psi_t,
+                derivatives, bends, forces, slopes, bent, are_regular, deviating, deviations,
+                inverses, responses, stiffness, with_missing, most, size, room, sizes, changes,
             )  # fmt: skip
         _multiply_four(
             n, n, 0, 1, 2, 3, room, number, psi_t, row0, row1 if together > 1 else spare,
             row2 if together > 2 else spare + 1, row3 if together > 3 else spare + 2, steps,
+            0, m, first, end,
         )  # fmt: skip
         for q in range(together):
             place = order[(at + q) // times]
@@ -636,24 +650,31 @@ def _steps_in_bases(
 
 def _conjugate_gradients(
     at: Count, together: Count, n: Count, times: Count, number: Count, order: Integers,
-    histories: Integers, psi: Reals, psi_t: Reals, derivatives: Reals, bends: Reals,
-    forces: Reals, slopes: Reals, bent: Count, are_regular: Flags, deviating: Count,
-    deviations: Reals, inverses: Reals, responses: Reals, stiffness: Reals,
-    with_missing: Count, most: Count, size: Count, room: Reals, sizes: Reals, changes: Reals,
+    histories: Integers, m: Count, first: Count, end: Count, psi: Reals, psi_t: Reals,
+    derivatives: Reals, bends: Reals, forces: Reals, slopes: Reals, bent: Count,
+    are_regular: Flags, deviating: Count, deviations: Reals, inverses: Reals, responses: Reals,
+    stiffness: Reals, with_missing: Count, most: Count, size: Count, room: Reals, sizes: Reals,
+    changes: Reals,
 ) -> None:  # fmt: skip
     """Go on from the steps of diagonal Hessians to those of the others."""
     for i in range(4 * n):
         room[8 * n + i] = room[i]
     for iteration in range(most + 1):
         if bent:
-            _multiply_four(n, n, 8, 9, 10, 11, room, number, psi_t, 12, 13, 14, 15, room)
+            _multiply_four(
+                n, n, 8, 9, 10, 11, room, number, psi_t, 12, 13, 14, 15, room, 0, m, first, end
+            )
             for q in range(together):
                 row = histories[order[(at + q) // times]] * n
-                for i in range(n):
+                for i in range(first, end):
                     room[(12 + q) * n + i] *= slopes[row + i]
-            _multiply_four(n, n, 12, 13, 14, 15, room, number, psi, 16, 17, 18, 19, room)
+            _multiply_four(
+                n, n, 12, 13, 14, 15, room, number, psi, 16, 17, 18, 19, room, first, end, 0, m
+            )
         if deviating:
-            _multiply_four(n, n, 8, 9, 10, 11, room, number, derivatives, 20, 21, 22, 23, room)
+            _multiply_four(
+                n, n, 8, 9, 10, 11, room, number, derivatives, 20, 21, 22, 23, room, 0, m, 0, m
+            )
         going = False
         for q in range(together):
             if not sizes[q] > sizes[4 + q]:
@@ -664,33 +685,33 @@ def _conjugate_gradients(
             x, r, d, t, g = q * n, (4 + q) * n, (8 + q) * n, (16 + q) * n, (20 + q) * n
             length, curvature, carried, norm = 1.0, 0.0, 0.0, 0.0
             if are_regular[history]:
-                for i in range(n):
+                for i in range(m):
                     room[t + i] = room[d + i] / inverses[row + i]
             else:
-                for i in range(n):
+                for i in range(m):
                     room[t + i] += room[d + i] * (1.0 + deviation * bends[basis + i])
             if deviating:
-                for i in range(n):
+                for i in range(m):
                     room[t + i] += deviation * room[g + i]
             if iteration > 0:
-                for i in range(n):
+                for i in range(m):
                     curvature += room[d + i] * room[t + i]
                 length = sizes[q] / curvature if curvature > 0.0 else 0.0
-                for i in range(n):
+                for i in range(m):
                     room[x + i] += length * room[d + i]
-            for i in range(n):
+            for i in range(m):
                 room[r + i] -= length * room[t + i]
             if with_missing and stiffness[history] > 0.0:
-                for i in range(n):
+                for i in range(m):
                     carried += responses[row + i] * room[r + i]
                 carried /= stiffness[history]
-                for i in range(n):
+                for i in range(m):
                     room[r + i] -= carried * forces[basis + i]
                 changes[into] -= carried
-            for i in range(n):
+            for i in range(m):
                 norm += inverses[row + i] * room[r + i] * room[r + i]
             again = norm / sizes[q] if iteration > 0 else 0.0
-            for i in range(n):
+            for i in range(m):
                 room[d + i] = again * room[d + i] + inverses[row + i] * room[r + i]
             sizes[q] = norm
             going = going or norm > sizes[4 + q]
@@ -699,9 +720,10 @@ def _conjugate_gradients(
 
 
 def propagate_errors(
-    count: Count, n: Count, size: Count, order: Integers, numbers: Integers, psi: Reals,
-    psi_t: Reals, forces: Reals, are_regular: Flags, deviations: Reals, inverses: Reals,
-    responses: Reals, stiffness: Reals, with_forces: Count, slopes: Reals, which: Integers,
+    count: Count, n: Count, size: Count, order: Integers, numbers: Integers, extents: Integers,
+    psi: Reals, psi_t: Reals, forces: Reals, are_regular: Flags, deviations: Reals,
+    inverses: Reals, responses: Reals, stiffness: Reals, with_forces: Count, slopes: Reals,
+    which: Integers,
     slope_scale: Reals, weights: Reals, per_scale: Reals, lengths: Reals, rates: Reals,
     in_first: Reals, in_last: Reals, before: Reals, closing: Flags, with_closing: Count,
     depth_slopes: Reals, error_weights: Reals, gamma: Real, bend_factor: Real,
@@ -720,10 +742,9 @@ def propagate_errors(
         history = order[k]
         row, scale, changed = history * n, which[history] * n, 0
         diagonal = numbers[history] >= 0 and are_regular[history] and deviations[history] == 0.0
-        if diagonal:
-            for i in range(n):
-                slope = depth_slopes[row + i] * slope_scale[scale + i]
-                changed += 0 if slope == slopes[row + i] else 1
+        for i in range(n):
+            slope = depth_slopes[row + i] * slope_scale[scale + i]
+            changed += 0 if slope == slopes[row + i] else 1
         if diagonal and changed == 0:
             ready[n_ready] = history
             n_ready += 1
@@ -740,6 +761,7 @@ def propagate_errors(
     while at < n_ready:
         row0, row1, row2, row3, together = _four(at, n_ready, 1, size, ready, numbers)
         number = numbers[row0]
+        m, first, end = extents[3 * number], extents[3 * number + 1], extents[3 * number + 2]
         for q in range(together):
             history, place = ready[at + q], q * n
             row, scale, length = history * n, which[history] * n, lengths[history]
@@ -756,7 +778,7 @@ def propagate_errors(
         for rows in range(0, 12, 4):
             _multiply_four(
                 n, n, rows, rows + 1, rows + 2, rows + 3, room, number, psi, rows + 12, rows + 13,
-                rows + 14, rows + 15, room,
+                rows + 14, rows + 15, room, first, end, 0, m,
             )  # fmt: skip
         for q in range(together):
             history, basis = ready[at + q], number * n
@@ -764,18 +786,18 @@ def propagate_errors(
             for rows in range(q * n, 12 * n, 4 * n):
                 change, again = 0.0, 0.0
                 if keeps:
-                    for i in range(n):
+                    for i in range(m):
                         change += responses[row + i] * room[12 * n + rows + i]
                     change /= stiffness[history]
-                for i in range(n):
+                for i in range(m):
                     room[rows + i] = inverses[row + i] * (
                         change * forces[basis + i] - room[12 * n + rows + i]
                     )
                 if keeps and rows >= 4 * n:
-                    for i in range(n):
+                    for i in range(m):
                         again += responses[row + i] * room[rows + i]
                     again /= stiffness[history]
-                for i in range(n):
+                for i in range(m):
                     room[12 * n + rows + i] = inverses[row + i] * (
                         room[rows + i] - again * forces[basis + i]
                     )
@@ -785,9 +807,13 @@ def propagate_errors(
         _multiply_four(
             n, n, 0, 1, 2, 3, room, number, psi_t, row0, row1 if together > 1 else size,
             row2 if together > 2 else size + 1, row3 if together > 3 else size + 2, reliefs,
+            0, m, first, end,
         )  # fmt: skip
-        _multiply_four(n, n, 4, 5, 6, 7, room, number, psi_t, 12, 13, 14, 15, room)
-        _multiply_four(n, n, 8, 9, 10, 11, room, number, psi_t, 16, 17, 18, 19, room)
+        for rows in (4, 8):
+            _multiply_four(
+                n, n, rows, rows + 1, rows + 2, rows + 3, room, number, psi_t, rows + 8, rows + 9,
+                rows + 10, rows + 11, room, 0, m, first, end,
+            )  # fmt: skip
         for q in range(together):
             history, step, earlier = ready[at + q], (12 + q) * n, (16 + q) * n
             row, scale = history * n, which[history] * n

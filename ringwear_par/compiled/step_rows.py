@@ -10,11 +10,13 @@ from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Rea
 
 def wear_by_lines(
     count: Count, n: Count, bodies: Count, pressures: Reals, steps: Reals, of_elements: Count,
-    rises: Reals, onsets: Reals, rates: Reals, depths: Reals, slopes: Reals,
+    rises: Reals, onsets: Reals, rates: Reals, depths: Reals, slopes: Reals, gaps: Reals,
+    with_gaps: Count, growths: Reals,
 ) -> None:  # fmt: skip
     """Set rates of bodies, rise x max(0, p - onset), (bodies, B, n), their depths and slopes.
 
-    Depths and slopes (B, n) are those of all bodies; steps are of histories or of elements.
+    Depths and slopes (B, n) are those of all bodies; steps are of histories or of elements. With
+    gaps (B, n) that close before, growths are what is left of depths, and slopes are those of it.
     """
     for history in range(count):
         row, step = history * n, steps[history]
@@ -29,6 +31,11 @@ def wear_by_lines(
                 rates[first + k] = rate
                 depths[k] += duration * rate
                 slopes[k] += duration * rise if over > 0.0 else 0.0
+        if with_gaps:
+            for k in range(row, row + n):
+                growth = depths[k] - gaps[k]
+                growths[k] = 0.0 if growth < 0.0 else growth
+                slopes[k] = slopes[k] if growth >= 0.0 else 0.0
 
 
 def wear_off(

@@ -1,8 +1,12 @@
 """The bases of many histories in arrays, for products of all of them at once."""
 
-import numpy as np
+from collections.abc import Sequence
+from typing import Any
 
-from ringwear_par.arrays import BoolArray, FloatArray, IntArray
+import numpy as np
+from numpy.typing import NDArray
+
+from ringwear_par.arrays import BoolArray, IntArray
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 
 _LEAST_ROOM = 4
@@ -26,6 +30,8 @@ class BasisStack:
         #: ``Basis``
         self.psi, self.psi_t = np.empty((2, 0, n, n))
         self.mu, self.force = np.empty((2, 0, n))
+        #: (m, 3) int, how many columns of bases, and from where to where rows, are not 0
+        self.extents = np.empty((0, 3), dtype=np.int64)
         #: (m, n, n) and (m, n), K' of ``Deviations`` in the bases, off the diagonal and on it;
         #: without these (m, 0, 0)
         size = 0 if compliances.deviations is None else n
@@ -36,21 +42,27 @@ class BasisStack:
         """Whether there has to be room before there can be another basis."""
         return not self._vacant
 
-    def number_of(self, compliance: int, sets: bytes, free: BoolArray, wearing: BoolArray) -> int:
+    def numbers_of(self, names: Sequence[tuple[int, bytes]]) -> IntArray:
+        """Return the numbers of bases by reference and name of sets; -1 of those not here."""
+        return np.array([self._numbers.get(name, -1) for name in names], dtype=np.int64)
+
+    def number_of(self, name: tuple[int, bytes], free: BoolArray, wearing: BoolArray) -> int:
         """Return the number of a basis, which is new where there is none yet.
 
         Parameters
         ----------
-        compliance : the number of the reference.
-        sets : the name of those that follow.
-        free, wearing : (n,) bool, elements in contact, and those that wear.
+        name : the number of the reference, and the name of the sets.
+        free, wearing : (n,) bool, the sets: elements in contact, and those that wear.
         """
-        name = compliance, sets
+        compliance = name[0]
         if name not in self._numbers:
             number = self._numbers[name] = self._vacant.pop()
             basis = self._compliances.basis(compliance, free, wearing)
             self.psi[number], self.mu[number], self.force[number] = basis
             self.psi_t[number], self.bends[number] = basis.psi.T, 0.0
+            touching = np.flatnonzero(free)
+            ends = (touching[0], touching[-1] + 1) if len(touching) else (0, 0)
+            self.extents[number] = len(touching), *ends
             more = self._compliances.deviations
             if more is not None:
                 derivative = basis.psi.T @ more.derivatives[compliance] @ basis.psi
@@ -75,15 +87,15 @@ class BasisStack:
         if more > 0 or not len(vacant):
             # room that is not used costs nothing, to copy bases does: two of each compliance
             more = max(_LEAST_ROOM, more, 2 * len(self._compliances.matrices) - len(vacant))
-            for name in ("psi", "psi_t", "mu", "force", "derivatives", "bends"):
+            for name in ("psi", "psi_t", "mu", "force", "extents", "derivatives", "bends"):
                 setattr(self, name, _longer(getattr(self, name), more))
             vacant = np.append(vacant, np.ones(more, dtype=bool))
         # the lowest are taken first: products are fewer where numbers follow each other
         self._vacant = np.flatnonzero(vacant)[::-1].tolist()
 
 
-def _longer(values: FloatArray, more: int) -> FloatArray:
+def _longer(values: NDArray[Any], more: int) -> NDArray[Any]:
     """Return values with room for more, whose memory is not touched."""
-    longer = np.empty((len(values) + more, *values.shape[1:]))
+    longer = np.empty((len(values) + more, *values.shape[1:]), values.dtype)
     longer[: len(values)] = values
     return longer

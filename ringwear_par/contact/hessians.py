@@ -7,7 +7,6 @@ basis preconditions projected conjugate gradients (Gould, Hribar and Nocedal, SI
 factors of their own.
 """
 
-from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -190,16 +189,14 @@ class Hessians:
         self._forget_order()
         free, wearing = self._free[histories], self._wearing[histories]
         sets = np.packbits(np.concatenate([free, wearing], axis=1), axis=1)
-        alike: dict[tuple[int, bytes], list[int]] = defaultdict(list)
-        which, width = self._compliances.reference[self._which[histories]].tolist(), sets.shape[1]
-        packed = sets.tobytes()
-        for place, compliance in enumerate(which):
-            alike[compliance, packed[place * width : (place + 1) * width]].append(place)
-        for (compliance, name), places in alike.items():
+        which = self._compliances.reference[self._which[histories]]
+        names = [*zip(which.tolist(), sets.view(f"V{sets.shape[1]}")[:, 0].tolist(), strict=True)]
+        numbers = self._basis[histories] = self._stack.numbers_of(names)
+        for place in np.flatnonzero(numbers < 0).tolist():
             if self._stack.is_full:
                 self._stack.make_room(self._basis)
-            self._basis[histories[places]] = self._stack.number_of(
-                compliance, name, free[places[0]], wearing[places[0]]
+            self._basis[histories[place]] = self._stack.number_of(
+                names[place], free[place], wearing[place]
             )
 
     def _factorise(self, histories: IntArray) -> None:
@@ -254,7 +251,7 @@ class Hessians:
                 depth_slopes, compliances.slope_scale, self.slope, self.diagonal, self._per_speed,
                 free, self._valid, self._free, self._wearing, rates, new, new_sets, self._regular,
                 _ROUND_OFF, coupling is None, self.through_layers, are_inverted, self._basis,
-                stack.mu, stack.psi, stack.psi_t,
+                stack.mu, stack.extents, stack.psi, stack.psi_t,
                 stack.derivatives if stack.derivatives.size else stack.psi, stack.bends,
                 stack.force, self._deviation, self._inverse, self._response, self._stiffness,
                 self._factors, compliances.reference, compliances.reference_weights, *NEAR,
@@ -329,9 +326,10 @@ class Hessians:
         rows, stack, compliances = self._rows_of(histories), self._stack, self._compliances
         ready, left, room, *_ = self._room_of_steps
         self._loops.propagate_errors(
-            len(histories), slope.shape[1], len(histories), rows.every, self._basis, stack.psi,
-            stack.psi_t, stack.force, self._regular, self._deviation, self._inverse, self._response,
-            self._stiffness, with_forces, self.slope, self._which, compliances.slope_scale,
+            len(histories), slope.shape[1], len(histories), rows.every, self._basis, stack.extents,
+            stack.psi, stack.psi_t, stack.force, self._regular, self._deviation, self._inverse,
+            self._response, self._stiffness, with_forces, self.slope, self._which,
+            compliances.slope_scale,
             compliances.weights, compliances.per_scale, *estimates,
             self._regular if closing is None else closing, closing is not None, slope, *formula,
             ready, left, self._n_left, room, *outcome,
@@ -359,7 +357,7 @@ class Hessians:
         lacking = changes if missing is None else np.ascontiguousarray(missing)
         self._loops.steps(
             size, len(rows.factored), n, count // max(size, 1), size, rows.in_bases, rows.factored,
-            rows.histories, rows.bases, stack.psi, stack.psi_t,
+            rows.histories, rows.bases, stack.extents, stack.psi, stack.psi_t,
             stack.derivatives if stack.derivatives.size else stack.psi, stack.bends, stack.force,
             self.slope, self._regular, self._deviation, self._inverse, self._response,
             self._stiffness, self._factors, compliances.reference, compliances.reference_weights,

@@ -202,12 +202,12 @@ class ContactProblem:
         self.pressures_at_work = p
 
     def _increment(self) -> WearIncrement | None:
-        """Return the wear of the histories at work."""
+        """Return the wear of the histories at work, for depths and slopes."""
         histories = self.at_work
         if self.wear is None or len(histories) == len(self.every):
             return self.wear
         if self._wear_at_work is None or self._wear_at_work[0] is not histories:
-            self._wear_at_work = histories, self.wear.take(histories)
+            self._wear_at_work = histories, self.wear.growth_of(histories)
         return self._wear_at_work[1]
 
     def pressures(self, histories: IntArray) -> FloatArray:
@@ -294,13 +294,14 @@ class ContactProblem:
 
     def objective(self) -> float:
         """Return the sum of the objectives of the histories at work, N mm."""
-        histories, wear, rows = self.at_work, self._increment(), self.rows
+        histories, wear, rows = self.at_work, self.wear, self.rows
         products = self.compliances.products(self.which[histories])
         linear = part(self.weights, rows) * (self.gaps[rows] - self.approaches[rows, None])
         q = self.unknowns[rows]
         objectives = inner(q, 0.5 * products.symmetric(q) + linear)
         if wear is not None:
-            objectives = objectives + inner(self.area, wear.potential(self.pressures(histories)))
+            potential = wear.potential(self.pressures(self.every))
+            objectives = objectives + inner(self.area, potential[rows])
         return float(objectives.sum())
 
     def slopes(self) -> tuple[FloatArray, FloatArray | None]:

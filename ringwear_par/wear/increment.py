@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ringwear_par import batched
 from ringwear_par.arrays import FloatArray, IntArray, columns, largest
 from ringwear_par.compiled import step_rows
 from ringwear_par.compiled.machine_code import load
@@ -61,8 +62,9 @@ class _Losses(NamedTuple):
     pressure: FloatArray
     #: (bodies, ..., n) mm/s, along the axis, of the bodies that wear
     rates: FloatArray
-    #: (..., n) mm, of both together
+    #: (..., n) mm, of both together, and what gaps that close leave of it
     depth: FloatArray
+    growth: FloatArray
     #: (..., n) mm/MPa, its derivative where all rates are lines; None: laws have to be asked
     slope: FloatArray | None
 
@@ -133,18 +135,26 @@ class WearIncrement:
 
     def take(self, histories: IntArray) -> "WearIncrement":
         """Return the increment of some of B histories."""
-        closing, lower = self.closing, self.at[0].take(histories)
+        lower = self.at[0].take(histories)
         return type(self)(
             tuple(None if law is None else law.take(histories) for law in self.laws),
             (lower, lower if self.at[1] is self.at[0] else self.at[1].take(histories)),
             take(self.step, histories),
             self.averages,
             self.obliquity,
-            None
-            if closing is None
-            else Closing(take(closing.gap, histories), take(closing.step, histories)),
+            None if self.closing is None else batched.take(self.closing, histories),
             None if self.pace is None else self.pace[:, histories],
         )
+
+    def growth_of(self, histories: IntArray) -> "WearIncrement":
+        """Return the increment of some of B histories, for depths and their slopes alone."""
+        if self._lines is None or not self._lines.size:
+            return self.take(histories)
+        part = copy(self)
+        part.step, part._known = take(self.step, histories), None
+        part._lines = self._lines.take(histories, 2)
+        part.closing = None if self.closing is None else batched.take(self.closing, histories)
+        return part
 
     def along_axis(self, normal: FloatArray) -> FloatArray:
         """Return depths along the axis from those along the normal, (..., n) mm."""
@@ -166,28 +176,27 @@ class WearIncrement:
         known = self._known
         if known is not None and known.pressure is p:
             return known
-        lines, n = self._lines_over(p.shape), p.shape[-1]
+        lines, n, closing = self._lines_over(p.shape), p.shape[-1], self.closing
         if lines.size:
             of_elements = np.size(self.step) == p.size
             step = _filled(self.step, p.shape if of_elements else (*p.shape[:-1], 1))
             rates, (depth, slope) = np.empty(lines.shape[1:]), np.empty((2, *p.shape))
+            growth = depth if closing is None else np.empty_like(depth)
             load(step_rows).wear_by_lines(
                 p.size // n, n, len(rates), np.ascontiguousarray(p), step, of_elements, *lines,
-                rates, depth, slope,
+                rates, depth, slope, depth if closing is None else closing.gap,
+                closing is not None, growth,
             )  # fmt: skip
-            self._known = _Losses(p, rates, depth, slope)
+            self._known = _Losses(p, rates, depth, growth, slope)
         else:
             of_bodies = [
                 self.along_axis(self._rate(law, at, average, p))
                 for _, law, at, average in self.bodies
             ]
             depths = [self.step * rate for rate in of_bodies]
-            self._known = _Losses(
-                p,
-                _stacked(of_bodies, p.shape),
-                total_of(depths) if depths else np.zeros_like(p),
-                None,
-            )
+            depth = total_of(depths) if depths else np.zeros_like(p)
+            growth = depth if closing is None else np.maximum(depth - closing.gap, 0.0)
+            self._known = _Losses(p, _stacked(of_bodies, p.shape), depth, growth, None)
         return self._known
 
     def _lines_over(self, shape: tuple[int, ...]) -> FloatArray:
@@ -362,26 +371,21 @@ class WearIncrement:
 
     def depth(self, p: FloatArray) -> FloatArray:
         """Return the growth of the gap, (..., n) mm."""
-        return self._left(p) if self.closing is None else np.maximum(self._left(p), 0.0)
-
-    def _left(self, p: FloatArray) -> FloatArray:
-        """Return the depth of a step in contact all along beyond the gap, mm; may be negative."""
-        total = self.total_if_always_in_contact(p)
-        return total if self.closing is None else total - self.closing.gap
+        return self._worn(p).growth
 
     def d_depth_dp(self, p: FloatArray) -> FloatArray:
         """Return d depth_e / d p_e, (..., n) mm/MPa; of local laws all there is."""
-        total = self._worn(p).slope
-        if total is None:
-            slopes = []
-            for _, law, at, average in self.bodies:
-                if average is None:
-                    slopes.append(self._d_depth_dp(law, at, p))
-                else:
-                    slope = self._d_depth_dp(law, at, averaged(average, p))
-                    slopes.append(((average * average.T) * slope[..., None, :]).sum(axis=-1))
-            total = self.along_axis(total_of(slopes))
-        return total if self.closing is None else np.where(self._left(p) >= 0.0, total, 0.0)
+        worn, slopes = self._worn(p), []
+        if worn.slope is not None:
+            return worn.slope
+        for _, law, at, average in self.bodies:
+            if average is None:
+                slopes.append(self._d_depth_dp(law, at, p))
+            else:
+                slope = self._d_depth_dp(law, at, averaged(average, p))
+                slopes.append(((average * average.T) * slope[..., None, :]).sum(axis=-1))
+        total, closing = self.along_axis(total_of(slopes)), self.closing
+        return total if closing is None else np.where(worn.depth >= closing.gap, total, 0.0)
 
     def jacobian(self, p: FloatArray) -> FloatArray:
         """Return d depth_e / d p_f, (..., n, n) mm/MPa."""
@@ -438,7 +442,7 @@ class WearIncrement:
         low, high = np.zeros_like(p), np.maximum(p, 0.0)  # of the pressure that closes the gap
         for _ in range(_BISECTIONS):
             middle = 0.5 * (low + high)
-            closed = self._left(middle) > 0.0
+            closed = self.depth(middle) > 0.0
             low, high = np.where(closed, low, middle), np.where(closed, middle, high)
         low[self.closing.gap == 0.0] = 0.0
         past = np.maximum(p, 0.0) - low

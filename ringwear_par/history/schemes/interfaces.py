@@ -27,9 +27,9 @@ from ringwear_par.wear.layered import worn_through
 
 #: largest correction of depth where an element crosses, over the tolerance of wear, in any steps,
 #: and the share of it that steps aim at. Of 24 random coatings of 3 um the worst and the median
-#: error were the same with 0.02, 0.1, 0.3 and 1; a history took 213, 201, 185 and 161 tries. Derivatives
-#: of fixed steps to ends that move are off by 1e-5 with 0.02, by 5e-3 (of torques) with 0.1 and
-#: more
+#: error were the same with 0.02, 0.1, 0.3 and 1; a history took 213, 201, 185 and 161 tries.
+#: Derivatives of fixed steps to ends that move are off by 1e-5 with 0.02, by 5e-3 (of torques)
+#: with 0.1 and more
 _ALLOWED, _AIM = 0.02, 0.5
 #: largest factor by which errors of depth grow in a next layer: near the threshold of a layer they
 #: grow without bound. Of 24 random coatings of 3 um, bodies wearing up to 2000 times as fast, the
