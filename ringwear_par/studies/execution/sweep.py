@@ -192,7 +192,7 @@ def _compute(
     )
     counted = summary.done, summary.failed
     if comm.rank == 0 and remark(received):  # mpirun kills a second later
-        log.info("stopped by %s: %d cases are merged yet", name_of(received), sum(counted))
+        log.info("stopped by %s: %d cases are merged so far", name_of(received), sum(counted))
     try:
         done, failed = with_help_of_all(
             comm, lambda: merge_if_well(plan, summary, not troubles, comm)
