@@ -28,7 +28,7 @@ class _Cubic:
     def potential(self, p):
         return 1e-3 * (p @ self.average.T) ** 4 / 4.0
 
-    def take(self, histories):
+    def growth_of(self, histories):
         return self
 
 

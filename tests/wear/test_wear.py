@@ -85,7 +85,7 @@ def test_steady_laws_know_neither_time_nor_wear():
 def test_lines_are_rates():
     at = sliding(POWER, time=3.0)
     lines = {name: line for name, law in LAWS.items() if (line := law.line(at)) is not None}
-    threshold = {"threshold", "threshold, table in time", "threshold, profile", "non-local"}
+    threshold = {"threshold", "threshold, table in time", "threshold, profile"}
     assert lines.keys() == {*threshold, "archard", "running-in, distance"}
     for name, (rise, onset) in lines.items():
         rate = LAWS[name].rate(P, at)
