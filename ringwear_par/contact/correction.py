@@ -230,10 +230,6 @@ class CorrectedContacts:
         self._products = self.engine.compliances.products(self.engine.which)
         self._shift_at, self._every = None, np.arange(len(histories))
 
-    def starting(self, which: IntArray, warm: WarmStart) -> "CorrectedContacts":
-        """Return contacts of histories of some of these compliances, which start elsewhere."""
-        return CorrectedContacts(self.engine.starting(which, warm))
-
     def take(self, histories: IntArray) -> "CorrectedContacts":
         """Return the contacts of some of the histories."""
         errors, elements = self.largest_errors

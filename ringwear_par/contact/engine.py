@@ -388,13 +388,9 @@ class ContactEngine:
 
     def take(self, histories: IntArray) -> "ContactEngine":
         """Return an engine of some of the histories, which starts where this one would."""
-        return self.starting(self.which[histories], take(self.warm, histories))
-
-    def starting(self, which: IntArray, warm: WarmStart) -> "ContactEngine":
-        """Return an engine of histories of some of these compliances, which starts elsewhere."""
-        used, which = np.unique(which, return_inverse=True)
+        used, which = np.unique(self.which[histories], return_inverse=True)
         engine = ContactEngine(self.compliances.take(used), which, self._tao_type)
-        engine.warm = warm
+        engine.warm = take(self.warm, histories)
         return engine
 
     def destroy(self) -> None:

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,36 +21,14 @@ from ringwear_par.errors import (
     reason_of,
 )
 from ringwear_par.history.ensemble import Ensemble, Present
-from ringwear_par.history.physics import Physics
 from ringwear_par.history.schemes.interfaces import next_to_cross
 from ringwear_par.history.snapshots import Snapshot
-from ringwear_par.history.state import Progress, State
+from ringwear_par.history.state import State
 from ringwear_par.history.step_control import NO_STEP
 from ringwear_par.history.stop_criteria import have_reached
 from ringwear_par.parallel import as_on_first_rank, together
 
 log = logging.getLogger(__name__)
-
-#: states within steps that are computed together, or as many as there are histories: few of a
-#: round's steps have one
-_TOGETHER = 512
-
-
-@dataclass(frozen=True)
-class StatesWithin:
-    """States at times within accepted steps, to be computed; histories do not go on from them."""
-
-    #: (h,) int, of the histories among all cases, among those at first, and of compliances
-    numbers: IntArray
-    rows: IntArray
-    compliances: IntArray
-    #: at the starts of the steps, and where contacts start
-    state: State
-    warm: WarmStart
-    #: before the steps
-    progress: Progress
-    #: (h,) s
-    time: FloatArray
 
 
 class Batch:
@@ -72,11 +50,6 @@ class Batch:
         self._warm: WarmStart | None = None
         #: whether a history steps alone until it has made a step, and why its last try failed
         self._alone, self._failure = False, ""
-        #: states within steps that wait for more of them, see ``_within``
-        self._waiting: list[StatesWithin] = []
-        #: of the histories at first, None before the start; and which of these are left
-        self._first_physics: Physics | None = None
-        self._rows = np.arange(len(numbers))
 
     @property
     def may_join(self) -> bool:
@@ -92,8 +65,8 @@ class Batch:
         try:
             snapshots = self._start() if before is None else self._round(before)
         except Exception as error:
-            if _is_of_petsc(error):
-                raise
+            if isinstance(error, InputError) and not isinstance(error, UnfitError):
+                raise  # an option for PETSc
             if self._present is not None and self._warm is not None:
                 self._present.contacts.warm = self._warm
             return self._after_failure(error)
@@ -103,33 +76,23 @@ class Batch:
         if self._alone and snapshots[-1].accepted.all():
             self._alone, self._failure = False, ""
         ended = snapshots[-1].finished
-        if self._ensemble.failures:  # within steps
-            ended = ended | np.isin(self.numbers, list(self._ensemble.failures))
         if ended.all():
-            self._show_waiting()
             self.close()
             return []
         if ended.any():
             assert self._present is not None
             rest = np.flatnonzero(~ended)
             self.numbers, self._present = self.numbers[rest], self._present.keep(rest)
-            self._rows = self._rows[rest]
         return [self]
 
     def joined(self, other: "Batch") -> "Batch":
         """Return one batch of the histories of both, which end."""
-        self._show_waiting()
-        other._show_waiting()
         batch = Batch(self._ensemble, np.append(self.numbers, other.numbers))
         assert self._present is not None
         assert other._present is not None
         control = self._ensemble.control(batch.numbers)
-        batch._begin(self._present.joined(other._present, control))
+        batch._present = self._present.joined(other._present, control)
         return batch
-
-    def _begin(self, present: Present) -> None:
-        """Have the histories be where they are at first."""
-        self._present, self._first_physics = present, present.physics
 
     def close(self) -> None:
         """Free the contacts."""
@@ -141,7 +104,7 @@ class Batch:
     def _start(self) -> list[Snapshot]:
         """Return the states at the start, unless the history continues. Collective."""
         numbers, present = self.numbers, self._ensemble.begin(self.numbers)
-        self._begin(present)
+        self._present = present
         if self._ensemble.start is not None:
             return []
         state = present.state
@@ -162,8 +125,9 @@ class Batch:
             physics, contacts, state = before.geometry.follow(
                 before.physics, before.contacts, before.state
             )
-            before = replace(before, physics=physics, contacts=contacts, state=state)
-            self._begin(before)
+            before = self._present = replace(
+                before, physics=physics, contacts=contacts, state=state
+            )
         pace = ensemble.pace(self.numbers, before.progress.steps)
         if pace is not None:
             physics, state = before.physics.at_pace(pace), before.state
@@ -181,7 +145,8 @@ class Batch:
         # ranks may differ by round-off, or by their processor: the first decides
         decision = as_on_first_rank(ensemble.comm, control.decide(before.state, step, progress))
         accepted, progress = decision.accepted, decision.progress
-        snapshots = self._within(before, end, accepted)
+        with together(ensemble.comm):
+            snapshots = self._within(before, end, accepted)
         state = step.state
         sensitivity = physics.sensitivity
         if state.tangent is not None and sensitivity is not None and sensitivity.moving_ends:
@@ -203,77 +168,34 @@ class Batch:
         ]  # fmt: skip
 
     def _within(self, before: Present, end: FloatArray, accepted: BoolArray) -> list[Snapshot]:
-        """Return states at times of output within accepted steps, once many of them wait.
-
-        As histories do not go on from them, those of several rounds are computed together, and come
-        after states of later times: recorders sort them. Only of stresses, which are kept in the
-        order of time, do they come before the ends of their steps.
-        """
+        """Return the states at times of output within accepted steps, which leave no trace."""
         stored = before.physics.inputs.stored
         if stored.times is None:
             return []
         histories, which = np.nonzero(stored.within(before.state.time, end) & accepted[:, None])
-        if len(histories):
-            passing = StatesWithin(
-                self.numbers, self._rows, before.contacts.engine.which, before.state,
-                before.contacts.warm, before.progress, end,
-            )  # fmt: skip
-            times = stored.times[histories, which]
-            self._waiting.append(replace(batched.take(passing, histories), time=times))
-        in_order = before.physics.case.stress is not None
-        most = 1 if in_order else min(_TOGETHER, len(self.numbers))
-        many = sum(len(passing.time) for passing in self._waiting) >= most
-        return self._states_within() if many else []
+        times = stored.times[histories, which]
+        # the first of each history, then the second ones
+        turn = np.arange(len(histories)) - np.searchsorted(histories, histories)
+        return [
+            self._at_times(before, histories[turn == k], times[turn == k])
+            for k in range(turn.max(initial=-1) + 1)
+        ]
 
-    def _show_waiting(self) -> None:
-        """Compute the states within steps that wait, and show them. Collective."""
-        self._ensemble.show(self._states_within())
-
-    def _states_within(self) -> list[Snapshot]:
-        """Return the states within steps that wait, those of a history in the order of time.
-
-        One that cannot be computed fails its history: a shorter step would be no other, as the step
-        itself was accepted. Collective.
-        """
-        parts = [batched.concat(self._waiting)] if self._waiting else []
-        self._waiting, snapshots = [], list[Snapshot]()
-        while parts:
-            passing = parts.pop(0)
-            count = len(passing.time)
-            try:
-                with together(self._ensemble.comm):
-                    snapshot = self._at_times(passing)
-            except Exception as error:
-                if _is_of_petsc(error):
-                    raise
-                if count > 1:
-                    apart = _apart(error, count)
-                    parts[:0] = [batched.take(passing, some) for some in apart if len(some)]
-                else:
-                    number, state = int(passing.numbers[0]), passing.state
-                    self._fail(number, error, str(error), state, passing.progress)
-            else:
-                snapshots.append(snapshot)
-        return snapshots
-
-    def _at_times(self, passing: StatesWithin) -> Snapshot:
-        """Return states within steps."""
-        ensemble = self._ensemble
-        assert self._present is not None
-        assert self._first_physics is not None
-        physics = self._first_physics.take(passing.rows)
-        pace = ensemble.pace(passing.numbers, passing.progress.steps)
-        if pace is not None:
-            physics = physics.at_pace(pace)
-        contacts = self._present.contacts.starting(passing.compliances, passing.warm)
+    def _at_times(self, before: Present, histories: IntArray, times: FloatArray) -> Snapshot:
+        """Return the states of some histories at times within their steps."""
+        part = before.take(histories)
         try:
-            step = ensemble.method.within(physics, contacts, passing.state, passing.time)
+            step = self._ensemble.method.within(part.physics, part.contacts, part.state, times)
+        except HistoriesError as error:
+            which = np.zeros(len(self.numbers), dtype=bool)
+            which[histories[error.which]] = True
+            raise HistoriesError(which) from error
         finally:
-            contacts.close()
-        every = np.ones(len(passing.time), dtype=bool)
-        progress = replace(passing.progress, steps=passing.progress.steps + 1)
+            part.contacts.close()
+        every = np.ones(len(histories), dtype=bool)
+        progress = replace(part.progress, steps=part.progress.steps + 1)
         return Snapshot(
-            passing.numbers, physics, contacts, step.state, step, progress,
+            self.numbers[histories], part.physics, part.contacts, step.state, step, progress,
             step.state.contact.iterations, every, every, ~every, passing=True,
         )  # fmt: skip
 
@@ -285,33 +207,24 @@ class Batch:
             return self._parted(error)
         if self._tries_shorter(error):
             return [self]
-        number, present = int(self.numbers[0]), self._present
-        if present is None:
-            self._ensemble.failures[number] = error
-            return []
-        self._show_waiting()
-        why = f"{self._failure}, {NO_STEP}" if self._failure else str(error)
-        if isinstance(error, InterfaceError):
-            why += f": {next_to_cross(present.physics, present.state)}"
-        self._fail(number, error, why, present.state, present.progress)
+        self._ensemble.failures[int(self.numbers[0])] = self._named(error)
         self.close()
         return []
 
-    def _fail(
-        self, number: int, error: Exception, why: str, state: State, progress: Progress
-    ) -> None:
-        """Note why a single history failed, with its step and time."""
-        if isinstance(error, ComputationError):
-            named = type(error)(
-                f"{why}; in step {int(progress.steps[0]) + 1}, from time {state.time[0]:g} s"
-                f"{unit_question(self._ensemble.cases[number], state.wear[:, 0])}"
-            )
-            named.__cause__, error = error, named
-        self._ensemble.failures.setdefault(number, error)  # states within steps are earlier
-
     def _parted(self, error: Exception) -> list["Batch"]:
         """Return batches that go on, histories in trouble apart, as far as it is known which."""
-        batches = self._split(_apart(error, len(self.numbers)))
+        count = len(self.numbers)
+        if isinstance(error, HistoriesError):
+            parts = [np.flatnonzero(~error.which), *np.flatnonzero(error.which)[:, None]]
+        else:  # whatever a user's law may raise, nobody knows for whom
+            expected = isinstance(error, RingwearError)
+            log.log(
+                logging.DEBUG if expected else logging.WARNING,
+                "%d histories cannot step together (%s)", count, reason_of(error),
+                exc_info=error if expected else None,
+            )  # fmt: skip
+            parts = list(np.array_split(np.arange(count), 2))
+        batches = self._split(parts)
         for batch in batches:
             batch._alone = len(batch.numbers) == 1 or not isinstance(error, HistoriesError)
         return batches
@@ -330,37 +243,32 @@ class Batch:
         self._alone, self._failure = True, str(error)
         return True
 
+    def _named(self, error: Exception) -> Exception:
+        """Return the error of a single history with its step and time."""
+        present = self._present
+        if present is None or not isinstance(error, ComputationError):
+            return error
+        case, state = self._ensemble.cases[int(self.numbers[0])], present.state
+        why = f"{self._failure}, {NO_STEP}" if self._failure else str(error)
+        if isinstance(error, InterfaceError):
+            why += f": {next_to_cross(present.physics, state)}"
+        named = type(error)(
+            f"{why}; in step {int(present.progress.steps[0]) + 1}, from time {state.time[0]:g} s"
+            f"{unit_question(case, state.wear[:, 0])}"
+        )
+        named.__cause__ = error
+        return named
+
     def _split(self, parts: Sequence[IntArray]) -> list["Batch"]:
         """Return batches of some of the histories each; this one ends."""
-        self._show_waiting()
         batches = []
         for part in parts:
             if len(part):
                 batch = Batch(self._ensemble, self.numbers[part])
-                if self._present is not None:
-                    batch._begin(self._present.take(part))
+                batch._present = None if self._present is None else self._present.take(part)
                 batches.append(batch)
         self.close()
         return batches
-
-
-def _apart(error: Exception, count: int) -> list[IntArray]:
-    """Return histories that go on after an error, those in trouble apart, as far as is known."""
-    if isinstance(error, HistoriesError):
-        return [np.flatnonzero(~error.which), *np.flatnonzero(error.which)[:, None]]
-    # whatever a user's law may raise, nobody knows for whom
-    expected = isinstance(error, RingwearError)
-    log.log(
-        logging.DEBUG if expected else logging.WARNING,
-        "%d histories cannot step together (%s)", count, reason_of(error),
-        exc_info=error if expected else None,
-    )  # fmt: skip
-    return list(np.array_split(np.arange(count), 2))
-
-
-def _is_of_petsc(error: Exception) -> bool:
-    """Tell whether an error is that of an option for PETSc."""
-    return isinstance(error, InputError) and not isinstance(error, UnfitError)
 
 
 def _with_entries_of(other: State, state: State) -> State:

@@ -34,7 +34,7 @@ class Snapshot:
     stored: BoolArray
     finished: BoolArray
     #: whether all of them lie within steps, at times of output, and the histories do not continue
-    #: from them: more than one may be of a history, and they may come after states of later times
+    #: from them
     passing: bool = field(default=False, metadata=along(None))
 
     def instant(self, place: int) -> "Instant":

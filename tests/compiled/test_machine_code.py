@@ -4,6 +4,7 @@ import ast
 import importlib.util
 import inspect
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -52,6 +53,7 @@ def test_damaged_code_is_compiled_anew(tmp_path, monkeypatch):
 def test_code_is_that_of_the_source_that_was_imported(tmp_path, monkeypatch):
     """Sources may change while a program runs that has not loaded its loops yet."""
     monkeypatch.setattr(machine_code, "_folders", lambda: [tmp_path])
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # which is known by size and second
     source = tmp_path / "multiply.py"
 
     def imported(factor):

@@ -1,6 +1,5 @@
 """Histories in lock step: as each would be alone, whoever the others are and whatever they do."""
 
-import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -182,8 +181,6 @@ def run(cases, pair, size=None, order=None, most=None):
             [cases[i] for i in part], ALONE, pair=pair, observers=[observe], most_together=most
         )
         assert outcome.failures == {}
-    for states in seen.values():  # those within steps may come late
-        states.sort(key=lambda row: row[0][2])
     return seen
 
 
@@ -322,40 +319,6 @@ def test_one_that_fails_does_not_disturb_the_others(flat, pair):
     good = [cases[i] for i in sorted(last)]
     for i, rows in run(good, pair).items():
         assert np.array_equal(rows[-1][2].wear, last[sorted(last)[i]].wear)
-
-
-@dataclass(frozen=True)
-class SpoiltInstant(ThresholdLaw):
-    """Fails in the histories whose threshold is 13 MPa, at one time of output."""
-
-    def rate(self, p, at):
-        """Return NaN there."""
-        p0 = np.broadcast_to(self._line(at)[1], p.shape)
-        spoilt = (np.broadcast_to(at.time, p.shape) == 7.77) & (p0 == 13.0)
-        return np.where(spoilt, np.nan, super().rate(p, at))
-
-
-def test_one_that_fails_within_a_step_does_not_disturb_the_others(flat, pair):
-    """States within steps are computed later than the steps: their histories end then."""
-    thresholds = zip(of_laws(flat, "threshold", 4), (0, 13, 20, 13), strict=True)
-    cases = [
-        replace(case, wear_lower=SpoiltInstant(1e-7, float(p0)), output=Output(times=(7.77,)))
-        for case, p0 in thresholds
-    ]
-    within, ended = set(), set()
-
-    def observe(snapshot):
-        if snapshot.passing:
-            within.update(snapshot.numbers.tolist())
-        ended.update(snapshot.numbers[snapshot.finished].tolist())
-
-    failures = simulate(cases, ALONE, pair=pair, observers=[observe]).failures
-    assert sorted(failures) == [1, 3]
-    assert within == {0, 2} <= ended
-    for number, error in failures.items():  # in the same words alone
-        with pytest.raises(ComputationError, match=re.escape(str(error))):
-            simulate_one(cases[number], ALONE, pair=pair)
-        assert "in step" in str(error)
 
 
 def test_what_nobody_expects_is_warned_of_once(flat, pair, caplog):

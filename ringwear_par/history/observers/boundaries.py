@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
 from mpi4py import MPI
 
 from ringwear_par.arrays import FloatArray
@@ -36,16 +35,15 @@ class BoundaryObserver:
         self.states = self._selection.of_interrupted(states, stored, finished)
 
     def __call__(self, snapshot: Snapshot) -> bool:
-        """Recover the fields of new states, if the case wants them. Collective."""
-        if self._recovery is None:
+        """Recover the fields of a state, if the case wants them. Collective."""
+        if self._recovery is None or not snapshot.accepted[0]:
             return False
-        for place in np.flatnonzero(snapshot.accepted).tolist():
-            instant = snapshot.instant(place)
-            if self._selection(instant):
-                state = instant.state
-                bodies = self._recovery.fields(
-                    state.contact.pressure, state.contact.approach,
-                    self._case.friction_at(float(state.time)), state.wear, state.meshed_wear,
-                )  # fmt: skip
-                self.states.append(BoundaryState(instant.steps, float(state.time), bodies))
+        instant = snapshot.instant(0)
+        if self._selection(instant):
+            state = instant.state
+            bodies = self._recovery.fields(
+                state.contact.pressure, state.contact.approach,
+                self._case.friction_at(float(state.time)), state.wear, state.meshed_wear,
+            )  # fmt: skip
+            self.states.append(BoundaryState(instant.steps, float(state.time), bodies))
         return False

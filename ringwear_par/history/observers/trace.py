@@ -40,9 +40,8 @@ class Trace:
         ------
         StopIteration : there is none.
         """
-        within = (one(s.state, i) for s in self.passing for i in range(len(s.numbers)))
-        states = (*self.states, *within)
-        return next(state for state in states if abs(state.time - time) <= SAME_TIME * time)
+        states = (snapshot.state for snapshot in (*self.snapshots, *self.passing))
+        return next(one(s, 0) for s in states if abs(s.time[0] - time) <= SAME_TIME * time)
 
     @property
     def last(self) -> State:
