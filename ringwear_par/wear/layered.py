@@ -215,16 +215,15 @@ class LayeredLaw(Law):
         """Return rise, mm/s/MPa, and onset, MPa, of rates that are lines in all layers."""
         if self._joined is not None:
             return self._joined.line(local)
-        lines = [law.line(at) for law, at in zip(self.laws, self.states(local), strict=True)]
-        if self.present is None or any(line is None for line in lines):
+        if self.present is None:
             return None
         rise, onset = np.zeros((2, *self.present.shape))
-        for number, line in enumerate(lines):
-            if line is not None:
-                in_layer = self.present == number
-                rise, onset = (
-                    np.where(in_layer, *pair) for pair in zip(line, (rise, onset), strict=True)
-                )
+        for number, (law, at) in enumerate(zip(self.laws, self.states(local), strict=True)):
+            line = law.line(at)
+            if line is None:
+                return None
+            in_layer = self.present == number
+            rise, onset = np.where(in_layer, line[0], rise), np.where(in_layer, line[1], onset)
         return rise, onset
 
     def d_rate_dp(self, p: FloatArray, local: LocalState) -> FloatArray:
