@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple
 
 from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals, part
-from ringwear_par.compiled.row_products import Matrices, multiply_rows
+from ringwear_par.compiled.product_rows import Matrices, multiply_rows
 
 #: of unknowns
 ROUND_OFF = 1e-13

@@ -11,7 +11,7 @@ import numpy as np
 from ringwear_par.compiled.contact_rows import Compliances
 from ringwear_par.compiled.hessian_rows import Bases, Blocks, Room
 from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals
-from ringwear_par.compiled.row_products import ROOM, four_rows, multiply_four
+from ringwear_par.compiled.product_rows import ROOM, four_rows, multiply_four
 
 
 class Estimates(NamedTuple):

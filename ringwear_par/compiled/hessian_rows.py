@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from ringwear_par.compiled.contact_rows import Compliances, Contacts, set_pressures
 from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals, in_order, part
-from ringwear_par.compiled.row_products import four_rows, multiply_four
+from ringwear_par.compiled.product_rows import four_rows, multiply_four
 
 #: what slopes may differ by from their shape, relative
 _ROUND_OFF = 1e-12

@@ -16,7 +16,7 @@ from ringwear_par.compiled import error_rows, hessian_rows
 from ringwear_par.compiled.error_rows import Errors, Estimates, Formula
 from ringwear_par.compiled.hessian_rows import Blocks, Renewals, Room, Systems
 from ringwear_par.compiled.machine_code import load
-from ringwear_par.compiled.row_products import ROOM
+from ringwear_par.compiled.product_rows import ROOM
 from ringwear_par.contact.basis_stack import BasisStack
 from ringwear_par.contact.problem import LARGEST_WITH_BASES, ContactProblem
 from ringwear_par.contact.scaled_compliances import ScaledCompliances

@@ -20,7 +20,7 @@ from ringwear_par.batched import keep
 from ringwear_par.compiled import contact_rows
 from ringwear_par.compiled.contact_rows import Contacts, Judgement
 from ringwear_par.compiled.machine_code import load
-from ringwear_par.compiled.row_products import ROOM
+from ringwear_par.compiled.product_rows import ROOM
 from ringwear_par.wear.increment import WearIncrement
 
 if TYPE_CHECKING:

@@ -3,9 +3,9 @@
 import numpy as np
 
 from ringwear_par.arrays import FloatArray, IntArray
-from ringwear_par.compiled import row_products
+from ringwear_par.compiled import product_rows
 from ringwear_par.compiled.machine_code import load
-from ringwear_par.compiled.row_products import ROOM, Matrices
+from ringwear_par.compiled.product_rows import ROOM, Matrices
 
 
 class RowProducts:
@@ -26,7 +26,7 @@ class RowProducts:
         (*shape, n), k, count = rows.shape, matrices.values.shape[-1], len(self._which)
         size = rows.size // n
         products = np.empty((size + ROOM, k))
-        load(row_products).multiply(
+        load(product_rows).multiply(
             count, n, k, size // max(count, 1), count, self._order, self._which, self._deviations,
             matrices, np.ascontiguousarray(rows), np.empty((4, k)), products,
         )  # fmt: skip

@@ -21,7 +21,7 @@ from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.batched import along, take
 from ringwear_par.compiled.contact_rows import Compliances
-from ringwear_par.compiled.row_products import Matrices
+from ringwear_par.compiled.product_rows import Matrices
 from ringwear_par.contact.row_products import RowProducts
 
 #: bytes of the bases that are kept

@@ -10,15 +10,9 @@ import numpy as np
 import pytest
 from commands import python
 
-from ringwear_par.compiled import (
-    contact_rows,
-    error_rows,
-    hessian_rows,
-    machine_code,
-    row_products,
-    step_rows,
-)
+from ringwear_par.compiled import error_rows, machine_code
 from ringwear_par.compiled.machine_code import load
+from ringwear_par.compiled.modules import LOOPS
 
 VALUES, PRESSURES = np.array([[1.0, -3.0], [math.nan, 1.0]]), np.array([[1.0, 2.0], [4.0, 2.0]])
 
@@ -106,11 +100,7 @@ def test_records_are_their_fields_and_parts_belong_to_loops(imported, fields):
         assert y.tolist() == [0.0, factor]
 
 
-@pytest.mark.parametrize(
-    "module",
-    [contact_rows, error_rows, hessian_rows, row_products, step_rows],
-    ids=lambda m: m.__name__,
-)
+@pytest.mark.parametrize("module", LOOPS, ids=lambda m: m.__name__)
 def test_sums_are_in_loops_that_set_nothing(module):
     """Digits of others would depend on whether arrays might overlap, so on where they are."""
     for loop in ast.walk(ast.parse(inspect.getsource(module))):

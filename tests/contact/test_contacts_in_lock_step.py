@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from one_contact import OneContact
 
-from ringwear_par.compiled.row_products import Matrices
+from ringwear_par.compiled.product_rows import Matrices
 from ringwear_par.contact import hessians, newton
 from ringwear_par.contact.engine import TAO_TYPES, ContactEngine
 from ringwear_par.contact.problem import KKT_TOLERANCE

@@ -15,7 +15,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import layer_entry
-from ringwear_par.compiled.row_products import Matrices
+from ringwear_par.compiled.product_rows import Matrices
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.elasticity.bem.compliance_family import family_number, family_of
 from ringwear_par.elasticity.bem.pair import ComplianceChange, ContactPair, Entry, layer_derivative

@@ -21,7 +21,7 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray, largest
 from ringwear_par.compiled import error_rows, step_rows
 from ringwear_par.compiled.error_rows import Errors, Estimates, Formula
 from ringwear_par.compiled.machine_code import load
-from ringwear_par.compiled.row_products import ROOM
+from ringwear_par.compiled.product_rows import ROOM
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.contact.solution_derivatives import SolutionDerivatives
