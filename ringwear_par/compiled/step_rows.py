@@ -4,8 +4,18 @@ Arrays are (B, n) or (B,), one after another where there are several.
 """
 
 import math
+from typing import NamedTuple
 
-from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals
+from ringwear_par.compiled.machine_code import Count, Flags, Integers, Reals
+
+_SAFETY, _LARGEST_GROWTH, _LARGEST_CUT = 0.82, 5.0, 0.1
+#: share of the tolerance that the error of a step may be, whatever the history's error before it
+_LEAST_ALLOWED = 0.05
+#: wear of the first step, in tolerances: edges wear fast and not for long
+_FIRST_WEAR = 50.0
+#: largest error of the dissipated energy of one step, relative to that of the whole history as it
+#: would be if the power stayed
+_ENERGY_TOLERANCE = 1e-4
 
 
 def wear_by_lines(
@@ -101,36 +111,72 @@ def add_power(
         sums[power], sums[4 * count + history] = max(start, stage, end), touching
 
 
+class Tolerances(NamedTuple):
+    """What a control holds steps of B histories to, see ``ErrorControl``."""
+
+    #: (B,) s, ends of histories
+    ends: Reals
+    #: (B,) mm, and relative to the mean pressure
+    wear: Reals
+    pressure: Reals
+    #: (B,) mm, most wear of a step
+    most_wear: Reals
+
+
+class Tries(NamedTuple):
+    """Tries of the steps of B histories."""
+
+    #: (B,) s, of the present step, uncut, and of the next one; 0 before the first
+    lengths: Reals
+    next_lengths: Reals
+    #: (B,) whether errors of pressures have shortened tries of the step, and limits this one
+    are_pressed: Flags
+    are_cut: Flags
+
+
+class StepErrors(NamedTuple):
+    """Estimated errors of the tries of B histories."""
+
+    #: (B,) mm, of the wear of steps, of histories at their ends, and what these are of before
+    wear: Reals
+    history: Reals
+    carried: Reals
+    #: (B,) mJ, and the largest power, mW
+    energy: Reals
+    power: Reals
+    #: (B,) relative to pressures
+    pressure: Reals
+
+
 def choose_ends(
-    count: Count, n: Count, times: Reals, limits: Reals, begun: Flags, lengths: Reals,
-    next_lengths: Reals, rates: Reals, most_time: Reals, first_wear: Reals, most_wear: Reals,
-    new_lengths: Reals, ends: Reals, cut: Flags,
+    count: Count, n: Count, times: Reals, limits: Reals, begun: Flags, tries: Tries,
+    tolerances: Tolerances, rates: Reals, new: Tries, ends: Reals,
 ) -> None:  # fmt: skip
     """Set lengths and ends of tries, s, and which of them are cut by their limits.
 
-    Steps that have begun have the present lengths, others the next ones, 0 before the first step;
-    these wear off ``first_wear``, and none more than ``most_wear``, mm.
+    Steps that have begun have the present lengths, others the next ones; the first wear off some
+    tolerances, and none more than they may. Rates are those of both sides, (2, B, n) mm/s.
     """
     for history in range(count):
-        length = lengths[history]
+        length, most = tries.lengths[history], tolerances.most_wear[history]
         if not begun[history]:
-            length, fastest = next_lengths[history], 0.0
+            length, fastest = tries.next_lengths[history], 0.0
             is_first = length == 0.0
-            if is_first or most_wear[history] < math.inf:
+            if is_first or most < math.inf:
                 for side in range(2):
                     row = (side * count + history) * n
                     for k in range(row, row + n):
                         fastest = max(fastest, rates[k])
             if is_first:
-                length = most_time[history]
+                length = tolerances.ends[history]
                 if fastest > 0.0:
-                    length = min(length, first_wear[history] / fastest)
+                    length = min(length, _FIRST_WEAR * tolerances.wear[history] / fastest)
             if fastest > 0.0:
-                length = min(length, most_wear[history] / fastest)
+                length = min(length, most / fastest)
         left = limits[history] - times[history]
-        cut[history] = length >= left * (1.0 - 1e-9)
-        new_lengths[history] = length
-        if cut[history]:
+        new.are_cut[history] = length >= left * (1.0 - 1e-9)
+        new.lengths[history] = length
+        if new.are_cut[history]:
             ends[history] = limits[history]
         elif length < 0.5 * left or length > 0.9 * left:
             ends[history] = times[history] + length
@@ -140,51 +186,47 @@ def choose_ends(
 
 def judge_tries(
     count: Count, n: Count, errors_before: Reals, times_before: Reals, times: Reals,
-    most_time: Reals, energies: Reals, powers: Reals, energy_errors: Reals, wear_errors: Reals,
-    history_errors: Reals, carried_errors: Reals, pressure_errors: Reals, wear_tolerances: Reals,
-    pressure_tolerances: Reals, energy_tolerance: Real, least_allowed: Real, safety: Real,
-    largest_cut: Real, largest_growth: Real, too_far: Flags, was_pressed: Flags, cut: Flags,
-    lengths: Reals, next_lengths: Reals, accepted: Flags, pressed: Flags, undefined: Flags,
-    new_lengths: Reals, new_next_lengths: Reals,
+    energies: Reals, errors: StepErrors, tolerances: Tolerances, too_far: Flags, tries: Tries,
+    accepted: Flags, undefined: Flags, new: Tries,
 ) -> None:  # fmt: skip
     """Set which tries are accepted, and the lengths of the next ones, see ``ErrorControl``."""
     for history in range(count):
         missed, row = 0.0, history * n
         for k in range(row, row + n):
             missed = max(missed, abs(errors_before[k]))
-        tolerance, carried = wear_tolerances[history], carried_errors[history]
-        whole = energy_tolerance * (
-            energies[history] + powers[history] * (most_time[history] - times[history])
+        tolerance, carried = tolerances.wear[history], errors.carried[history]
+        whole = _ENERGY_TOLERANCE * (
+            energies[history] + errors.power[history] * (tolerances.ends[history] - times[history])
         )
-        energy = max(energy_errors[history] / whole if whole > 0.0 else 0.0, 1e-6)
-        error, least = wear_errors[history], least_allowed * tolerance
+        energy = max(errors.energy[history] / whole if whole > 0.0 else 0.0, 1e-6)
+        error, least = errors.wear[history], _LEAST_ALLOWED * tolerance
         ratio = max(energy, error / max(tolerance - carried, least))
         # the next step is to leave as much of the error before it as this one does
         share = min(carried / missed, 1.0) if missed > 0.0 else 1.0
-        ahead = max(energy, error / max(tolerance - history_errors[history] * share, least))
-        over = pressure_errors[history] / pressure_tolerances[history]
+        ahead = max(energy, error / max(tolerance - errors.history[history] * share, least))
+        over = errors.pressure[history] / tolerances.pressure[history]
         if not math.isfinite(over):
             over = math.inf
         pressing = over > 1.0
         if pressing:
             ratio = max(ratio, over)
-        if not math.isfinite(error + energy_errors[history] + whole + carried):
+        if not math.isfinite(error + errors.energy[history] + whole + carried):
             ratio = ahead = math.inf
-        if not math.isfinite(history_errors[history]):
+        if not math.isfinite(errors.history[history]):
             ahead = math.inf
         within = ratio <= 1.0
         accepted[history] = within and not too_far[history]
-        pressed[history] = was_pressed[history] or pressing
+        new.are_pressed[history] = tries.are_pressed[history] or pressing
         undefined[history] = ratio == math.inf
-        length, uncut = times[history] - times_before[history], lengths[history]
-        new_lengths[history] = uncut
-        new_next_lengths[history] = next_lengths[history]
+        length, uncut = times[history] - times_before[history], tries.lengths[history]
+        new.lengths[history], new.next_lengths[history] = uncut, tries.next_lengths[history]
         # the third root of the error, with care
         if not within:
-            new_lengths[history] = length * max(safety * ratio ** (-1.0 / 3.0), largest_cut)
+            new.lengths[history] = length * max(_SAFETY * ratio ** (-1.0 / 3.0), _LARGEST_CUT)
         if accepted[history]:
-            change = max(safety * ahead ** (-1.0 / 3.0), largest_cut)
+            change = max(_SAFETY * ahead ** (-1.0 / 3.0), _LARGEST_CUT)
             # errors of pressure come and go with elements: they limit steps, but do not foretell
             # them
-            following = length * min(change, 1.0 if pressed[history] else largest_growth)
-            new_next_lengths[history] = max(following, uncut) if cut[history] else following
+            following = length * min(change, 1.0 if new.are_pressed[history] else _LARGEST_GROWTH)
+            cut = tries.are_cut[history]
+            new.next_lengths[history] = max(following, uncut) if cut else following
