@@ -210,7 +210,7 @@ def _set_errors(
     memory: FloatArray | None,
 ) -> None:
     """Set the errors of steps of some histories or all, by responses to them."""
-    loops, shape = load(error_rows), slope.shape
+    loops, shape = load(error_rows), estimates.in_last.shape
     unfiltered, propagated = np.empty((3, *shape)), np.empty((2, *shape))
     loops.rate_errors(*shape, estimates, _ERRORS, unfiltered)
     if closing is not None:  # those make one step of first order, see ``entry_error``
@@ -229,7 +229,7 @@ def _set_errors(
     reliefs, *changing = relieved(
         unfiltered if memory is None else np.concatenate([unfiltered[:1], memory * unfiltered[1:]])
     )
-    errors.relief[: len(slope)] = reliefs[0]
+    errors.relief[: shape[0]] = reliefs[0]
     # (1 + (1 - 2 gamma) z) / (1 - gamma z)^2 of the error before, z being h J
     loops.propagate(
         *shape, unfiltered, *changing, *remembered, estimates, _ERRORS, errors, propagated
