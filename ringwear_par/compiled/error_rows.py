@@ -164,23 +164,25 @@ def propagate_errors(
             slope = depth_slopes[row + i] * compliances.slope_scale[scale + i]
             changed += 0 if slope == blocks.slopes[row + i] else 1
         if diagonal and changed == 0:
-            room.ready[n_ready] = history
+            room.in_bases[n_ready] = history
             n_ready += 1
         else:
-            room.left[skipped] = history
+            room.not_in_bases[skipped] = history
             skipped += 1
     n_left[0] = skipped
     at, all_rows, gamma, weights = 0, size * n, formula.gamma, formula.weights
     at_start, at_first, at_last = weights[0], weights[1] / gamma, weights[2] / gamma
     per_gamma, responses, inverses = 1.0 / gamma, blocks.responses, blocks.inverses
     while at < n_ready:
-        row0, row1, row2, row3, together = four_rows(at, n_ready, 1, size, room.ready, blocks.bases)
+        row0, row1, row2, row3, together = four_rows(
+            at, n_ready, 1, size, room.in_bases, blocks.bases
+        )
         number = blocks.bases[row0]
         m, first, end = (
             bases.extents[3 * number], bases.extents[3 * number + 1], bases.extents[3 * number + 2],
         )  # fmt: skip
         for q in range(together):
-            history, place = room.ready[at + q], q * n
+            history, place = room.in_bases[at + q], q * n
             row, scale = history * n, blocks.compliances[history] * n
             length = estimates.lengths[history]
             for i in range(n):
@@ -200,7 +202,7 @@ def propagate_errors(
                 four + 13, four + 14, four + 15, rows, first, end, 0, m,
             )  # fmt: skip
         for q in range(together):
-            history, basis = room.ready[at + q], number * n
+            history, basis = room.in_bases[at + q], number * n
             row, keeps = history * n, with_forces and blocks.stiffness[history] > 0.0
             for three in range(q * n, 12 * n, 4 * n):
                 change, again = 0.0, 0.0
@@ -234,7 +236,7 @@ def propagate_errors(
                 four + 9, four + 10, four + 11, rows, 0, m, first, end,
             )  # fmt: skip
         for q in range(together):
-            history, step, earlier = room.ready[at + q], (12 + q) * n, (16 + q) * n
+            history, step, earlier = room.in_bases[at + q], (12 + q) * n, (16 + q) * n
             row, scale = history * n, blocks.compliances[history] * n
             step_error, history_error, earlier_error, total = 0.0, 0.0, 0.0, 0.0
             for i in range(n):

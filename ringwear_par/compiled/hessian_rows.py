@@ -94,8 +94,8 @@ class Room(NamedTuple):
     rows: Reals
     sizes: Reals
     #: (B,) histories that are solved in bases, and the others
-    ready: Integers
-    left: Integers
+    in_bases: Integers
+    not_in_bases: Integers
 
 
 def set_slopes(
@@ -226,19 +226,21 @@ def take_steps(
         if is_left:
             n_left += 1
         elif not has_basis:
-            room.left[n_factored] = history
+            room.not_in_bases[n_factored] = history
             n_factored += 1
         else:
             if is_new and not are_inverted:
                 blocks.are_valid[history] = True
                 _invert(n, history, bases, blocks, renewals.rates[place])
-            room.ready[n_ready] = history
+            room.in_bases[n_ready] = history
             n_ready += 1
     _step_in_bases(
-        n_ready, n, 1, size, room.ready, every, blocks.bases, compliances, bases, blocks, systems,
-        room, tolerance, regular_tolerance,
+        n_ready, n, 1, size, room.in_bases, every, blocks.bases, compliances, bases, blocks,
+        systems, room, tolerance, regular_tolerance,
     )  # fmt: skip
-    _step_by_factors(n_factored, n, 1, size, room.left, every, compliances, blocks, systems, room)
+    _step_by_factors(
+        n_factored, n, 1, size, room.not_in_bases, every, compliances, blocks, systems, room
+    )
     for k in range(count):
         place = order[k]
         history = histories[place]

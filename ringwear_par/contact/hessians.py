@@ -77,8 +77,8 @@ class Hessians:
         self._room = Room(
             rows=np.empty((24, n)),
             sizes=np.empty(8),
-            ready=np.empty(count, dtype=np.int64),
-            left=np.empty(count, dtype=np.int64),
+            in_bases=np.empty(count, dtype=np.int64),
+            not_in_bases=np.empty(count, dtype=np.int64),
         )
         #: those of steps of Newton's method under forces, of the gradients of the problem last
         self._systems: Systems | None = None
@@ -310,7 +310,7 @@ class Hessians:
             self.blocks.free if closing is None else closing, closing is not None, slope, n_left,
             errors,
         )  # fmt: skip
-        left: IntArray = self._room.left[: n_left[0]]
+        left: IntArray = self._room.not_in_bases[: n_left[0]]
         return left.copy()
 
     def _steps(
