@@ -30,6 +30,8 @@ _UNREACHED = "the time at which an element reaches the end of its layer cannot b
 _LEAST_ALLOWED = 0.05
 #: wear of the first step, in tolerances: edges wear fast and not for long
 _FIRST_WEAR = 50.0
+#: length of a first step after a crossing over the shortest one since the crossing before
+_AFTER_CROSSING = 1.2
 #: largest error of the dissipated energy of one step, relative to that of the whole history as it
 #: would be if the power stayed
 _ENERGY_TOLERANCE = 1e-4
@@ -269,6 +271,7 @@ class ErrorControl:
             undefined, length, next_step,
         )  # fmt: skip
         rejected = ~accepted
+        next_step, shortest = _after_crossing(step, accepted, next_step, progress)
         return Decision(
             accepted,
             accepted,
@@ -284,6 +287,7 @@ class ErrorControl:
                 iterations,
                 undefined,
                 np.where(accepted | too_far, step.interface, progress.interface),
+                shortest,
                 step.history_error,
             ),
         )
@@ -299,6 +303,24 @@ class ErrorControl:
     def finished(self, state: State, progress: Progress) -> BoolArray:
         """Return which histories are at their end."""
         return state.time >= self.end
+
+
+def _after_crossing(
+    step: Step, accepted: BoolArray, next_step: FloatArray, progress: Progress
+) -> tuple[FloatArray, FloatArray]:
+    """Return the next steps and the shortest ones, s, shortened where an element has crossed.
+
+    Rates have jumped then, as they did at the crossing before, after which steps were short.
+    """
+    shortest = progress.shortest
+    if step.crossed is False:
+        return next_step, shortest
+    crossed = accepted & step.crossed
+    shortest = np.where(accepted, np.minimum(shortest, next_step), shortest)
+    return (
+        np.where(crossed, np.minimum(next_step, _AFTER_CROSSING * shortest), next_step),
+        np.where(crossed, np.inf, shortest),
+    )
 
 
 def _until_interface(state: State, end: FloatArray, progress: Progress) -> FloatArray:
