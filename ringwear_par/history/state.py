@@ -114,8 +114,8 @@ class Progress:
     undefined: BoolArray
     #: s, when the first element is expected at the end of its layer; infinite where none is
     interface: FloatArray
-    #: s, shortest of the next steps since an element came to its next layer: the one after that was
-    #: no longer, and so it is with the next element; infinite where none has
+    #: s, shortest of the next steps since an element came to its next layer, or since the start;
+    #: infinite where there was none
     shortest: FloatArray
     #: mm, estimated error of the last step, all of its parts, see ``Step.history_error``
     step_error: FloatArray

@@ -312,11 +312,10 @@ def _after_crossing(
 
     Rates have jumped then, as they did at the crossing before, after which steps were short.
     """
-    shortest = progress.shortest
-    if step.crossed is False:
-        return next_step, shortest
+    shortest = np.where(accepted, np.minimum(progress.shortest, next_step), progress.shortest)
     crossed = accepted & step.crossed
-    shortest = np.where(accepted, np.minimum(shortest, next_step), shortest)
+    if not crossed.any():
+        return next_step, shortest
     return (
         np.where(crossed, np.minimum(next_step, _AFTER_CROSSING * shortest), next_step),
         np.where(crossed, np.inf, shortest),
