@@ -370,6 +370,12 @@ class Case:
             return 2.0 + len(self.output.times)
         return (100.0 if self.time.adaptive else 1.0 + self.time.steps) / self.output.every
 
+    @property
+    def last_stored_time(self) -> float:
+        """The last time at which a key says that something is stored, s; 0 where none does."""
+        times = [self.output.times, self.output.boundary, self.stress and self.stress.times]
+        return max((part[-1] for part in times if isinstance(part, tuple) and part), default=0.0)
+
     def section(self, ring: Ring) -> Section:
         """Return the meridian section of one of the two rings, in its own frame."""
         layers = tuple(layer.thickness for layer in ring.layers)

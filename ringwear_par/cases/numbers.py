@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray
-from ringwear_par.cases.case import Case, Ring, RingLayer
+from ringwear_par.cases.case import SAME_TIME, Case, Ring, RingLayer
 from ringwear_par.cases.files.key_values import make_law
 from ringwear_par.cases.layers import LAYERS
 from ringwear_par.cases.schema import BY_PATH, LAYER_KEYS, key_of
@@ -102,9 +102,11 @@ def needs_reading(case: Case, numbers: Mapping[Number, FloatArray]) -> BoolArray
     refused = np.zeros(len(next(iter(numbers.values()))), dtype=bool)
     if any(isinstance(law, UserLaw) for law in (case.wear_lower, case.wear_upper)):
         return ~refused  # their functions are tried
-    whole = replace(case, time=replace(case.time, until=math.inf))  # with all its breakpoints
-    if ("time.end", None) in numbers and (case.output.times or whole.breakpoints):
-        return ~refused
+    ends = numbers.get(("time.end", None))
+    if ends is not None:
+        whole = replace(case, time=replace(case.time, until=math.inf))  # with all its breakpoints
+        refused |= np.searchsorted(whole.breakpoints, ends) != len(case.breakpoints)
+        refused |= case.last_stored_time > ends * (1.0 + SAME_TIME)
     displacement = numbers.get(("load.displacement", None))
     if displacement is not None:
         refused |= case.interpenetration > displacement

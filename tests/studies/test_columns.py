@@ -174,6 +174,22 @@ def test_few_cases_are_made_where_only_numbers_differ(tmp_path, comm, monkeypatc
     assert len(pickle.dumps(found)) < 300 * 100
 
 
+@pytest.mark.parametrize("end", [100.0, 30.0])
+def test_ends_of_cases(tmp_path, end):
+    """Another end may have other steps, or be before a time at which something is stored."""
+    text = ADAPTIVE.replace("friction = 0.1", "friction = [[0, 0.1], [50, 0.2]]")
+    text += "\n[stress]\npoints = [[30.0, 15.0]]\ntimes = [40.0]\n"
+    (tmp_path / "base.toml").write_text(text)
+    tables = {"case": str(tmp_path / "base.toml"), "vary": {"time.end": {"values": [45, end, 80]}}}
+    wanted, faults = one_by_one(tables)
+    if faults:
+        with pytest.raises(InputError) as error:
+            read_study(tables)
+        assert error.value.faults == faults
+    else:
+        check_cases(read_study(tables), wanted)
+
+
 def test_a_users_law_is_the_one_that_was_tried(tmp_path):
     """Whatever becomes of its file before a case is computed, or on another machine."""
     for name in ("user_law.toml", "user_law.py"):
