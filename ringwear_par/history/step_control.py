@@ -27,6 +27,8 @@ _AFTER_FAILURE = 0.25
 NO_STEP = "and no step is short enough"
 #: beginning of a sentence about a step that is to end at an interface
 _UNREACHED = "the time at which an element reaches the end of its layer cannot be computed"
+#: length of a first step after a crossing over the shortest one since the crossing before
+_AFTER_CROSSING = 1.2
 
 
 @dataclass(frozen=True)
@@ -270,12 +272,13 @@ class ErrorControl:
             self._tolerances, too_far, _tries_of(progress), accepted, undefined, new,
         )  # fmt: skip
         rejected = ~accepted
+        next_step, shortest = _after_crossing(step, accepted, new.next_lengths, progress)
         return Decision(
             accepted,
             accepted,
             Progress(
                 progress.steps + accepted,
-                new.next_lengths,
+                next_step,
                 progress.rejected + rejected,
                 progress.iterations + accepted * iterations,
                 new.lengths,
@@ -285,6 +288,7 @@ class ErrorControl:
                 iterations,
                 undefined,
                 np.where(accepted | too_far, step.interface, progress.interface),
+                shortest,
                 step.history_error,
             ),
         )
@@ -308,6 +312,23 @@ def _tries_of(progress: Progress) -> Tries:
 
 def _new_tries(count: int) -> Tries:
     return Tries(*np.empty((2, count)), *np.empty((2, count), dtype=bool))
+
+
+def _after_crossing(
+    step: Step, accepted: BoolArray, next_step: FloatArray, progress: Progress
+) -> tuple[FloatArray, FloatArray]:
+    """Return the next steps and the shortest ones, s, shortened where an element has crossed.
+
+    Rates have jumped then, as they did at the crossing before, after which steps were short.
+    """
+    shortest = np.where(accepted, np.minimum(progress.shortest, next_step), progress.shortest)
+    crossed = accepted & step.crossed
+    if not crossed.any():
+        return next_step, shortest
+    return (
+        np.where(crossed, np.minimum(next_step, _AFTER_CROSSING * shortest), next_step),
+        np.where(crossed, np.inf, shortest),
+    )
 
 
 def _until_interface(state: State, end: FloatArray, progress: Progress) -> FloatArray:

@@ -67,7 +67,7 @@ def step(
     with_errors: bool = True,
 ) -> Step:
     """Return the step to a time; without layers perhaps without its errors, which are 0 then."""
-    physics = physics.in_present_layers(state.wear)
+    at_face, physics = physics, physics.in_present_layers(state.wear)
     length, p_before = end - state.time, state.contact.pressure
     middle, stage_length = state.time + GAMMA * length, GAMMA * length
     sliding = [physics.sliding(t) for t in (state.time, middle, end)]
@@ -134,7 +134,7 @@ def step(
         None if closing is None else closing.mask,
     )  # fmt: skip
     after = replace(after, error=errors.at_end)
-    passage = Passage.of(physics, state, after, end, sliding[2], contact.pressure, then)
+    passage = Passage.of(at_face, physics, state, after, end, sliding[2], contact.pressure, then)
     wear_error, history_error, carried_error = errors.largest
     mean_pressure = contact.force / np.maximum(touching, physics.least_area)
     if passage is not None:
