@@ -71,10 +71,12 @@ class Physics:
     pair_is_shared: bool = False
     #: the last increment, where rates stay: it is that of all steps or stages of the same length
     _last: list[WearIncrement] = field(default_factory=list, init=False, repr=False, compare=False)
-    #: the last two sets of layers, (2, B, n), with the physics of elements that stay in them
-    _of_layers: list[tuple[IntArray, Any]] = field(
-        default_factory=list, init=False, repr=False, compare=False
-    )
+    #: (2, B, n) layers that elements stay in, and mm along the axis, where these end: infinite of
+    #: bodies themselves; None: elements are in the layers that are at the face
+    layers: IntArray | None = field(default=None, init=False, repr=False, compare=False)
+    ends: FloatArray | None = field(default=None, init=False, repr=False, compare=False)
+    #: of elements that stay in the layers that were asked for last
+    _of_layers: list[Any] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @classmethod
     def of(
@@ -376,26 +378,24 @@ class Physics:
 
     def in_layers(self, layers: IntArray) -> Self:
         """Return the physics of elements that stay in these layers, (2, B, n)."""
-        for known, physics in self._of_layers:
-            if np.array_equal(known, layers):
-                return physics
-        inputs = self.inputs.with_laws(lambda i, law: law.in_layers(layers[i]))
-        physics = copy(self)  # with all that it has computed, as none of it depends on layers
-        physics.__dict__.update(inputs=inputs, _last=[], _of_layers=[])
-        self._of_layers[:] = [(layers, physics), *self._of_layers[:1]]
+        known = self._of_layers
+        physics = next((k for k in known if np.array_equal(k.layers, layers)), None)
+        if physics is None:
+            physics = self._copied_in_layers(layers)
+        # a step asks for the layers at its start, the next ones below, and those at its end
+        known[:] = [physics, *(other for other in known if other is not physics)][:3]
         return physics
 
-    def ends_of(self, layers: IntArray) -> FloatArray:
-        """Return the depths along the axis at which layers end, (2, B, n) mm.
-
-        Infinite of bodies themselves.
-        """
+    def _copied_in_layers(self, layers: IntArray) -> Self:
         ends = np.full(layers.shape, np.inf)
         for i, law in enumerate(self.inputs.laws):
             if isinstance(law, LayeredLaw):
                 end = law.end_of(layers[i])
                 ends[i] = end if self.obliquity is None else end * self.obliquity
-        return ends
+        inputs = self.inputs.with_laws(lambda i, law: law.in_layers(layers[i]))
+        physics = copy(self)  # with all that it has computed, as none of it depends on layers
+        physics.__dict__.update(inputs=inputs, layers=layers, ends=ends, _last=[], _of_layers=[])
+        return physics
 
     def layer_left(self, body: int, wear: FloatArray) -> FloatArray:
         """Return the thickness left of all layers of a body, (..., n) mm, worn by (..., n) mm."""

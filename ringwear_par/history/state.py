@@ -114,6 +114,9 @@ class Progress:
     undefined: BoolArray
     #: s, when the first element is expected at the end of its layer; infinite where none is
     interface: FloatArray
+    #: s, shortest of the next steps since an element came to its next layer, or since the start;
+    #: infinite where there was none
+    shortest: FloatArray
     #: mm, estimated error of the last step, all of its parts, see ``Step.history_error``
     step_error: FloatArray
 
@@ -122,7 +125,7 @@ class Progress:
         """Return the progress of B histories before their first step."""
         zeros, no = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
         length, never = np.zeros(count), np.full(count, np.inf)
-        return cls(zeros, length, zeros, zeros, length, no, no, no, zeros, no, never, length)
+        return cls(zeros, length, zeros, zeros, length, no, no, no, zeros, no, never, never, length)
 
 
 @dataclass(frozen=True)

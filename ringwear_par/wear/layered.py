@@ -24,10 +24,10 @@ def worn_through(ends: FloatArray, wear: FloatArray) -> BoolArray:
 
     Parameters
     ----------
-    ends : (layers, n) or (..., n) float, mm, depths of the layers' ends.
+    ends : (layers, n) or (..., n) float, mm, depths of the layers' ends; may be infinite.
     wear : (..., n) float, mm.
     """
-    through: BoolArray = ends - wear <= _ROUND_OFF * np.abs(ends)
+    through: BoolArray = wear >= (1.0 - _ROUND_OFF) * ends
     return through
 
 

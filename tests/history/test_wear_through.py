@@ -144,13 +144,13 @@ def test_derivatives_are_those_of_differences(pair, scheme):
     if scheme == "adaptive":
         times = [state.time for state in trace(case, ALONE, pair=pair).states[1:]]
 
-    def history(changed, keys=()):
+    def history(changed):
         seen = Trace()
-        how = {"observers": [seen], "derivatives": keys, "step_times": times}
+        how = {"observers": [seen], "step_times": times, "derivatives": KEYS}
         simulate_one(changed, ALONE, pair=pair, **how)
         return seen
 
-    found = history(case, KEYS)
+    found = history(case)
     state = found.last
     assert 0.0 < (found.physics.layer_left(0, state.wear[0]) <= 0.0).mean() < 1.0
     values = (2e-8, 5.0, 1e-7, 80.0, 0.1)

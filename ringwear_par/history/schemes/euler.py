@@ -20,7 +20,7 @@ from ringwear_par.wear.increment import total_of
 
 def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
     """Return the explicit step to a time."""
-    physics = physics.in_present_layers(state.wear)
+    at_face, physics = physics, physics.in_present_layers(state.wear)
     length = end - state.time
     sliding = physics.mean_sliding(state.time, end)
     p, rates = state.contact.pressure, state.rates
@@ -38,13 +38,13 @@ def forward(physics: Physics, contacts: CorrectedContacts, state: State, end: Fl
     after = advanced(
         physics, state, end, wear, volumes, energy, work, contact, end_rates, step_tangent
     )
-    passage = Passage.of(physics, state, after, state.time, sliding, p, rates)
+    passage = Passage.of(at_face, physics, state, after, state.time, sliding, p, rates)
     return end_at_interfaces(contacts, state, _estimate_error(state, after), passage, step_tangent)
 
 
 def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: FloatArray) -> Step:
     """Return the implicit step to a time."""
-    physics = physics.in_present_layers(state.wear)
+    at_face, physics = physics, physics.in_present_layers(state.wear)
     length = end - state.time
     sliding = physics.mean_sliding(state.time, end)
     increment = physics.increment(end, sliding, state.wear, length)
@@ -75,7 +75,7 @@ def backward(physics: Physics, contacts: CorrectedContacts, state: State, end: F
         end_rates,
         step_tangent,
     )
-    passage = Passage.of(physics, state, after, end, sliding, p, rates)
+    passage = Passage.of(at_face, physics, state, after, end, sliding, p, rates)
     return end_at_interfaces(contacts, state, _estimate_error(state, after), passage, step_tangent)
 
 

@@ -49,6 +49,8 @@ class Step:
     too_far: Any = False
     #: (B,), s, when the first element got to the end of its layer, or is expected to
     interface: Any = np.inf
+    #: (B,), whether an element is in its next layer at the end
+    crossed: Any = False
 
 
 Scheme = Callable[[Physics, CorrectedContacts, State, FloatArray], Step]

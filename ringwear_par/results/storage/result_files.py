@@ -298,6 +298,7 @@ _STATE_NUMBERS: dict[str, tuple[str, type]] = {
     "progress.next_step": ("next_step", float),
     "progress.rejected": ("rejected", int),
     "progress.interface": ("interface", float),
+    "progress.shortest": ("shortest_step", float),
     "updates": ("assemblies", int),
     "state.contact.approach": ("approach", float),
     "state.contact.force": ("force", float),
