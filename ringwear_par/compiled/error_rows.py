@@ -149,17 +149,14 @@ def propagate_errors(
 
     What slopes times a response to gaps add is diagonal there, so that another response is
     y' = (1 - P) y, P being the inverses with forces kept. ``n_left`` (1,) of the ``order`` (count,)
-    are left: those that have no basis, or slopes that are no longer those of a diagonal Hessian.
+    are left: those that have no basis, or slopes that are no longer those of a diagonal Hessian. Of
+    compliances that deviate, K' off its diagonal is left out: estimates change by up to 2 %.
     """
     n_ready, skipped, rows = 0, 0, room.rows
     for k in range(count):
         history = order[k]
         row, scale, changed = history * n, blocks.compliances[history] * n, 0
-        diagonal = (
-            blocks.bases[history] >= 0
-            and blocks.are_regular[history]
-            and blocks.deviations[history] == 0.0
-        )
+        diagonal = blocks.bases[history] >= 0 and blocks.are_regular[history]
         for i in range(n):
             slope = depth_slopes[row + i] * compliances.slope_scale[scale + i]
             changed += 0 if slope == blocks.slopes[row + i] else 1

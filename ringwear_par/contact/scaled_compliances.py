@@ -145,6 +145,12 @@ class ScaledCompliances:
             np.ones(len(self.reference)) if more is None else np.sqrt(more.share),
         )
 
+    @cached_property
+    def excess(self) -> Matrices:
+        """(f, n, n) mm/MPa, ``transposed_excess``, and that of deviations."""
+        more = self.deviations
+        return Matrices.of(self.transposed_excess, None if more is None else more.transposed_excess)
+
     def deviation(self, which: IntArray) -> FloatArray:
         """Return how compliances (h,) deviate from their references, (h,)."""
         more = self.deviations
@@ -219,11 +225,9 @@ class ComplianceProducts:
 
     def gap_of_excess(self, p: FloatArray) -> FloatArray:
         """Return the gap that the excess opens at pressures (..., h, n) MPa, mm."""
-        more, excess = self._compliances.deviations, self._compliances.transposed_excess
-        if more is None:
-            return self._rows.of(p, Matrices.of(excess))
-        gap = self._rows.of(p, Matrices.of(excess, more.transposed_excess))
-        gap *= more.share[self._which][:, None]
+        gap, more = self._rows.of(p, self._compliances.excess), self._compliances.deviations
+        if more is not None:
+            gap *= more.share[self._which][:, None]
         return gap
 
 
