@@ -1,10 +1,11 @@
 """Stepping of histories by several checkouts in turns: CPU time a history, and ratios to the last.
 
-    python scripts/benchmark_in_turns.py 3 OLD NEW [kind...]
+    python scripts/benchmark_in_turns.py 3 OLD NEW [kind...] ["own moduli:1024" ...]
 
 Each checkout (a folder, its compiled code in the cache) has a process of its own, and they compute
 one after another, so that a busy machine is busy for all of them. Stepping is ``simulate``: no
-checks of cases, no files; all histories side by side. Medians of so many turns.
+checks of cases, no files; all histories side by side, as many of them as stand after a kind.
+Medians of so many turns.
 """
 
 import os
@@ -30,8 +31,9 @@ except ImportError:  # up to commit 0113fc3
 P0 = {"above": (0.0, 5.0), "35 to 60": (35.0, 60.0), "implicit": (0.0, 5.0), "power": None}
 COUNT = {"implicit": 256, "own moduli": 256, "alone": 1, "wear through": 1, "96 wear through": 96}
 
-def drawn(kind):
-    count = COUNT.get(kind, 512)
+def drawn(words):
+    kind, _, number = words.partition(":")
+    count = int(number or COUNT.get(kind, 512))
     if kind == "alone":
         return [ensembles.cases_of("adaptive", 1, 64)[0].replace({"wear.lower.k": 1e-7})]
     if "through" in kind:

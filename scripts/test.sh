@@ -10,9 +10,11 @@ unset PYTHONDONTWRITEBYTECODE
 # once, before many processes want it at the same time
 python - <<COMPILE
 from mpi4py import MPI
-from ringwear_par.compiled import contact_rows, machine_code, step_rows
+from ringwear_par.compiled.machine_code import load
+from ringwear_par.compiled.modules import LOOPS
 from ringwear_par.elasticity.bem.assembly import load_kernels
-machine_code.load(contact_rows), machine_code.load(step_rows)
+for loops in LOOPS:
+    load(loops)
 load_kernels(MPI.COMM_SELF)
 COMPILE
 logs="$(mktemp -d)"

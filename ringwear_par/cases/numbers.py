@@ -162,7 +162,11 @@ def with_numbers(
         if isinstance(part, Ring):
             part_columns = _with_layers(part, part_columns)
         changes[name] = _copies(part, part_columns)
-    return _copies(case, changes)
+    cases = _copies(case, changes)
+    if len(set(numbers.get(("time.end", None), ()))) < 2:
+        for copy in cases:  # no number bends
+            copy.__dict__["breakpoints"] = cases[0].breakpoints
+    return cases
 
 
 def _with_layers(ring: Ring, columns: Mapping[str, Sequence[Any]]) -> dict[str, Sequence[Any]]:

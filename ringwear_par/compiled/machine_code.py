@@ -6,13 +6,13 @@ a folder of the user's own, whichever may be written to. Processes that find non
 itself; LLVM's own loader loads it.
 
 A loop is a function of numbers and arrays, whose parameters are annotated as ``Count``, ``Real``,
-``Reals``, ``Integers`` or ``Flags``; arrays are indexed from their first entry on, whatever their
-axes, and nobody checks their lengths. The first parameter is the number of rows. What a loop
-computes are the entries of the arrays that it sets. Sums are in inner loops that set nothing:
-others are compiled twice, for arrays that may overlap and for those that cannot, and sums of the
-two differ in their last digits.
+``Reals``, ``Integers`` or ``Flags``, or as a record: a NamedTuple of such fields and of records.
+Arrays are indexed from their first entry on, whatever their axes, and nobody checks their lengths.
+The first parameter is the number of rows. What a loop computes are the entries of the arrays that
+it sets. Sums are in inner loops that set nothing: others are compiled twice, for arrays that may
+overlap and for those that cannot, and sums of the two differ in their last digits.
 
-A function whose name begins with an underscore is a part of loops, which call it.
+A ``part`` is a function that loops and other parts call, of their module or of another.
 """
 
 import ctypes
@@ -31,11 +31,13 @@ from itertools import compress
 from operator import is_not
 from pathlib import Path
 from types import FunctionType, ModuleType, SimpleNamespace
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, TypeAlias, TypeVar, cast
 
 from ringwear_par.version import numba_version
 
 log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 #: parameters of loops: numbers, and contiguous arrays, with the characters of their dtypes
 Count: TypeAlias = Annotated[int, ""]
@@ -51,15 +53,22 @@ _SOURCE = Path(__file__).read_bytes()
 #: what this process has loaded
 _LOADERS: list[Any] = []
 
-#: names of functions that add in the order in which they are written
-_IN_ORDER: set[str] = set()
+#: functions that loops call, and those that add in the order in which they are written
+_PARTS: set[FunctionType] = set()
+_IN_ORDER: set[FunctionType] = set()
 
 _first_byte, _reference = ctypes.c_char.from_buffer, ctypes.byref
 
 
-def in_order(function: Callable[..., None]) -> Callable[..., None]:
+def part(function: T) -> T:
+    """Let a function be a part of loops."""
+    _PARTS.add(cast(FunctionType, function))
+    return function
+
+
+def in_order(function: T) -> T:
     """Let a function add in the order in which it is written, and round multiply-adds once."""
-    _IN_ORDER.add(function.__name__)
+    _IN_ORDER.add(cast(FunctionType, function))
     return function
 
 
@@ -72,38 +81,31 @@ def load(module: ModuleType) -> Any:
     TypeError, BufferError or ValueError is raised.
 
     A loop keeps the arrays of its last call alive (5 MB of all loops, after 1,024 histories of 64
-    elements), and reads them where they were, of what type they were, while they are the same
-    objects. So callers change their entries only: nothing may put other memory, another dtype or
-    shape into an array that a loop has had. NumPy's ``resize`` refuses to, but for
-    ``refcheck=False``; assignments to ``data``, ``dtype``, ``shape`` and ``strides`` are not
-    noticed.
+    elements), and reads them where they were, of what type they were, while they, or the records
+    that have them, are the same objects. So callers change their entries only: nothing may put
+    other memory, another dtype or shape into an array that a loop has had. NumPy's ``resize``
+    refuses to, but for ``refcheck=False``; assignments to ``data``, ``dtype``, ``shape`` and
+    ``strides`` are not noticed.
     """
     import llvmlite.binding as llvm  # takes long, and results are read without loops
 
-    functions = [
+    loops = [
         function
         for function in vars(module).values()
-        if isinstance(function, FunctionType) and function.__module__ == module.__name__
+        if isinstance(function, FunctionType)
+        and function.__module__ == module.__name__
+        and function not in _PARTS
     ]
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     loader = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine(llvm))
-    code = _stored_code(llvm, module.__name__.rpartition(".")[2], functions)
+    code = _stored_code(llvm, module.__name__.rpartition(".")[2], loops)
     loader.add_object_file(llvm.object_file.ObjectFileRef.from_data(code))
     loader.finalize_object()
     _LOADERS.append(loader)
     return SimpleNamespace(
-        **{
-            f.__name__: _call(f, loader.get_function_address(_symbol(f)))
-            for f in functions
-            if not _is_part(f)
-        }
+        **{f.__name__: _call(f, loader.get_function_address(_symbol(f))) for f in loops}
     )
-
-
-def _is_part(function: FunctionType) -> bool:
-    """Tell whether a function is a part of loops."""
-    return function.__name__.startswith("_")
 
 
 def _call(function: FunctionType, address: int) -> Callable[..., None]:
@@ -112,13 +114,17 @@ def _call(function: FunctionType, address: int) -> Callable[..., None]:
     What is the same object as the last time has been converted already: most arrays outlive many
     calls, and to convert them takes longer than most loops.
     """
-    conversions = [_conversion(function, *kind) for kind in _kinds(function)]
-    count = len(conversions)
+    annotations = [p.annotation for p in inspect.signature(function).parameters.values()]
+    count, conversions = len(annotations), [_conversion(function, a) for a in annotations]
+    places = [*_places(annotations)]
     # numba's own convention: places of what is returned and raised, neither of which there is;
     # loops are so short that to let other threads run takes longer
     native = ctypes.PYFUNCTYPE(ctypes.c_int32)(address)
     place = ctypes.byref(ctypes.c_void_p())
-    last: tuple[Sequence[Any], list[Any]] = [None] * count, [None] * count
+    last: tuple[Sequence[Any], list[Any]] = (
+        [None] * count,
+        [None] * sum(len(_kinds(annotation)) for annotation in annotations),
+    )
 
     def call(*arguments: Any) -> None:
         nonlocal last
@@ -131,15 +137,34 @@ def _call(function: FunctionType, address: int) -> Callable[..., None]:
         if changed:
             converted = converted.copy()  # a thread that calls meanwhile has the other
             for i in changed:
-                converted[i] = conversions[i](arguments[i])
+                converted[places[i]] = conversions[i](arguments[i])
             last = arguments, converted
         native(place, None, *converted)
 
     return call
 
 
-def _conversion(function: FunctionType, kind: Any, dtypes: str) -> Callable[[Any], Any]:
-    """Return the conversion of an argument to one of machine code."""
+def _places(annotations: Sequence[Any]) -> Iterator[int | slice]:
+    """Yield where parameters are in machine code, which has the fields of records one by one."""
+    start = 0
+    for annotation in annotations:
+        stop = start + len(_kinds(annotation))
+        yield slice(start, stop) if _is_record(annotation) else start
+        start = stop
+
+
+def _conversion(function: FunctionType, annotation: Any) -> Callable[[Any], Any]:
+    """Return the conversion of an argument to one of machine code, of a record to several."""
+    kinds = _kinds(annotation)
+    conversions = [_conversion_of_kind(function, *kind) for kind in kinds]
+    if not _is_record(annotation):
+        return conversions[0]
+    return lambda record: [
+        convert(value) for convert, value in zip(conversions, _values(record), strict=True)
+    ]
+
+
+def _conversion_of_kind(function: FunctionType, kind: Any, dtypes: str) -> Callable[[Any], Any]:
     if not dtypes:
         return ctypes.c_int64 if kind is int else ctypes.c_double
 
@@ -151,10 +176,29 @@ def _conversion(function: FunctionType, kind: Any, dtypes: str) -> Callable[[Any
     return place_of
 
 
-def _kinds(function: FunctionType) -> list[tuple[Any, str]]:
-    """Return int, float or Any of a loop's parameters, and the dtypes that arrays may have."""
-    annotations = (part.annotation for part in inspect.signature(function).parameters.values())
-    return [(annotation.__origin__, annotation.__metadata__[0]) for annotation in annotations]
+def _values(record: Any) -> Iterator[Any]:
+    """Yield the numbers and arrays of a record, and of those in it."""
+    for value in record:
+        if isinstance(value, tuple):
+            yield from _values(value)
+        else:
+            yield value
+
+
+def _is_record(annotation: Any) -> bool:
+    return hasattr(annotation, "_fields")
+
+
+def _fields(record: Any) -> dict[str, Any]:
+    """Return the annotations of the fields of a record."""
+    return dict(record.__annotations__)
+
+
+def _kinds(annotation: Any) -> list[tuple[Any, str]]:
+    """Return int, float or Any of a parameter, or the fields of one, and the dtypes of arrays."""
+    if _is_record(annotation):
+        return [kind for field in _fields(annotation).values() for kind in _kinds(field)]
+    return [(annotation.__origin__, annotation.__metadata__[0])]
 
 
 def _symbol(function: FunctionType) -> str:
@@ -173,12 +217,12 @@ def _target_machine(llvm: Any) -> Any:
 # -- the object file -------------------------------------------------------------------------------
 
 
-def _stored_code(llvm: Any, module: str, functions: Sequence[FunctionType]) -> bytes:
+def _stored_code(llvm: Any, module: str, loops: Sequence[FunctionType]) -> bytes:
     """Return the object file of a module's loops, which is made where there is none."""
     import llvmlite
 
     processor = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-    contents = [_content(function) for function in functions]
+    contents = [_content(function) for function in _with_parts(loops)]
     stem = f"{module}-{_digest(processor)}"
     name = f"{stem}-{_digest((_SOURCE, contents, numba_version(), llvmlite.__version__))}.o"
     places = [folder / name for folder in _folders()]
@@ -188,7 +232,7 @@ def _stored_code(llvm: Any, module: str, functions: Sequence[FunctionType]) -> b
             is_whole = hashlib.sha256(code[32:]).digest() == code[:32]
             if is_whole and _is_trusted(place) and _is_trusted(place.parent):
                 return code[32:]
-    code = _compile(llvm, functions)
+    code = _compile(llvm, loops)
     for place in places:
         try:
             place.parent.mkdir(0o700, exist_ok=True)
@@ -203,14 +247,35 @@ def _stored_code(llvm: Any, module: str, functions: Sequence[FunctionType]) -> b
     return code
 
 
+def _parts_of(function: FunctionType) -> list[FunctionType]:
+    """Return the parts that a function calls itself."""
+    called = (function.__globals__.get(name) for name in function.__code__.co_names)
+    return [part for part in called if isinstance(part, FunctionType) and part in _PARTS]
+
+
+def _with_parts(functions: Sequence[FunctionType]) -> list[FunctionType]:
+    """Return functions and the parts that they call, and those that these do."""
+    every = dict.fromkeys(functions)
+    for function in functions:
+        every |= dict.fromkeys(_with_parts(_parts_of(function)))
+    return list(every)
+
+
 def _content(function: FunctionType) -> tuple[Any, ...]:
     """Return the contents of a function, whose source may have changed since its import."""
     code = function.__code__.replace(co_filename="", co_firstlineno=1, co_linetable=b"")
     numbers = [function.__globals__.get(name) for name in code.co_names]
     constants = [number for number in numbers if isinstance(number, int | float)]
-    in_order = function.__name__ in _IN_ORDER
+    annotations = {name: _words(a) for name, a in function.__annotations__.items()}
     # of the second format, as later ones depend on references
-    return marshal.dumps(code, 2), constants, in_order, function.__annotations__
+    return marshal.dumps(code, 2), constants, function in _IN_ORDER, annotations
+
+
+def _words(annotation: Any) -> Any:
+    """Return an annotation in words, a record by its fields."""
+    if not _is_record(annotation):
+        return annotation
+    return {name: _words(field) for name, field in _fields(annotation).items()}
 
 
 def _digest(parts: object) -> str:
@@ -244,44 +309,52 @@ def _write(path: Path, content: bytes) -> None:
         raise
 
 
-def _compile(llvm: Any, functions: Sequence[FunctionType]) -> bytes:
+def _compile(llvm: Any, loops: Sequence[FunctionType]) -> bytes:
     """Return the object file of loops."""
     llvm.set_option("", _OPTION)
     import numba  # takes long
     from numba import types
 
-    parameter = {
+    kinds = {
         (int, ""): types.int64,
         (float, ""): types.float64,
         (Any, "d"): types.CPointer(types.float64),
         (Any, "l"): types.CPointer(types.int64),
         (Any, "?b"): types.CPointer(types.int8),
     }
-    # sums may be of several entries at a time
-    options = {
-        f.__name__: {
-            "error_model": "numpy",
-            "fastmath": {"contract"} if f.__name__ in _IN_ORDER else {"reassoc"},
-        }
-        for f in functions
-    }
-    names: dict[str, Any] = dict(functions[0].__globals__)
+
+    def type_of(annotation: Any) -> Any:
+        if _is_record(annotation):
+            fields = [type_of(field) for field in _fields(annotation).values()]
+            return types.NamedTuple(fields, annotation)
+        return kinds[_kinds(annotation)[0]]
+
+    def options(function: FunctionType) -> dict[str, Any]:
+        # sums may be of several entries at a time
+        sums = {"contract"} if function in _IN_ORDER else {"reassoc"}
+        return {"error_model": "numpy", "fastmath": sums}
+
+    def with_parts(function: FunctionType) -> FunctionType:
+        compiled = {part.__name__: compile_part(part) for part in _parts_of(function)}
+        names = {**function.__globals__, **compiled}
+        return FunctionType(function.__code__, names, function.__name__)
+
+    @cache
+    def compile_part(function: FunctionType) -> Any:
+        return numba.njit(**options(function))(with_parts(function))
+
     module: Any = None
-    for function in sorted(functions, key=_is_part, reverse=True):
-        name = function.__name__
-        with_parts = FunctionType(function.__code__, names, name)  # which are compiled, too
-        if _is_part(function):
-            names[name] = numba.njit(**options[name])(with_parts)
-            continue
-        signature = types.void(*[parameter[kind] for kind in _kinds(function)])
-        loop = numba.cfunc(signature, **options[name])(with_parts)
+    for function in loops:
+        parameters = inspect.signature(function).parameters.values()
+        signature = types.void(*[type_of(parameter.annotation) for parameter in parameters])
+        loop = numba.cfunc(signature, **options(function))(with_parts(function))
         # of the loop and what calls it for C the former; the latter needs all of numba
         code = re.sub(r'(?ms)^define [^\n]*@"?cfunc\..*?^}\n', "", loop.inspect_llvm())
         mangled = loop.native_name.removeprefix("cfunc.")
-        part = llvm.parse_assembly(code.replace(mangled, _symbol(function)))
+        loop_module = llvm.parse_assembly(code.replace(mangled, _symbol(function)))
         if module is None:
-            module = part
+            module = loop_module
         else:
-            module.link_in(part)
+            module.link_in(loop_module)
     module.verify()
     return bytes(_target_machine(llvm).emit_object(module))

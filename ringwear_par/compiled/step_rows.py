@@ -4,8 +4,18 @@ Arrays are (B, n) or (B,), one after another where there are several.
 """
 
 import math
+from typing import NamedTuple
 
-from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals
+from ringwear_par.compiled.machine_code import Count, Flags, Integers, Reals
+
+_SAFETY, _LARGEST_GROWTH, _LARGEST_CUT = 0.82, 5.0, 0.1
+#: share of the tolerance that the error of a step may be, whatever the history's error before it
+_LEAST_ALLOWED = 0.05
+#: wear of the first step, in tolerances: edges wear fast and not for long
+_FIRST_WEAR = 50.0
+#: largest error of the dissipated energy of one step, relative to that of the whole history as it
+#: would be if the power stayed
+_ENERGY_TOLERANCE = 1e-4
 
 
 def wear_by_lines(
@@ -101,124 +111,72 @@ def add_power(
         sums[power], sums[4 * count + history] = max(start, stage, end), touching
 
 
-def rate_errors(
-    count: Count, n: Count, lengths: Reals, rates: Reals, in_first: Reals, in_last: Reals,
-    before: Reals, weights: Reals, gamma: Real, errors: Reals,
-) -> None:  # fmt: skip
-    """Set three estimates of errors of depth before they are filtered, (3, B, n) mm.
+class Tolerances(NamedTuple):
+    """What a control holds steps of B histories to, see ``ErrorControl``."""
 
-    They are those of the step, of its bend, and of the history before it.
-
-    The first is the sum with ``weights`` (3,) of the depths at the rates (2, B, n) of both bodies
-    at the start and in the stages, the second the difference of the last to the first of these.
-    """
-    at_start, at_first, at_last = weights[0], weights[1] / gamma, weights[2] / gamma
-    size, per_gamma = count * n, 1.0 / gamma
-    for history in range(count):
-        length = lengths[history]
-        for k in range(history * n, (history + 1) * n):
-            start, last = length * (rates[k] + rates[size + k]), in_last[k]
-            errors[k] = at_start * start + at_first * in_first[k] + at_last * last
-            errors[size + k] = last * per_gamma - start
-            errors[2 * size + k] = before[k]
+    #: (B,) s, ends of histories
+    ends: Reals
+    #: (B,) mm, and relative to the mean pressure
+    wear: Reals
+    pressure: Reals
+    #: (B,) mm, most wear of a step
+    most_wear: Reals
 
 
-def propagate(
-    count: Count, n: Count, errors: Reals, reliefs: Reals, slopes: Reals, memory: Reals,
-    with_memory: Count, before: Reals, bend_factor: Real, factor_before: Real, defects: Reals,
-    propagated: Reals,
-) -> None:  # fmt: skip
-    """Set the filtered error of steps, and what two others become, (2, B, n) mm.
+class Tries(NamedTuple):
+    """Tries of the steps of B histories."""
 
-    Parameters are the errors, (3, B, n) mm, and the changes of pressure with them, which change
-    depths by the slopes.
-    """
-    size = count * n
-    for k in range(size):
-        bend, carried, slope = errors[size + k], errors[2 * size + k], slopes[k]
-        more = memory[k] - 1.0 if with_memory else 0.0
-        defects[k] = errors[k] + slope * reliefs[k]
-        propagated[k] = (more * bend + slope * reliefs[size + k]) * bend_factor
-        propagated[size + k] = (
-            more * carried + slope * reliefs[2 * size + k]
-        ) * factor_before + before[k]
+    #: (B,) s, of the present step, uncut, and of the next one; 0 before the first
+    lengths: Reals
+    next_lengths: Reals
+    #: (B,) whether errors of pressures have shortened tries of the step, and limits this one
+    are_pressed: Flags
+    are_cut: Flags
 
 
-def sum_errors(
-    count: Count, n: Count, propagated: Reals, reliefs: Reals, slopes: Reals, memory: Reals,
-    with_memory: Count, defects: Reals, totals: Reals, largest: Reals,
-) -> None:  # fmt: skip
-    """Set errors of histories at the ends of steps, mm, and the errors of steps.
+class StepErrors(NamedTuple):
+    """Estimated errors of the tries of B histories."""
 
-    The second of those that are ``propagated`` becomes what is left of the errors before; reliefs
-    are the changes of pressure with both. ``largest`` (3, B) are the sizes of those of the step, of
-    the history, and of what was before.
-    """
-    size = count * n
-    for history in range(count):
-        step_error, history_error, earlier_error, total = 0.0, 0.0, 0.0, 0.0
-        first, end = history * n, (history + 1) * n
-        for k in range(first, end):
-            more, slope = memory[k] if with_memory else 1.0, slopes[k]
-            propagated[size + k] = more * propagated[size + k] + slope * reliefs[size + k]
-            defects[k] += more * propagated[k] + slope * reliefs[k]
-            totals[k] = propagated[size + k] + defects[k]
-        for k in range(first, end):
-            step_error, history_error = (
-                max(step_error, abs(defects[k])),
-                max(history_error, abs(totals[k])),
-            )
-            earlier_error = max(earlier_error, abs(propagated[size + k]))
-            total += totals[k]
-        if not math.isfinite(total):  # comparisons do not see what is no number
-            step_error = history_error = earlier_error = math.nan
-        largest[history] = step_error
-        largest[count + history], largest[2 * count + history] = history_error, earlier_error
-
-
-def largest_ratios(
-    count: Count, n: Count, values: Reals, pressures: Reals, least: Reals, ratios: Reals
-) -> None:
-    """Set the largest sizes of values over pressures, or over the least (count,) if it is more."""
-    for history in range(count):
-        largest, total = 0.0, 0.0
-        for k in range(history * n, (history + 1) * n):
-            ratio = abs(values[k]) / max(pressures[k], least[history])
-            largest = max(largest, ratio)
-            total += ratio + pressures[k] + least[history]
-        ratios[history] = largest if math.isfinite(total) else math.nan
+    #: (B,) mm, of the wear of steps, of histories at their ends, and what these are of before
+    wear: Reals
+    history: Reals
+    carried: Reals
+    #: (B,) mJ, and the largest power, mW
+    energy: Reals
+    power: Reals
+    #: (B,) relative to pressures
+    pressure: Reals
 
 
 def choose_ends(
-    count: Count, n: Count, times: Reals, limits: Reals, begun: Flags, lengths: Reals,
-    next_lengths: Reals, rates: Reals, most_time: Reals, first_wear: Reals, most_wear: Reals,
-    new_lengths: Reals, ends: Reals, cut: Flags,
+    count: Count, n: Count, times: Reals, limits: Reals, begun: Flags, tries: Tries,
+    tolerances: Tolerances, rates: Reals, new: Tries, ends: Reals,
 ) -> None:  # fmt: skip
     """Set lengths and ends of tries, s, and which of them are cut by their limits.
 
-    Steps that have begun have the present lengths, others the next ones, 0 before the first step;
-    these wear off ``first_wear``, and none more than ``most_wear``, mm.
+    Steps that have begun have the present lengths, others the next ones; the first wear off some
+    tolerances, and none more than they may. Rates are those of both sides, (2, B, n) mm/s.
     """
     for history in range(count):
-        length = lengths[history]
+        length, most = tries.lengths[history], tolerances.most_wear[history]
         if not begun[history]:
-            length, fastest = next_lengths[history], 0.0
+            length, fastest = tries.next_lengths[history], 0.0
             is_first = length == 0.0
-            if is_first or most_wear[history] < math.inf:
+            if is_first or most < math.inf:
                 for side in range(2):
                     row = (side * count + history) * n
                     for k in range(row, row + n):
                         fastest = max(fastest, rates[k])
             if is_first:
-                length = most_time[history]
+                length = tolerances.ends[history]
                 if fastest > 0.0:
-                    length = min(length, first_wear[history] / fastest)
+                    length = min(length, _FIRST_WEAR * tolerances.wear[history] / fastest)
             if fastest > 0.0:
-                length = min(length, most_wear[history] / fastest)
+                length = min(length, most / fastest)
         left = limits[history] - times[history]
-        cut[history] = length >= left * (1.0 - 1e-9)
-        new_lengths[history] = length
-        if cut[history]:
+        new.are_cut[history] = length >= left * (1.0 - 1e-9)
+        new.lengths[history] = length
+        if new.are_cut[history]:
             ends[history] = limits[history]
         elif length < 0.5 * left or length > 0.9 * left:
             ends[history] = times[history] + length
@@ -228,51 +186,47 @@ def choose_ends(
 
 def judge_tries(
     count: Count, n: Count, errors_before: Reals, times_before: Reals, times: Reals,
-    most_time: Reals, energies: Reals, powers: Reals, energy_errors: Reals, wear_errors: Reals,
-    history_errors: Reals, carried_errors: Reals, pressure_errors: Reals, wear_tolerances: Reals,
-    pressure_tolerances: Reals, energy_tolerance: Real, least_allowed: Real, safety: Real,
-    largest_cut: Real, largest_growth: Real, too_far: Flags, was_pressed: Flags, cut: Flags,
-    lengths: Reals, next_lengths: Reals, accepted: Flags, pressed: Flags, undefined: Flags,
-    new_lengths: Reals, new_next_lengths: Reals,
+    energies: Reals, errors: StepErrors, tolerances: Tolerances, too_far: Flags, tries: Tries,
+    accepted: Flags, undefined: Flags, new: Tries,
 ) -> None:  # fmt: skip
     """Set which tries are accepted, and the lengths of the next ones, see ``ErrorControl``."""
     for history in range(count):
         missed, row = 0.0, history * n
         for k in range(row, row + n):
             missed = max(missed, abs(errors_before[k]))
-        tolerance, carried = wear_tolerances[history], carried_errors[history]
-        whole = energy_tolerance * (
-            energies[history] + powers[history] * (most_time[history] - times[history])
+        tolerance, carried = tolerances.wear[history], errors.carried[history]
+        whole = _ENERGY_TOLERANCE * (
+            energies[history] + errors.power[history] * (tolerances.ends[history] - times[history])
         )
-        energy = max(energy_errors[history] / whole if whole > 0.0 else 0.0, 1e-6)
-        error, least = wear_errors[history], least_allowed * tolerance
+        energy = max(errors.energy[history] / whole if whole > 0.0 else 0.0, 1e-6)
+        error, least = errors.wear[history], _LEAST_ALLOWED * tolerance
         ratio = max(energy, error / max(tolerance - carried, least))
         # the next step is to leave as much of the error before it as this one does
         share = min(carried / missed, 1.0) if missed > 0.0 else 1.0
-        ahead = max(energy, error / max(tolerance - history_errors[history] * share, least))
-        over = pressure_errors[history] / pressure_tolerances[history]
+        ahead = max(energy, error / max(tolerance - errors.history[history] * share, least))
+        over = errors.pressure[history] / tolerances.pressure[history]
         if not math.isfinite(over):
             over = math.inf
         pressing = over > 1.0
         if pressing:
             ratio = max(ratio, over)
-        if not math.isfinite(error + energy_errors[history] + whole + carried):
+        if not math.isfinite(error + errors.energy[history] + whole + carried):
             ratio = ahead = math.inf
-        if not math.isfinite(history_errors[history]):
+        if not math.isfinite(errors.history[history]):
             ahead = math.inf
         within = ratio <= 1.0
         accepted[history] = within and not too_far[history]
-        pressed[history] = was_pressed[history] or pressing
+        new.are_pressed[history] = tries.are_pressed[history] or pressing
         undefined[history] = ratio == math.inf
-        length, uncut = times[history] - times_before[history], lengths[history]
-        new_lengths[history] = uncut
-        new_next_lengths[history] = next_lengths[history]
+        length, uncut = times[history] - times_before[history], tries.lengths[history]
+        new.lengths[history], new.next_lengths[history] = uncut, tries.next_lengths[history]
         # the third root of the error, with care
         if not within:
-            new_lengths[history] = length * max(safety * ratio ** (-1.0 / 3.0), largest_cut)
+            new.lengths[history] = length * max(_SAFETY * ratio ** (-1.0 / 3.0), _LARGEST_CUT)
         if accepted[history]:
-            change = max(safety * ahead ** (-1.0 / 3.0), largest_cut)
+            change = max(_SAFETY * ahead ** (-1.0 / 3.0), _LARGEST_CUT)
             # errors of pressure come and go with elements: they limit steps, but do not foretell
             # them
-            following = length * min(change, 1.0 if pressed[history] else largest_growth)
-            new_next_lengths[history] = max(following, uncut) if cut[history] else following
+            following = length * min(change, 1.0 if new.are_pressed[history] else _LARGEST_GROWTH)
+            cut = tries.are_cut[history]
+            new.next_lengths[history] = max(following, uncut) if cut else following

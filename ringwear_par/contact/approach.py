@@ -9,7 +9,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ringwear_par.contact.problem import FORCE_LIMIT, FORCE_TOLERANCE
+from ringwear_par.compiled.contact_rows import FORCE_TOLERANCE
+from ringwear_par.contact.problem import FORCE_LIMIT
 from ringwear_par.errors import ComputationError
 
 _MOST_APPROACHES = 60

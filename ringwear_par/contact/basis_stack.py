@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ringwear_par.arrays import BoolArray, IntArray
+from ringwear_par.compiled.hessian_rows import Bases
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
 
 _LEAST_ROOM = 4
@@ -26,16 +27,17 @@ class BasisStack:
         self._numbers: dict[tuple[int, bytes], int] = {}
         #: numbers that no basis has
         self._vacant: list[int] = []
-        #: (m, n, n), bases and their transposes, and (m, n) each; room for more included, see
-        #: ``Basis``
-        self.psi, self.psi_t = np.empty((2, 0, n, n))
-        self.mu, self.force = np.empty((2, 0, n))
-        #: (m, 3) int, how many columns of bases, and from where to where rows, are not 0
-        self.extents = np.empty((0, 3), dtype=np.int64)
-        #: (m, n, n) and (m, n), K' of ``Deviations`` in the bases, off the diagonal and on it;
-        #: without these (m, 0, 0)
         size = 0 if compliances.deviations is None else n
-        self.derivatives, self.bends = np.empty((0, size, size)), np.empty((0, n))
+        #: room for more included; K' are (m, 0, 0) where nothing deviates
+        self.bases = Bases(
+            psi=np.empty((0, n, n)),
+            psi_t=np.empty((0, n, n)),
+            mu=np.empty((0, n)),
+            forces=np.empty((0, n)),
+            extents=np.empty((0, 3), dtype=np.int64),
+            derivatives=np.empty((0, size, size)),
+            bends=np.empty((0, n)),
+        )
 
     @property
     def is_full(self) -> bool:
@@ -58,17 +60,18 @@ class BasisStack:
         if name not in self._numbers:
             number = self._numbers[name] = self._vacant.pop()
             basis = self._compliances.basis(compliance, free, wearing)
-            self.psi[number], self.mu[number], self.force[number] = basis
-            self.psi_t[number], self.bends[number] = basis.psi.T, 0.0
+            bases = self.bases
+            bases.psi[number], bases.mu[number], bases.forces[number] = basis
+            bases.psi_t[number], bases.bends[number] = basis.psi.T, 0.0
             touching = np.flatnonzero(free)
             ends = (touching[0], touching[-1] + 1) if len(touching) else (0, 0)
-            self.extents[number] = len(touching), *ends
+            bases.extents[number] = len(touching), *ends
             more = self._compliances.deviations
             if more is not None:
                 derivative = basis.psi.T @ more.derivatives[compliance] @ basis.psi
-                self.bends[number] = np.diagonal(derivative)
+                bases.bends[number] = np.diagonal(derivative)
                 np.fill_diagonal(derivative, 0.0)
-                self.derivatives[number] = derivative
+                bases.derivatives[number] = derivative
         return self._numbers[name]
 
     def make_room(self, used: IntArray) -> None:
@@ -78,7 +81,7 @@ class BasisStack:
         ----------
         used : numbers that are; negative ones are no numbers of bases.
         """
-        vacant = np.ones(len(self.mu), dtype=bool)
+        vacant = np.ones(len(self.bases.mu), dtype=bool)
         vacant[used[used >= 0]] = False
         self._numbers = {
             name: number for name, number in self._numbers.items() if not vacant[number]
@@ -87,8 +90,7 @@ class BasisStack:
         if more > 0 or not len(vacant):
             # room that is not used costs nothing, to copy bases does: two of each compliance
             more = max(_LEAST_ROOM, more, 2 * len(self._compliances.matrices) - len(vacant))
-            for name in ("psi", "psi_t", "mu", "force", "extents", "derivatives", "bends"):
-                setattr(self, name, _longer(getattr(self, name), more))
+            self.bases = Bases(*(_longer(values, more) for values in self.bases))
             vacant = np.append(vacant, np.ones(more, dtype=bool))
         # the lowest are taken first: products are fewer where numbers follow each other
         self._vacant = np.flatnonzero(vacant)[::-1].tolist()

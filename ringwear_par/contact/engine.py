@@ -13,11 +13,11 @@ from mpi4py import MPI
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, inner
 from ringwear_par.batched import take
+from ringwear_par.compiled.contact_rows import GRADIENT_TOLERANCE
 from ringwear_par.contact.approach import find_approach
 from ringwear_par.contact.hessians import Hessians
 from ringwear_par.contact.newton import ActiveSetNewton
 from ringwear_par.contact.problem import (
-    GRADIENT_TOLERANCE,
     KKT_TOLERANCE,
     ContactProblem,
     ContactState,
@@ -255,7 +255,7 @@ class ContactEngine:
         if self._newton is not None and (self._newton.residuals <= KKT_TOLERANCE).all():
             return self._newton.residuals.copy()
         residual = np.zeros(len(apart))
-        residual[histories] = self._problem.residuals(histories, self._hessians.slope)
+        residual[histories] = self._problem.residuals(histories, self._hessians.blocks.slopes)
         residual[apart] = 0.0
         return residual
 
@@ -281,7 +281,7 @@ class ContactEngine:
     def _separate(self, histories: IntArray) -> None:
         """Take the pressures of histories that need none; the gradient is the weighted gap."""
         problem = self._problem
-        problem.unknowns[histories], problem.is_known[histories] = 0.0, False
+        problem.unknowns[histories], problem.contacts.are_known[histories] = 0.0, False
         problem.gradients[histories] = part(problem.weights, histories) * (
             problem.gaps[histories] - problem.approaches[histories, None]
         )
@@ -353,7 +353,7 @@ class ContactEngine:
         self._iterations[history] += tao.getIterationNumber()
         problem.evaluate()
         self._hessians.set_slopes(row, *problem.slopes())
-        (residual,) = problem.residuals(row, self._hessians.slope)
+        (residual,) = problem.residuals(row, self._hessians.blocks.slopes)
         if tao.getConvergedReason() <= 0 or not residual <= KKT_TOLERANCE:
             raise ComputationError(self._failure(history, float(residual)))
         # what else is needed of the solution is answered on the inverse of its set
@@ -374,7 +374,7 @@ class ContactEngine:
     @warm.setter
     def warm(self, warm: WarmStart) -> None:
         self._problem.unknowns[:], self._problem.approaches[:] = warm.scaled_pressure, warm.approach
-        self._problem.is_known[:] = False
+        self._problem.contacts.are_known[:] = False
 
     def keep(self, histories: IntArray) -> None:
         """Go on with some of the histories, in ascending order, in the first rows of vectors."""

@@ -71,7 +71,7 @@ class ActiveSetNewton:
     def _iterate(self, tao: PETSc.TAO) -> tuple[IntArray, int]:
         """Take plain steps; return the histories that did not end, and the number of steps."""
         problem, hessians = self._problem, self._hessians
-        broken: list[int] = []
+        every_lost: list[int] = []
         if self._free.shape != problem.unknowns.shape:
             self._free = np.empty(problem.unknowns.shape, dtype=bool)
         free = np.greater(problem.unknowns, 0.0, out=self._free)
@@ -82,17 +82,17 @@ class ActiveSetNewton:
             iteration += 1
             histories = problem.at_work
             hessians.take_steps(problem, free)
-            n_settled, n_lost = problem.judge(hessians.diagonal, free, self.residuals)
+            n_settled, n_lost = problem.judge(hessians.blocks.diagonals, free, self.residuals)
             self.iterations[histories] = iteration
             if self._monitored:
                 self._monitor(tao, iteration)
             if n_settled == len(histories):
                 return histories[:0], iteration
             if n_settled or n_lost:
-                settled, lost = problem.settled[: len(histories)], problem.lost[: len(histories)]
-                broken += histories[lost].tolist()
+                settled, lost = problem.judged()
+                every_lost += histories[lost].tolist()
                 problem.go_on(~(settled | lost))
-        return np.array([*broken, *problem.at_work.tolist()], dtype=np.int64), iteration
+        return np.array([*every_lost, *problem.at_work.tolist()], dtype=np.int64), iteration
 
     def _begin(self, free: BoolArray) -> None:
         """Let the sets be those of the present values; where nothing touches, guess."""
@@ -112,7 +112,7 @@ class ActiveSetNewton:
                 free[none] = g[none] < 0.0
         if not (q[rows] >= 0.0).all():
             q[rows] = np.where(free[rows], q[rows], 0.0)
-            problem.is_known[histories] = False
+            problem.contacts.are_known[histories] = False
 
     def _iterate_damped(self, tao: PETSc.TAO) -> tuple[IntArray, int]:
         """Take damped steps of the history at work; return it if it did not end, and their number.
@@ -134,7 +134,7 @@ class ActiveSetNewton:
             if self._monitored:
                 self._monitor(tao, iteration)
             free[row] = q[row] > 0.0
-            settled, lost = problem.judge(self._hessians.diagonal, free, self.residuals)
+            settled, lost = problem.judge(self._hessians.blocks.diagonals, free, self.residuals)
             if lost:
                 break
             if settled:

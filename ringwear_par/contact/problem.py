@@ -18,8 +18,9 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, Numbers, inner, largest, short_repr
 from ringwear_par.batched import keep
 from ringwear_par.compiled import contact_rows
+from ringwear_par.compiled.contact_rows import Contacts, Judgement
 from ringwear_par.compiled.machine_code import load
-from ringwear_par.contact.row_products import ROOM
+from ringwear_par.compiled.product_rows import ROOM
 from ringwear_par.wear.increment import WearIncrement
 
 if TYPE_CHECKING:
@@ -27,12 +28,8 @@ if TYPE_CHECKING:
 
 #: largest relative KKT residual of an accepted solution
 KKT_TOLERANCE = 1e-9
-#: norm of the gradient at which a solver ends, relative to that of the overlap
-GRADIENT_TOLERANCE = 1e-12
-#: of unknowns
-ROUND_OFF = 1e-13
-#: relative force balance at which a solver ends, and that it may not exceed
-FORCE_TOLERANCE, FORCE_LIMIT = 1e-12, 1e-10
+#: relative force balance that may not be exceeded
+FORCE_LIMIT = 1e-10
 
 #: largest systems that share bases: such a one takes as long as 30 to 50 Cholesky factors (0.67,
 #: 3.1 and 14.8 ms with 64, 128 and 256 elements)
@@ -102,22 +99,26 @@ class ContactProblem:
         self.scale, self.weights, self._per_weight = (
             part(values, which) for values in (scale, weights, 1.0 / weights)
         )
-        self.every = np.arange(len(which))
-        self._reference = compliances.reference[which]
-        #: (B, n) unknowns, and gradients: weighted gaps of the deformed, worn profiles
-        self.unknowns, self.gradients = np.zeros((2, len(which), len(self.area)))
-        #: (B, n) A q, with room for what loops multiply too much
-        self._product = np.zeros((len(which) + ROOM, len(self.area)))
-        #: (B,) whether A q is that of the unknowns
-        self.is_known = np.zeros(len(which), dtype=bool)
-        more, n = compliances.deviations, len(self.area)
-        self._derivatives = compliances.matrices if more is None else more.derivatives
-        self._deviation = np.zeros(len(which)) if more is None else more.deviation[which]
-        self._deviating = np.empty((4, n))
-        #: of the histories at work, which have settled and which are lost, and how many of them
-        self.settled, self.lost = np.empty((2, len(which)), dtype=bool)
-        self._counts = np.zeros(2, dtype=np.int64)
-        self._cleared = np.empty(2 * len(which), dtype=np.int64)
+        count, n = len(which), len(self.area)
+        self.every = np.arange(count)
+        #: as loops have them
+        self.contacts = Contacts(
+            compliances=which,
+            references=compliances.reference[which],
+            deviations=compliances.deviation(which),
+            unknowns=np.zeros((count, n)),
+            gradients=np.zeros((count, n)),
+            products=np.zeros((count + ROOM, n)),
+            are_known=np.zeros(count, dtype=bool),
+        )
+        #: of the histories at work
+        self._judgement = Judgement(
+            are_settled=np.empty(count, dtype=bool),
+            are_lost=np.empty(count, dtype=bool),
+            counts=np.zeros(2, dtype=np.int64),
+            zeroed=np.empty(2 * count, dtype=np.int64),
+            derivative_products=np.empty((4, n)),
+        )
         #: (h, n) MPa, pressures of the histories at work at their unknowns
         self.pressures_at_work: FloatArray | None = None
         self.at_work = self.every
@@ -165,20 +166,36 @@ class ContactProblem:
 
     def keep(self, histories: IntArray) -> None:
         """Go on with some of the histories, in ascending order, none of which is at work."""
-        count = len(histories)
-        for name in ("unknowns", "gradients"):  # in their places: vectors of PETSc's are there
-            rows = getattr(self, name)
+        count, old = len(histories), self.contacts
+        for rows in old.unknowns, old.gradients:  # in their places: vectors of PETSc's are there
             rows[:count] = rows[histories]
-            setattr(self, name, rows[:count])
-        keep(
-            self, ("which", "_reference", "_deviation", "is_known", "gaps", "approaches"), histories
+        self.contacts = Contacts(
+            compliances=old.compliances[histories],
+            references=old.references[histories],
+            deviations=old.deviations[histories],
+            unknowns=old.unknowns[:count],
+            gradients=old.gradients[:count],
+            products=old.products[np.append(histories, histories[-1:].repeat(ROOM))],
+            are_known=old.are_known[histories],
         )
-        self._product = self._product[np.append(histories, histories[-1:].repeat(ROOM))]
+        keep(self, ("which", "gaps", "approaches"), histories)
         if len(self.compliances.scale) > 1:
             keep(self, ("scale", "weights", "_per_weight"), histories)
         self.every = np.arange(count)
         self.at_work = self.every
         self.pressures_at_work = self._order = self._wear_at_work = self.wear = self.forces = None
+
+    @property
+    def unknowns(self) -> FloatArray:
+        """(B, n) 1, pressures times ``scale``."""
+        unknowns: FloatArray = self.contacts.unknowns
+        return unknowns
+
+    @property
+    def gradients(self) -> FloatArray:
+        """(B, n) mm times weights, gaps of the deformed, worn profiles."""
+        gradients: FloatArray = self.contacts.gradients
+        return gradients
 
     def rows_of(self, histories: IntArray) -> IntArray | slice:
         """Return the rows of some histories; of all a slice, which is quicker."""
@@ -214,9 +231,7 @@ class ContactProblem:
         """Return the pressures of the unknowns of some histories, (h, n) MPa, none negative."""
         count, n = len(histories), len(self.area)
         pressures = np.empty((count, n))
-        self.loops.pressures(
-            count, n, histories, self.which, self.unknowns, self.compliances.per_scale, pressures
-        )
+        self.loops.pressures(count, n, histories, self.compliances.rows, self.contacts, pressures)
         return pressures
 
     def gaps_of(self, gradient: FloatArray) -> FloatArray:
@@ -228,14 +243,15 @@ class ContactProblem:
 
         Parameters
         ----------
-        recall : whether unknowns are the last ones, as far as those ``is_known``.
+        recall : whether unknowns are the last ones, as far as their products are known.
         """
         histories, rows = self.at_work, self.rows
-        recall = recall and bool(self.is_known[rows].all())
+        are_known = self.contacts.are_known
+        recall = recall and bool(are_known[rows].all())
         p = self.pressures_at_work if recall and len(histories) == len(self.every) else None
         if p is None or len(p) != len(histories):
             p = self.pressures(histories)
-        self.is_known[rows] &= recall
+        are_known[rows] &= recall
         self._evaluate(p, recall, self.unknowns, None, self.approaches)
         self.pressures_at_work = p
 
@@ -254,27 +270,28 @@ class ContactProblem:
         """
         assert self.pressures_at_work is not None
         self._evaluate(self.pressures_at_work, False, diagonal, free, residuals)
-        settled, lost = self._counts.tolist()
+        settled, lost = self._judgement.counts.tolist()
         return settled, lost
+
+    def judged(self) -> tuple[BoolArray, BoolArray]:
+        """Return which of the histories at work have settled and are lost, (h,)."""
+        count = len(self.at_work)
+        return self._judgement.are_settled[:count], self._judgement.are_lost[:count]
 
     def _evaluate(
         self, p: FloatArray, recall: bool, diagonal: FloatArray, free: BoolArray | None,
         residuals: FloatArray,
     ) -> None:  # fmt: skip
         """Set gradients at pressures (h, n), and where there are sets also who has settled."""
-        histories, forces, compliances = self.at_work, self.forces, self.compliances
+        histories, forces, contacts = self.at_work, self.forces, self.contacts
         if self._order is None or self._order[0] is not histories:
-            places = np.argsort(self._reference[histories], kind="stable")
+            places = np.argsort(contacts.references[histories], kind="stable")
             self._order = histories, histories[places], places
         self.loops.evaluate(
-            *p.shape, len(self.every), *self._order[1:], self._reference, self.which, self.unknowns,
-            compliances.matrices, self._derivatives, self._deviation,
-            compliances.deviations is not None, self._deviating, self._product, not recall,
-            self.gaps, self.approaches, self._depths(p), compliances.weights, self.gradients,
-            self.is_known, free is not None, diagonal,
-            self.approaches if forces is None else forces, forces is not None,
-            self.is_known if free is None else free, residuals, self.settled, self.lost,
-            self._counts, self._cleared, ROUND_OFF, GRADIENT_TOLERANCE, FORCE_TOLERANCE,
+            *p.shape, len(self.every), *self._order[1:], self.compliances.rows, contacts,
+            self._judgement, not recall, self.gaps, self.approaches, self._depths(p),
+            self.approaches if forces is None else forces, forces is not None, free is not None,
+            diagonal, contacts.are_known if free is None else free, residuals,
         )  # fmt: skip
 
     def _depths(self, p: FloatArray) -> FloatArray:
@@ -288,7 +305,7 @@ class ContactProblem:
         Where they are those of the last gradient the same array, which laws know again.
         """
         p = self.pressures_at_work
-        if p is None or len(p) != len(self.every) or not self.is_known.all():
+        if p is None or len(p) != len(self.every) or not self.contacts.are_known.all():
             p = self.pressures_at_work = self.pressures(self.every)
         return p
 
@@ -321,7 +338,7 @@ class ContactProblem:
             return slope, None
         coupling = self.scaled_slopes(wear.jacobian(p), rows)
         places = np.arange(slope.shape[1])
-        coupling[:, places, places] -= slope * self.compliances.slope_scale[self.which[rows]]
+        coupling[:, places, places] -= slope * self.compliances.rows.slope_scale[self.which[rows]]
         return slope, coupling
 
     def scaled_slopes(self, slopes: FloatArray, rows: IntArray | slice) -> FloatArray:
@@ -330,7 +347,7 @@ class ContactProblem:
         (h, n) mm/MPa, or of non-local wear (h, n, n).
         """
         if slopes.ndim == self.weights.ndim:
-            return slopes * self.compliances.slope_scale[self.which[rows]]
+            return slopes * self.compliances.rows.slope_scale[self.which[rows]]
         return part(self.weights, rows)[..., None] * slopes / part(self.scale, rows)[:, None, :]
 
     def residuals(self, histories: IntArray, slope: FloatArray) -> FloatArray:

@@ -20,6 +20,8 @@ from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.batched import along, take
+from ringwear_par.compiled.contact_rows import Compliances
+from ringwear_par.compiled.product_rows import Matrices
 from ringwear_par.contact.row_products import RowProducts
 
 #: bytes of the bases that are kept
@@ -129,20 +131,30 @@ class ScaledCompliances:
         )  # fmt: skip
 
     @cached_property
-    def per_scale(self) -> FloatArray:
-        """(m, n) MPa, pressures over the unknowns."""
-        return 1.0 / self.scale
-
-    @cached_property
-    def roots(self) -> FloatArray:
-        """(m,) weights of references over those of the compliances."""
+    def rows(self) -> Compliances:
+        """The compliances as loops have them."""
         more = self.deviations
-        return np.ones(len(self.reference)) if more is None else np.sqrt(more.share)
+        return Compliances(
+            Matrices.of(self.matrices, None if more is None else more.derivatives),
+            self.reference,
+            self.reference_weights,
+            self.weights,
+            1.0 / self.scale,
+            self.weights / self.scale,
+            (1.0 / self.speed)[self.reference],
+            np.ones(len(self.reference)) if more is None else np.sqrt(more.share),
+        )
 
     @cached_property
-    def slope_scale(self) -> FloatArray:
-        """(m, n) MPa/mm, slopes of gradients over unknowns, over those of gaps over pressures."""
-        return self.weights / self.scale
+    def excess(self) -> Matrices:
+        """(f, n, n) mm/MPa, ``transposed_excess``, and that of deviations."""
+        more = self.deviations
+        return Matrices.of(self.transposed_excess, None if more is None else more.transposed_excess)
+
+    def deviation(self, which: IntArray) -> FloatArray:
+        """Return how compliances (h,) deviate from their references, (h,)."""
+        more = self.deviations
+        return np.zeros(len(which)) if more is None else more.deviation[which]
 
     def take(self, numbers: IntArray) -> "ScaledCompliances":
         """Return some of the compliances, in ascending order."""
@@ -205,25 +217,17 @@ class ComplianceProducts:
 
     def __init__(self, compliances: ScaledCompliances, which: IntArray) -> None:
         self._compliances, self._which = compliances, which
-        more = self._deviations = compliances.deviations
-        self._rows = RowProducts(
-            compliances.reference[which], None if more is None else more.deviation[which]
-        )
+        self._rows = RowProducts(compliances.reference[which], compliances.deviation(which))
 
     def symmetric(self, q: FloatArray) -> FloatArray:
         """Return A q, (..., h, n)."""
-        more = self._deviations
-        return self._rows.of(
-            q, self._compliances.matrices, None if more is None else more.derivatives
-        )
+        return self._rows.of(q, self._compliances.rows.matrices)
 
     def gap_of_excess(self, p: FloatArray) -> FloatArray:
         """Return the gap that the excess opens at pressures (..., h, n) MPa, mm."""
-        more, excess = self._deviations, self._compliances.transposed_excess
-        if more is None:
-            return self._rows.of(p, excess)
-        gap = self._rows.of(p, excess, more.transposed_excess)
-        gap *= more.share[self._which][:, None]
+        gap, more = self._rows.of(p, self._compliances.excess), self._compliances.deviations
+        if more is not None:
+            gap *= more.share[self._which][:, None]
         return gap
 
 

@@ -105,10 +105,10 @@ class SolutionDerivatives:
         hessians = self._hessians
         # made as TAO's callbacks make it, so that what has not changed is 0
         change = self._problem.scaled_slopes(slope[rows], rows)
-        if change.ndim == hessians.slope.ndim:
-            change -= hessians.slope[rows]
+        if change.ndim == hessians.blocks.slopes.ndim:
+            change -= hessians.blocks.slopes[rows]
             return (lambda x: change * x) if change.any() else None
         change -= hessians.coupling[rows]
         places = np.arange(change.shape[1])
-        change[:, places, places] -= hessians.slope[rows]
+        change[:, places, places] -= hessians.blocks.slopes[rows]
         return lambda x: np.array([matrix @ row for matrix, row in zip(change, x, strict=True)])

@@ -81,6 +81,7 @@ class Batch:
             return []
         if ended.any():
             assert self._present is not None
+            del before, snapshots  # states of all of them, which would be there beside the rest
             rest = np.flatnonzero(~ended)
             self.numbers, self._present = self.numbers[rest], self._present.keep(rest)
         return [self]

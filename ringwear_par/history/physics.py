@@ -363,10 +363,7 @@ class Physics:
     @cached_property
     def _carried(self) -> tuple[FloatArray, ...]:
         """What ``reactions`` are the integrals of, (n,) or (B, n), per pressure."""
-        force = self.compliances.force_reaction
-        # boundary elements turn with tractions that are constant on each
-        torque = self.compliances.torque_reaction * (self.line.arm / self.line.uniform_arm)
-        return self.torque_arm, force[:, 0], force[:, 1], torque[:, 0], torque[:, 1]
+        return self.torque_arm, *self.compliances.reactions.swapaxes(0, 1)
 
     # -- layers ------------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ its functions take and return. Another control is a class with the same methods,
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -15,26 +16,19 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.compiled import step_rows
 from ringwear_par.compiled.machine_code import load
+from ringwear_par.compiled.step_rows import StepErrors, Tolerances, Tries
 from ringwear_par.errors import ComputationError, HistoriesError, InterfaceError
 from ringwear_par.history.schemes.step import Step
 from ringwear_par.history.state import Progress, State
 
-_SAFETY, _LARGEST_GROWTH, _LARGEST_CUT = 0.82, 5.0, 0.1
 #: length of the next try over one whose step could not be made
 _AFTER_FAILURE = 0.25
 #: end of a sentence about a step
 NO_STEP = "and no step is short enough"
 #: beginning of a sentence about a step that is to end at an interface
 _UNREACHED = "the time at which an element reaches the end of its layer cannot be computed"
-#: share of the tolerance that the error of a step may be, whatever the history's error before it
-_LEAST_ALLOWED = 0.05
-#: wear of the first step, in tolerances: edges wear fast and not for long
-_FIRST_WEAR = 50.0
 #: length of a first step after a crossing over the shortest one since the crossing before
 _AFTER_CROSSING = 1.2
-#: largest error of the dissipated energy of one step, relative to that of the whole history as it
-#: would be if the power stayed
-_ENERGY_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -204,6 +198,10 @@ class ErrorControl:
             ),
         )
 
+    @cached_property
+    def _tolerances(self) -> Tolerances:
+        return Tolerances(self.end, self.wear_tolerance, self.pressure_tolerance, self.meshed_wear)
+
     def next_try(self, state: State, progress: Progress) -> tuple[FloatArray, Progress]:
         """Return the times to which the next steps are tried.
 
@@ -241,13 +239,12 @@ class ErrorControl:
             ahead = self.limits > state.time[:, None]
             limit = np.take_along_axis(self.limits, ahead.argmax(axis=1)[:, None], axis=1)[:, 0]
         limit = np.ascontiguousarray(_until_interface(state, limit, progress))
-        end, length, cut = np.empty(len(limit)), np.empty(len(limit)), np.empty(len(limit), bool)
+        new, end = _new_tries(len(limit)), np.empty(len(limit))
         load(step_rows).choose_ends(
-            *state.error.shape, state.time, limit, progress.begun, progress.length,
-            progress.next_step, state.rates, self.end, _FIRST_WEAR * self.wear_tolerance,
-            self.meshed_wear, length, end, cut,
+            *state.error.shape, state.time, limit, progress.begun, _tries_of(progress),
+            self._tolerances, state.rates, new, end,
         )  # fmt: skip
-        return end, cut, length
+        return end, new.are_cut, new.lengths
 
     def decide(self, before: State, step: Step, progress: Progress) -> Decision:
         """Accept steps within the tolerances; change the next one with the third root of its error.
@@ -259,19 +256,23 @@ class ErrorControl:
         state, count = step.state, len(self.end)
         iterations = progress.tried_iterations + state.contact.iterations
         too_far = _of_each(step.too_far, count)
-        accepted, pressed, undefined = np.empty((3, count), dtype=bool)
-        length, next_step = np.empty((2, count))
+        errors = StepErrors(
+            step.wear_error,
+            step.history_error,
+            *(
+                _of_each(values, count)
+                for values in (
+                    step.carried_error, step.energy_error, step.power, step.pressure_error,
+                )
+            ),
+        )  # fmt: skip
+        new, (accepted, undefined) = _new_tries(count), np.empty((2, count), dtype=bool)
         load(step_rows).judge_tries(
-            *before.error.shape, before.error, before.time, state.time, self.end, state.energy,
-            _of_each(step.power, count), _of_each(step.energy_error, count), step.wear_error,
-            step.history_error, _of_each(step.carried_error, count),
-            _of_each(step.pressure_error, count), self.wear_tolerance, self.pressure_tolerance,
-            _ENERGY_TOLERANCE, _LEAST_ALLOWED, _SAFETY, _LARGEST_CUT, _LARGEST_GROWTH, too_far,
-            progress.pressed, progress.cut, progress.length, progress.next_step, accepted, pressed,
-            undefined, length, next_step,
+            *before.error.shape, before.error, before.time, state.time, state.energy, errors,
+            self._tolerances, too_far, _tries_of(progress), accepted, undefined, new,
         )  # fmt: skip
         rejected = ~accepted
-        next_step, shortest = _after_crossing(step, accepted, next_step, progress)
+        next_step, shortest = _after_crossing(step, accepted, new.next_lengths, progress)
         return Decision(
             accepted,
             accepted,
@@ -280,10 +281,10 @@ class ErrorControl:
                 next_step,
                 progress.rejected + rejected,
                 progress.iterations + accepted * iterations,
-                length,
+                new.lengths,
                 progress.cut,
                 rejected,
-                pressed,
+                new.are_pressed,
                 iterations,
                 undefined,
                 np.where(accepted | too_far, step.interface, progress.interface),
@@ -303,6 +304,14 @@ class ErrorControl:
     def finished(self, state: State, progress: Progress) -> BoolArray:
         """Return which histories are at their end."""
         return state.time >= self.end
+
+
+def _tries_of(progress: Progress) -> Tries:
+    return Tries(progress.length, progress.next_step, progress.pressed, progress.cut)
+
+
+def _new_tries(count: int) -> Tries:
+    return Tries(*np.empty((2, count)), *np.empty((2, count), dtype=bool))
 
 
 def _after_crossing(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from one_contact import OneContact
 
+from ringwear_par.compiled.product_rows import Matrices
 from ringwear_par.contact import hessians, newton
 from ringwear_par.contact.engine import TAO_TYPES, ContactEngine
 from ringwear_par.contact.problem import KKT_TOLERANCE
@@ -197,8 +198,8 @@ def hessians_of(n, count):
     compliances = ScaledCompliances.of(np.array([base, 2.0 * base]), area, speed)
     made = hessians.Hessians(compliances, which)
     shape = compliances.speed[which]
-    made.slope[:] = np.where(RNG.uniform(size=(count, n)) < 0.7, shape, 0.0)
-    made.slope[::3] *= RNG.uniform(0.0, 1e3, (len(made.slope[::3]), 1))
+    made.blocks.slopes[:] = np.where(RNG.uniform(size=(count, n)) < 0.7, shape, 0.0)
+    made.blocks.slopes[::3] *= RNG.uniform(0.0, 1e3, (len(made.blocks.slopes[::3]), 1))
     return made, compliances.matrices, compliances.weights[which]
 
 
@@ -210,7 +211,7 @@ def test_inverses_are_those_of_each_system(n, kind):
     free = RNG.uniform(size=(16, n)) < 0.8
     free[1] = free[:, 0] = True
     if kind == "any shape":
-        made.slope[:] = RNG.uniform(0.0, 1.0, (16, n))
+        made.blocks.slopes[:] = RNG.uniform(0.0, 1.0, (16, n))
     if kind == "coupled":
         coupling = RNG.uniform(-0.01, 0.01, (16, n, n))
         made.coupling = coupling + coupling.transpose(0, 2, 1)
@@ -220,7 +221,7 @@ def test_inverses_are_those_of_each_system(n, kind):
     steps, changes = made.steps(asked, right, missing, hessians.SOLVED)
     for place, i in enumerate(asked):
         on = np.flatnonzero(free[i])
-        block = matrices[i % 2] + np.diag(made.slope[i])
+        block = matrices[i % 2] + np.diag(made.blocks.slopes[i])
         if kind == "coupled":
             block = block + made.coupling[i]
         exact, border = np.zeros(n), np.zeros(n)
@@ -244,10 +245,10 @@ def test_bases_that_no_history_has_any_more_are_forgotten():
         out = made.solve(np.arange(3), right)
         for i in range(3):
             on = np.flatnonzero(free[i])
-            block = matrices[i % 2] + np.diag(made.slope[i])
+            block = matrices[i % 2] + np.diag(made.blocks.slopes[i])
             exact = np.linalg.solve(block[np.ix_(on, on)], right[i, on])
             assert out[i, on] == pytest.approx(exact, rel=1e-9, abs=1e-10)
-    assert len(made._stack.psi) <= 12
+    assert len(made._stack.bases.psi) <= 12
 
 
 @pytest.mark.parametrize("n", [12, 37, 64, 65, 100])
@@ -256,7 +257,7 @@ def test_digits_of_products_do_not_depend_on_the_other_rows(n):
     matrices, rows = RNG.normal(size=(3, n, n)), RNG.normal(size=(41, n))
 
     def products(rows, which):
-        return RowProducts(np.asarray(which)).of(rows, matrices)
+        return RowProducts(np.asarray(which)).of(rows, Matrices.of(matrices))
 
     every = products(rows, np.full(41, 1))
     assert every == pytest.approx(rows @ matrices[1], abs=1e-10)

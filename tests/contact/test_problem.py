@@ -108,8 +108,8 @@ def test_residuals_of_solutions_and_of_none(problem):
     residuals = problem.residuals(np.array([1, 2]), no_slope)
     assert residuals[0] == np.inf
     assert residuals[1] <= 1e-14
-    problem.unknowns *= 1.01
-    problem.gradients += 0.01
+    problem.unknowns[:] *= 1.01
+    problem.gradients[:] += 0.01
     assert problem.residuals(every, no_slope).min() > 1e-3
     problem.unknowns[:] = 0.0
     assert (problem.residuals(every, no_slope) == np.inf).all()

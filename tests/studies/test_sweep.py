@@ -234,15 +234,29 @@ def test_teams_of_ranks(write, shared_path, comm):
 
 @pytest.mark.serial
 def test_files_do_not_depend_on_windows(write, shared_path, comm, monkeypatch):
-    """Neither those of shards nor those of earlier results, nor where cases are gone."""
+    """Neither those of shards nor those of earlier results, nor where cases are gone.
+
+    Of earlier results no case is read for two windows.
+    """
+    stretches, read = [], results_file.ResultsBlock.read
+
+    def counted(block, names):
+        stretches.append((block.path, block.stretch.start))
+        return read(block, names)
+
     studies = [STUDY, STUDY.replace("[5e4, 1e5]", "[1e5, 2e5]"), STUDY]
     for name in ("whole", "parts"):
         if name == "parts":
-            monkeypatch.setattr(results_file, "_WINDOW_BYTES", 4000)
+            monkeypatch.setattr(results_file, "_WINDOW_BYTES", 40000)
             for module in (results_writer, case_table, case_variables):
                 monkeypatch.setattr(module, "WINDOW", 4)
         for n, text in enumerate(studies):
             swept(write(text), shared_path / name, comm)
+            with monkeypatch.context() as patch:
+                patch.setattr(results_file.ResultsBlock, "read", counted)
+                swept(write(text), shared_path / name, comm)  # writes the files anew
+            assert len(stretches) == len(set(stretches)) > 0
+            stretches.clear()
             shutil.copytree(shared_path / name, shared_path / f"{name}{n}")
     for n in range(len(studies)):
         same(variables(shared_path / f"whole{n}"), variables(shared_path / f"parts{n}"))

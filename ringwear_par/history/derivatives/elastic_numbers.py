@@ -15,6 +15,7 @@ from mpi4py import MPI
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.cases.case import Case
 from ringwear_par.cases.schema import layer_entry
+from ringwear_par.compiled.product_rows import Matrices
 from ringwear_par.contact.row_products import RowProducts
 from ringwear_par.elasticity.bem.compliance_family import family_number, family_of
 from ringwear_par.elasticity.bem.pair import ComplianceChange, ContactPair, Entry, layer_derivative
@@ -61,8 +62,8 @@ class ElasticDerivatives:
     def add_gap(self, gap: FloatArray, p: FloatArray, at: FloatArray) -> None:
         """Add to derivatives of the gap, (..., n) mm; pressures as those of ``Sensitivity``."""
         products = RowProducts(self.which)
-        gap += products.of(p - at, self.symmetric)
-        gap += products.of(at, self.collocated)
+        gap += products.of(p - at, Matrices.of(self.symmetric))
+        gap += products.of(at, Matrices.of(self.collocated))
 
 
 def _derivatives(

@@ -113,16 +113,15 @@ class Compliances:
         return _rows(self.members.twist, self.which)
 
     @property
-    def force_reaction(self) -> FloatArray:
-        """(B, 2, n) mm^2, see ``ContactCompliance``."""
-        of_references = np.array([c.force_reaction for c in self.every])
-        return _rows(of_references, self.reference[self.which])
+    def reactions(self) -> FloatArray:
+        """(B, 4, n) mm^2 and mm^3, ``force_reaction`` and ``torque_reaction``.
 
-    @property
-    def torque_reaction(self) -> FloatArray:
-        """(B, 2, n) mm^3, see ``ContactCompliance``."""
-        of_references = np.array([c.torque_reaction for c in self.every])
-        return _rows(of_references, self.reference[self.which])
+        See ``ContactCompliance``; boundary elements turn with tractions that are constant on each.
+        """
+        line = self.every[0].line
+        turning = line.arm / line.uniform_arm
+        of_references = [[*c.force_reaction, *(c.torque_reaction * turning)] for c in self.every]
+        return _rows(np.array(of_references), self.reference[self.which])
 
     def take(self, histories: IntArray) -> "Compliances":
         """Return the compliances of some of the histories."""

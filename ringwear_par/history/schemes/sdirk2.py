@@ -14,16 +14,16 @@ dealt with apart, see ``closing_elements``.
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray, largest
-from ringwear_par.compiled import step_rows
+from ringwear_par.compiled import error_rows, step_rows
+from ringwear_par.compiled.error_rows import Errors, Estimates, Formula
 from ringwear_par.compiled.machine_code import load
+from ringwear_par.compiled.product_rows import ROOM
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
-from ringwear_par.contact.row_products import ROOM
 from ringwear_par.contact.solution_derivatives import SolutionDerivatives
 from ringwear_par.history.physics import Physics, Sliding
 from ringwear_par.history.schemes.closing_elements import (
@@ -48,8 +48,7 @@ _LACKING = 1.0 / 6.0 - (
 )
 #: the first stage is solved over gamma h, and its wear enters with the weight (1 - gamma) h
 _FIRST_STAGE_FACTOR = (1.0 - GAMMA) / GAMMA
-#: of errors: weights of depths, gamma, and factors of bends and of errors before
-_ERRORS = _DEFECT, GAMMA, _LACKING / GAMMA, _FIRST_STAGE_FACTOR
+_ERRORS = Formula(_DEFECT, GAMMA, _LACKING / GAMMA, _FIRST_STAGE_FACTOR)
 
 
 def step_within(
@@ -136,7 +135,7 @@ def step(
     )  # fmt: skip
     after = replace(after, error=errors.at_end)
     passage = Passage.of(at_face, physics, state, after, end, sliding[2], contact.pressure, then)
-    wear_error = errors.of_step
+    wear_error, history_error, carried_error = errors.largest
     mean_pressure = contact.force / np.maximum(touching, physics.least_area)
     if passage is not None:
         growth = passage.growth_at(mean_pressure[:, None])
@@ -146,26 +145,12 @@ def step(
     # the scale is the pressure at the start, but not less than the mean at the end, and than what
     # an approach as small as the tolerance of wear presses
     least = np.maximum(mean_pressure, physics.slight_pressure)
-    load(step_rows).largest_ratios(*relief.shape, relief, p_before, least, pressure_errors)
+    load(error_rows).largest_ratios(*relief.shape, relief, p_before, least, pressure_errors)
     judged = Step(
-        after, wear_error, errors.of_history, energy_error, power, pressure_errors,
-        errors.of_before, False if is_closed else _closing(p_before, state.wear, wear),
+        after, wear_error, history_error, energy_error, power, pressure_errors,
+        carried_error, False if is_closed else _closing(p_before, state.wear, wear),
     )  # fmt: skip
     return end_at_interfaces(contacts, state, judged, passage, step_tangent)
-
-
-class _Errors(NamedTuple):
-    """Estimated errors of steps and histories."""
-
-    #: (B, n) mm, of the wear of steps, and of histories at their ends
-    defect: FloatArray
-    at_end: FloatArray
-    #: (B, n) MPa, the pressure that a step's unfiltered error takes away
-    relief: FloatArray
-    #: (B,) mm, the largest of the steps, of the histories, and of these what was before the steps
-    of_step: FloatArray
-    of_history: FloatArray
-    of_before: FloatArray
 
 
 def _errors_of(
@@ -177,7 +162,7 @@ def _errors_of(
     last: WearIncrement,
     p: FloatArray,
     closing: BoolArray | None,
-) -> _Errors:
+) -> Errors:
     """Return the errors of steps from a state, estimated and propagated.
 
     Wear of a stage for a depth d at its start is ((I - gamma h J)^-1 - I) d, J = d rate/d depth.
@@ -189,50 +174,47 @@ def _errors_of(
     last : of the last stage, at (B, n) MPa.
     closing : (B, n) elements that close a gap in the step.
     """
-    (count, n), slope, memory = in_last.shape, last.slope(p), last.memory(p)
-    estimates = length, state.rates, in_first, in_last, state.error
+    slope, memory = last.slope(p), last.memory(p)
+    estimates = Estimates(length, state.rates, in_first, in_last, state.error)
+    errors = Errors.empty(*p.shape)
     derivatives = contacts.engine.derivatives
     if memory is not None or not last.local or last.layered:
-        return _errors_by_responses(derivatives, None, *estimates, closing, last, slope, memory)
-    (defect, at_end), sizes = np.empty((2, count, n)), np.empty((3, count))
-    relief = np.empty((count + ROOM, n))
-    left = derivatives.propagate_errors(
-        slope, closing, estimates, _ERRORS, (relief, defect, at_end, sizes)
-    )
-    errors = _Errors(defect, at_end, relief[:count], *sizes)
-    if len(left) == count:
-        return _errors_by_responses(derivatives, None, *estimates, closing, last, slope, memory)
-    if len(left):
-        by_responses = _errors_by_responses(
-            derivatives, left, length[left], state.rates.take(left, axis=1), in_first[left],
-            in_last[left], state.error[left], None if closing is None else closing[left], last,
-            slope[left], None,
+        left = np.arange(len(p))
+    else:
+        left = derivatives.propagate_errors(slope, closing, estimates, _ERRORS, errors)
+    if len(left) == len(p):
+        _set_errors(errors, derivatives, None, estimates, closing, last, slope, memory)
+    elif len(left):
+        of_left = Errors.empty(len(left), p.shape[1])
+        _set_errors(
+            of_left, derivatives, left,
+            Estimates(
+                length[left], state.rates.take(left, axis=1), in_first[left], in_last[left],
+                state.error[left],
+            ),
+            None if closing is None else closing[left], last, slope[left], None,
         )  # fmt: skip
-        for values, of_left in zip(errors, by_responses, strict=True):
-            values[left] = of_left
-    return errors
+        errors.defect[left], errors.at_end[left] = of_left.defect, of_left.at_end
+        errors.relief[left], errors.largest[:, left] = of_left.relief[:-ROOM], of_left.largest
+    return errors._replace(relief=errors.relief[: len(p)])
 
 
-def _errors_by_responses(
+def _set_errors(
+    errors: Errors,
     derivatives: SolutionDerivatives,
     histories: IntArray | None,
-    length: FloatArray,
-    rates: FloatArray,
-    in_first: FloatArray,
-    in_last: FloatArray,
-    before: FloatArray,
+    estimates: Estimates,
     closing: BoolArray | None,
     last: WearIncrement,
     slope: FloatArray,
     memory: FloatArray | None,
-) -> _Errors:
-    """Return the errors of steps of some histories or all, by responses to them."""
-    loops, shape = load(step_rows), in_last.shape
-    errors, propagated = np.empty((3, *shape)), np.empty((2, *shape))
-    weights, gamma, *factors = _ERRORS
-    loops.rate_errors(*shape, length, rates, in_first, in_last, before, weights, gamma, errors)
+) -> None:
+    """Set the errors of steps of some histories or all, by responses to them."""
+    loops, shape = load(error_rows), estimates.in_last.shape
+    unfiltered, propagated = np.empty((3, *shape)), np.empty((2, *shape))
+    loops.rate_errors(*shape, estimates, _ERRORS, unfiltered)
     if closing is not None:  # those make one step of first order, see ``entry_error``
-        errors[:2, closing] = 0.0
+        unfiltered[:2, closing] = 0.0
     ones = None if last.local else np.ones(shape)
 
     def relieved(growth: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -242,19 +224,18 @@ def _errors_by_responses(
             return reliefs, last.depth_change(slope, reliefs), ones
         return reliefs, reliefs, slope
 
-    remembered = errors if memory is None else memory, memory is not None
+    remembered = unfiltered if memory is None else memory, memory is not None
     # the filter: the pressure that a depth too many takes away, times d depth / d p
     reliefs, *changing = relieved(
-        errors if memory is None else np.concatenate([errors[:1], memory * errors[1:]])
+        unfiltered if memory is None else np.concatenate([unfiltered[:1], memory * unfiltered[1:]])
     )
+    errors.relief[: shape[0]] = reliefs[0]
     # (1 + (1 - 2 gamma) z) / (1 - gamma z)^2 of the error before, z being h J
-    defect, at_end, sizes = np.empty(shape), np.empty(shape), np.empty((3, len(length)))
     loops.propagate(
-        *shape, errors, *changing, *remembered, before, *factors, defect, propagated
-    )  # fmt: skip
+        *shape, unfiltered, *changing, *remembered, estimates, _ERRORS, errors, propagated
+    )
     _, *changing = relieved(propagated if memory is None else memory * propagated)
-    loops.sum_errors(*shape, propagated, *changing, *remembered, defect, at_end, sizes)
-    return _Errors(defect, at_end, reliefs[0], *sizes)
+    loops.sum_errors(*shape, propagated, *changing, *remembered, errors)
 
 
 def _closing(p: FloatArray, before: FloatArray, after: FloatArray) -> BoolArray:

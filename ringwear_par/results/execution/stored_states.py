@@ -258,7 +258,7 @@ class LastStates:
 
     def __init__(self, count: int, results: bool = True) -> None:
         self._results = results
-        #: the last snapshot that histories went on from; None before the first
+        #: the last snapshot that histories went on from; None before the first, or if not wanted
         self.snapshot: Snapshot | None = None
         #: (2, B) s, when wear got through all layers of lower and upper, by the end of a history
         self.through = np.full((2, count), np.inf)
@@ -272,7 +272,8 @@ class LastStates:
         """Take new states."""
         if snapshot.passing:
             return False
-        self.snapshot = snapshot
+        if self._results:
+            self.snapshot = snapshot
         places = np.flatnonzero(snapshot.finished)
         if not len(places):
             return False

@@ -5,8 +5,8 @@ import time
 import numpy as np
 from mpi4py import MPI
 
-from ringwear_par.compiled import contact_rows, step_rows
 from ringwear_par.compiled.machine_code import load
+from ringwear_par.compiled.modules import LOOPS
 from ringwear_par.elasticity.bem.assembly import load_kernels
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.lockstep import batch_key
@@ -58,7 +58,7 @@ def _timed(plan: Plan) -> str:
         tried = min(len(numbers), _TRIED, max(int(_TRIED_OF * plan.cases_left), 1))
     numbers = numbers[np.linspace(0, len(numbers) - 1, tried).astype(int)]
     cases = [c for c in study.cases_of(numbers) if batch_key(c) == batch_key(first)]
-    for loops in contact_rows, step_rows:  # their first time, which compiles, is no step's
+    for loops in LOOPS:  # their first time, which compiles, is no step's
         load(loops)
     t0 = time.perf_counter()
     pair = assemble(first, MPI.COMM_SELF, use_kept=False)  # others may be unknown

@@ -17,7 +17,7 @@ from ringwear_par.studies.storage.stored_variables import AXES
 #: bytes of a chunk in the file
 _CHUNK_BYTES = 256e3
 #: most cases of which texts, or rows of a table, are made together
-WINDOW = 2**13
+WINDOW = 2**11
 #: share of bytes equal to the one before above which bytes of one weight are compressed: a search
 #: for runs takes more time than all the rest of writing, and saves 5 % of the file
 _REPEATED = 0.15
