@@ -247,7 +247,9 @@ class Passage:
         worn off it then.
         """
         low, at = np.minimum(self.pressure, usual), (self.time, self.sliding)
-        rates = self.present.rates(*at, self.wear, low)
+        # where an element will cross: a layer that is run in by then wears slowly
+        at_end = np.where(np.isfinite(self.ends), self.ends, self.wear)
+        rates = self.present.rates(*at, at_end, low)
         rates_below = self.below.rates(*at, self.reached, low)
         at_usual, present = _ratio(rates, rates_below), _ratio(self.rates, self.rates_below)
         return np.maximum(np.maximum(present, at_usual), 1.0).max(axis=0)
