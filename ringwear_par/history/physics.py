@@ -275,19 +275,29 @@ class Physics:
 
         ``closing`` is of elements that come into contact in it.
         """
-        stays = self._rates_stay
-        last = self._last[0] if stays and self._last else None
-        if last is not None and closing is None:
-            if last.duration is not step and not np.array_equal(last.duration, step):
-                last = self._last[0] = last.with_step(step)
-            return last
-        at = self._local_states(time, sliding, wear) if last is None else last.at
-        increment = WearIncrement(
-            self.inputs.laws, at, step, self.averages, self.obliquity, closing, self.inputs.pace
+        if not self._rates_stay:
+            return self._increment(time, sliding, wear, step, closing)
+        if not self._last:
+            self._last[:] = [self._increment(time, sliding, wear, step, None)]
+        last = self._last[0]
+        if closing is not None:
+            return last.with_step(step, closing)
+        if last.duration is not step and not np.array_equal(last.duration, step):
+            last = self._last[0] = last.with_step(step)
+        return last
+
+    def _increment(
+        self,
+        time: FloatArray,
+        sliding: Sliding,
+        wear: FloatArray,
+        step: FloatArray,
+        closing: Closing | None,
+    ) -> WearIncrement:
+        at, pace = self._local_states(time, sliding, wear), self.inputs.pace
+        return WearIncrement(
+            self.inputs.laws, at, step, self.averages, self.obliquity, closing, pace
         )
-        if stays and closing is None:
-            self._last[:] = [increment]
-        return increment
 
     def _local_states(
         self, time: FloatArray, sliding: Sliding, wear: FloatArray

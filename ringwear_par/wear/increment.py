@@ -127,10 +127,15 @@ class WearIncrement:
         self.duration = self.step
         self.step = columns(self.step) if self.closing is None else self.closing.step
 
-    def with_step(self, step: float | FloatArray) -> "WearIncrement":
+    def with_step(
+        self, step: float | FloatArray, closing: Closing | None = None
+    ) -> "WearIncrement":
         """Return the increment over another step of laws that are steady, of which it knows all."""
+        if closing is not None:
+            self._lines_over(closing.gap.shape)
         other = copy(self)
-        other.duration, other.step, other._known = step, columns(step), None
+        other.duration, other.closing, other._known = step, closing, None
+        other.step = columns(step) if closing is None else closing.step
         return other
 
     def take(self, histories: IntArray) -> "WearIncrement":
