@@ -149,8 +149,9 @@ def propagate_errors(
 
     What slopes times a response to gaps add is diagonal there, so that another response is
     y' = (1 - P) y, P being the inverses with forces kept. ``n_left`` (1,) of the ``order`` (count,)
-    are left: those that have no basis, or slopes that are no longer those of a diagonal Hessian. Of
-    compliances that deviate, K' off its diagonal is left out: estimates change by up to 2 %.
+    are left, those that are ``room.not_in_bases`` then: they have no basis, or slopes that are no
+    longer those of a diagonal Hessian. Of compliances that deviate, K' off its diagonal is left
+    out: that changes errors of steps by up to 5 %, of histories by up to 8 %.
     """
     n_ready, skipped, rows = 0, 0, room.rows
     for k in range(count):

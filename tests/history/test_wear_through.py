@@ -73,6 +73,33 @@ def test_a_layer_that_wears_as_the_body_is_none(pair, scheme):
     assert layered.last.energy == pytest.approx(plain.last.energy, rel=1e-5)
 
 
+@pytest.mark.parametrize("scheme", ["adaptive", "implicit"])
+@pytest.mark.parametrize("factor", [1.0, 1.02])
+def test_no_thin_layer_is_passed_over(pair, scheme, factor):
+    """Though it wears like the one above: the body below wears 50 times as fast."""
+    of_thick, of_thin = ({"law": "threshold", "k": k} for k in (2e-8, factor * 2e-8))
+    two = [
+        {**LAYER, "thickness": 2.8e-3, "wear": of_thick},
+        {**LAYER, "thickness": 2e-4, "wear": of_thin},
+    ]
+    keys = {"wear.lower.k": 1e-6, **SCHEMES[scheme]}
+    history = trace(case_of(layers=two, **keys), ALONE, pair=pair)
+    assert history.balances.energy < 1e-12
+    if factor == 1.0:
+        one = trace(case_of(**keys), ALONE, pair=pair)
+        np.testing.assert_allclose(history.last.wear, one.last.wear, atol=5e-6)
+
+
+def test_an_element_at_the_end_of_its_layer_but_for_round_off_is_in_the_next(pair):
+    keys = {**FIXED, "time.scheme": "explicit", "time.step": 0.02, "time.steps": 1}
+    plain = trace(case_of({"thickness": 1.0}, **keys), ALONE, pair=pair).last
+    element = plain.wear[0].argmax()
+    layer = {"thickness": float(plain.wear[0, element]) * (1.0 + 2e-14)}
+    last = trace(case_of(layer, **{"wear.lower.k": 1e-6}, **keys), ALONE, pair=pair).last
+    assert last.rates[0, element] == pytest.approx(50.0 * plain.rates[0, element], rel=1e-3)
+    assert last.through[0] == pytest.approx(0.02)
+
+
 @pytest.mark.parametrize(
     ("p0", "k", "of_body", "end"),
     [

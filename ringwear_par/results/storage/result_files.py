@@ -287,6 +287,8 @@ _STATE_ARRAYS = {
 }
 #: arrays of histories whose elements follow the wear, and of bodies with layers
 _OPTIONAL_ARRAYS = ("state.meshed_wear", "state.gap_offset", "state.through")
+#: a number that files of earlier versions have not
+_SHORTEST = "shortest_step"
 #: parts that are numbers: their names in files, and their types
 _STATE_NUMBERS: dict[str, tuple[str, type]] = {
     "progress.steps": ("step", int),
@@ -298,7 +300,7 @@ _STATE_NUMBERS: dict[str, tuple[str, type]] = {
     "progress.next_step": ("next_step", float),
     "progress.rejected": ("rejected", int),
     "progress.interface": ("interface", float),
-    "progress.shortest": ("shortest_step", float),
+    "progress.shortest": (_SHORTEST, float),
     "updates": ("assemblies", int),
     "state.contact.approach": ("approach", float),
     "state.contact.force": ("force", float),
@@ -350,6 +352,7 @@ def read_checkpoint(group: h5py.Group, sizes: Mapping[str, int]) -> Checkpoint:
     parts: dict[str, Any] = {
         part: np.array([hdf5.read_number(group.attrs[name])], dtype=kind)
         for part, (name, kind) in _STATE_NUMBERS.items()
+        if name in group.attrs or name != _SHORTEST
     }
     for part, variable in _STATE_ARRAYS.items():
         if variable.name in group or part not in _OPTIONAL_ARRAYS:
