@@ -190,9 +190,9 @@ def _is_record(annotation: Any) -> bool:
 
 
 def _kinds(annotation: Any) -> list[tuple[Any, str]]:
-    """Return what a parameter is in machine code, a record by its fields.
+    """Return the kinds of a parameter in machine code, which has the fields of records.
 
-    These are int, float or Any, of an array, with the dtypes that it may have.
+    They are int, float or, of an array, Any, with the dtypes that it may have.
     """
     if _is_record(annotation):
         return [kind for field in annotation.__annotations__.values() for kind in _kinds(field)]
