@@ -48,19 +48,19 @@ class Contacts(NamedTuple):
     #: (B, n) unknowns and gradients, the weighted gaps
     unknowns: Reals
     gradients: Reals
-    #: (B, n) A q, and room for ``ROOM`` rows, and whether these are of the unknowns
+    #: (B, n) A q, and room for ``SPARE_ROWS`` rows, and whether these are of the unknowns
     products: Reals
     are_known: Flags
 
 
 class Judgement(NamedTuple):
-    """Which histories, compact, have settled and are lost, and how many; room."""
+    """Which histories, compact, have settled and are lost, and how many."""
 
     are_settled: Flags
     are_lost: Flags
     #: (2,)
     counts: Integers
-    #: room: (2, B) histories whose unknowns became 0 and their places, (4, n)
+    #: scratch: (2, B) histories whose unknowns became 0, and their places; (4, n)
     zeroed: Integers
     derivative_products: Reals
 

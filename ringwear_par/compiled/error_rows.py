@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ringwear_par.compiled.contact_rows import Compliances
-from ringwear_par.compiled.hessian_rows import Bases, Blocks, Room
-from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals
-from ringwear_par.compiled.product_rows import ROOM, four_rows, multiply_four
+from ringwear_par.compiled.hessian_rows import Bases, Blocks, Scratch
+from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals, part
+from ringwear_par.compiled.product_rows import SPARE_ROWS, four_rows, multiply_four
 
 
 class Estimates(NamedTuple):
@@ -45,7 +45,7 @@ class Errors(NamedTuple):
     #: (B, n) mm, of the wear of steps, and of histories at their ends
     defect: Reals
     at_end: Reals
-    #: (B, n) MPa, the pressure that a step's unfiltered error takes away; room for ``ROOM`` rows
+    #: (B, n) MPa, the pressure that a step's unfiltered error takes away, and ``SPARE_ROWS`` more
     relief: Reals
     #: (3, B) mm, the largest of steps, of histories, and of these what was before the steps
     largest: Reals
@@ -53,7 +53,7 @@ class Errors(NamedTuple):
     @classmethod
     def empty(cls, count: int, n: int) -> "Errors":
         """Return errors of so many steps that are to be set."""
-        relief = np.empty((count + ROOM, n))
+        relief = np.empty((count + SPARE_ROWS, n))
         return cls(np.empty((count, n)), np.empty((count, n)), relief, np.empty((3, count)))
 
 
@@ -65,17 +65,22 @@ def rate_errors(
     They are those of the step, of its bend, the difference of the depth at the rate of the last
     stage to that at the start, and of the history before it.
     """
-    gamma, weights, size = formula.gamma, formula.weights, count * n
-    at_start, at_first, at_last = weights[0], weights[1] / gamma, weights[2] / gamma
-    per_gamma = 1.0 / gamma
+    size = count * n
     for history in range(count):
-        length = estimates.lengths[history]
         for k in range(history * n, (history + 1) * n):
-            start = length * (estimates.rates[k] + estimates.rates[size + k])
-            last = estimates.in_last[k]
-            unfiltered[k] = at_start * start + at_first * estimates.in_first[k] + at_last * last
-            unfiltered[size + k] = last * per_gamma - start
+            unfiltered[k], unfiltered[size + k] = _rate_error(k, history, size, estimates, formula)
             unfiltered[2 * size + k] = estimates.before[k]
+
+
+@part
+def _rate_error(
+    k: Count, history: Count, size: Count, estimates: Estimates, formula: Formula
+) -> tuple[float, float]:
+    """Return the error of a depth in a step before it is filtered, and its bend."""
+    weights, gamma, last = formula.weights, formula.gamma, estimates.in_last[k]
+    start = estimates.lengths[history] * (estimates.rates[k] + estimates.rates[size + k])
+    in_stages = weights[1] / gamma * estimates.in_first[k], weights[2] / gamma * last
+    return weights[0] * start + in_stages[0] + in_stages[1], last * (1.0 / gamma) - start
 
 
 def propagate(
@@ -109,22 +114,30 @@ def sum_errors(
     """
     size = count * n
     for history in range(count):
-        step_error, history_error, earlier_error, total = 0.0, 0.0, 0.0, 0.0
-        first, end = history * n, (history + 1) * n
-        for k in range(first, end):
+        for k in range(history * n, (history + 1) * n):
             more, slope = memory[k] if with_memory else 1.0, slopes[k]
             propagated[size + k] = more * propagated[size + k] + slope * reliefs[size + k]
             errors.defect[k] += more * propagated[k] + slope * reliefs[k]
             errors.at_end[k] = propagated[size + k] + errors.defect[k]
-        for k in range(first, end):
-            step_error = max(step_error, abs(errors.defect[k]))
-            history_error = max(history_error, abs(errors.at_end[k]))
-            earlier_error = max(earlier_error, abs(propagated[size + k]))
-            total += errors.at_end[k]
-        if not math.isfinite(total):  # comparisons do not see what is no number
-            step_error = history_error = earlier_error = math.nan
-        errors.largest[history], errors.largest[count + history] = step_error, history_error
-        errors.largest[2 * count + history] = earlier_error
+        _set_largest(n, history, count, propagated, size + history * n, errors)
+
+
+@part
+def _set_largest(
+    n: Count, history: Count, size: Count, earlier: Reals, start: Count, errors: Errors
+) -> None:
+    """Set the largest errors of a history, of which the ``earlier`` ones begin at ``start``."""
+    step_error, history_error, earlier_error, total = 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        k = history * n + i
+        step_error = max(step_error, abs(errors.defect[k]))
+        history_error = max(history_error, abs(errors.at_end[k]))
+        earlier_error = max(earlier_error, abs(earlier[start + i]))
+        total += errors.at_end[k]
+    if not math.isfinite(total):  # comparisons do not see what is no number
+        step_error = history_error = earlier_error = math.nan
+    errors.largest[history], errors.largest[size + history] = step_error, history_error
+    errors.largest[2 * size + history] = earlier_error
 
 
 def largest_ratios(
@@ -142,18 +155,18 @@ def largest_ratios(
 
 def propagate_errors(
     count: Count, n: Count, size: Count, order: Integers, compliances: Compliances, bases: Bases,
-    blocks: Blocks, room: Room, with_forces: Count, estimates: Estimates, formula: Formula,
+    blocks: Blocks, scratch: Scratch, with_forces: Count, estimates: Estimates, formula: Formula,
     closing: Flags, with_closing: Count, depth_slopes: Reals, n_left: Integers, errors: Errors,
 ) -> None:  # fmt: skip
     """Do ``rate_errors``, ``propagate`` and ``sum_errors`` of steps in their bases.
 
     What slopes times a response to gaps add is diagonal there, so that another response is
     y' = (1 - P) y, P being the inverses with forces kept. ``n_left`` (1,) of the ``order`` (count,)
-    are left, those that are ``room.not_in_bases`` then: they have no basis, or slopes that are no
-    longer those of a diagonal Hessian. Of compliances that deviate, K' off its diagonal is left
-    out: that changes errors of steps by up to 5 %, of histories by up to 8 %.
+    are left, ``scratch.not_in_bases`` then: those that have no basis, or slopes that are no longer
+    those of a diagonal Hessian. Of compliances that deviate, K' off its diagonal is left out: that
+    changes errors of steps by up to 5 %, of histories by up to 8 %.
     """
-    n_ready, skipped, rows = 0, 0, room.rows
+    n_ready, skipped, rows = 0, 0, scratch.rows
     for k in range(count):
         history = order[k]
         row, scale, changed = history * n, blocks.compliances[history] * n, 0
@@ -162,33 +175,27 @@ def propagate_errors(
             slope = depth_slopes[row + i] * compliances.slope_scale[scale + i]
             changed += 0 if slope == blocks.slopes[row + i] else 1
         if diagonal and changed == 0:
-            room.in_bases[n_ready] = history
+            scratch.in_bases[n_ready] = history
             n_ready += 1
         else:
-            room.not_in_bases[skipped] = history
+            scratch.not_in_bases[skipped] = history
             skipped += 1
     n_left[0] = skipped
-    at, all_rows, gamma, weights = 0, size * n, formula.gamma, formula.weights
-    at_start, at_first, at_last = weights[0], weights[1] / gamma, weights[2] / gamma
-    per_gamma, responses, inverses = 1.0 / gamma, blocks.responses, blocks.inverses
+    at, responses, inverses = 0, blocks.responses, blocks.inverses
     while at < n_ready:
         row0, row1, row2, row3, together = four_rows(
-            at, n_ready, 1, size, room.in_bases, blocks.bases
+            at, n_ready, 1, size, scratch.in_bases, blocks.bases
         )
         number = blocks.bases[row0]
         m, first, end = (
             bases.extents[3 * number], bases.extents[3 * number + 1], bases.extents[3 * number + 2],
         )  # fmt: skip
         for q in range(together):
-            history, place = room.in_bases[at + q], q * n
+            history, place = scratch.in_bases[at + q], q * n
             row, scale = history * n, blocks.compliances[history] * n
-            length = estimates.lengths[history]
             for i in range(n):
                 k, weight = row + i, compliances.weights[scale + i]
-                start = length * (estimates.rates[k] + estimates.rates[all_rows + k])
-                last = estimates.in_last[k]
-                error = at_start * start + at_first * estimates.in_first[k] + at_last * last
-                bend = last * per_gamma - start
+                error, bend = _rate_error(k, history, size * n, estimates, formula)
                 if with_closing and closing[k]:
                     error = bend = 0.0
                 errors.defect[k], rows[place + i] = error, error * weight
@@ -200,7 +207,7 @@ def propagate_errors(
                 four + 13, four + 14, four + 15, rows, first, end, 0, m,
             )  # fmt: skip
         for q in range(together):
-            history, basis = room.in_bases[at + q], number * n
+            history, basis = scratch.in_bases[at + q], number * n
             row, keeps = history * n, with_forces and blocks.stiffness[history] > 0.0
             for three in range(q * n, 12 * n, 4 * n):
                 change, again = 0.0, 0.0
@@ -234,9 +241,8 @@ def propagate_errors(
                 four + 9, four + 10, four + 11, rows, 0, m, first, end,
             )  # fmt: skip
         for q in range(together):
-            history, step, earlier = room.in_bases[at + q], (12 + q) * n, (16 + q) * n
+            history, step, earlier = scratch.in_bases[at + q], (12 + q) * n, (16 + q) * n
             row, scale = history * n, blocks.compliances[history] * n
-            step_error, history_error, earlier_error, total = 0.0, 0.0, 0.0, 0.0
             for i in range(n):
                 k, per = row + i, compliances.per_scale[scale + i]
                 slope = depth_slopes[k] * per
@@ -244,13 +250,5 @@ def propagate_errors(
                 errors.defect[k] += slope * rows[step + i]
                 rows[earlier + i] = estimates.before[k] + slope * rows[earlier + i]
                 errors.at_end[k] = errors.defect[k] + rows[earlier + i]
-            for i in range(n):
-                step_error = max(step_error, abs(errors.defect[row + i]))
-                history_error = max(history_error, abs(errors.at_end[row + i]))
-                earlier_error = max(earlier_error, abs(rows[earlier + i]))
-                total += errors.at_end[row + i]
-            if not math.isfinite(total):  # comparisons do not see what is no number
-                step_error = history_error = earlier_error = math.nan
-            errors.largest[history], errors.largest[size + history] = step_error, history_error
-            errors.largest[2 * size + history] = earlier_error
+            _set_largest(n, history, size, rows, earlier, errors)
         at += together

@@ -82,18 +82,18 @@ class Systems(NamedTuple):
     with_forces: Count
     #: whether gradients are gaps, mm, and steps are to be pressures, MPa
     with_scales: Count
-    #: (times, h, n), and room for ``ROOM`` rows; (times, h) mm, of approaches
+    #: (times, h, n), and room for ``SPARE_ROWS`` rows; (times, h) mm, of approaches
     steps: Reals
     changes: Reals
 
 
-class Room(NamedTuple):
-    """Room of loops."""
+class Scratch(NamedTuple):
+    """Arrays that loops compute with."""
 
     #: (24, n) and (8,)
     rows: Reals
     sizes: Reals
-    #: (B,) histories that are solved in bases, and the others
+    #: (B,) histories that a loop solves in bases, and those that it does not
     in_bases: Integers
     not_in_bases: Integers
 
@@ -195,16 +195,16 @@ def _invert(n: Count, history: Count, bases: Bases, blocks: Blocks, rate: Real) 
 def take_steps(
     count: Count, n: Count, size: Count, histories: Integers, order: Integers, every: Integers,
     compliances: Compliances, contacts: Contacts, bases: Bases, blocks: Blocks,
-    renewals: Renewals, systems: Systems, room: Room, depth_slopes: Reals, free: Flags,
-    in_bases: Count, through_layers: Count, are_inverted: Count, tolerance: Real,
+    renewals: Renewals, systems: Systems, scratch: Scratch, depth_slopes: Reals, free: Flags,
+    is_local: Count, through_layers: Count, are_inverted: Count, tolerance: Real,
     regular_tolerance: Real, approaches: Reals, forces: Reals, pressures: Reals,
 ) -> None:  # fmt: skip
     """Set slopes, and take the steps of histories in bases they have, or by their factors.
 
     Others are left, with what ``compare_slopes`` says of them: those that need another basis or
-    factor, unless inverses are what they have to be. The ``order`` (count,) of ``histories`` is by
-    bases; ``every`` are all of them (size,). Gradients of the systems are those of the contacts;
-    pressures are compact.
+    factor, which all do whose wear is not local, unless they ``are_inverted`` by now. The ``order``
+    (count,) of ``histories`` is by bases; ``every`` are all of them (size,). Gradients of the
+    systems are those of the contacts; pressures are compact.
     """
     n_left, n_ready, n_factored = 0, 0, 0
     for k in range(count):
@@ -220,26 +220,26 @@ def take_steps(
         has_basis, is_new = blocks.bases[history] >= 0, renewals.are_new[place]
         by_factor = not has_basis or (through_layers and not blocks.are_regular[history])
         is_left = not are_inverted and (
-            not in_bases or renewals.have_new_sets[place] or (is_new and by_factor)
+            not is_local or renewals.have_new_sets[place] or (is_new and by_factor)
         )
         renewals.are_left[place] = is_left
         if is_left:
             n_left += 1
         elif not has_basis:
-            room.not_in_bases[n_factored] = history
+            scratch.not_in_bases[n_factored] = history
             n_factored += 1
         else:
             if is_new and not are_inverted:
                 blocks.are_valid[history] = True
                 _invert(n, history, bases, blocks, renewals.rates[place])
-            room.in_bases[n_ready] = history
+            scratch.in_bases[n_ready] = history
             n_ready += 1
     _step_in_bases(
-        n_ready, n, 1, size, room.in_bases, every, blocks.bases, compliances, bases, blocks,
-        systems, room, tolerance, regular_tolerance,
+        n_ready, n, 1, size, scratch.in_bases, every, blocks.bases, compliances, bases, blocks,
+        systems, scratch, tolerance, regular_tolerance,
     )  # fmt: skip
     _step_by_factors(
-        n_factored, n, 1, size, room.not_in_bases, every, compliances, blocks, systems, room
+        n_factored, n, 1, size, scratch.not_in_bases, every, compliances, blocks, systems, scratch
     )
     for k in range(count):
         place = order[k]
@@ -339,25 +339,29 @@ def _solve(
 def steps(
     count: Count, n_factored: Count, n: Count, times: Count, size: Count, in_bases: Integers,
     factored: Integers, histories: Integers, numbers: Integers, compliances: Compliances,
-    bases: Bases, blocks: Blocks, systems: Systems, room: Room, tolerance: Real,
+    bases: Bases, blocks: Blocks, systems: Systems, scratch: Scratch, tolerance: Real,
     regular_tolerance: Real,
 ) -> None:  # fmt: skip
-    """Set steps of the places ``in_bases`` and ``factored`` of ``histories`` (size,), as below."""
+    """Set steps against gradients, and of approaches, of ``histories`` (size,).
+
+    Those at the places ``in_bases`` have the bases ``numbers`` (size,), the others, at ``factored``
+    places, have factors.
+    """
     _step_in_bases(
         count - n_factored, n, times, size, in_bases, histories, numbers, compliances, bases,
-        blocks, systems, room, tolerance, regular_tolerance,
+        blocks, systems, scratch, tolerance, regular_tolerance,
     )  # fmt: skip
     _step_by_factors(
-        n_factored, n, times, size, factored, histories, compliances, blocks, systems, room
+        n_factored, n, times, size, factored, histories, compliances, blocks, systems, scratch
     )
 
 
 @part
 def _step_by_factors(
     count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
-    compliances: Compliances, blocks: Blocks, systems: Systems, room: Room,
+    compliances: Compliances, blocks: Blocks, systems: Systems, scratch: Scratch,
 ) -> None:  # fmt: skip
-    """Set steps against gradients, and of approaches, as in bases."""
+    """Set steps against gradients, and of approaches, by factors, see ``_step_in_bases``."""
     solutions = systems.steps
     for at in range(count * times):
         place = order[at // times]
@@ -366,8 +370,8 @@ def _step_by_factors(
         start, row, scale = into * n, history * n, compliance * n
         for i in range(n):
             side = systems.gradients[start + i]
-            room.rows[i] = side * compliances.weights[scale + i] if systems.with_scales else side
-        _solve(n, row * n, blocks.factors, 0, room.rows, start, solutions)
+            scratch.rows[i] = side * compliances.weights[scale + i] if systems.with_scales else side
+        _solve(n, row * n, blocks.factors, 0, scratch.rows, start, solutions)
         if systems.with_forces and blocks.stiffness[history] > 0.0:
             carried, reference = 0.0, compliances.references[compliance] * n
             for i in range(n):
@@ -385,7 +389,7 @@ def _step_by_factors(
 def _step_in_bases(
     count: Count, n: Count, times: Count, size: Count, order: Integers, histories: Integers,
     numbers: Integers, compliances: Compliances, bases: Bases, blocks: Blocks, systems: Systems,
-    room: Room, tolerance: Real, regular_tolerance: Real,
+    scratch: Scratch, tolerance: Real, regular_tolerance: Real,
 ) -> None:  # fmt: skip
     """Set steps against gradients (times, size, n), and of approaches, by way of bases.
 
@@ -398,7 +402,13 @@ def _step_in_bases(
     below a tolerance relative to the first. The change of approach is the multiplier of the
     condition that the force stays.
     """
-    at, spare, rows, sizes, responses = 0, times * size, room.rows, room.sizes, blocks.responses
+    at, spare, rows, sizes, responses = (
+        0,
+        times * size,
+        scratch.rows,
+        scratch.sizes,
+        blocks.responses,
+    )
     while at < count * times:
         row0, row1, row2, row3, together = four_rows(at, count, times, size, order, numbers)
         number = numbers[order[at // times]]
@@ -448,7 +458,7 @@ def _step_in_bases(
         if bent or deviating:
             _conjugate_gradients(
                 at, together, n, times, size, number, order, histories, m, first, end, bases,
-                blocks, systems, room, bent, deviating,
+                blocks, systems, scratch, bent, deviating,
             )  # fmt: skip
         multiply_four(
             n, n, 0, 1, 2, 3, rows, number, bases.psi_t, row0, row1 if together > 1 else spare,
@@ -471,10 +481,15 @@ def _step_in_bases(
 def _conjugate_gradients(
     at: Count, together: Count, n: Count, times: Count, size: Count, number: Count,
     order: Integers, histories: Integers, m: Count, first: Count, end: Count, bases: Bases,
-    blocks: Blocks, systems: Systems, room: Room, bent: Count, deviating: Count,
+    blocks: Blocks, systems: Systems, scratch: Scratch, bent: Count, deviating: Count,
 ) -> None:  # fmt: skip
     """Go on from the steps of diagonal Hessians to those of the others."""
-    rows, sizes, inverses, responses = room.rows, room.sizes, blocks.inverses, blocks.responses
+    rows, sizes, inverses, responses = (
+        scratch.rows,
+        scratch.sizes,
+        blocks.inverses,
+        blocks.responses,
+    )
     for i in range(4 * n):
         rows[8 * n + i] = rows[i]
     for iteration in range(_MOST_ITERATIONS + 1):

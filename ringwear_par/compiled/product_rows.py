@@ -8,7 +8,7 @@ from typing import NamedTuple
 from ringwear_par.compiled.machine_code import Count, Integers, Reals, in_order, part
 
 #: rows that are multiplied at a time, less one: room after products, for what is too much
-ROOM = 3
+SPARE_ROWS = 3
 
 
 class Matrices(NamedTuple):
@@ -35,7 +35,7 @@ def multiply(
 
     Rows have the matrices ``which`` (size,), by which the ``order`` (count,) of those that are
     multiplied should be, and ``deviations`` (size,). There is room for four derivative products,
-    and after the products for ``ROOM`` more.
+    and after the products for ``SPARE_ROWS`` more.
     """
     multiply_rows(
         count, n, k, times, size, order, which, deviations, matrices, rows, derivative_products,

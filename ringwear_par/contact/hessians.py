@@ -14,9 +14,9 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.compiled import error_rows, hessian_rows
 from ringwear_par.compiled.error_rows import Errors, Estimates, Formula
-from ringwear_par.compiled.hessian_rows import Blocks, Renewals, Room, Systems
+from ringwear_par.compiled.hessian_rows import Blocks, Renewals, Scratch, Systems
 from ringwear_par.compiled.machine_code import load
-from ringwear_par.compiled.product_rows import ROOM
+from ringwear_par.compiled.product_rows import SPARE_ROWS
 from ringwear_par.contact.basis_stack import BasisStack
 from ringwear_par.contact.problem import LARGEST_WITH_BASES, ContactProblem
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
@@ -74,7 +74,7 @@ class Hessians:
             are_left=np.empty(count, dtype=bool),
             n_left=np.zeros(1, dtype=np.int64),
         )
-        self._room = Room(
+        self._scratch = Scratch(
             rows=np.empty((24, n)),
             sizes=np.empty(8),
             in_bases=np.empty(count, dtype=np.int64),
@@ -107,7 +107,7 @@ class Hessians:
     ) -> None:
         """Set what wear adds in some histories, see ``ContactProblem.slopes``."""
         self._loops.set_slopes(
-            *depth_slopes.shape, histories, self._compliances.rows, self.blocks, depth_slopes
+            *depth_slopes.shape, histories, self._compliances.record, self.blocks, depth_slopes
         )
         if coupling is not None:
             self.coupling[histories] = coupling
@@ -139,7 +139,7 @@ class Hessians:
         in_bases : whether sets are worth a basis; those that come and go are not.
         """
         self._loops.compare_slopes(
-            len(histories), free.shape[1], histories, self._compliances.rows, self.blocks,
+            len(histories), free.shape[1], histories, self._compliances.record, self.blocks,
             self._renewals, free,
         )  # fmt: skip
         self._renew(histories, np.arange(len(histories)), in_bases)
@@ -192,7 +192,7 @@ class Hessians:
         if not len(self.blocks.factors):
             self.blocks = self.blocks._replace(factors=np.empty((count, n, n)))
         self._loops.factorise(
-            len(histories), n, histories, self._compliances.rows, self.blocks, self.coupling,
+            len(histories), n, histories, self._compliances.record, self.blocks, self.coupling,
             coupled, np.empty((n, 2 * n)),
         )  # fmt: skip
 
@@ -221,9 +221,9 @@ class Hessians:
         def step(places: IntArray, are_inverted: bool) -> None:
             self._loops.take_steps(
                 len(places), n, len(problem.every), histories, places, problem.every,
-                self._compliances.rows, problem.contacts, self._stack.bases, self.blocks, renewals,
-                systems, self._room, depth_slopes, free, coupling is None, self.through_layers,
-                are_inverted, *NEAR, problem.approaches,
+                self._compliances.record, problem.contacts, self._stack.bases, self.blocks,
+                renewals, systems, self._scratch, depth_slopes, free, coupling is None,
+                self.through_layers, are_inverted, *NEAR, problem.approaches,
                 problem.approaches if forces is None else forces, pressures,
             )  # fmt: skip
 
@@ -249,8 +249,8 @@ class Hessians:
         ):
             count, n = problem.gradients.shape
             systems = self._systems = Systems(
-                problem.gradients, np.empty(count), with_forces, False, np.empty((count + ROOM, n)),
-                np.empty(count),
+                problem.gradients, np.empty(count), with_forces, False,
+                np.empty((count + SPARE_ROWS, n)), np.empty(count),
             )  # fmt: skip
         return systems
 
@@ -305,12 +305,12 @@ class Hessians:
         """
         n_left = self._renewals.n_left
         load(error_rows).propagate_errors(
-            *slope.shape, len(histories), self._rows_of(histories).every, self._compliances.rows,
-            self._stack.bases, self.blocks, self._room, with_forces, estimates, formula,
+            *slope.shape, len(histories), self._rows_of(histories).every, self._compliances.record,
+            self._stack.bases, self.blocks, self._scratch, with_forces, estimates, formula,
             self.blocks.free if closing is None else closing, closing is not None, slope, n_left,
             errors,
         )  # fmt: skip
-        left: IntArray = self._room.not_in_bases[: n_left[0]]
+        left: IntArray = self._scratch.not_in_bases[: n_left[0]]
         return left.copy()
 
     def _steps(
@@ -332,12 +332,12 @@ class Hessians:
         count, changes = gradient.size // n, np.zeros(gradient.shape[:-1])
         systems = Systems(
             gradient, changes if missing is None else np.ascontiguousarray(missing),
-            missing is not None, with_scales, np.empty((count + ROOM, n)), changes,
+            missing is not None, with_scales, np.empty((count + SPARE_ROWS, n)), changes,
         )  # fmt: skip
         self._loops.steps(
             size, len(rows.factored), n, count // max(size, 1), size, rows.in_bases, rows.factored,
-            rows.histories, rows.bases, self._compliances.rows, self._stack.bases, self.blocks,
-            systems, self._room, *tolerance,
+            rows.histories, rows.bases, self._compliances.record, self._stack.bases, self.blocks,
+            systems, self._scratch, *tolerance,
         )  # fmt: skip
         return systems.steps[:count].reshape(gradient.shape), changes
 

@@ -20,7 +20,7 @@ from ringwear_par.batched import keep
 from ringwear_par.compiled import contact_rows
 from ringwear_par.compiled.contact_rows import Contacts, Judgement
 from ringwear_par.compiled.machine_code import load
-from ringwear_par.compiled.product_rows import ROOM
+from ringwear_par.compiled.product_rows import SPARE_ROWS
 from ringwear_par.wear.increment import WearIncrement
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class ContactProblem:
             deviations=compliances.deviation(which),
             unknowns=np.zeros((count, n)),
             gradients=np.zeros((count, n)),
-            products=np.zeros((count + ROOM, n)),
+            products=np.zeros((count + SPARE_ROWS, n)),
             are_known=np.zeros(count, dtype=bool),
         )
         #: of the histories at work
@@ -175,7 +175,7 @@ class ContactProblem:
             deviations=old.deviations[histories],
             unknowns=old.unknowns[:count],
             gradients=old.gradients[:count],
-            products=old.products[np.append(histories, histories[-1:].repeat(ROOM))],
+            products=old.products[np.append(histories, histories[-1:].repeat(SPARE_ROWS))],
             are_known=old.are_known[histories],
         )
         keep(self, ("which", "gaps", "approaches"), histories)
@@ -231,7 +231,7 @@ class ContactProblem:
         """Return the pressures of the unknowns of some histories, (h, n) MPa, none negative."""
         count, n = len(histories), len(self.area)
         pressures = np.empty((count, n))
-        self.loops.pressures(count, n, histories, self.compliances.rows, self.contacts, pressures)
+        self.loops.pressures(count, n, histories, self.compliances.record, self.contacts, pressures)
         return pressures
 
     def gaps_of(self, gradient: FloatArray) -> FloatArray:
@@ -288,7 +288,7 @@ class ContactProblem:
             places = np.argsort(contacts.references[histories], kind="stable")
             self._order = histories, histories[places], places
         self.loops.evaluate(
-            *p.shape, len(self.every), *self._order[1:], self.compliances.rows, contacts,
+            *p.shape, len(self.every), *self._order[1:], self.compliances.record, contacts,
             self._judgement, not recall, self.gaps, self.approaches, self._depths(p),
             self.approaches if forces is None else forces, forces is not None, free is not None,
             diagonal, contacts.are_known if free is None else free, residuals,
@@ -338,7 +338,7 @@ class ContactProblem:
             return slope, None
         coupling = self.scaled_slopes(wear.jacobian(p), rows)
         places = np.arange(slope.shape[1])
-        coupling[:, places, places] -= slope * self.compliances.rows.slope_scale[self.which[rows]]
+        coupling[:, places, places] -= slope * self.compliances.record.slope_scale[self.which[rows]]
         return slope, coupling
 
     def scaled_slopes(self, slopes: FloatArray, rows: IntArray | slice) -> FloatArray:
@@ -347,7 +347,7 @@ class ContactProblem:
         (h, n) mm/MPa, or of non-local wear (h, n, n).
         """
         if slopes.ndim == self.weights.ndim:
-            return slopes * self.compliances.rows.slope_scale[self.which[rows]]
+            return slopes * self.compliances.record.slope_scale[self.which[rows]]
         return part(self.weights, rows)[..., None] * slopes / part(self.scale, rows)[:, None, :]
 
     def residuals(self, histories: IntArray, slope: FloatArray) -> FloatArray:

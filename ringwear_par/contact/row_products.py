@@ -5,7 +5,7 @@ import numpy as np
 from ringwear_par.arrays import FloatArray, IntArray
 from ringwear_par.compiled import product_rows
 from ringwear_par.compiled.machine_code import load
-from ringwear_par.compiled.product_rows import ROOM, Matrices
+from ringwear_par.compiled.product_rows import SPARE_ROWS, Matrices
 
 
 class RowProducts:
@@ -25,7 +25,7 @@ class RowProducts:
         """Return rows (..., h, n) times their matrices (m, n, k), digits of each row its own."""
         (*shape, n), k, count = rows.shape, matrices.values.shape[-1], len(self._which)
         size = rows.size // n
-        products = np.empty((size + ROOM, k))
+        products = np.empty((size + SPARE_ROWS, k))
         load(product_rows).multiply(
             count, n, k, size // max(count, 1), count, self._order, self._which, self._deviations,
             matrices, np.ascontiguousarray(rows), np.empty((4, k)), products,

@@ -131,7 +131,7 @@ class ScaledCompliances:
         )  # fmt: skip
 
     @cached_property
-    def rows(self) -> Compliances:
+    def record(self) -> Compliances:
         """The compliances as loops have them."""
         more = self.deviations
         return Compliances(
@@ -221,7 +221,7 @@ class ComplianceProducts:
 
     def symmetric(self, q: FloatArray) -> FloatArray:
         """Return A q, (..., h, n)."""
-        return self._rows.of(q, self._compliances.rows.matrices)
+        return self._rows.of(q, self._compliances.record.matrices)
 
     def gap_of_excess(self, p: FloatArray) -> FloatArray:
         """Return the gap that the excess opens at pressures (..., h, n) MPa, mm."""

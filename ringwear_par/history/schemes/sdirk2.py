@@ -21,7 +21,7 @@ from ringwear_par.arrays import BoolArray, FloatArray, IntArray, largest
 from ringwear_par.compiled import error_rows, step_rows
 from ringwear_par.compiled.error_rows import Errors, Estimates, Formula
 from ringwear_par.compiled.machine_code import load
-from ringwear_par.compiled.product_rows import ROOM
+from ringwear_par.compiled.product_rows import SPARE_ROWS
 from ringwear_par.contact.correction import CorrectedContacts
 from ringwear_par.contact.problem import ContactState
 from ringwear_par.contact.solution_derivatives import SolutionDerivatives
@@ -140,7 +140,8 @@ def step(
     if passage is not None:
         growth = passage.growth_at(mean_pressure[:, None])
         wear_error = largest(np.abs(errors.defect * growth))
-    relief = errors.relief if came is None else np.maximum(came, np.abs(errors.relief))
+    relief = errors.relief[: len(length)]
+    relief = relief if came is None else np.maximum(came, np.abs(relief))
     pressure_errors = np.empty_like(length)
     # the scale is the pressure at the start, but not less than the mean at the end, and than what
     # an approach as small as the tolerance of wear presses
@@ -195,8 +196,8 @@ def _errors_of(
             None if closing is None else closing[left], last, slope[left], None,
         )  # fmt: skip
         errors.defect[left], errors.at_end[left] = of_left.defect, of_left.at_end
-        errors.relief[left], errors.largest[:, left] = of_left.relief[:-ROOM], of_left.largest
-    return errors._replace(relief=errors.relief[: len(p)])
+        errors.relief[left], errors.largest[:, left] = of_left.relief[:-SPARE_ROWS], of_left.largest
+    return errors
 
 
 def _set_errors(
