@@ -402,13 +402,8 @@ def _step_in_bases(
     below a tolerance relative to the first. The change of approach is the multiplier of the
     condition that the force stays.
     """
-    at, spare, rows, sizes, responses = (
-        0,
-        times * size,
-        scratch.rows,
-        scratch.sizes,
-        blocks.responses,
-    )
+    rows, sizes, responses = scratch.rows, scratch.sizes, blocks.responses
+    at, spare = 0, times * size
     while at < count * times:
         row0, row1, row2, row3, together = four_rows(at, count, times, size, order, numbers)
         number = numbers[order[at // times]]
@@ -484,12 +479,8 @@ def _conjugate_gradients(
     blocks: Blocks, systems: Systems, scratch: Scratch, bent: Count, deviating: Count,
 ) -> None:  # fmt: skip
     """Go on from the steps of diagonal Hessians to those of the others."""
-    rows, sizes, inverses, responses = (
-        scratch.rows,
-        scratch.sizes,
-        blocks.inverses,
-        blocks.responses,
-    )
+    rows, sizes = scratch.rows, scratch.sizes
+    inverses, responses = blocks.inverses, blocks.responses
     for i in range(4 * n):
         rows[8 * n + i] = rows[i]
     for iteration in range(_MOST_ITERATIONS + 1):

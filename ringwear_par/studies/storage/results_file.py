@@ -157,7 +157,7 @@ def _blocks(path: Path, file: h5py.File) -> list[CaseBlock]:
     }
     longest = _longest(file["case_toml"])
     widths = [math.prod(table.shape[1:]) * table.dtype.itemsize for table in tables.values()]
-    stretch = cases_at_once(max(longest + sum(widths), 1))  # as many as are written together
+    stretch = cases_at_once(max(longest + sum(widths), 1))  # about as many as are written together
     sizes = {axis: sizes[axis] for axis in ("step", "element", *AXES) if axis in sizes}
     return [
         ResultsBlock(
