@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ringwear_par.compiled.contact_rows import Compliances
-from ringwear_par.compiled.hessian_rows import Bases, Blocks, Scratch
+from ringwear_par.compiled.hessian_rows import Bases, Blocks
 from ringwear_par.compiled.machine_code import Count, Flags, Integers, Real, Reals, part
 from ringwear_par.compiled.product_rows import SPARE_ROWS, four_rows, multiply_four
+from ringwear_par.compiled.system_rows import Scratch
 
 
 class Estimates(NamedTuple):

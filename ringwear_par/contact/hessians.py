@@ -12,11 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
-from ringwear_par.compiled import error_rows, hessian_rows
+from ringwear_par.compiled import error_rows, hessian_rows, system_rows
 from ringwear_par.compiled.error_rows import Errors, Estimates, Formula
-from ringwear_par.compiled.hessian_rows import Blocks, Renewals, Scratch, Systems
+from ringwear_par.compiled.hessian_rows import Blocks, Renewals
 from ringwear_par.compiled.machine_code import load
 from ringwear_par.compiled.product_rows import SPARE_ROWS
+from ringwear_par.compiled.system_rows import Scratch, Systems
 from ringwear_par.contact.basis_stack import BasisStack
 from ringwear_par.contact.problem import LARGEST_WITH_BASES, ContactProblem
 from ringwear_par.contact.scaled_compliances import ScaledCompliances
@@ -40,7 +41,8 @@ class Hessians:
     """
 
     def __init__(self, compliances: ScaledCompliances, which: IntArray) -> None:
-        self._compliances, self._loops = compliances, load(hessian_rows)
+        self._compliances = compliances
+        self._loops, self._solvers = load(hessian_rows), load(system_rows)
         count, n = len(which), len(compliances.area)
         #: as loops have them; there are no factors (0, n, n) while all have bases
         self.blocks = Blocks(
@@ -219,7 +221,7 @@ class Hessians:
         pressures, systems = np.empty((count, n)), self._systems_of(problem)
 
         def step(places: IntArray, are_inverted: bool) -> None:
-            self._loops.take_steps(
+            self._solvers.take_steps(
                 len(places), n, len(problem.every), histories, places, problem.every,
                 self._compliances.record, problem.contacts, self._stack.bases, self.blocks,
                 renewals, systems, self._scratch, depth_slopes, free, coupling is None,
@@ -334,7 +336,7 @@ class Hessians:
             gradient, changes if missing is None else np.ascontiguousarray(missing),
             missing is not None, with_scales, np.empty((count + SPARE_ROWS, n)), changes,
         )  # fmt: skip
-        self._loops.steps(
+        self._solvers.steps(
             size, len(rows.factored), n, count // max(size, 1), size, rows.in_bases, rows.factored,
             rows.histories, rows.bases, self._compliances.record, self._stack.bases, self.blocks,
             systems, self._scratch, *tolerance,

@@ -132,7 +132,7 @@ class WearIncrement:
     ) -> "WearIncrement":
         """Return the increment over another step of laws that are steady, of which it knows all."""
         if closing is not None:
-            self._lines_over(closing.gap.shape)
+            self._lines_over(closing.gap.shape)  # which later increments of the step share
         other = copy(self)
         other.duration, other.closing, other._known = step, closing, None
         other.step = columns(step) if closing is None else closing.step
