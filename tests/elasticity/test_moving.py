@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from paths import CASES
+from reference_cases import SORTS, paper_case, ring_case
 
 from ringwear_par.cases.files.reading import read_case
 from ringwear_par.elasticity.bem.body import compliance
@@ -13,8 +14,6 @@ from ringwear_par.elasticity.mesh import Mesh, case_slopes, common_slope, contac
 from ringwear_par.errors import ComputationError
 from ringwear_par.history.elastic.bodies import bodies
 from ringwear_par.history.elastic.pairs import assemble, updated_geometry
-from ringwear_par.verification.fine import SORTS, ring_case
-from ringwear_par.verification.histories import paper_case
 from ringwear_par.wear.laws.threshold import ThresholdLaw
 
 pytestmark = pytest.mark.serial

@@ -12,6 +12,7 @@ from commands import SHELL_ENVIRONMENT
 from full_disk import resize
 from mpi4py import MPI
 from paths import ROOT
+from reference_cases import paper_case
 
 from ringwear_par.elasticity import pair_cache
 from ringwear_par.elasticity.bem.solve import solved_on_one_rank
@@ -19,7 +20,6 @@ from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic import pairs
 from ringwear_par.history.elastic.bodies import operator_key
 from ringwear_par.petsc import PETSc
-from ringwear_par.verification.histories import paper_case
 
 #: ranks share little here: rank 0 reads and writes
 pytestmark = pytest.mark.serial

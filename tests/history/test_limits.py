@@ -5,13 +5,13 @@ import tracemalloc
 from dataclasses import replace
 
 import pytest
+from reference_cases import paper_case
 
 import ringwear_par as rw
 from ringwear_par.elasticity.bem import solve
 from ringwear_par.elasticity.mesh import Mesh
 from ringwear_par.history.elastic.pairs import assemble
 from ringwear_par.history.refusals.cases import check_memory, memory_needed
-from ringwear_par.verification.histories import paper_case
 
 
 @pytest.mark.parametrize("n", [64, pytest.param(128, marks=pytest.mark.serial)])
