@@ -83,9 +83,9 @@ def test_ranks_hold_the_same(comm):
 def test_an_operator(comm, stem, grip):
     """To the last bit, as each system is solved by one rank."""
     case = rw.read_case(CASES / f"{stem}.toml", {**SMALL, "upper.grip": grip})
-    found, known = (rw.simulate(case.replace({"time.steps": 1}) if "steps" in case.text else case,
-                                where, pair=rw.assemble(case, where)) for where in (comm, ALONE))  # fmt: skip
-    assert_same(found.to_xarray(), known.to_xarray(), 1e-12)
+    found, known = rw.assemble(case, comm), rw.assemble(case, ALONE)
+    for name in ("normal", "twist", "force_reaction", "torque_reaction", "slope"):
+        assert np.array_equal(getattr(found, name), getattr(known, name)), name
 
 
 @pytest.mark.parametrize("number", [1, 2, 7])
@@ -119,7 +119,8 @@ def study_of(path, comm, scheme="adaptive"):
         (path / "study.toml").write_text(
             'case = "base.toml"\n[vary]\n'
             '"wear.lower.k" = { log = [1e-8, 1e-6], count = 3 }\n'
-            '"upper.young" = { values = [5e4, 1e5] }\n"lower.r" = { values = [[20, 40], [20, 41]] }\n'
+            '"upper.young" = { values = [5e4, 1e5] }\n'
+            '"lower.r" = { values = [[20, 40], [20, 41]] }\n'
         )
     comm.Barrier()
     return path / "study.toml"
