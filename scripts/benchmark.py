@@ -52,7 +52,6 @@ from ringwear_par.history.elastic.bodies import bodies, young
 from ringwear_par.history.loop import simulate_one
 from ringwear_par.history.snapshots import Snapshot
 from ringwear_par.parallel import peak_memory
-from ringwear_par.verification.histories import paper_case
 
 COLUMNS = (
     "contact_elements", "ranks", "boundary_elements", "unknowns", "kernel_evaluations",
@@ -99,7 +98,10 @@ def timed_commands(n: int, repeats: int) -> tuple[float, float]:
 
 def measure(n: int, repeats: int, comm: MPI.Comm) -> dict[str, float]:
     """Return one row of the table. Collective."""
-    case, rules = paper_case(Mesh(n)), quadrature(Mesh().quadrature_tolerance)
+    case = rw.read_case(
+        Path(__file__).parent / "cases" / "paper.toml", [f"mesh.contact_elements={n}"]
+    )
+    rules = quadrature(Mesh().quadrature_tolerance)
     zones = [body_zones(body, case.line, case.mesh) for body in bodies(case)]
     dofs = [number_dofs(body) for body in zones]
     elements = sum(len(zone.boundary.elements) for body in zones for zone in body)

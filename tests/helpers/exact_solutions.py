@@ -40,11 +40,6 @@ PAPER_PRESSURE = {30.0: 34.392, 28.6: 85.388, 31.4: 84.186}
 #: the same, lower with a bonded layer of E = 100 GPa, nu = 0.3, 0.05 mm thick
 COATED_APPROACH = 0.0360214
 COATED_PRESSURE = {30.0: 33.576, 28.6: 61.120, 31.4: 60.176}
-#: stresses (MPa) of the lower one of them by kind and depth (mm) under r = 30
-PAPER_STRESS = {
-    ("von Mises", 0.05): 15.4735, ("von Mises", 0.2): 15.7083,
-    ("largest shear", 0.05): 8.7740, ("largest shear", 0.2): 9.0225,
-}  # fmt: skip
 #: other rings under the same load (see ``reference_cases``), independent finite elements: approach
 #: (mm), p(30) and mean pressures (MPa) at the inner and the outer edge, between distances (mm)
 EDGE_DISTANCES = (0.0, 0.001, 0.005, 0.02, 0.1, 0.3)
@@ -345,30 +340,3 @@ class LayeredHalfSpace:
         moments = [np.cos(points[:, None] * k) @ spectrum @ w for points in at]
         rest = unit * w.sum() - 2.0 / math.pi * np.array(moments)
         return float(force), 1.0 - 2.0 * math.pi / force * end * rest
-
-
-def sleeve_pressure(
-    radii: tuple[float, float, float], inner: float, outer: float, materials: Sequence[Material]
-) -> float:
-    """Return the pressure (MPa) between two bonded rings in plane strain under pressure.
-
-    Parameters
-    ----------
-    radii : mm, of the bore, the interface and the outside.
-    inner, outer : MPa, pressures there.
-    materials : of the inner and the outer ring.
-    """
-    a, c, b = radii
-    within, around = materials
-
-    def apart(pressure: float) -> float:
-        return float(
-            lame_displacement(np.array(c), c, b, pressure, outer, *_both(around))
-            - lame_displacement(np.array(c), a, c, inner, pressure, *_both(within))
-        )
-
-    return apart(0.0) / (apart(0.0) - apart(1.0))
-
-
-def _both(material: Material) -> tuple[float, float]:
-    return material.young, material.poisson
