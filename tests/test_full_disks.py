@@ -10,7 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-import try_faults as faults
+import killed_sweeps as faults
 from commands import SHELL_ENVIRONMENT
 from paths import CASES, HELPERS, PAPER
 from stored import contents

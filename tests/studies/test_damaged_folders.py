@@ -13,7 +13,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-import try_faults as faults
+import killed_sweeps as faults
 from commands import SHELL_ENVIRONMENT
 from swept import write_study
 

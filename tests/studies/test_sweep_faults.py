@@ -7,7 +7,7 @@ import time
 
 import h5py
 import pytest
-import try_faults as faults
+import killed_sweeps as faults
 from commands import SHELL_ENVIRONMENT
 from waiting import STEPS, Waiting
 
