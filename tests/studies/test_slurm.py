@@ -1,0 +1,91 @@
+"""The batch file, with what stands for Slurm's and MPI's programs: what it starts, what comes back."""
+
+import os
+import signal
+import subprocess
+import time
+
+import pytest
+from paths import ROOT
+
+pytestmark = pytest.mark.serial
+
+BATCH = ROOT / "slurm" / "ringwear.sbatch"
+SRUN = """#!/bin/bash
+trap 'exit 1' USR1
+echo "$@" >> started
+[ -z "$PAUSE" ] || while :; do sleep 0.02; done
+exit $STATUS
+"""
+SCONTROL = '#!/bin/bash\necho "$@" >> requeued\n'
+
+
+@pytest.fixture
+def submit(tmp_path):
+    """A function that runs the batch file as Slurm would; returns what came back and the status."""
+    for name, text in (("srun", SRUN), ("scontrol", SCONTROL)):
+        (tmp_path / name).write_text(text)
+        (tmp_path / name).chmod(0o755)
+
+    def submit(*words, signals=(), **environment):
+        environment = {
+            "PATH": f"{tmp_path}:{os.environ['PATH']}", "RINGWEAR_LAUNCHER": "srun --mpi=pmix",
+            "SLURM_SUBMIT_DIR": str(tmp_path), "SLURM_JOB_ID": "7", "SLURM_NTASKS": "2",
+            "SLURM_JOB_CPUS_PER_NODE": "1", "STATUS": "0", "PAUSE": "yes" if signals else "",
+            **environment,
+        }  # fmt: skip
+        job = subprocess.Popen(["bash", BATCH, *words], cwd=tmp_path, env=environment)
+        while signals and not (tmp_path / "started").exists():
+            time.sleep(0.02)
+        for number in signals:
+            job.send_signal(number)
+        status = job.wait(60)
+        requeued = tmp_path / "requeued"
+        return requeued.read_text().strip() if requeued.exists() else None, status
+
+    return submit
+
+
+ARRAY = {"SLURM_ARRAY_JOB_ID": "5", "SLURM_ARRAY_TASK_ID": "3", "SLURM_ARRAY_TASK_MIN": "0",
+         "SLURM_ARRAY_TASK_MAX": "9"}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "environment", "expected"),
+    [
+        (["run", "my case.toml", "-o", "a.h5"], {}, "run --restart my case.toml -o a.h5"),
+        (["sweep", "study.toml", "-o", "out"], {}, "sweep study.toml -o out"),
+        (["sweep", "study.toml", "-o", "out"], ARRAY, "sweep --slice 4/10 study.toml -o out"),
+    ],
+)
+def test_the_words_of_the_command_are_started(submit, tmp_path, words, environment, expected):
+    assert submit(*words, **environment) == (None, 0)
+    assert (tmp_path / "started").read_text() == f"--mpi=pmix ringwear {expected}\n"
+
+
+@pytest.mark.parametrize(
+    ("environment", "requeued"),
+    [
+        ({"STATUS": "1"}, None),
+        ({"STATUS": "2"}, None),
+        ({"STATUS": "137"}, "requeue 7"),
+        ({"STATUS": "137", **ARRAY}, "requeue 5_3"),
+        ({"STATUS": "137", "SLURM_RESTART_COUNT": "100"}, None),
+        ({"STATUS": "127"}, None),
+    ],
+)
+def test_what_has_died_comes_back_and_what_has_failed_does_not(submit, environment, requeued):
+    assert submit("sweep", "a.toml", **environment) == (requeued, int(environment["STATUS"]))
+
+
+@pytest.mark.parametrize(
+    ("signals", "requeued"),
+    [([signal.SIGUSR1], "requeue 7"), ([signal.SIGTERM], None)],
+    ids=["wall limit", "scancel"],
+)
+def test_what_is_stopped_at_the_wall_limit_comes_back(submit, signals, requeued):
+    assert submit("run", "a.toml", signals=signals) == (requeued, 1)
+
+
+def test_jobs_inherit_no_loopback_interface():
+    assert "btl_tcp_if_include" not in (ROOT / "scripts" / "setup.sh").read_text("utf-8")
