@@ -6,6 +6,7 @@ import shutil
 import signal
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import h5py
@@ -68,10 +69,8 @@ def wait_for_end(pids, patience=20.0):
 
 def kill(pid, number=signal.SIGKILL):
     """Send a signal, if there is still somebody to receive it."""
-    try:
+    with suppress(ProcessLookupError):
         os.kill(pid, number)
-    except ProcessLookupError:
-        pass
 
 
 def done_before(output):
@@ -80,7 +79,9 @@ def done_before(output):
     if (output / "results.h5").exists():
         with h5py.File(output / "results.h5", "r") as file:
             columns = file["case"].asstr()[:], file["status"].asstr()[:], file["seconds"][:]
-            found = {key: s for key, status, s in zip(*columns, strict=True) if status != "incomplete"}
+            found = {
+                key: s for key, status, s in zip(*columns, strict=True) if status != "incomplete"
+            }
     with tempfile.TemporaryDirectory() as name:
         for path in (output / "shards").glob("*.blocks"):
             contents = read_shard(Path(shutil.copy(path, name)))  # the shard itself is in use
@@ -118,4 +119,6 @@ def differences(output, reference):
                 same = same and one.tobytes() == other.tobytes()
             if not same or a[name].attrs.get("long_name") != b[name].attrs.get("long_name"):
                 faults.append(name)
-    return faults + sorted({p.name for p in output.iterdir()} ^ {p.name for p in reference.iterdir()})
+    return faults + sorted(
+        {p.name for p in output.iterdir()} ^ {p.name for p in reference.iterdir()}
+    )

@@ -1,4 +1,4 @@
-"""The batch file, with what stands for Slurm's and MPI's programs: what it starts, what comes back."""
+"""The batch file, with stand-ins for srun and scontrol: what it starts, and what comes back."""
 
 import os
 import signal
