@@ -112,5 +112,5 @@ def test_ranks_and_a_missing_package_are_refused(monkeypatch, comm):
     for name in [n for n in sys.modules if n.partition(".")[0] == "bokeh"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "bokeh", None)
-    with pytest.raises(rw.InputError, match=r"pip install 'ringwear-par\[explore\]'"):
+    with pytest.raises(rw.InputError, match=r"pip install 'ringwear-par\[pages\]'"):
         explore(PAPER, [], comm=comm, browser=False)

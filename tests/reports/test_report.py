@@ -338,7 +338,7 @@ def test_what_cannot_be_is_refused(source, output, words, folder, tmp_path):
 
 def test_missing_packages_are_told(folder, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "bokeh", None)
-    with pytest.raises(rw.InputError, match=r"pip install 'ringwear-par\[report\]'"):
+    with pytest.raises(rw.InputError, match=r"pip install 'ringwear-par\[pages\]'"):
         rw.report(folder / "run.h5", tmp_path / "page.html")
     assert not list(tmp_path.iterdir())
 

@@ -11,9 +11,9 @@ import zlib
 from dataclasses import replace
 
 import h5py
+import killed_sweeps as faults
 import numpy as np
 import pytest
-import try_faults as faults
 from commands import SHELL_ENVIRONMENT
 from swept import write_study
 

@@ -35,9 +35,7 @@ if TYPE_CHECKING:
 
 def to_xarray(result: Result) -> "xarray.Dataset":
     """Return the dataset that xarray makes of a result's file, see ``Result.to_xarray``."""
-    return table.to_dataset(
-        result_variables(result), result.attributes, coordinates(result), result.name
-    )
+    return table.to_dataset(result_variables(result), result.attributes, coordinates(result))
 
 
 def result_variables(result: Result) -> list[tuple[Variable, Any]]:

@@ -194,14 +194,8 @@ def open_ensemble(folder: Path | str) -> "xarray.Dataset":
 
     Raises
     ------
-    InputError : the folder holds none, or xarray and h5netcdf are not installed.
+    InputError : the folder holds none.
     """
-    path = read_ensemble(Path(folder)).path
-    try:
-        import xarray
-    except ImportError as error:
-        raise InputError(
-            f"{path}: needs xarray and h5netcdf to be opened so; pip install "
-            '"ringwear-par[xarray]" installs them'
-        ) from error
-    return xarray.open_dataset(path, engine="h5netcdf")
+    import xarray
+
+    return xarray.open_dataset(read_ensemble(Path(folder)).path, engine="h5netcdf")

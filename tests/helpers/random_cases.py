@@ -1,9 +1,5 @@
 """Random rings, faces, loads, schedules and laws: every case must run and keep its balances.
 
-    python scripts/random_cases.py [--count 1000] [--seed 1]
-
-How far the steps of the adaptive ones are off: ``step_errors.py``.
-
 Ranges: radii 0 to 45 mm, heights 5 to 20 mm, moduli 1e3 to 1e6 MPa, Poisson's ratios 0 to 0.45,
 friction 0.05 to 0.8; faces flat, chamfered, crowned, conical, filleted or wavy to 0.05 mm; mean
 pressures 1 to 300 MPa, or displacements to 0.5 % of the height; force, displacement and omega
@@ -12,23 +8,10 @@ to depths of about 1e-4 to 0.03 mm; implicit and adaptive steps; 16 to 48 contac
 grading 1 to 3.
 """
 
-import argparse
 import math
-import sys
-import time
-from collections import Counter
 
 import numpy as np
-from mpi4py import MPI
 
-from ringwear_par.cases.files.reading import make_case
-from ringwear_par.elasticity.bem.assembly import load_kernels
-from ringwear_par.errors import RingwearError
-from ringwear_par.history.observers.balances import Balances
-from ringwear_par.history.observers.trace import Trace, trace
-
-#: defects that a case must not exceed, of force, volume, energy and the contact's KKT conditions
-ALLOWED = {"force": 1e-10, "volume": 1e-10, "energy": 1e-10, "residual": 1e-9}
 _END = 100.0
 _POINTS = 81
 
@@ -155,54 +138,3 @@ def random_case(rng: np.random.Generator) -> tuple[dict, str]:
         keys["time.step"], keys["time.steps"] = _END / 40, 40
     del keys["pressure"], keys["width"]
     return keys, f"{where}; {', '.join(shapes) or 'flat'}; {', '.join(laws) or 'no wear'}"
-
-
-def failure(balances: Balances) -> str:
-    """Return which balances are not met, "" if all are."""
-    over = {name: getattr(balances, name) for name in ALLOWED}
-    return ", ".join(f"{n} {v:.1e}" for n, v in over.items() if not v <= ALLOWED[n])
-
-
-def compute(keys: dict, name: str) -> tuple[Trace, int]:
-    """Run a case; return its history and the most TAO iterations of a step."""
-    history = trace(make_case(keys, name), MPI.COMM_SELF)
-    return history, max(snapshot.iterations for snapshot in history.snapshots[1:])
-
-
-def main() -> int:
-    """Run the cases; return 1 if one fails."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=1)
-    args = parser.parse_args()
-    load_kernels(MPI.COMM_SELF)
-    failed, steps, iterations, rejected, most = 0, 0, 0, 0, 0
-    worst: Counter[str] = Counter()
-    t0 = time.perf_counter()
-    for number in range(args.count):
-        keys, sort = random_case(np.random.default_rng((args.seed, number)))
-        try:
-            history, peak = compute(keys, f"case {number}")
-            reason = failure(history.balances)
-        except RingwearError as error:
-            reason = str(error)
-        if reason:
-            failed += 1
-            print(f"case {number} ({sort}): {reason}", flush=True)
-            continue
-        made = history.snapshots[-1].progress
-        steps, iterations = steps + made.steps, iterations + made.iterations
-        rejected, most = rejected + made.rejected, max(most, peak)
-        for name in ALLOWED:
-            worst[name] = max(worst[name], getattr(history.balances, name))
-    print(
-        f"{args.count} random cases (seed {args.seed}) in {time.perf_counter() - t0:.0f} s: "
-        f"{failed} failed; {steps} steps, {rejected} repeated, {iterations / max(steps, 1):.2f} "
-        f"TAO iterations a step, at most {most}"
-    )
-    print("worst balances: " + ", ".join(f"{name} {value:.1e}" for name, value in worst.items()))
-    return 1 if failed else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
