@@ -95,9 +95,9 @@ def write_results(
     with (
         atomic_write(folder / TABLE) as rows,  # all are whole before one is replaced
         atomic_write(folder / TABLE_MEANINGS) as meanings,
-        atomic_hdf5(folder / RESULTS) as (file, check_disk),
+        atomic_hdf5(folder / RESULTS) as file,
     ):
-        writer = _Writer(file, cases, check_disk)
+        writer = _Writer(file, cases)
         table = writer.case_table(writer.write_histories(comm))
         table.store(file)
         file.attrs.update({"software": SOFTWARE, **attributes})
@@ -107,13 +107,10 @@ def write_results(
 
 
 class _Writer:
-    """Fills an empty results file, window by window of cases.
+    """Fills an empty results file, window by window of cases."""
 
-    ``check_disk`` raises the error that the disk has failed with.
-    """
-
-    def __init__(self, file: h5py.File, cases: CaseList, check_disk: Callable[[], None]) -> None:
-        self._file, self._list, self._check_disk = file, cases, check_disk
+    def __init__(self, file: h5py.File, cases: CaseList) -> None:
+        self._file, self._list = file, cases
         #: the entry of each case
         self._cases = np.zeros(len(cases.entry), dtype=ENTRY)
         self._cases["seconds"] = self._cases["imbalance"] = np.nan
@@ -186,7 +183,6 @@ class _Writer:
                     if not part.start:
                         end_values[name] = np.full((count, *values.shape[1:]), np.nan)
                     end_values[name][part] = values
-                self._check_disk()
         return end_values
 
     def _blocks_of(self, cases: slice) -> dict[int, CaseBlock]:
