@@ -123,12 +123,9 @@ def write_variable(group: h5py.Group, variable: Variable, values: Any) -> None:
 
     One that is named as its only dimension becomes that dimension.
     """
-    values = np.asarray(values)
-    numbers = values.dtype.kind in "iuf"
-    dataset = group.create_dataset(
-        variable.name, data=values if numbers else values.astype(object),
-        fletcher32=numbers and values.size > 0 and values.ndim > 0,
-    )  # fmt: skip
+    array = np.asarray(values)
+    checked = array.dtype.kind in "iuf" and array.ndim > 0 and array.size > 0
+    dataset = group.create_dataset(variable.name, data=values, fletcher32=checked)
     dataset.attrs.update(variable.attributes)
     if variable.dimensions == (variable.name,):
         dataset.make_scale(variable.name)

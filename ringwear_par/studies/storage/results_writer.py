@@ -30,12 +30,7 @@ from ringwear_par.results.variables import (
 from ringwear_par.studies.definition.variations import Column
 from ringwear_par.studies.storage.blocks import STATUS, CaseBlock, Kind
 from ringwear_par.studies.storage.case_index import ENTRY, CaseIndex
-from ringwear_par.studies.storage.case_table import (
-    TABLE_MEANINGS,
-    CaseTable,
-    extended,
-    write_parquet,
-)
+from ringwear_par.studies.storage.case_table import CaseTable, extended
 from ringwear_par.studies.storage.case_variables import (
     WINDOW,
     CaseVariable,
@@ -88,13 +83,12 @@ class CaseList:
 def write_results(
     folder: Path, cases: CaseList, attributes: Mapping[str, Any], comm: MPI.Comm
 ) -> None:
-    """Write results of cases by rename, the units of the table beside it. On rank 0 of comm only.
+    """Write results of cases by rename. On rank 0 of comm only.
 
     Within ``parallel.with_help_of_all``.
     """
     with (
-        atomic_write(folder / TABLE) as rows,  # all are whole before one is replaced
-        atomic_write(folder / TABLE_MEANINGS) as meanings,
+        atomic_write(folder / TABLE) as rows,  # both are whole before one is replaced
         atomic_hdf5(folder / RESULTS) as file,
     ):
         writer = _Writer(file, cases)
@@ -102,8 +96,6 @@ def write_results(
         table.store(file)
         file.attrs.update({"software": SOFTWARE, **attributes})
         table.write_csv(rows, comm, _window(len(cases.ids), comm))
-        meanings.write_text(table.meanings(file), encoding="utf-8")
-    write_parquet(folder)
 
 
 class _Writer:
