@@ -62,7 +62,7 @@ def save(fit: FitResult, folder: Path) -> None:
     A picture that cannot be drawn is left out, with a warning.
     """
     with new_files(folder, FILES, "fit"):
-        with atomic_hdf5(folder / READINGS) as (file, _):
+        with atomic_hdf5(folder / READINGS) as file:
             _write(file, fit)
         figures = {CURVES: fit.plot, ESTIMATES: fit.plot_parameters, SPECIMENS: fit.plot_specimens}
         if not fit.misfit.problem.scatters:
