@@ -160,10 +160,23 @@ def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
         if not equals or not path.strip():
             faults.append(f"--set {legible(item)}: must be KEY=VALUE, such as load.pressure=50")
             continue
-        values[path.strip()] = parse_value(text)
+        path, value = path.strip(), parse_value(text)
+        is_text = path in BY_PATH and BY_PATH[path].kind == "text"
+        values[path] = text.strip() if is_text and not isinstance(value, str) else value
     if faults:
         raise InputError(*faults)
     return values
+
+
+def changed_keys(changes: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return the dotted keys of changes, of which a table takes the place of the one before.
+
+    Raises
+    ------
+    InputError : see ``flatten``.
+    """
+    tables = [p for p, value in changes.items() if isinstance(value, Mapping) and p not in BY_PATH]
+    return {**dict.fromkeys(tables), **flatten(changes, name)}
 
 
 def flatten(tables: Mapping[str, Any], name: str) -> dict[str, Any]:
