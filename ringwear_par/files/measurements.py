@@ -86,8 +86,8 @@ class Measurements:
         Parameters
         ----------
         hour : in the column's unit, which may have stamps then, that count from the first of the
-            table; or clock times: h:mm:ss, over midnight too, or min:s, or h:min where the unit is
-            the hour.
+            table; or clock times, over midnight too: h:mm:ss, or h:min where the unit is h, or
+            min:s where it is min.
 
         Raises
         ------
@@ -105,9 +105,14 @@ class Measurements:
                 elif "." in written and _GROUPED_BY_POINTS.fullmatch(written):
                     grouped.append((i, False))
             elif hour is not None and table_text.is_clock(written):
-                values[i] = table_text.clock_time(written, hour)
-                if table_text.has_hours(written):
-                    clocks.append(i)
+                try:
+                    values[i] = table_text.clock_time(written, hour)
+                except ValueError as error:
+                    raise InputError(
+                        f"{self.cell_place(name, i)}: may be h:min or min:s; must be h:mm:ss, or "
+                        "in a column whose unit says it: h of h:min, min of min:s"
+                    ) from error
+                clocks.append(i)
             elif hour is not None and table_text.is_stamp(written):
                 stamps.append(i)
             else:

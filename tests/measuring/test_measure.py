@@ -164,6 +164,25 @@ def test_the_page_shows_what_the_example_prints():
         assert any(printed.startswith(line) for printed in summary), line
 
 
+def test_a_clock_without_seconds_is_in_hours_where_its_column_says_so(tmp_path):
+    """20 h at 1.8 um/h, over midnight; no advice of a message leads to another rate."""
+    path = tmp_path / "W1.csv"
+    rows = [f"{(7 + i // 60) % 24:02d}:{i % 60:02d};{i * 0.03:.4f}" for i in range(1200)]
+
+    def written(name):
+        path.write_text("\n".join([f"{name};Weg_um", *rows]))
+        return path
+
+    for name in ("Uhrzeit", "Uhrzeit / s"):
+        with pytest.raises(rw.InputError, match=r"07:00.* may be h:min or min:s; .*h"):
+            measured(written(name))
+    for test in (
+        *measured(written("Uhrzeit / h")).tests,
+        *measured(written("Uhrzeit"), units={"time": "h"}).tests,
+    ):
+        assert test.wear_rate.value * 3.6e6 == pytest.approx(1.8, rel=1e-6)
+
+
 def test_a_copy_of_a_record_adds_nothing(laboratory, tmp_path):
     folder, _, _ = laboratory
     copy = tmp_path / "copy.csv"
