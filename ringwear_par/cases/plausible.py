@@ -55,7 +55,7 @@ def wear_question(case: Case, body: str = "") -> str:
     if not asked:
         return ""
     k, key = max(asked)
-    return f' ({key} = {k:g} is in 1/MPa; if it is in mm3/(N m), write "{k:g} mm3/(N m)")'
+    return f' ({key} = {k:g} is in 1/MPa: if it is in mm3/(N m), write "{k:g} mm3/(N m)")'
 
 
 def _numbers(case: Case) -> Iterator[tuple[str, float]]:

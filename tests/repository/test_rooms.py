@@ -51,8 +51,6 @@ def test_no_module_knows_many_others():
 LIGHT = (
     ("import ringwear_par.contact.problem, ringwear_par.options", ("scipy", "h5py", "matplotlib")),
     ("rw.read_case(case).replace({'load.pressure': 50})", ("scipy", "h5py", "matplotlib")),
-    ("from ringwear_par.cases.files.law_trials import check_laws", ()),
-    ("check_laws(Path(cases) / 'user_law.toml', [])", ("scipy",)),
     ("rw.read_case(f'{cases}/sphere.toml')", ("h5py", "matplotlib")),
     ("rw.read_study(study)", ()),
     ("rw.open_result(run).to_xarray()", ()),

@@ -345,7 +345,7 @@ def _conversion(
     if channel == "time" and is_clock(cell := table.first_cell(column)):
         raise InputError(
             f"{table.name}: {legible(column)}: {cell} may be h:min or min:s; name it "
-            f"{legible(column)} / h or {legible(column)} / min, or units = {{ time = \"h\" }}"
+            f'{legible(column)} / h or {legible(column)} / min, or units = {{ time = "h" }}'
         )
     raise InputError(
         f"{table.name}: {legible(column)}: no unit; name it {legible(column)} / {written}, or "
