@@ -51,7 +51,7 @@ def refuse_bad_laws(case: Case, name: str) -> None:
         try:
             if not isinstance(law, UserLaw):
                 check_object(law)
-                law = CompletedLaw(law)  # noqa: PLW2901
+                law = CompletedLaw(law)
             check_user_law(law, _at_start(case), pressure)
         except InputError as error:
             faults += [f"{name}: {key}: {fault}" for fault in error.faults]
