@@ -13,6 +13,7 @@ of one key or process of one body, white noise, and nuisances offset and drift.
 """
 
 import argparse
+import json
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,7 +26,6 @@ from scipy.special import logsumexp
 
 import ringwear_par as rw
 from ringwear_par.arrays import FloatArray
-from ringwear_par.files.text import parse_json
 from ringwear_par.identification.definition.fit_file import read_fit
 from ringwear_par.identification.definition.problem import Problem
 from ringwear_par.identification.fit import fit_problem
@@ -116,7 +116,7 @@ def main() -> None:
     problem, rng = read_fit(arguments.fit), np.random.default_rng(SEED)
     with tempfile.TemporaryDirectory() as folder:
         run_follow(arguments.fit, Path(folder) / "follow", MPI.COMM_SELF, once=True)
-        followed = parse_json((Path(folder) / "follow" / "follow.json").read_text())
+        followed = json.loads((Path(folder) / "follow" / "follow.json").read_text())
     fit = rw.fit(arguments.fit)
     m, tests = len(problem.keys), len(problem.experiments)
     scattering = [j for j, p in enumerate(problem.parameters) if p.scatter is not None]

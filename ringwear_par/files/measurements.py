@@ -13,7 +13,6 @@ import numpy as np
 from ringwear_par.arrays import BoolArray, FloatArray, IntArray
 from ringwear_par.errors import InputError, legible
 from ringwear_par.files import table_text
-from ringwear_par.files.writing import read_bytes
 
 #: most columns of a table: loggers have hundreds of channels, files with more are something else
 MOST_COLUMNS = 1000
@@ -285,7 +284,7 @@ def read_measurements(
     InputError : it cannot be read, or is no table.
     """
     try:
-        content = read_bytes(path)
+        content = path.read_bytes()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from error

@@ -20,7 +20,6 @@ from ringwear_par.files.text import (
     parse_toml,
     parse_value,
     read_text,
-    refuse_depth,
     shortened,
     toml_value,
 )
@@ -184,9 +183,8 @@ def flatten(tables: Mapping[str, Any], name: str) -> dict[str, Any]:
 
     Raises
     ------
-    InputError : a key is given twice, or values are nested too deeply.
+    InputError : a key is given twice.
     """
-    refuse_depth(tables, name)
     flat: dict[str, Any] = {}
     twice = []
     for path, value in _entries(tables, ""):
@@ -232,10 +230,9 @@ def source_tables(
 
     Raises
     ------
-    InputError : it cannot be read, or is nested too deeply.
+    InputError : it cannot be read.
     """
     if isinstance(source, Mapping):
-        refuse_depth(source, name)
         tables = plain(source)
         text = "".join(
             f"{toml_value(key)} = {toml_value(value)}\n" for key, value in tables.items()

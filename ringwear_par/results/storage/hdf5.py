@@ -21,7 +21,7 @@ import numpy as np
 
 from ringwear_par.arrays import FloatArray
 from ringwear_par.errors import InputError
-from ringwear_par.files.writing import atomic_write, open_ordinary
+from ringwear_par.files.writing import atomic_write
 from ringwear_par.results.variables import Variable
 
 log = logging.getLogger(__name__)
@@ -90,7 +90,7 @@ def reading(path: Path, software: str, kind: str, must: str = "") -> Iterator[h5
 @lru_cache(maxsize=256)
 def _is_whole(path: Path, inode: int, size: int, changed: int) -> bool:
     """Tell whether a file has no seal, or its own; once as long as it is the same."""
-    with open_ordinary(path) as file:
+    with path.open("rb") as file:
         if size < _SEAL_BYTES:
             return True
         file.seek(size - _SEAL_BYTES)
